@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from modcal_core.camera.corners import CameraState, CornerTable, corner_rows, grams
     from modcal_core.camera.fit import CameraFit, uncertainty_about
     from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens, homography
-    from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, Lens
+    from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, STATED, Lens
     from modcal_core.camera.mounting import MIN_VIEWS
     from modcal_core.camera.other_readings import ReadingsBeside, beside
     from modcal_core.camera.plan import plan_images
@@ -31,19 +31,11 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL", "CHARUCO", "CHESSBOARD", "COMMON"]
-__all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE", "POSE"]
-__all__ += ["READOUT", "SCALE", "SHAPE", "SHAPE_NAMES", "TAG", "BoardView", "BundleMarker", "CameraCause", "CameraFit"]
-__all__ += [
-    "CameraImages",
-    "CameraProblem",
-    "CameraSolution",
-    "CameraState",
-    "CameraWatch",
-    "CornerTable",
-    "ImageMoments",
-    "Lens",
-]
-__all__ += ["MarkerBundle", "Moved", "PreparedImages", "PrintedTarget", "ReadingsBeside", "ToolError", "beside"]
-__all__ += ["board_poses", "corner_rows", "covered", "distances_of_views", "enough_corners", "first_lens", "fit_lens"]
-__all__ += ["grams", "homography", "plan_images", "read_any_target", "read_target", "solve_camera"]
-__all__ += ["target_from_data", "target_to_data", "tilt_and_distance", "uncertainty_about"]
+__all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE"]
+__all__ += ["POSE", "READOUT", "SCALE", "SHAPE", "SHAPE_NAMES", "STATED", "TAG", "BoardView", "BundleMarker"]
+__all__ += ["CameraCause", "CameraFit", "CameraImages", "CameraProblem", "CameraSolution", "CameraState"]
+__all__ += ["CameraWatch", "CornerTable", "ImageMoments", "Lens", "MarkerBundle", "Moved", "PreparedImages"]
+__all__ += ["PrintedTarget", "ReadingsBeside", "ToolError", "beside", "board_poses", "corner_rows", "covered"]
+__all__ += ["distances_of_views", "enough_corners", "first_lens", "fit_lens", "grams", "homography", "plan_images"]
+__all__ += ["read_any_target", "read_target", "solve_camera", "target_from_data", "target_to_data"]
+__all__ += ["tilt_and_distance", "uncertainty_about"]

@@ -225,7 +225,7 @@ class CameraState:
 
     def with_common(self, common: Array) -> CameraState:
         """The same with other values of lens, shape, readout and places of markers (15 + Z,)."""
-        lens = Lens(common[:LENS], self.lens.size, self.lens.model)
+        lens = replace(self.lens, values=common[:LENS])
         return replace(self, lens=lens, shape=shape_of(common), readout_s=float(common[READOUT]))
 
     def moved(self, step: Array) -> CameraState:

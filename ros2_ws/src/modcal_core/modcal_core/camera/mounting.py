@@ -219,4 +219,4 @@ def _mirrored(table: CornerTable, lens: Lens) -> tuple[CornerTable, Lens]:
     values[3] = lens.size[1] - 1.0 - values[3]
     if lens.model == PINHOLE:
         values[_P1] = -values[_P1]
-    return replace(table, pixels=pixels), Lens(values, lens.size, lens.model)
+    return replace(table, pixels=pixels), replace(lens, values=values)

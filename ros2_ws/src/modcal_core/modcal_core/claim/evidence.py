@@ -74,6 +74,11 @@ def draw(about: ArmEvidence, count: int, rng: np.random.Generator) -> Drawn:
     return Drawn(values, opened, noise[:, about.main], width, std, usual)
 
 
+def usual_std(about: Neighbourhood) -> Array:
+    """Deviations (K,) that values have in usual arms, by the law of the common widths, whatever the readings say."""
+    return about.std * np.exp(np.r_[USUAL, 0.0])[about.sort]
+
+
 def widths_of_links(about: Neighbourhood) -> dict[int, float]:
     """By place the width of its errors that the readings make most likely, on average, in usual errors."""
     logs = np.log(draw(about, _ROUNDS, np.random.default_rng(0)).widths).mean(axis=0)

@@ -133,7 +133,7 @@ def arms_near(
     model = replace(calibrated.with_effects((*named, *more)), fallback=None)
     around = model.drivers(samples)
     every = ordered_candidates(model.chain, model.frames, views_of(samples), model.instruments, model.leaders)
-    parameters = tuple(drop_fixed(every, [p for p in cell.kept if _names(p, every)]))
+    parameters = tuple(drop_fixed(every, cell.kept, all_there=False))
     values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
     left = linearise(model, (), np.zeros(0), samples, jacobian=False, drivers=around)
     pose = samples.is_pose
@@ -353,9 +353,3 @@ def shows_base(samples: Samples, frame: int) -> bool:
 def joint_motion(view: RowView, chain: Mechanism, j: int) -> Array:
     """How readings move per rad or m of a joint, (3 N + 3 M,)."""
     return view.unit_column(chain.first_place + j, 5 if chain.revolute[j] else 2)
-
-
-def _names(pattern: str, parameters: Sequence[ModelParameter]) -> bool:
-    from fnmatch import fnmatchcase
-
-    return any(fnmatchcase(p.name, pattern) or p.name.rpartition("/")[0] == pattern for p in parameters)

@@ -242,15 +242,16 @@ def camera_files(
 def camera_info(lens: Lens, name: str = "camera") -> dict[str, Any]:
     """A lens in the form of ROS's camera_info files. name: of the camera."""
     fx, fy, cx, cy = (float(x) for x in lens.values[:4])
-    count = DISTORTIONS[lens.model]
+    rational = bool(lens.below.any())
+    d = [*lens.values[4 : 4 + DISTORTIONS[lens.model]], *(lens.below if rational else ())]
     projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     return {
         "image_width": lens.size[0],
         "image_height": lens.size[1],
         "camera_name": name,
         "camera_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in lens.K.ravel()]},
-        "distortion_model": lens.model,
-        "distortion_coefficients": {"rows": 1, "cols": count, "data": [float(x) for x in lens.values[4 : 4 + count]]},
+        "distortion_model": "rational_polynomial" if rational else lens.model,
+        "distortion_coefficients": {"rows": 1, "cols": len(d), "data": [float(x) for x in d]},
         "rectification_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in np.eye(3).ravel()]},
         "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
     }
@@ -381,29 +382,6 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
     return tuple(out)
 
 
-def lines(solution: CameraSolution, images: int, left_out: Mapping[str, str]) -> list[str]:
-    """The result for a terminal."""
-    fit = solution.fit
-    what = "target" if fit.poses.camera_on_tip else "camera"
-    drawn_px, calibrated_px = solution.claim.held_out_px
-    out = [
-        f"Mounting: {solution.ready.mounting.label}. {solution.ready.given.target.label}, {fit.table.views} of "
-        f"{images} images, {int(fit.table.weight.sum())} corners, {fit.rms_px:.2f} px RMS.",
-        *(
-            f"Also {one.given.name}: {one.mounting.label}. {one.given.target.label}, {one.table.views} of "
-            f"{len(one.given.views)} images, {rms_px:.2f} px RMS."
-            for one, _, _, rms_px in _further(solution)
-        ),
-        _line("Where the target is in view", solution.claim.in_view),
-        _line(f"There, the arm by itself, wherever the {what} stands", solution.claim.alone),
-        _line("Anywhere within the joint limits", solution.claim.anywhere),
-        f"Held-out images: {drawn_px:.2f} px nominal, {calibrated_px:.2f} px calibrated (pixels are no accuracy).",
-    ]
-    out += [f"Left out: {name}: {why}." for name, why in (dict(left_out) | solution.ready.left_out).items()]
-    out += list(notes(solution))
-    return [*out, f"{solution.claim.decision.word.upper()}: {' '.join(solution.claim.decision.because)}"]
-
-
 def effect_entries(solution: CameraSolution) -> list[dict[str, Any]]:
     """The effects as ``report.json`` has them. RMS before and after are what images have of their own, at the tool."""
     model, throw = solution.model, _throw(solution)
@@ -463,14 +441,6 @@ def _left(solution: CameraSolution) -> dict[str, Any] | None:
     if choice is None:
         return None
     return unexplained(1e3 * _throw(solution) * solution.fit.sizes.joint, choice) | {"p_value": choice.p_value}
-
-
-def _line(where: str, error: ToolError) -> str:
-    (middle, low, high), (drawn, drawn_low, drawn_high) = error.interval, error.nominal_interval
-    return (
-        f"{where}: error at the tool {1e3 * middle:.2f} mm RMS (95 %: {1e3 * low:.2f} to {1e3 * high:.2f}); "
-        f"nominal arm {1e3 * drawn:.2f} mm ({1e3 * drawn_low:.2f} to {1e3 * drawn_high:.2f})."
-    )
 
 
 def _errors(error: ToolError) -> dict[str, Any]:
