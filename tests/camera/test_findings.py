@@ -45,7 +45,7 @@ def test_a_bent_sheet() -> None:
     points = BOARD.points.copy()
     x = points[:, 0] - points[:, 0].mean()
     points[:, 2] = 5e-4 * (x / x.max()) ** 2
-    (found,) = solved(on_sheet(known_arm(True), points), arm_m=ARM_M).findings
+    (found,) = solved(on_sheet(known_arm(True), points), arm_m=ARM_M).evidence.findings
     assert (found.family, found.entry.direction) == (TARGET, "normal")
     assert "bent by 0.5" in found.sentence
 
