@@ -16,8 +16,8 @@ from modcal_core.calibration.known_distances import (
     distances_of,
     without_distances,
 )
-from modcal_core.calibration.linearisation import RowView, linearise
-from modcal_core.calibration.noise import excess_sigma, row_weights
+from modcal_core.calibration.linearisation import Linearised, RowView, linearise
+from modcal_core.calibration.noise import Groups, excess_sigma, row_weights, weigh
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ALL, Effect, all_columns
 from modcal_core.effects.shapes import Shape
@@ -177,3 +177,25 @@ def test_derivatives_of_a_move_by_any_angle(place: str) -> None:
     view = RowView.of(model, samples, around)
     J = np.stack([view.moved_by(terms)[: 3 * len(samples)] for terms in all_columns(model.effects, around)], axis=1)
     assert_jacobian(predicted, J, x)
+
+
+def test_a_kind_that_the_fit_follows_has_some_noise() -> None:
+    """Ten poses for 40 parameters, whose positions the fit takes up: nothing left is not nothing wrong."""
+    square, known, weight = np.full(10, 1e-20), np.zeros(10), np.ones(10)
+    assert 5e-6 < excess_sigma(square, known, weight, 20.0) < 5e-5
+    assert excess_sigma(square, known, weight, 0.0) < 2e-9  # where nothing was fitted, exact readings are exact
+    assert 5e-6 < excess_sigma(square, np.full(10, 1e-6), weight, 20.0) < 5e-5
+
+
+def test_no_kind_is_left_aside_because_the_fit_does_not_follow_it_yet() -> None:
+    """Balls in sockets within micrometres, and wires that an arm of another size misses by 25 mm."""
+    position, rows = np.zeros((3, 40)), np.arange(30, 40)
+    position[:, :30], position[0, 30:] = 3e-6, 0.025
+    groups = Groups(np.arange(30), {"range": rows}, np.r_[np.full(30, 3.0), np.ones(10)])
+    at, none = Linearised(position, np.zeros((3, 0)), np.zeros((0, 120))), np.zeros(40)
+    _, noise = weigh(at, np.zeros(40, bool), none, none[:0], groups, 5.0, None)
+    assert noise.position < 1e-5
+    assert noise.others["range"] < 2e-3
+    position[0, 30:] = 1e-4
+    at = Linearised(position, np.zeros((3, 0)), np.zeros((0, 120)))
+    assert weigh(at, np.zeros(40, bool), none, none[:0], groups, 5.0, None)[1].others["range"] > 9e-5

@@ -35,6 +35,21 @@ def test_a_dense_recording_is_split_by_blocks() -> None:
     assert np.mean(np.diff(np.sort(sets.held_out)) == 1) > 0.8
 
 
+def test_so_few_that_no_effect_is_told_from_noise_are_for_the_geometry() -> None:
+    made = record(4, 11, "pose")
+    report = calibrate(made.samples, ur10(), np.random.default_rng(0)).report
+    assert (len(report.sets.train), len(report.sets.explain), len(report.sets.held_out)) == (8, 0, 3)
+    assert not report.searched
+    claim = report.claim
+    assert claim is not None
+    q = made.samples.q[:1] + 0.1 * np.random.default_rng(1).standard_normal((200, 6))
+    low, high = made.samples.q.min(axis=0), made.samples.q.max(axis=0)
+    shipped = calibrate(made.samples, ur10(), np.random.default_rng(0)).calibration
+    q = np.clip(q, low, high)
+    gap = shipped.predict(q)[:, :3, 3] - made.world.tool_in_tracker(q)[:, :3, 3]
+    assert np.percentile(1e3 * np.linalg.norm(gap, axis=1), 95) < claim.mm["p95"].ci95[1]
+
+
 @pytest.mark.slow
 def test_held_out_error_is_that_of_the_world() -> None:
     made = record(2, 160)

@@ -136,19 +136,23 @@ def test_contacts_do_not_shrink_the_arm_and_do_not_pass() -> None:
 
 
 def test_what_is_left_grows_outside_where_it_is_smooth_and_noise_does_not() -> None:
-    cell = record(5, 200, "point")
-    model = calibrated(cell.samples).calibration.calibrated
-    white = cell.samples
-    wave = 5e-4 * np.sin(white.q[:, :1] + white.q[:, 1:2])
-    smooth = replace(white, reading=model.predict_samples(white)[:, :3, 3] + wave)
+    white = record(5, 200, "point").samples
+    model = calibrated(white).calibration.calibrated
     inside, outside = postures(white, 100), white.q[:100] + [0.0, 6.0, 0.0, 0.0, 0.0, 0.0]
-    z = np.zeros(3)
-    near, far, of_noise = (
-        float(np.median(growth(model, *each, z))) for each in ((smooth, inside), (smooth, outside), (white, outside))
-    )
-    assert near < 1.2
-    assert far > 2.0
-    assert of_noise < 0.6 * far
+
+    def grown(error: Array, turned: Array, q: Array) -> float:
+        at = model.predict_samples(replace(white, q=white.q + turned))[:, :3, 3]
+        about = arms_near(model, ur10(), samples := replace(white, reading=at + error), Cell())
+        rng = np.random.default_rng(2)
+        return float(np.median(growth(about, draw(about, 120, rng).values, samples, q, rng)))
+
+    noise, no = 3e-5 * np.random.default_rng(1).standard_normal((200, 3)), np.zeros((200, 6))
+    wave = 5e-4 * np.sin(white.q[:, :1] + 2.0 * white.q[:, 1:2]) + noise
+    joint = 3e-4 * np.sin(2.0 * white.q) * [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    assert grown(wave, no, inside) < 1.2
+    assert grown(wave, no, outside) > 2.0
+    assert grown(noise, no, outside) < 1.2
+    assert grown(noise, joint, outside) < 1.2  # the arms that are likely have that wave
 
 
 def test_arms_that_are_farther_off_are_found_to_be() -> None:

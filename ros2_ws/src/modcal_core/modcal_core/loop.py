@@ -63,6 +63,7 @@ def calibrate(
     """
     task = task_of(samples, chain, rng, cell or Cell(), inertias, block)
     fits = _geometry(task)
+    look_for_effects = look_for_effects and len(task.explain) > 0
     if look_for_effects:
         fits = _with_effects(task, fits, rng, progress, changed)
         curves = with_residual_curves(fits.final, task.train, task.explain, rng, task.cell.distances, block)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from modcal_core.calibration import (
     Model,
     ParameterChoice,
     Split,
+    enough_for_effects,
     parameter_count,
     require_enough,
     split,
@@ -22,7 +23,7 @@ from modcal_core.calibration import (
 from modcal_core.diagnosis import Diagnosis, Loads, with_stated
 from modcal_core.hypotheses import proved
 from modcal_core.measurements import Samples
-from modcal_core.regimes import find_regimes, moves_of
+from modcal_core.moves import find_regimes, moves_of
 from modcal_core.robots import Inertias, Mechanism, weightless
 from modcal_core.verdict import sane_inertias
 
@@ -50,7 +51,7 @@ class Task:
 
     @cached_property
     def explain(self) -> Samples:
-        """The samples that choose what is added to it."""
+        """The samples that choose what is added to it; none where all others are needed for the geometry."""
         return self.samples.select(self.sets.explain)
 
     @cached_property
@@ -87,7 +88,7 @@ def task_of(
     cell = cell.met(samples)
     samples = with_sockets(samples, cell, chain)
     count = parameter_count(chain, samples, cell.kept, cell.distances)
-    require_enough(samples, count, len(cell.distances), share=SHARES[0])
+    require_enough(samples, count, len(cell.distances), share=SHARES[0] + SHARES[1])
     samples, convention = proved(samples, chain)
     inertias, absurd = sane_inertias(inertias, chain)
     if cell.gravity is not None:
@@ -96,4 +97,6 @@ def task_of(
     regimes = find_regimes(samples, chain, cell, inertias, cell.moved)
     moves = moves_of(regimes) if regimes else ()
     sets = split(samples, rng, block, [move.at for move in moves])
+    if not enough_for_effects(samples.select(sets.train), count, len(cell.distances)):
+        sets = replace(sets, train=np.union1d(sets.train, sets.explain), explain=sets.explain[:0])
     return Task(chain, samples, sets, cell, inertias, regimes, convention, absurd)

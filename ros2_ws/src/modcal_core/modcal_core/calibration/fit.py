@@ -124,6 +124,7 @@ _ROUGHLY = 5e-3  # m, rad; what a step of values that a fit begins with misses i
 _UNSEEN = 1e-2  # standard deviations; what a shorter step changes in the residuals is a millionth of their spread
 # A large fit begins with a few of its samples, so many at most, one in so many, and so many for each parameter at least
 _FEW, _MANY, _EACH = 500, 8, 4
+_EQUATIONS_WITH_EFFECTS = 1.5  # a third of them is left, which effects may take up
 EQUATIONS_PER_PARAMETER = 1.25  # with fewer, less than a fifth of the equations is left to tell noise from a fit to it
 
 
@@ -386,21 +387,34 @@ def require_enough(samples: Samples, parameters: int, known: int = 0, share: flo
     known: equations that come on top, such as known distances. A posture that is read again and again gives its own
     once.
     """
-    rows, postures, of_them = np.arange(len(samples)), samples.stations, ""
+    equations, postures = _equations(samples)
+    each, need = equations / max(postures, 1), EQUATIONS_PER_PARAMETER * parameters - known
+    equations = each * np.floor(share * postures + 0.5)  # as samples are split
+    if equations < need:
+        again = postures < samples.stations
+        least = int(np.ceil((np.ceil(need / max(each, 1e-9)) - 0.5) / share))
+        they = "they" if share == 1.0 else f"the {share:.0%} of them that fit"
+        said = f"{they} give {equations:.0f} equations, at least {int(np.ceil(need))} are needed"
+        remedy = f"record at least {least} {'different postures' if again else 'stations'}, or fix parameters"
+        of_them = f" in {postures} postures" if again else ""
+        raise NotEnoughData(f"{samples.stations} stations{of_them} for {parameters} parameters", said, remedy)
+
+
+def enough_for_effects(samples: Samples, parameters: int, known: int = 0) -> bool:
+    """Whether samples tell effects from noise beside so many parameters. known: as of :func:`require_enough`."""
+    return _equations(samples)[0] >= _EQUATIONS_WITH_EFFECTS * parameters - known
+
+
+def _equations(samples: Samples) -> tuple[float, int]:
+    """How many equations samples give, and in how many postures."""
+    rows, postures = np.arange(len(samples)), samples.stations
     if not samples.moving.any():
         posture = distinct(samples.q)
         kind = np.unique(samples.kind, return_inverse=True)[1]
         rows = np.unique(np.stack([posture, samples.frame, kind]), axis=1, return_index=True)[1]
-        if len(rows) < len(samples) and (count := len(np.unique(posture))) < postures:
-            postures, of_them = count, f" in {count} postures"
-    equations = share * float(dimensions(samples)[rows].sum())
-    need = EQUATIONS_PER_PARAMETER * parameters - known
-    if equations < need:
-        least = int(np.ceil(need / max(equations / max(postures, 1), 1e-9)))
-        they = "they" if share == 1.0 else f"the {share:.0%} of them that fit"
-        said = f"{they} give {equations:.0f} equations, at least {int(np.ceil(need))} are needed"
-        remedy = f"record at least {least} {'different postures' if of_them else 'stations'}, or fix parameters"
-        raise NotEnoughData(f"{samples.stations} stations{of_them} for {parameters} parameters", said, remedy)
+        if len(rows) < len(samples):
+            postures = min(postures, len(np.unique(posture)))
+    return float(dimensions(samples)[rows].sum()), postures
 
 
 def _cost(at: Linearised, row_weight: Array) -> float:

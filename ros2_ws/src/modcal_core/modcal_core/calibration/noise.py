@@ -96,6 +96,12 @@ def beyond_gumbel(x: float, location: float, scale: float) -> float:
 HUBER_Z = 2.5  # standard scores; a Gaussian sample passes this once in 160
 REJECT_Z = 6.0  # standard scores; a Gaussian sample passes this once in 10⁹, so what is rejected is no noise
 _FLOOR = 1e-9  # m or rad; exact data must not divide by zero
+# m or rad; what instruments usually leave. It counts as much as a fit takes up of an equation: one that follows the few
+# readings of a kind leaves nothing of them, which says nothing of their noise
+_USUAL = 5e-5
+# times the finest kind's noise, at most: draw wires beside a tracker. A kind that is off by more is none that a fit may
+# leave aside because it does not follow it yet
+_COARSER = 20.0
 
 
 @dataclass(frozen=True)
@@ -146,12 +152,16 @@ class Groups:
         return float(self.dimensions.sum())
 
 
-def robust_noise(position: Array, rotation: Array, groups: Groups | None = None) -> NoiseModel:
-    """The noise of residuals (3, N) and (3, M) by their medians: half of the samples may be wrong."""
+def robust_noise(position: Array, rotation: Array, groups: Groups | None = None, spent: float = 0.0) -> NoiseModel:
+    """The noise of residuals (3, N) and (3, M) by their medians: half of the samples may be wrong. spent: degrees of
+    freedom that each row gave up.
+    """
 
     def one(r: Array, dimensions: int = 3) -> float:
-        usual = float(np.sqrt(median_chi2(dimensions)))
-        return max(float(np.median(np.sqrt(np.einsum("ij,ij->j", r, r)))) / usual, _FLOOR) if r.size else _FLOOR
+        if not r.size:
+            return _FLOOR
+        square, n = float(np.median(np.einsum("ij,ij->j", r, r))) / median_chi2(dimensions), dimensions * r.shape[1]
+        return max(float(np.sqrt((n * square + spent * _USUAL**2) / (n + spent))), _FLOOR)
 
     if groups is None or not groups.others:
         return NoiseModel(one(position), one(rotation))
@@ -165,18 +175,19 @@ def excess_sigma(square: Array, known: Array, weight: Array, lost: float, dimens
     """
     if not square.size:
         return _FLOOR
-    freedom = max(dimensions * float(weight.sum()) - lost, 1.0)
-    if not known.any():
-        return max(float(np.sqrt(weight @ square / freedom)), _FLOOR)
+    spent = lost / (dimensions * len(square))
+    freedom = max(dimensions * float(weight.sum()) - lost, 1.0) + spent
+    square, known, weight = np.append(square, _USUAL**2), np.append(known, 0.0), np.append(weight, spent)
     s2 = float(weight @ square) / freedom
+    if not known.any():
+        return max(float(np.sqrt(s2)), _FLOOR)
     # the sum falls monotonically in s², and is convex: Newton's steps end at its root. From above they can pass zero,
-    # where the sum is infinite if a reading has no deviation of its own: then they must stay above it.
-    shrink = 0.0 if known.all() else 0.1
+    # where the sum is infinite: they must stay above it.
     for _ in range(100):
         v = s2 + known**2
         miss = float((weight * square / v).sum()) - freedom
         slope = -float((weight * square / v**2).sum())
-        new = max(s2 - miss / slope, shrink * s2, _FLOOR**2 if shrink else 0.0) if slope else 0.0
+        new = max(s2 - miss / slope, 0.1 * s2, _FLOOR**2) if slope else 0.0
         if abs(new - s2) <= 1e-12 * max(s2, _FLOOR**2):
             break
         s2 = new
@@ -222,8 +233,9 @@ def weigh(
     """Robust weights of the samples and the spread left, at these residuals. barred: samples without any weight."""
     square_p, square_r = at.square_position, at.square_rotation
     weights = np.ones(len(square_p))
+    each = parameters / groups.rows  # degrees of freedom that a row gives up
     if limit is not None:
-        rough = robust_noise(at.position, at.rotation, groups)
+        rough = robust_noise(at.position, at.rotation, groups, each)
         total = square_p / (rough.position**2 + known_p**2)
         for kind, of_kind in groups.others.items():
             total[of_kind] = square_p[of_kind] / (rough.others[kind] ** 2 + known_p[of_kind] ** 2)
@@ -231,18 +243,19 @@ def weigh(
             total[pose] += square_r / (rough.rotation**2 + known_r**2)
         weights = robust_weights(standard_score(total, groups.dimensions), limit)
         weights = weights if barred is None else np.where(barred, 0.0, weights)
-    each = parameters / groups.rows  # degrees of freedom that a row gives up
 
     def left(rows: np.ndarray | slice, directions: int) -> float:
         seen = square_p[rows]
         return excess_sigma(seen, known_p[rows], weights[rows], each * directions * len(seen), directions)
 
-    noise = NoiseModel(
-        left(groups.positions, 3),
-        excess_sigma(square_r, known_r, weights[pose], each * 3.0 * len(square_r)),
-        {kind: left(rows, kinds()[kind].dimensions) for kind, rows in groups.others.items()},
-    )
-    return weights, noise
+    position = left(groups.positions, 3)
+    others = {kind: left(rows, kinds()[kind].dimensions) for kind, rows in groups.others.items()}
+    if others:
+        sizes = [*others.values(), *([position] if len(square_p[groups.positions]) else [])]
+        most = _COARSER * max(min(sizes), _USUAL)
+        position, others = min(position, most), {kind: min(size, most) for kind, size in others.items()}
+    turned = excess_sigma(square_r, known_r, weights[pose], each * 3.0 * len(square_r))
+    return weights, NoiseModel(position, turned, others)
 
 
 def row_weights(weights: Array, noise: NoiseModel, samples: Samples) -> Array:

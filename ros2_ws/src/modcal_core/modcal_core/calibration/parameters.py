@@ -193,15 +193,17 @@ def independent_columns(J: Array, tolerance: Sequence[float] | float = 1e-7) -> 
     return np.array(kept, dtype=int)
 
 
-def drop_fixed(parameters: Sequence[ModelParameter], patterns: Sequence[str]) -> list[ModelParameter]:
-    """The parameters that no pattern names; raises BadTable for a pattern that names none.
+def drop_fixed(
+    parameters: Sequence[ModelParameter], patterns: Sequence[str], all_there: bool = True
+) -> list[ModelParameter]:
+    """The parameters that no pattern names; raises BadTable for a pattern that names none, if all should.
 
     A pattern is a name such as "elbow_joint/x", a place such as "tool", or has the wildcards of a shell.
     """
     fixed: set[str] = set()
     for pattern in patterns:
         hit = {p.name for p in parameters if fnmatchcase(p.name, pattern) or p.name.rpartition("/")[0] == pattern}
-        if not hit:
+        if not hit and all_there:
             places = sorted({p.name.rpartition("/")[0] for p in parameters})
             raise BadTable(f"fixed parameter '{pattern}'", "matches no parameter", f"places are {', '.join(places)}")
         fixed |= hit

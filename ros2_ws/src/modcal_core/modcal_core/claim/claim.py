@@ -26,7 +26,7 @@ from modcal_core.calibration import (
 from modcal_core.claim.beyond import growth
 from modcal_core.claim.evidence import Drawn, draw
 from modcal_core.claim.known import known, with_carried
-from modcal_core.claim.neighbourhood import SHARES, Neighbourhood, arms_near, joint_motion, shows_base
+from modcal_core.claim.neighbourhood import FREE, SHARES, Neighbourhood, arms_near, joint_motion, shows_base
 from modcal_core.claim.remedy import OpenDirection, open_direction
 from modcal_core.effects import STEPS, NominalArm
 from modcal_core.geometry import Array, so3
@@ -41,7 +41,7 @@ _DRAWS, _POSTURES = 400, 200
 _TRIES = 50  # for each posture of a robot that cannot take all of them
 _SURE = 0.95
 _MOSTLY = 0.5  # of the claim, from which what no reading shows is told
-_UNKNOWN_M = 5e-3  # of a tool that is known no better, nothing is claimed along that direction
+_UNKNOWN_M = 1e-3  # a ruler's; of a tool that readings of a known arm show no better, nothing is claimed along there
 
 
 @dataclass(frozen=True)
@@ -119,11 +119,11 @@ def claim_at_tool(
     how far they are from where it has them, these alone tell. carried: the model as another recording gets it, where
     that is less.
     """
-    about = arms_near(calibration.calibrated, calibration.nominal.chain, samples, cell)
+    whole = calibration.calibrated
+    about = arms_near(whole, calibration.nominal.chain, samples, cell)
     about = with_carried(about, calibration) if frozen else about
-    claim, drawn = _claim(about, calibration, samples, cell, _Asked(postures, carried))
-    placed = shows_base(samples, _frame(samples))
-    return claim if placed or frozen else replace(claim, known=known(about, drawn))
+    claim, drawn = _claim(about, replace(calibration, calibrated=carried or whole), samples, cell, postures)
+    return claim if frozen or shows_base(samples, _frame(samples)) else replace(claim, known=known(about, drawn))
 
 
 def expected_claim(
@@ -134,15 +134,7 @@ def expected_claim(
     planned: stations with readings of any value. postures: asked for, (M, n) [rad, m]; None: in the planned ranges.
     """
     about = arms_near(calibration.calibrated, calibration.nominal.chain, planned, cell, noise=noise)
-    return _claim(about.unread(), calibration, planned, cell, _Asked(postures))[0]
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """postures: asked for; None: in the recorded ranges. carried: the model as another recording gets it."""
-
-    postures: Array | None = None
-    carried: Model | None = None
+    return _claim(about.unread(), calibration, planned, cell, postures)[0]
 
 
 @dataclass(frozen=True)
@@ -169,30 +161,30 @@ class _Errors:
 
 
 def _claim(
-    about: Neighbourhood, calibration: Calibration, samples: Samples, cell: Cell, asked: _Asked
+    about: Neighbourhood, calibration: Calibration, samples: Samples, cell: Cell, postures: Array | None
 ) -> tuple[Claim, Drawn]:
     rng = np.random.default_rng(_SEED)
     drawn = draw(about, _DRAWS, rng)
     low, high = samples.q.min(axis=0), samples.q.max(axis=0)
-    q = _random(about.model.chain, low, high, rng) if asked.postures is None else asked.postures
+    q = _random(about.model.chain, low, high, rng) if postures is None else postures
     there = _at(about, samples, q if len(q) else samples.q, rng)
-    at = _errors(about, calibration, drawn, there, asked.carried)
+    at = _errors(about, calibration, drawn, there)
     M = len(at.samples)
     joints = _joints(about, at.samples, drawn, cell, rng)
     if about.g.any():  # there are readings
-        joints = joints * np.tile(growth(about.model, samples, at.samples.q, rng.standard_normal(len(joints))), 6)
+        joints = joints * np.tile(growth(about, drawn.values, samples, at.samples.q, rng), 6)
     at = replace(at, calibrated=at.calibrated + joints[:, : 3 * M], turned=at.turned + joints[:, 3 * M :])
     shown, deg = at.norms(at.calibrated - at.open), None
     if samples.is_pose.any():
         angles = at.norms(at.turned)
         deg = {name: _statistic(np.degrees(angles), name) for name in NAMES}
     whole = _random(about.model.chain, *_limits(about.model.chain, low, high), rng)
-    anywhere = len(whole) and _errors(about, calibration, drawn, _at(about, samples, whole, rng), asked.carried).better
+    anywhere = len(whole) and _errors(about, calibration, drawn, _at(about, samples, whole, rng)).better
     ranges = {name: (float(a), float(b)) for name, a, b in zip(samples.names, low, high, strict=True)}
     claim = Claim(
         mm={name: _statistic(1e3 * at.norms(at.calibrated), name) for name in NAMES},
         deg=deg,
-        over="recorded ranges" if asked.postures is None else "postures asked for",
+        over="recorded ranges" if postures is None else "postures asked for",
         shown_mm=_statistic(1e3 * shown, "p95").ci95[1],
         unshown_mm=_statistic(1e3 * at.norms(at.open), "p95").ci95[1],
         nominal_p95=float(np.median(_of(1e3 * at.norms(at.calibrated + at.other), "p95"))),
@@ -204,23 +196,21 @@ def _claim(
     return claim, drawn
 
 
-def _errors(
-    about: Neighbourhood, calibration: Calibration, drawn: Drawn, asked: tuple[Samples, bool], carried: Model | None
-) -> _Errors:
+def _errors(about: Neighbourhood, calibration: Calibration, drawn: Drawn, asked: tuple[Samples, bool]) -> _Errors:
     samples, placed = asked
     J = _without_scale(about, linearise(about.model, about.parameters, about.values, samples).J)
     position, rotation = np.split(J, 2, axis=1)
     apart, _ = _apart(about.model, calibration.nominal.with_effects(()), samples, placed)
-    lost, turned = _apart(about.model, _applied(calibration, carried), samples, placed)
+    lost, turned = _apart(about.model, _applied(calibration), samples, placed)
     P = _unknown(about, drawn, position, samples, placed)
-    move, other, lost = (_clear(rows, P) for rows in (position, apart[None], lost[None]))
+    move, other, lost = (rows - (rows @ P) @ P.T for rows in (position, apart[None], lost[None]))
     calibrated, turned = drawn.values @ move + lost, drawn.values @ rotation + turned
     return _Errors(calibrated, turned, drawn.open @ move, other[0] - lost[0], samples)
 
 
-def _applied(calibration: Calibration, carried: Model | None) -> Model:
+def _applied(calibration: Calibration) -> Model:
     """The model as it predicts, outside of the joint ranges that were seen as well."""
-    model = carried or calibration.calibrated
+    model = calibration.calibrated
     arm = replace(model.arm or NominalArm(calibration.nominal.chain), limits=calibration.driver_limits)
     return replace(model, arm=arm, fallback=model.fallback or calibration.fallback(model, calibration.geometric))
 
@@ -287,7 +277,7 @@ def _apart(model: Model, other: Model, asked: Samples, placed: bool) -> tuple[Ar
     return ((T - drawn)[:, :3, 3] @ R).T.ravel(), (turned @ R).T.ravel()
 
 
-def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, placed: bool) -> Array | None:
+def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, placed: bool) -> Array:
     """An orthonormal basis (3 M, b) of what moves the tool and no reading shows: the base, where no instrument knows
     it, and directions of the tool. J: (K, 3 M).
     """
@@ -299,14 +289,13 @@ def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, place
             out += [np.repeat(axis, len(asked)), so3.cross(np.repeat(axis[:, None], len(asked), axis=1), p).ravel()]
     tool = [j for j, parameter in enumerate(about.parameters) if parameter.name in ("tool/x", "tool/y", "tool/z")]
     if tool:
-        size, directions = np.linalg.eigh(np.cov(drawn.values[:, tool].T).reshape(len(tool), -1))
+        free = np.flatnonzero(about.sort == FREE)
+        std = drawn.std[free]
+        C = np.linalg.inv(about.equations(drawn.noise)[0][np.ix_(free, free)] * np.outer(std, std) + np.eye(len(free)))
+        own = np.isin(free, tool)
+        size, directions = np.linalg.eigh((C * np.outer(std, std))[np.ix_(own, own)])
         out += list(directions[:, size > _UNKNOWN_M**2].T @ J[tool])
-    return np.linalg.qr(np.array(out).T)[0] if out else None
-
-
-def _clear(rows: Array, basis: Array | None) -> Array:
-    """Rows (k, 3 M) without what a motion of the base does."""
-    return rows if basis is None else rows - (rows @ basis) @ basis.T
+    return np.linalg.qr(np.array(out).T)[0] if out else np.zeros((3 * len(asked), 0))
 
 
 def _joints(about: Neighbourhood, asked: Samples, drawn: Drawn, cell: Cell, rng: np.random.Generator) -> Array:

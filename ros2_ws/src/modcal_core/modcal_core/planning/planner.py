@@ -30,7 +30,7 @@ _REFINED = (0.3, 0.1, 0.03)  # rad or m by which stations are moved, round by ro
 _MOVED = 800  # new candidates for all stations and a round, for time
 STARTS = 2  # of the exchange
 _MAX = 400  # stations
-_USUAL = 1.5  # times the fewest stations, where neither a number nor an accuracy is asked for: some may be lost
+_USUAL = 2.0  # times the fewest stations, where neither a number nor an accuracy is asked for: effects need some, too
 _CLAIMED = 200  # postures that a claim is made over, for time
 _RANDOM = 20  # random sets that a plan is compared with
 
@@ -39,7 +39,7 @@ _RANDOM = 20  # random sets that a plan is compared with
 class PlanRequest:
     """What is asked of a plan.
 
-    stations: how many; None: as many as the accuracy needs, or half as many again as the fewest. accuracy: [m], of what
+    stations: how many; None: as many as the accuracy needs, or twice the fewest. accuracy: [m], of what
     measure says: ``rms`` or ``p95``. criterion: one of CRITERIA. reading: ``point`` or ``pose``. fixed: parameters that
     are not fitted. starts: of the exchange. candidates: postures to choose from. besides: stations (N, n) that are
     measured already and count too. returns: how many stations are visited twice, so that it is known what the arm does
@@ -187,10 +187,10 @@ def plan(chain: Mechanism, site: Site, request: PlanRequest, rng: np.random.Gene
     return Plan(request, pool, best[way.order], way, names, expected, curve)
 
 
-def min_stations(parameters: int, reading: str, share: float = SHARES[0]) -> int:
+def min_stations(parameters: int, reading: str, share: float = SHARES[0] + SHARES[1]) -> int:
     """The fewest stations from which so many parameters are fitted to a share of them, as ``modcal calibrate`` does."""
-    equations = share * (6.0 if reading == "pose" else 3.0)
-    return int(np.ceil(EQUATIONS_PER_PARAMETER * parameters / equations))
+    fitted = np.ceil(EQUATIONS_PER_PARAMETER * parameters / (6.0 if reading == "pose" else 3.0))
+    return int(np.ceil((fitted - 0.5) / share))
 
 
 def _require(count: int, least: int, there: int) -> None:

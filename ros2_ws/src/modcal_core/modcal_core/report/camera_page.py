@@ -207,9 +207,9 @@ def camera_tolerance(solution: CameraSolution, tolerance_mm: float) -> Tolerance
         said = f"The RMS is {middle:.3f} mm, and at least {low:.3f} mm with 95 % confidence: more than {limit}."
         return Tolerance(asked, middle, (low, high), "FAIL", said)
     against = ""
-    if solution.decision.problems:
-        against = solution.decision.problems[0]
-    elif not solution.metric:
+    if solution.claim.decision.problems:
+        against = solution.claim.decision.problems[0]
+    elif not solution.claim.metric:
         against = "Nothing in these images has a length that somebody measured."
     elif high > tolerance_mm:
         against = f"The RMS is {middle:.3f} mm, but may be up to {high:.3f} mm: more and better images would tell."
@@ -225,24 +225,24 @@ def camera_certificate(
     """The certificate. met: of :func:`camera_tolerance`. images: how many there were. Raises BadTable without met."""
     if met is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 2")
-    doubts = tuple(said for said in solution.decision.because if said != met.because)[:MAX_REASONS]
+    doubts = tuple(said for said in solution.claim.decision.because if said != met.because)[:MAX_REASONS]
     if met.result == "PASS":
         doubts = _reservations(solution, images)
     fit = solution.fit
     flange = chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)
-    where = "by itself" if solution.judged is solution.alone else "in view"
+    where = "by itself" if solution.judged is solution.claim.alone else "in view"
     facts = (
         ("Robot", said.robot or robot or None),
         ("Serial number", said.serial or None),
         ("Date of the recording", None),
         ("Images", f"{fit.table.views} of {images}, {int(fit.table.weight.sum())} corners, {fit.rms_px:.2f} px RMS"),
         ("Instrument", said.instrument or f"camera of {fit.state.lens.size[0]} × {fit.state.lens.size[1]} pixels"),
-        ("Target", f"{solution.target.label}; {solution.mounting.label}"),
-        ("Its lengths by", "; ".join(solution.metric) or "nothing"),
+        ("Target", f"{solution.ready.given.target.label}; {solution.ready.mounting.label}"),
+        ("Its lengths by", "; ".join(solution.claim.metric) or "nothing"),
         (f"Nominal arm, {where}", _size(solution.judged, calibrated=False)),
         (f"Calibrated arm, {where}", _size(solution.judged)),
-        ("Anywhere", _size(solution.anywhere)),
-        ("Advice", solution.decision.word),
+        ("Anywhere", _size(solution.claim.anywhere)),
+        ("Advice", solution.claim.decision.word),
         ("Volume", box_in_words(flange[:, :3, 3])),
         ("Conditions", said.conditions or None),
         ("Program", f"modcal {Trace().version}"),
@@ -265,7 +265,7 @@ def _reservations(solution: CameraSolution, images: int) -> tuple[str, ...]:
     out = [
         "The figure is that of a fit to these images, with the interval that they leave: the floor of arm and camera "
         "is not known.",
-        *solution.decision.because[1:],
+        *solution.claim.decision.because[1:],
     ]
     if left := images - solution.fit.table.views:
         out.append(f"{left} of {images} images were left out.")

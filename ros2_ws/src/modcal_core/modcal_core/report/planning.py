@@ -15,7 +15,7 @@ from modcal_core.report.charts import AFTER, BAD, BEFORE, INK, SMALL, Chart, Pan
 from modcal_core.report.page import Figures, Listing, Page, Section, files_section
 from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_paths
 from modcal_core.report.words import percent
-from modcal_core.robots import plain
+from modcal_core.robots import is_serial_arm, plain
 
 _MEASURES = {"p95": "95th percentile", "rms": "RMS"}
 _VIEWS = (("from above", (0, 1)), ("from the side", (0, 2)))
@@ -103,12 +103,14 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
     speed: largest of any joint [rad/s, m/s]. dwell: [s] at each station. It ends before the first blocked way.
     """
     points: list[dict[str, Any]] = []
+    chain = plan.ground.model.chain
+    own = chain.own if is_serial_arm(chain) else np.ones(chain.n, bool)  # no controller takes a joint that follows
     now = 0.0
 
     def stand(q: Array) -> None:
         seconds, nanoseconds = divmod(round(now * 1e9), 10**9)
         at = {"sec": seconds, "nanosec": nanoseconds}
-        points.append({"positions": plain(q), "velocities": [0.0] * len(q), "time_from_start": at})
+        points.append({"positions": plain(q[own]), "velocities": [0.0] * int(own.sum()), "time_from_start": at})
 
     stand(plan.q[0])
     now += dwell
@@ -121,7 +123,7 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
             stand(here)
         now += dwell
         stand(stops[-1])
-    return {"joint_names": list(plan.ground.model.chain.names), "points": points}
+    return {"joint_names": [name for name, moves in zip(chain.names, own, strict=True) if moves], "points": points}
 
 
 def figure(plan: Plan) -> str:

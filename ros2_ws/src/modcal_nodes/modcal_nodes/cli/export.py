@@ -16,6 +16,7 @@ from rich.console import Console
 from modcal_core.calibration import Calibration, from_data
 from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml, to_yaml, write_file
+from modcal_core.geometry import se3
 from modcal_core.robots import (
     CONVENTIONS,
     NO_HASH,
@@ -30,8 +31,10 @@ from modcal_core.robots import (
     lacks_hash,
     loss,
     nearest_dh,
+    parse,
     read_chain,
     read_path,
+    ros2_control_offsets,
     to_csv,
     to_table,
     xacro_origins,
@@ -42,6 +45,9 @@ from modcal_nodes.io import read_calibration
 
 _MODELS = ("calibrated", "geometric", "nominal")
 _OF_URDF = ("kinematics", "xacro")  # formats of a URDF's joints, each by itself
+_OFFSETS = "ros2_control"
+_MOUNT = "mount"
+_FORMS = (*CONVENTIONS, "urdf", *_OF_URDF, _OFFSETS, _MOUNT)
 
 
 _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can hold
@@ -51,9 +57,10 @@ _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can h
 class ExportOptions(ChainOptions):
     """What is asked of an export. to: one of the formats. which: model of a calibration."""
 
-    to: str = option("Format to write.", type=click.Choice([*CONVENTIONS, "urdf", *_OF_URDF]), required=True)
+    to: str = option("Format to write.", type=click.Choice(_FORMS), required=True)
     which: str = option("Model of a calibration.", default="calibrated", type=click.Choice(_MODELS))
     tool: bool = option("For a calibration: end at the measured tool, not at the tip link.", default=False)
+    link: str | None = option("For mount: the camera's link, such as camera_color_optical_frame.", metavar="LINK")
     largest_offset: float = option("Largest offset in a DH row [m].", default=10.0, type=float)
     nearest: bool = option(
         "For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.", default=False
@@ -75,13 +82,21 @@ def export_command(source: Path, out: Path | None, output: Output, options: Expo
 
     kinematics and xacro take the joints' origins of a URDF, or of the calibrated.urdf in the folder of a calibration:
     kinematics as the makers' descriptions (Universal Robots, Franka) or xacro.load_yaml read them, xacro as a property
-    for a description of your own.
+    for a description of your own. ros2_control takes the joint offsets of a calibration: transmissions for the
+    <ros2_control> block of an arm whose controller can take nothing else. mount writes, as xacro does, the origin of
+    the joint by which a camera is mounted, so that its --link is where the calibration found the camera.
     """
     form, largest_offset, nearest, unit = options.to, options.largest_offset, options.nearest, options.unit
     if not (0.0 < largest_offset < 1e9):
         raise BadTable("--largest-offset", f"{largest_offset:g} m is not a valid distance", "give metres, such as 10")
     if form in _OF_URDF:
         output.result(*_written_origins(source, options, out))
+        return
+    if form == _OFFSETS:
+        output.result(*_written_offsets(source, out))
+        return
+    if form == _MOUNT:
+        output.result(*_written_mount(source, options.link, out))
         return
     chain, left_out = _read(source, options)
     if form == "urdf":
@@ -183,6 +198,50 @@ def _written_origins(
     )
     write_file(out, written)
     return told(out, chain, None, left_out)
+
+
+def _written_offsets(source: Path, out: Path | None) -> tuple[dict[str, Any], Callable[[Console], None]]:
+    """Write the joint offsets of a calibration for ros2_control, and say so."""
+    from modcal_core.outcome import offsets_of  # the fit's parameters, which tables do without
+
+    calibration = read_calibration(source)
+    found = offsets_of(calibration)
+    if found is None or not found.found:
+        raise BadTable(str(source), "determines no joint offset", "give the calibration of a serial arm")
+    chain, offsets = calibration.nominal.serial, {one.joint: one.value for one in found.found}
+    notes = [
+        f"all but joint offsets, which leave {found.left_mm:.3g} mm RMS of the {found.nominal_mm:.3g} mm corrected",
+    ]
+    if open_ones := [name for name in chain.names if name not in offsets]:
+        notes.append(f"offsets that base or tool take up: {', '.join(open_ones)}")
+    said = ["Add these to offsets that are there already.", *(f"left out: {note}" for note in notes)]
+    out = out or Path(f"{source.resolve().stem}_{_OFFSETS}.xml")
+    write_file(out, ros2_control_offsets(offsets, said))
+    return told(out, chain, None, notes)
+
+
+def _written_mount(
+    source: Path, link: str | None, out: Path | None
+) -> tuple[dict[str, Any], Callable[[Console], None]]:
+    """Write the origin of the joint by which a camera is mounted on the tip, or beside the arm, and say so."""
+    if link is None or not source.is_dir():
+        raise BadTable(f"--to {_MOUNT}", "needs the folder of a calibration and the camera's link", "give --link LINK")
+    model = read_calibration(source).calibrated
+    chain, tree = model.serial, parse((source / "calibrated.urdf").read_text(encoding="utf-8"))
+    above, held = tree.link(link), list[str]()
+    while above in tree.above and above not in (chain.tip, chain.base) and not tree.above[above].moves:
+        held.append(tree.above[above].name)
+        above = tree.above[above].parent
+    if not held or above not in (chain.tip, chain.base):
+        said = f"hangs by fixed joints on neither {chain.tip} nor {chain.base}"
+        raise BadTable(f"--link {link}", said, "give the camera's link, or calibrate with the --tip that carries it")
+    mount, *behind = tree.path(above, link)
+    T = model.T_tip_tool if above == chain.tip else se3.inverse(model.T_frame_base[0])
+    for joint in reversed(behind):
+        T = T @ se3.inverse(joint.T_parent_joint)
+    out = out or Path(f"{source.resolve().stem}_{_MOUNT}.xacro")
+    write_file(out, xacro_origins({mount.name: T}))
+    return told(out, chain)
 
 
 def _read(source: Path, options: ExportOptions) -> _Source:

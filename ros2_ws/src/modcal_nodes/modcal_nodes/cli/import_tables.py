@@ -15,7 +15,7 @@ from modcal_core.errors import BadTable, ModcalError, about
 from modcal_core.files import read_yaml, to_json, write_file
 from modcal_core.measurements import IMPORTED, Recording, remedies_of
 from modcal_core.robot import Robot
-from modcal_core.robots import chain_urdf, document, from_table
+from modcal_core.robots import Chain, chain_urdf, document, from_table, from_ur_conf
 from modcal_msgs_py import write_recording
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, json_schema, read_tables
 from modcal_nodes.cli.console import Output, file_option, given, option, speaking, tell
@@ -45,9 +45,12 @@ def proposed(tables: Sequence[Path], urdf: Path, options: ImportOptions, output:
     if len(folders) > 1:
         raise BadTable(str(tables[1]), "is in another folder than the first table", "put them into one folder")
     robot = Robot.from_urdf(urdf, options.base, options.tip)
+    ends = {end: name for end, name in (("base", options.base), ("tip", options.tip)) if name is not None}
     with output.working() as watch:
         where = os.path.relpath(urdf.resolve(), path.resolve().parent)
-        made = find(tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), where), watch)
+        made = find(
+            tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), {"urdf": where, **ends}), watch
+        )
     write_file(path, made.text(", ".join(table.name for table in tables)))
     data = "" if folders == {path.resolve().parent} else f" --data {tables[0].parent}"
     again = f"modcal import {path}{data}" + (f" --out {out}" if out else "")
@@ -70,7 +73,7 @@ def _bystanders(robot: Robot) -> dict[str, bool]:
     kinds = {"revolute": True, "continuous": True, "prismatic": False}
     joints = document(robot.description or "").iter("joint")
     found = {str(joint.get("name")): kinds[kind] for joint in joints if (kind := joint.get("type")) in kinds}
-    return {name: turns for name, turns in found.items() if name not in robot.names}
+    return {name: turns for name, turns in found.items() if name not in robot.chain.own_names}
 
 
 _YAML = (".yaml", ".yml")
@@ -116,15 +119,18 @@ def import_command(sources: tuple[Path, ...], output: Output, options: ImportOpt
     with exit code 3. Further files are joined by a column that they share.
 
     A kinematic table (.csv, or .yaml that states a convention: dh, mdh or cpc) becomes a URDF, which every other verb
-    takes.
+    takes; so does UR's calibration.conf, beside the --urdf of its model.
     """  # fmt: skip
-    first, data, urdf, out = sources[0], options.data, options.urdf, options.out
+    first, urdf, out = sources[0], options.urdf, options.out
+    if first.suffix.lower() == ".conf":
+        _write_arm(first, _of_conf(first, urdf), out, output)
+        return
     if first.suffix.lower() not in _YAML and urdf is not None and not is_kinematic(first):
         made, path = proposed(sources, urdf, options, output)
         if made.open:
             raise SystemExit(3)
         if out is not None:
-            _import(path, data or first.parent, urdf, out, output)
+            _import(path, replace(options, data=options.data or first.parent), out, output)
         return
     if len(sources) > 1:
         raise BadTable(str(sources[1]), "stands beside a mapping", "name all files in the mapping, or give tables only")
@@ -132,11 +138,23 @@ def import_command(sources: tuple[Path, ...], output: Output, options: ImportOpt
     if table is not None:
         with about(str(first)):
             chain = from_table(table)
-        out = out or Path(f"{first.stem}.urdf")
-        write_file(out, chain_urdf(chain))
-        output.result(*told(out, chain))
+        _write_arm(first, chain, out, output)
         return
-    _import(first, data or first.parent, urdf, out or Path(first.stem), output)
+    _import(first, options, out or Path(first.stem), output)
+
+
+def _write_arm(source: Path, chain: Chain, out: Path | None, output: Output) -> None:
+    out = out or Path(f"{source.stem}.urdf")
+    write_file(out, chain_urdf(chain))
+    output.result(*told(out, chain))
+
+
+def _of_conf(path: Path, urdf: Path | None) -> Chain:
+    """The arm of a UR controller's calibration.conf."""
+    if urdf is None:
+        raise BadTable(str(path), "holds only differences from the model's DH numbers", "give --urdf of this UR model")
+    with about(str(path)):
+        return from_ur_conf(path.read_text(encoding="utf-8", errors="replace"), Robot.from_urdf(urdf).chain)
 
 
 def _kinematic_table(path: Path) -> dict[str, Any] | None:
@@ -149,8 +167,8 @@ def _kinematic_table(path: Path) -> dict[str, Any] | None:
         raise BadTable(error.offender, error.limit, f"{remedy}; or {error.remedy}") from error
 
 
-def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: Output) -> None:
-    stated = read_yaml(mapping)
+def _import(mapping: Path, options: ImportOptions, out: Path, output: Output) -> None:
+    stated, folder, urdf = read_yaml(mapping), options.data or mapping.parent, options.urdf
     with output.working() as watch:
         tables = read_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
         recording = tables.recording
@@ -158,9 +176,10 @@ def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: O
         urdf = urdf or _stated_urdf(stated, mapping, folder)
         if urdf is not None:
             recording = replace(recording, robot_description=urdf.read_text(encoding="utf-8"))
+            arm = options.base or stated.get("base"), options.tip or stated.get("tip")
             watch("comparing conventions")
             with remedies_of(recording.warnings):
-                recording = _proved(recording, stated)
+                recording = _proved(recording, stated, arm)
         write_recording(recording, out, partial(watch, f"writing {out.name}"), tables.commanded)
     frames = list(recording.frames)
     stations = sum(len(r.stamps) for r in recording.readings)
@@ -170,17 +189,21 @@ def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: O
     output.result(found, partial(tell, [*left_out, line]))
 
 
-def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:
-    """The recording with a note where its poses are inverse.
+def _proved(recording: Recording, stated: Mapping[str, Any], arm: tuple[str | None, str | None]) -> Recording:
+    """The recording with a note where its poses are inverse, and of the arm where its base or tip is stated.
 
-    Raises BadRecording where another convention than the stated one fits the robot better beyond doubt.
+    Raises BadRobot where these are no links of the robot, and BadRecording where another convention than the stated one
+    fits the robot better beyond doubt.
     """
     from modcal_core.hypotheses import proved  # brings SciPy along, which kinematic tables do without
-    from modcal_core.measurements import cut_stations
+    from modcal_core.measurements import cleaned, cut_stations
 
+    if any(arm):
+        robot = described(recording, None, None, *arm)
+        recording = recording.of_arm(robot.base, robot.tip)
     try:
-        chain = described(recording, None, None, None, None).mechanism
-        samples = cut_stations(recording, chain.names)
+        chain = described(recording, None, None, *arm).mechanism
+        samples = cut_stations(cleaned(recording, chain.names, chain).recording, chain.names)
     except ModcalError:  # of another robot, or with nothing in common: `modcal calibrate` says so where it matters
         return recording
     poses = [

@@ -49,7 +49,7 @@ def info_command(bag: Path, output: Output, options: InfoOptions) -> None:
         robot, findings = None, (f"No robot: {error}.",)
     seen = inspect(recording, None if robot is None else robot.mechanism)
     images, uses = _images(bag, recording, options, () if robot is None else robot.names)
-    findings = (*findings, *images.get("findings", ()))
+    findings = (*findings, *(() if robot is None else robot.notes), *images.get("findings", ()))
     data = {
         "bag": str(bag),
         "duration_s": recording.duration,

@@ -101,6 +101,8 @@ def described(recording: Recording, delta: Path | None, urdf: Path | None, base:
             recording.source, "holds no robot_description", "give --urdf or --delta FILE, or record the topic"
         )
     recorded = frozenset(name for track in recording.joints for name in track.names)
+    if urdf is None and base is None and tip is None and recording.arm is not None:
+        base, tip = recording.arm
     with about(f"{recording.source}, robot_description" if urdf is None else str(urdf)):
         return Robot.from_urdf(urdf or recording.robot_description or "", base, tip, recorded)
 

@@ -120,7 +120,7 @@ class PlanOptions(ChainOptions):
         metavar="FILE",
     )
     stations: int | None = option(
-        "Number of stations. Default: half as many again as modcal calibrate needs; with --decide: 16.",
+        "Number of stations. Default: twice as many as modcal calibrate needs; with --decide: 16.",
         type=Whole(min=2),
     )
     accuracy_mm: float | None = option(
