@@ -18,7 +18,7 @@ from modcal_core.robots import chain_forward
 from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
 from modcal_msgs_py.tables import read_track
 from modcal_nodes.cli.console import Output, file_option, given, option, repeated, say, speaking, written
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Whole, arm_line, chain_line, described
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, Whole, arm_line, chain_line, described
 from modcal_nodes.io import read_calibration, write_articulation
 
 _MAX = 2000  # samples; of more, evenly chosen ones say the same
@@ -40,7 +40,7 @@ class _Read:
 
 
 @dataclass(frozen=True)
-class ArticulateOptions:
+class ArticulateOptions(ChainOptions):
     """What is asked of a recording of a handle."""
 
     topic: tuple[str, ...] = repeated(
@@ -51,8 +51,6 @@ class ArticulateOptions:
     tf: str | None = option("The handle is this pair of frames in /tf.", metavar="PARENT:CHILD")
     urdf: Path | None = file_option("Robot description, for joint states. Default: the bag's.")
     calibration: Path | None = file_option("For joint states: the arm as it was calibrated.")
-    base: str | None = option("Link where the arm begins. Default: the root link.", metavar="LINK")
-    tip: str | None = option("The link that holds the handle.", metavar="LINK")
     points: bool = option("Ignore rotations.", default=False)
     seed: int = option("Seed for choosing the samples of the first guesses.", default=0, type=Whole(min=0))
 

@@ -40,7 +40,7 @@ from modcal_core.robots import (
     xacro_origins,
 )
 from modcal_nodes.cli.console import Output, file_option, given, option, speaking, tell
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions
 from modcal_nodes.io import read_calibration
 
 _MODELS = ("calibrated", "geometric", "nominal")
@@ -54,14 +54,12 @@ _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can h
 
 
 @dataclass(frozen=True)
-class ExportOptions:
+class ExportOptions(ChainOptions):
     """What is asked of an export. to: one of the formats. which: model of a calibration."""
 
     to: str = option("Format to write.", type=click.Choice(_FORMS), required=True)
     which: str = option("Model of a calibration.", default="calibrated", type=click.Choice(_MODELS))
     tool: bool = option("For a calibration: end at the measured tool, not at the tip link.", default=False)
-    base: str | None = option("For a URDF: link where the arm begins.", metavar="LINK")
-    tip: str | None = option("For a URDF: link where it ends.", metavar="LINK")
     link: str | None = option("For mount: the camera's link, such as camera_color_optical_frame.", metavar="LINK")
     largest_offset: float = option("Largest offset in a DH row [m].", default=10.0, type=float)
     nearest: bool = option(

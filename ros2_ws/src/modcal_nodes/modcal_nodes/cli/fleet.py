@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import click
 from distributed import Client
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
+from rich.console import Console
 from rich.text import Text
 
 from modcal_core.errors import BadCommand, plain
-from modcal_core.files import to_json
 from modcal_core.report import STATUS_WORDS
 from modcal_nodes.cli.calibrate import CALIBRATION
-from modcal_nodes.cli.console import console, explain, table, with_options, written
+from modcal_nodes.cli.console import Output, explain, speaking, table, with_options, written
 from modcal_nodes.cli.inputs import WRITTEN, Whole
 from modcal_nodes.cli.show import STYLES
 from modcal_nodes.fleet import DONE, Row, calibrate_all, find_bags, names_of, write_table
@@ -34,10 +36,16 @@ _COLUMNS = {
 @click.option("--csv", "as_csv", is_flag=True, help="Write fleet.csv in place of fleet.parquet.")
 @click.option("--jobs", type=Whole(min=1), metavar="N", help="Processes of this machine. Default: one per core.")
 @click.option("--dask", "address", metavar="ADDRESS", help="Address of a Dask scheduler, in place of this machine.")
-@click.option("--json", "as_json", is_flag=True, help="Print the table as JSON in place of the summary.")
 @with_options(CALIBRATION)
+@speaking
 def fleet_command(
-    bags: tuple[str, ...], out: Path, as_csv: bool, jobs: int | None, address: str | None, as_json: bool, **options: Any
+    bags: tuple[str, ...],
+    out: Path,
+    as_csv: bool,
+    jobs: int | None,
+    address: str | None,
+    output: Output,
+    **options: Any,
 ) -> int:
     """Calibrate every recording in BAGS (bags, folders that hold some, patterns).
 
@@ -48,27 +56,24 @@ def fleet_command(
     files = {name: value.resolve() for name, value in options.items() if isinstance(value, Path)}
     asked = Options(**options | files)
     name = "fleet.csv" if as_csv else "fleet.parquet"
-    page = console()
-    shown_by = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    quiet = as_json or not page.is_terminal
-    with _client(address, jobs) as client, Progress(*shown_by, console=page, disable=quiet, transient=True) as progress:
-        bar = progress.add_task("", total=len(named))
-        rows = calibrate_all(named, out, asked, client, lambda _: progress.advance(bar))
+    done = count(1)
+    with _client(address, jobs) as client, output.working() as watch:
+        rows = calibrate_all(named, out, asked, client, lambda _: watch("calibrating", next(done) / len(named)))
     write_table(out / name, rows)
-    left = [row for row in rows if row["state"] != DONE]
-    if as_json:
-        click.echo(to_json({"modcal_fleet": 1, "out": str(out), "recordings": rows}), nl=False)
-    else:
-        shown = table(_COLUMNS, words=2)
-        for row in rows:
-            shown.add_row(*_shown(row))
-        page.print(shown)
-        explain(_COLUMNS, page)
-        click.echo(plain(written(out, [name, "a folder for each recording"], "Table", name)))
-    if left:
+    data = {"modcal_fleet": 1, "out": str(out), "recordings": rows}
+    output.result(data, partial(_show, rows), written(out, [name, "a folder for each recording"], "Table", name))
+    if left := [row for row in rows if row["state"] != DONE]:
         first = f"{left[0]['name']} {left[0]['state']}: {left[0]['said']}"
         click.echo(plain(f"modcal: {len(left)} of {len(rows)} recordings were not calibrated; {first}"), err=True)
     return 2 if left else 0
+
+
+def _show(rows: Sequence[Row], page: Console) -> None:
+    shown = table(_COLUMNS, words=2)
+    for row in rows:
+        shown.add_row(*_shown(row))
+    page.print(shown)
+    explain(_COLUMNS, page)
 
 
 def _shown(row: Row) -> tuple[str | Text, ...]:

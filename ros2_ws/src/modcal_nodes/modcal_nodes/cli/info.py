@@ -16,20 +16,18 @@ from modcal_core.measurements import Recording, inspect
 from modcal_core.robot import Robot
 from modcal_msgs_py import Repair, read_recording, repair_bag
 from modcal_nodes.cli.console import Output, file_option, given, option, speaking, table
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, TopicOptions, chain_line, described
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, TopicOptions, chain_line, described
 
 _MAX_SIGNALS = 8  # that are listed
 _MIN_IMAGES = 4  # with the target, that a calibration can be made from
 
 
 @dataclass(frozen=True)
-class InfoOptions(TopicOptions):
+class InfoOptions(ChainOptions, TopicOptions):
     """Of which robot a bag is, and which target its images show."""
 
     urdf: Path | None = file_option("Robot description. Default: the one in the bag.")
     delta: Path | None = file_option("Description of a Delta robot instead.")
-    base: str | None = option(metavar="LINK")
-    tip: str | None = option(metavar="LINK")
     target: Path | None = file_option("Printed target: say what the images are good for.")
     image_topic: str | None = option("Images. Default: the only ones there are.", metavar="TOPIC")
 

@@ -23,6 +23,7 @@ from modcal_nodes.cli.console import Output, explain, file_option, given, option
 from modcal_nodes.cli.inputs import (
     EXISTING,
     WRITTEN,
+    ChainOptions,
     TopicOptions,
     Whole,
     arm_line,
@@ -53,12 +54,10 @@ def _numbers(text: str, *default: float) -> Any:
 
 
 @dataclass(frozen=True)
-class LimitsOptions(TopicOptions):
+class LimitsOptions(ChainOptions, TopicOptions):
     """What is asked of bounds: the arm, what it carries, its postures, and its drives by joint, in SI."""
 
     urdf: Path | None = file_option("Robot description, for a bag. Default: the one in it.")
-    base: str | None = option("Link where the arm begins. Default: the root link.", metavar="LINK")
-    tip: str | None = option("The link that carries the payload.", metavar="LINK")
     payload: float = option("Mass that is carried [kg].", default=0.0, type=float)
     centre: tuple[float, ...] = _numbers("Centre of mass in the tip link [m].", 0.0, 0.0, 0.0)
     inertia: tuple[float, ...] = _numbers(

@@ -11,7 +11,7 @@ import numpy as np
 
 from modcal_core.calibration import Calibration
 from modcal_core.errors import BadTable, NotEnoughData
-from modcal_core.files import read_yaml, to_yaml, write_folder
+from modcal_core.files import read_yaml, to_yaml
 from modcal_core.planning import (
     ACCURACY,
     CANDIDATES,
@@ -29,7 +29,7 @@ from modcal_core.planning import (
 )
 from modcal_core.report import figure, plan_sentences, planning_html, to_csv, to_plan_data, to_trajectory_data
 from modcal_core.robots import Mechanism
-from modcal_nodes.cli.console import Output, console, file_option, given, option, repeated, say, speaking
+from modcal_nodes.cli.console import Output, file_option, given, option, repeated, say, speaking
 from modcal_nodes.cli.inputs import (
     EXISTING,
     WRITTEN,
@@ -43,32 +43,32 @@ from modcal_nodes.cli.inputs import (
 from modcal_nodes.io import Options, read_calibration
 
 
-def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site | None = None) -> None:
-    """Propose the stations that tell explanations apart, print them, and write plan.yaml."""
+def decide(options: PlanOptions, report: Path, out: Path | None, site: Site | None, output: Output) -> None:
+    """Propose the stations that tell explanations apart, say what they are worth, and write plan.yaml."""
     folder = report if report.is_dir() else report.parent
     calibration = read_calibration(folder)
     ties = [(i, j) for i, rivals in enumerate(calibration.rivals) for j in range(len(rivals))]
     if not ties:
         raise NotEnoughData(str(report), "no effect in it has a rival", "there is nothing to decide: use it as it is")
-    rng = np.random.default_rng(seed)
-    share = max(2, stations // len(ties))
-    page = console()
-    proposals = []
+    rng = np.random.default_rng(options.seed)
+    share = max(2, (options.stations or _DECIDING) // len(ties))
+    may = None if site is None else allowed(calibration, site)
+    said, deciding = [], []
     for i, j in ties:
         effect, rival = calibration.calibrated.effects[i], calibration.rivals[i][j]
-        page.print(f"{effect.family}: {effect.label}, or {rival.family}: {rival.label}?")
+        said.append(f"{effect.family}: {effect.label}, or {rival.family}: {rival.label}?")
         if instead := undecided_by_posture(calibration, i, j):
-            page.print(f"  postures cannot decide this: {instead}")
+            said.append(f"  postures cannot decide this: {instead}")
             continue
-        proposal = propose(calibration, i, j, share, rng, None if site is None else allowed(calibration, site))
-        page.print(f"  {_worth(proposal)}")
-        proposals.append(proposal)
-    deciding = [p for p in proposals if p.decides]
-    if not deciding:
-        return
-    out = out or folder.with_name(f"{folder.name}_plan")
-    write_folder(out, {"plan.yaml": to_yaml(_data(calibration, deciding))})
-    click.echo(f"Stations: {out / 'plan.yaml'}")
+        proposal = propose(calibration, i, j, share, rng, may)
+        said.append(f"  {_worth(proposal)}")
+        deciding += [proposal] if proposal.decides else []
+    data, show = _data(calibration, deciding), partial(say, said)
+    if deciding:
+        out = out or folder.with_name(f"{folder.name}_plan")
+        output.saved(data, show, out, {"plan.yaml": to_yaml(data)}, "Stations", "plan.yaml")
+    else:
+        output.result(data, show)
 
 
 def _worth(proposal: DecidingStations) -> str:
@@ -192,7 +192,7 @@ def plan_command(robot: Path | None, out: Path | None, output: Output, options: 
             raise BadTable(
                 "--decide", "cannot be combined with ROBOT or --accuracy-mm", "give REPORT alone: it holds the robot"
             )
-        decide(options.report, options.stations or _DECIDING, options.seed, out, site)
+        decide(options, options.report, out, site, output)
         return
     if robot is None:
         raise BadTable("modcal plan", "is given neither a ROBOT nor --decide REPORT", "give one of them")
