@@ -40,6 +40,7 @@ _SEED = 47  # the same readings give the same word
 _DRAWS, _POSTURES = 400, 200
 _TRIES = 50  # for each posture of a robot that cannot take all of them
 _SURE = 0.95
+_BEYOND = 1.05  # of the upper end: effects that no function of one joint stands for (bench/claims)
 _MOSTLY = 0.5  # of the claim, from which what no reading shows is told
 _UNKNOWN_M = 1e-3  # a ruler's; of a tool that readings of a known arm show no better, nothing is claimed along there
 
@@ -333,4 +334,4 @@ def _of(norms: Array, name: StatisticName) -> Array:
 def _statistic(norms: Array, name: StatisticName) -> Statistic:
     every = _of(norms, name)
     low, middle, high = np.quantile(every, [1.0 - _SURE, 0.5, _SURE])
-    return Statistic(float(middle), (float(low), float(high)))
+    return Statistic(float(middle), (float(low), _BEYOND * float(high)))

@@ -27,6 +27,7 @@ USUAL, SPREAD, MOST = np.log([1.4, 1.4, 0.1, 0.3, 0.1, 0.05]), np.log(2.5), np.l
 _ROUNDING = 1e-9  # of a diagonal, by which a matrix of sums of squares may miss being positive
 _STEEP = 50.0  # how they fall off beyond that
 FREEDOM = np.array([4.0, 4.0, 2.0, 2.0, 2.0, 2.0])  # of Student's law
+_FARTHEST = 20.0  # times as far off as the others, that one link or one joint's functions may be
 _EDGES = np.linspace(np.log(0.01), np.log(20.0), 81)  # logarithms, between which the law of a common width is taken
 _WIDTHS = 0.5 * (_EDGES[1:] + _EDGES[:-1])
 _SETTLE, _ROUNDS = 30, 120  # until it is forgotten where the rounds began, and those that are drawn from
@@ -110,6 +111,7 @@ def _rounds(about: ArmEvidence, each: int, rng: np.random.Generator) -> Iterator
         size = ((d + about.shipped)[expected] / about.std[expected]) ** 2
         in_all = np.bincount(of_group, size / common[of_sort] ** 2)
         tail = np.sqrt(0.5 * (freedom + in_all) / rng.standard_gamma(0.5 * (freedom + in_group)))
+        tail = np.minimum(tail, _FARTHEST)  # where no reading shows a group, its draws have no other end
         in_all = np.bincount(of_sort, size / tail[of_group] ** 2)
         log = prior - in_sort[:, None] * _WIDTHS - 0.5 * in_all[:, None] * np.exp(-2.0 * _WIDTHS)
         below = np.cumsum(np.exp(log - log.max(axis=1, keepdims=True)), axis=1)
