@@ -130,8 +130,8 @@ def result(solution: CameraSolution) -> Figure:
     """The error at the tool before and after, with its interval."""
     figure = Figure(figsize=(8.0, 1.7), facecolor="white", layout="constrained")
     axes = figure.subplots()
-    rows = (("nominal arm", solution.in_view.nominal_interval, "#b3261e"),)
-    rows += (("calibrated arm", solution.in_view.interval, "#1a5fb4"),)
+    rows = (("nominal arm", solution.claim.in_view.nominal_interval, "#b3261e"),)
+    rows += (("calibrated arm", solution.claim.in_view.interval, "#1a5fb4"),)
     for k, (name, (middle, low, high), colour) in enumerate(reversed(rows)):
         axes.barh(k, 1e3 * (high - low), left=1e3 * low, height=0.5, color=colour, alpha=0.35)
         axes.plot([1e3 * middle] * 2, [k - 0.3, k + 0.3], color=colour, lw=2.5)

@@ -36,13 +36,12 @@ from harness import median, over, share
 from scipy.spatial.transform import Rotation
 
 from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.causes import flange_in_tool
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import first_lens, fit_lens
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M
-from modcal_core.camera.tool_error import postures_anywhere, postures_in_view
+from modcal_core.camera.views import postures_anywhere, postures_in_view
 from modcal_core.camera.watching import CameraWatch
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array, se3
@@ -78,9 +77,9 @@ def apart(a: Array, b: Array, turned: bool = False) -> float:
 
 def said(r: CameraSolution) -> harness.Result:
     """The verdict, and values with 95 % intervals [mm] of the errors."""
-    errors = {"said": r.in_view, "alone_said": r.alone, "anywhere_said": r.anywhere}
+    errors = {"said": r.claim.in_view, "alone_said": r.claim.alone, "anywhere_said": r.claim.anywhere}
     out = {key: [np.nan] * 3 if e is None else [1e3 * x for x in e.interval] for key, e in errors.items()}
-    return {**out, "word": r.decision.word, "because": list(r.decision.because)}
+    return {**out, "word": r.claim.decision.word, "because": list(r.claim.decision.because)}
 
 
 def true_error(s: CameraScene, fit: CameraFit, tip: Array, q: Array, arm_alone: bool = False) -> float:
@@ -89,24 +88,20 @@ def true_error(s: CameraScene, fit: CameraFit, tip: Array, q: Array, arm_alone: 
     return apart(se3.apply(T, tip), se3.apply(s.truth(q), tip), arm_alone)
 
 
-def flange(fit: CameraFit) -> Array:
-    return se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
-
-
 def arms(task: harness.Task) -> harness.Result:
     seed = task["seed"]
     s = cells.arm(seed, task["rendered"], task["faults"], 1e-3 * task["measured_to_mm"])
     began = time.process_time()
     r = solved(s, np.random.default_rng(seed))
-    tip, (near, _) = flange(r.fit), postures_in_view(r.fit, np.random.default_rng(seed + 1))
+    tip, (near, _) = r.fit.flange, postures_in_view(r.fit, np.random.default_rng(seed + 1))
     far = postures_anywhere(s.chain, np.random.default_rng(seed + 1))
     z = (r.fit.state.lens.values - s.lens.values) / np.sqrt(np.diag(r.fit.covariance))[r.fit.poses.count + 1 :][:9]
-    out = {"opencv": against_opencv(s), "effects": [f"{c.effect.family} {c.effect.label}" for c in r.causes]}
+    out = {"opencv": against_opencv(s), "effects": [f"{c.effect.family} {c.effect.label}" for c in r.evidence.causes]}
     out |= {"seconds": time.process_time() - began, "images": len(s.views), "lens_sigmas": list(z)}
     out["mounted"] = s.on_tip == r.fit.poses.camera_on_tip
     out |= {"true": true_error(s, r.fit, tip, near), "nominal": true_error(s, r.nominal, tip, near)}
     out |= {"alone": true_error(s, r.fit, tip, near, arm_alone=True), "anywhere": true_error(s, r.fit, tip, far)}
-    return {**out, **said(r), "found_of_camera": [f.sentence for f in r.findings]}
+    return {**out, **said(r), "found_of_camera": [f.sentence for f in r.evidence.findings]}
 
 
 def against_opencv(s: CameraScene) -> float:
@@ -132,19 +127,19 @@ def size(task: harness.Task) -> harness.Result:
     s = cells.sheet(task["seed"], task["off"], 1.0 if task["faults"] is None else task["faults"], task["read"])
     r = solved(s, np.random.default_rng(3))
     q, _ = postures_in_view(r.fit, np.random.default_rng(1))
-    out = {"named": any("off its stated size" in words for words in r.decision.problems), **said(r)}
-    out |= {key: true_error(s, fit, flange(fit), q) for key, fit in (("true", r.fit), ("nominal", r.nominal))}
-    return {**out, "if_wrong": None if r.rests_on is None else 1e3 * r.rests_on.if_wrong_m}
+    out = {"named": any("off its stated size" in words for words in r.claim.decision.problems), **said(r)}
+    out |= {key: true_error(s, fit, fit.flange, q) for key, fit in (("true", r.fit), ("nominal", r.nominal))}
+    return {**out, "if_wrong": None if r.claim.rests_on is None else 1e3 * r.claim.rests_on.if_wrong_m}
 
 
 def named(task: harness.Task) -> harness.Result:
     """Target and camera: what is named, and what else is blamed."""
     s, told = cells.faulty(task["seed"], task["kind"])
     r = solved(s, np.random.default_rng(task["seed"]), **told)
-    right = [(f.family, f.driver, f.direction) == EXPECTED.get(task["kind"]) for f in r.findings]
-    blamed = [f.sentence for f, good in zip(r.findings, right, strict=True) if not good]
+    right = [(f.family, f.entry.driver, f.entry.direction) == EXPECTED.get(task["kind"]) for f in r.evidence.findings]
+    blamed = [f.sentence for f, good in zip(r.evidence.findings, right, strict=True) if not good]
     found = any(right) if task["kind"] in EXPECTED else None
-    return {"named": found, "blamed": blamed, "effects": [c.effect.label for c in r.causes]}
+    return {"named": found, "blamed": blamed, "effects": [c.effect.label for c in r.evidence.causes]}
 
 
 def moved(task: harness.Task) -> harness.Result:
@@ -189,14 +184,14 @@ def bodies(task: harness.Task) -> harness.Result:
     rng = np.random.default_rng(task["seed"])
     r = solve_camera(CameraProblem(s.chain, s.images), rng)
     spent, (q, _) = time.process_time() - began, postures_in_view(r.fit, np.random.default_rng(1))
-    out = {**what, "seconds": spent, **said(r), "px": list(r.held_out_px)}
+    out = {**what, "seconds": spent, **said(r), "px": list(r.claim.held_out_px)}
     for name, fit in (("", r.fit), ("nominal_", r.nominal)):
-        out |= {name + key: value for key, value in of_body(s, fit, flange_in_tool(r.fit), q).items()}
+        out |= {name + key: value for key, value in of_body(s, fit, r.fit.flange, q).items()}
     out["effects"], out["findings"] = (
-        [c.effect.label for c in r.causes],
-        [f"{f.family} {f.direction}" for f in r.findings],
+        [c.effect.label for c in r.evidence.causes],
+        [f"{f.family} {f.entry.direction}" for f in r.evidence.findings],
     )
-    return {**out, "out": len(r.left_out), "corners_out": r.corners_out}
+    return {**out, "out": len(r.ready.left_out), "corners_out": r.fit.table.left_out}
 
 
 def of_body(s: BodyScene, fit: CameraFit, point: Array, q: Array) -> dict[str, float]:
@@ -220,7 +215,7 @@ def speed(task: harness.Task) -> harness.Result:
     began = time.process_time()
     r = solved(replace(s, q=s.q[keep], views=[views[i] for i in keep]), rng)
     out = {"images": len(pictures), "with target": len(keep), "corners": int(r.fit.table.weight.sum())}
-    return {**out, "detection_s": detected, "fit_s": time.process_time() - began, "word": r.decision.word}
+    return {**out, "detection_s": detected, "fit_s": time.process_time() - began, "word": r.claim.decision.word}
 
 
 PART = {"arms": arms, "named": named, "size": size, "moved": moved, "bodies": bodies, "speed": speed}

@@ -149,7 +149,9 @@ def _left(case: Case, report: dict[str, Any]) -> float:
 
 
 def grounds(report: dict[str, Any]) -> str:
-    """Everything that a report names: why it is open, effects, regimes, what was not applied, the convention."""
+    """Everything that a report names: why it is open, effects, regimes, what was not applied, the convention, and
+    what it would need to tell more.
+    """
     parts = [*(report.get("open_because") or [])]
     for effect in report.get("effects") or []:
         if effect.get("family") == "outliers":
@@ -158,6 +160,7 @@ def grounds(report: dict[str, Any]) -> str:
         parts += [str(other) for other in effect.get("same_as") or []]
     parts += [str(regime.get("what")) for regime in report.get("regimes") or []]
     parts += [f"{n.get('effect')} {n.get('why')}" for n in report.get("not_applied") or []]
+    parts += [str(n.get("needs")) for n in report.get("not_asked") or []]
     parts += [json.dumps(report[key]) for key in ("unexplained", "convention") if report.get(key)]
     return " | ".join(parts)
 

@@ -50,9 +50,11 @@ GROUPS = {
     "nearby": Group("Kinds near those that were missed"),
     "fresh_eighth": Group("Kinds once written after the last change: eighth group, in cells of its own", 1, *OWN),
     "ninth": Group("Real recordings, tampered with"),
+    "audit": Group("Kinds of an independent tester"),
     "good": Group("Good recordings", 4),
     "good_fifth": Group("Good recordings of other builds"),
     "good_eighth": Group("Good recordings, in cells of their own", 1, *OWN),
+    "good_audit": Group("Good recordings of an independent tester"),
 }
 FAULTS = (j.CALM_AND_WRONG, j.NAMED, j.FOUND, j.UNNAMED, j.SILENT, j.HARMLESS, j.FAILED)
 

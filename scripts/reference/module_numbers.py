@@ -11,7 +11,7 @@ from pathlib import Path
 
 CORE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_core" / "modcal_core"
 WHERE = (
-    *("measurements", "hypotheses", "calibration", "camera", "regimes", "effects", "diagnosis", "verdict"),
+    *("measurements", "hypotheses", "calibration", "camera", "moves", "effects", "diagnosis", "verdict"),
     *("planning", "online", "articulation"),
     *("preprocess.py", "recalibrate.py", "evaluation.py"),
 )

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -46,6 +50,40 @@ def test_poses_in_either_form() -> None:
     assert np.allclose(one.R, two.R, atol=1e-12)
     assert np.allclose(one.R, R.as_matrix(), atol=1e-12)
     assert one.kinds == two.kinds == ("pose",)
+
+
+class Frame(dict[str, np.ndarray]):
+    """As much of a DataFrame as is asked for; pandas is not needed."""
+
+    columns = property(lambda self: list(self))
+
+    def __getitem__(self, key: str | list[str]) -> Any:
+        values = (
+            dict.__getitem__(self, key) if isinstance(key, str) else np.stack([self[k].values for k in key], axis=1)
+        )
+        return SimpleNamespace(values=values, to_numpy=lambda kind: values.astype(kind))
+
+
+def test_a_frame_there_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    turns = np.tile([0.0, 0.6, 0.0, 0.8], (N, 1))
+    table = Frame(
+        zip(
+            ["a", "b", "c", "x", "y", "z", "i", "j", "k", "r", "t", "s"],
+            np.c_[Q, P, turns, 10.0 * np.arange(N), np.full(N, 3e-5)].T,
+            strict=True,
+        )
+    )
+    joints, pose = ["a", "b", "c"], ["x", "y", "z", "i", "j", "k", "r"]
+    samples = modcal.Samples.from_frame(table, joints, pose, stamps="t", sigma="s", frame="left")
+    assert (samples.names, samples.frames, samples.clock) == (("a", "b", "c"), ("left",), True)
+    assert (samples.sigma_position == 3e-5).all()
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
+    again = samples.to_frame()
+    assert list(again) == [*joints, "stamp", "station", "frame", "kind", "x", "y", "z", "qx", "qy", "qz", "qw"]
+    assert np.array_equal(np.stack([again[k] for k in joints], axis=1), Q)
+    assert np.allclose(np.abs(again["qy"]), 0.6, atol=1e-12)
+    with pytest.raises(BadRecording, match="column d: is not in the frame: choose among a, b"):
+        modcal.Samples.from_frame(table, ["d"], pose)
 
 
 def test_ranges_to_anchors_with_gaps() -> None:

@@ -58,6 +58,7 @@ EFFECTS: dict[str, tuple[Effect, list[float]]] = {
     "ramp": (Effect("drift", WRIST, AXIS, "time", Shape("ramp", {"since": T0})), [1e-6]),
     "bump": (Effect("step", "tool", ALL, "time", Shape("step", {"at": T0 + 150.0})), [3e-4, 0, 1e-4, 0, 5e-4, 0]),
     "latency": (Effect("latency", "tracker", JOINTS, "velocity", Shape("linear")), [4e-3]),
+    "clock": (Effect("latency", "tracker", JOINTS, "clock", Shape("ramp", {"since": T0 + 100.0})), [2e-5]),
     "lag": (Effect("joint_lag", ELBOW, AXIS, "velocity", Shape("linear")), [-6e-3]),
     "curve": (
         Effect("unknown", ELBOW, AXIS, f"position:{WRIST}", Shape("spline", {**SPAN, "count": 8.0})),
@@ -122,7 +123,7 @@ def test_derivatives(name: str, kind: str) -> None:
     # scaled, so that one step suits amplitudes of 1e-6 and cycles of 20
     size = np.maximum(np.abs(values), 1e-6)
     # effects are small: a second amplitude turns the first by 1e-4 of it, and a delay bends its own course
-    loose = 2e-3 if name in ("latency", "lag") else 2e-4
+    loose = 2e-3 if name in ("latency", "clock", "lag") else 2e-4
     assert_jacobian(lambda x: position(x * size), at.J[:, :count].T * size, values / size, 1e-3, loose)
 
 

@@ -12,9 +12,9 @@ from camera.scenes import CameraScene, scene
 from modcal_core.camera.arm_poses import ArmPoses, arm_poses
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.images import CameraImages
 from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.mounting import find_mounting
-from modcal_core.camera.prepared import CameraImages
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
 from modcal_core.geometry import se3

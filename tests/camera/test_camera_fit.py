@@ -15,14 +15,15 @@ from finite_differences import assert_jacobian
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.parameters import View, ordered_candidates
 from modcal_core.camera.arm_poses import arm_poses
+from modcal_core.camera.claim import ALL_BUT_IMAGES, AS_STATED, arm_draws
 from modcal_core.camera.corners import FIXED, CornerTable, common_prior, corner_rows
+from modcal_core.camera.decision import APPLY, DO_NOT_APPLY
 from modcal_core.camera.equations import Sizes
 from modcal_core.camera.fit import CameraState, equations_at, fit_camera
 from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import find_mounting
-from modcal_core.camera.problems import APPLY, DO_NOT_APPLY
-from modcal_core.camera.tool_error import ALL_BUT_IMAGES, postures_in_view
+from modcal_core.camera.views import postures_in_view
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -145,32 +146,32 @@ def test_an_arm_that_is_centimetres_off(on_tip: bool) -> None:
     r = solved(s)
     q, enough = postures_in_view(r.fit, np.random.default_rng(1))
     assert enough
-    _, low, high = r.in_view.interval
+    _, low, high = r.claim.in_view.interval
     error, nominal = true_error(s, r.fit, q), true_error(s, r.nominal, q)
     assert 0.5 * low < error < high
     assert error < 1.5e-3
     assert nominal > 5e-3
-    assert nominal == pytest.approx(r.in_view.nominal_interval[0], rel=0.15)
-    assert r.decision.word == APPLY
+    assert nominal == pytest.approx(r.claim.in_view.nominal_interval[0], rel=0.15)
+    assert r.claim.decision.word == APPLY
     assert r.fit.sizes.noise == pytest.approx(1.0, abs=0.1)
     assert 2e-5 < r.fit.sizes.joint < 1e-4  # 5e-5 was put in
-    assert not r.left_out
-    assert r.moved is None
+    assert not r.ready.left_out
+    assert r.evidence.moved is None
     # the arm by itself is known better than where the camera, or target, stands
-    assert r.alone is not None
+    assert r.claim.alone is not None
     model = r.fit.poses.model_at(r.fit.state.values)
     tip = se3.inverse(model.T_tip_tool)[:3, 3]
     said, true = (se3.apply(T, tip) - se3.apply(T, tip).mean(0) for T in (model.predict(q), s.truth(q)))
     turn = so3.exp(np.linalg.lstsq(-so3.hat(said).reshape(-1, 3), (true - said).ravel(), rcond=None)[0])
     alone = float(np.sqrt(((said @ turn.T - true) ** 2).sum(1).mean()))
-    assert 0.5 * r.alone.interval[1] < alone < min(r.alone.interval[2], 1.1 * error)
+    assert 0.5 * r.claim.alone.interval[1] < alone < min(r.claim.alone.interval[2], 1.1 * error)
     # were everything known but what corners and joints scatter, less would be left, and no less than with one thing known
-    whole, left = r.shares[ALL_BUT_IMAGES]
-    assert left < min(known for name, (_, known) in r.shares.items() if name != ALL_BUT_IMAGES) < whole
+    whole, left = r.claim.shares[ALL_BUT_IMAGES]
+    assert left < min(known for name, (_, known) in r.claim.shares.items() if name != ALL_BUT_IMAGES) < whole
     # lens and sheet within what is stated of them
     std = np.sqrt(np.diag(r.fit.covariance))[-15:-6]
     assert (np.abs(r.fit.state.lens.values - s.lens.values) < 4.0 * std).all()
-    assert r.held_out_px[1] < 0.1 * r.held_out_px[0]
+    assert r.claim.held_out_px[1] < 0.1 * r.claim.held_out_px[0]
 
 
 @pytest.mark.slow
@@ -180,8 +181,8 @@ def test_a_perfect_arm_is_not_made_worse(on_tip: bool) -> None:
     s = scene(3, on_tip, count=15, length_std=0.0, angle_std=0.0, board=MEASURED)
     r = solved(s)
     q, _ = postures_in_view(r.fit, np.random.default_rng(1))
-    assert r.decision.word == DO_NOT_APPLY
-    assert true_error(s, r.fit, q) < r.in_view.interval[2]
+    assert r.claim.decision.word == DO_NOT_APPLY
+    assert true_error(s, r.fit, q) < r.claim.in_view.interval[2]
 
 
 @pytest.mark.slow
@@ -209,9 +210,8 @@ def test_flange_poses_place_camera_and_target() -> None:
     assert np.abs(chain_forward(flange_arm(), q) - A).max() < 1e-12
     table = CornerTable.of(s.views, s.board)
     found = find_mounting(A, board_poses(table, s.lens, FLAT))
-    arm = arm_poses(
-        flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, found.camera_on_tip, (), True
-    )
+    arm = arm_poses(flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, found.camera_on_tip)
+    arm = replace(arm, parameters=arm.placed, faults=None)
     assert not arm.of_arm.any()
     fit = fit_camera(table, arm, common_prior(s.lens, s.board.scale), s.lens)
     assert fit.converged
@@ -224,7 +224,18 @@ def test_an_arm_behind_a_fisheye() -> None:
     s = scene(1, True, count=25, board=MEASURED, lens=wide)
     r = solved(s, fisheye=True)
     q, _ = postures_in_view(r.fit, np.random.default_rng(1))
-    assert true_error(s, r.fit, q) < min(r.in_view.interval[2], 1.5e-3)
+    assert true_error(s, r.fit, q) < min(r.claim.in_view.interval[2], 1.5e-3)
     assert r.fit.state.lens.model == FISHEYE
     assert r.fit.state.lens.values[8] == 0.0
     assert np.abs(r.fit.state.lens.values[:2] / wide.values[:2] - 1.0).max() < 0.005
+
+
+def test_draws_of_an_arm_of_stated_faults_are_those_of_the_fit() -> None:
+    """There the law is normal, with the covariance of all faults brought to the parameters of the fit."""
+    fit = solved(images(True), arm_m=5e-3, look_for_effects=False).fit
+    values, chance = arm_draws(fit, np.random.default_rng(0)).values[AS_STATED]
+    assert chance == 1.0
+    P = fit.poses.count
+    std = np.sqrt(np.diag(fit.covariance)[:P])
+    assert values.std(axis=0) / std == pytest.approx(np.ones(P), abs=0.15)
+    assert np.abs(values.mean(axis=0) / std).max() < 0.2

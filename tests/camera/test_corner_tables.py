@@ -256,7 +256,7 @@ def test_intrinsics_as_opencv_writes_them(tmp_path: Path) -> None:
 
 
 def test_lenses_as_other_tools_write_them(tmp_path: Path) -> None:
-    """Trailing zeros, Kalibr's file, and a rational polynomial, which five coefficients cannot hold."""
+    """Trailing zeros, Kalibr's file, a rational polynomial; more than eight coefficients are refused."""
     K = [[605.9, 0.0, 637.6], [0.0, 605.8, 364.5], [0.0, 0.0, 1.0]]
 
     def info(model: str, d: list[float]) -> Path:
@@ -270,8 +270,12 @@ def test_lenses_as_other_tools_write_them(tmp_path: Path) -> None:
     five = [-0.03, 0.035, -1e-4, 2e-4, -0.012]
     for model, more in (("plumb_bob", 3), ("rational_polynomial", 3), ("plumb_bob", 9)):
         assert read_camera_info(info(model, [*five, *[0.0] * more])).values[4:] == pytest.approx(five)
-    with pytest.raises(BadTable, match="has model rational_polynomial with 8 coefficients: give plumb_bob"):
-        read_camera_info(info("rational_polynomial", [0.5, -2.7, 0.0, 0.0, 1.6, 0.4, -2.6, 1.5]))
+    rational = read_camera_info(info("rational_polynomial", [0.5, -2.7, 0.0, 0.0, 1.6, 0.4, -2.6, 1.5]))
+    assert rational.below.tolist() == [0.4, -2.6, 1.5]
+    written = camera_info(rational)
+    assert (written["distortion_model"], written["distortion_coefficients"]["cols"]) == ("rational_polynomial", 8)
+    with pytest.raises(BadTable, match="has model rational_polynomial with 12 coefficients: give plumb_bob or"):
+        read_camera_info(info("rational_polynomial", [*five, *[0.1] * 7]))
     kalibr = {
         "camera_model": "pinhole",
         "distortion_model": "radtan",

@@ -13,11 +13,11 @@ from finite_differences import assert_jacobian
 
 from modcal_core.camera.arm_poses import ImageMoments
 from modcal_core.camera.corners import CornerTable, common_prior
+from modcal_core.camera.decision import APPLY, CANNOT_TELL
 from modcal_core.camera.fit import fit_camera
 from modcal_core.camera.other_readings import ReadingsBeside, beside
-from modcal_core.camera.problems import APPLY, CANNOT_TELL
 from modcal_core.camera.solve import CameraSolution
-from modcal_core.camera.tool_error import postures_in_view
+from modcal_core.camera.views import postures_in_view
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.errors import NotEnoughData
@@ -47,7 +47,7 @@ def tracked(s: CameraScene, count: int = 15, noise: float = 5e-5) -> ReadingsBes
 def errors(s: CameraScene, r: CameraSolution) -> tuple[float, float]:
     """(true error at the tool, upper end of what is said of it) where the target is in view [m]."""
     q, _ = postures_in_view(r.fit, np.random.default_rng(1))
-    return true_error(s, r.fit, q), r.in_view.interval[2]
+    return true_error(s, r.fit, q), r.claim.in_view.interval[2]
 
 
 @pytest.mark.slow
@@ -58,9 +58,9 @@ def test_a_few_tracker_points_give_the_length_that_images_lack(on_tip: bool) -> 
     """
     s = scene(12, on_tip, count=15, length_std=3e-3, angle_std=4e-3, printed=1.008 * BOARD.points)
     alone, mixed = solved(s), solved(s, beside=tracked(s))
-    assert alone.decision.word == CANNOT_TELL
-    assert mixed.decision.word == APPLY
-    assert mixed.metric == ("readings of point in tracker",)
+    assert alone.claim.decision.word == CANNOT_TELL
+    assert mixed.claim.decision.word == APPLY
+    assert mixed.claim.metric == ("readings of point in tracker",)
     off, said = errors(s, mixed)
     assert off < said < errors(s, alone)[1]
     assert off < min(1e-3, 0.5 * errors(s, alone)[0])
@@ -95,7 +95,7 @@ def test_derivatives_of_rows_beside_images(with_effect: bool) -> None:
     if with_effect:
         j = s.chain.names[3]
         arm = arm.with_effects([Effect("gear_ratio", j, "axis", f"position:{j}", Shape("linear"), np.array([1e-3]))])
-    at = arm.start + 1e-3 * np.random.default_rng(0).normal(size=arm.count)
+    at = arm.values.start + 1e-3 * np.random.default_rng(0).normal(size=arm.count)
     rows = arm.rows_beside(at, arm.count)
     assert rows is not None
     other = arm.rows_beside(at, arm.count + 15)
@@ -108,7 +108,9 @@ def test_derivatives_of_rows_beside_images(with_effect: bool) -> None:
         return -there.residual
 
     # residuals are taken as seen from the root, which a frame's own turn moves: its shifts are enough here
-    free = [i for i, name in enumerate(arm.names) if not name.startswith("beside frame")]
+    assert arm.beside is not None
+    turned = [p.name.startswith("frame ") for p in arm.beside.own]
+    free = np.flatnonzero(~np.r_[np.zeros(arm.of_model, bool), turned])
 
     def partly(v: Array) -> Array:
         whole = at.copy()
@@ -135,13 +137,13 @@ def test_a_gear_is_found_from_corners_alone(on_tip: bool) -> None:
     q = s.q.copy()
     q[:, 2] += 2e-3 * np.sin(7.0 * q[:, 2] + 0.3)
     r = solved(with_motion(s, q))
-    (cause,) = r.causes
+    (cause,) = r.evidence.causes
     assert (cause.effect.family, cause.effect.place) == ("gear_harmonic", s.chain.names[2])
     assert cause.effect.shape.settings["cycles"] == pytest.approx(7.0, abs=0.05)
     assert np.hypot(*cause.effect.amplitudes) == pytest.approx(2e-3, rel=0.1)
     assert cause.p_value < 1e-4
     assert r.fit.sizes.joint < 0.2 * r.geometric.sizes.joint
-    assert r.decision.word == APPLY
+    assert r.claim.decision.word == APPLY
 
 
 @pytest.mark.slow
@@ -154,7 +156,7 @@ def test_a_ratio_and_backlash_are_found_from_corners() -> None:
     q[:, 0] += 1e-3 * came[:, 0]
     moved = with_motion(s, q)
     r = solved(moved, moments=ImageMoments(approach=came[: len(moved.q)]))
-    found = {(c.effect.family, c.effect.place): c.effect for c in r.causes}
+    found = {(c.effect.family, c.effect.place): c.effect for c in r.evidence.causes}
     ratio, play = found["gear_ratio", s.chain.names[3]], found["backlash", s.chain.names[0]]
     assert ratio.values == pytest.approx(0.002, abs=2e-4)
     assert np.abs(play.values) == pytest.approx(1e-3, rel=0.2)
@@ -166,8 +168,8 @@ def test_springs_that_images_do_not_show_are_said() -> None:
     s = scene(43, False, count=18, length_std=2e-3, angle_std=3e-3, board=MEASURED)
     inertias = Robot.from_urdf(PANDA.read_text(), tip="panda_link8").inertias
     r = solved(s, inertias=inertias)
-    assert {one.place for one in r.hidden} >= {"panda_joint2", "panda_joint4"}
-    one = next(h for h in r.hidden if h.place == "panda_joint4")
+    assert {one.place for one in r.evidence.hidden} >= {"panda_joint2", "panda_joint4"}
+    one = next(h for h in r.evidence.hidden if h.place == "panda_joint4")
     spring = Effect("compliance", one.place, "axis", f"load:{one.place}", Shape("linear")).started(np.zeros(1))
     fit, poses = r.fit, r.fit.poses.with_effects((spring,))
     begin = fit.state.with_values(np.insert(fit.state.values, fit.poses.of_model, 0.0))
@@ -185,8 +187,8 @@ def test_springs_that_images_do_not_show_are_said() -> None:
 def test_a_clean_arm_has_no_effects(seed: int) -> None:
     s = scene(seed, bool(seed % 2), count=25, length_std=3e-3, angle_std=4e-3, board=MEASURED)
     r = solved(s)
-    assert not r.causes
-    assert r.left is None
+    assert not r.evidence.causes
+    assert r.evidence.left is None
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from camera.fits import solved
 from camera.rolling import rolling_views
 from camera.scenes import CameraScene, scene
 
-from modcal_core.camera.contradicted import CLOCK, TARGET
+from modcal_core.camera.statements import CLOCK, TARGET
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
@@ -32,12 +32,12 @@ def on_sheet(s: CameraScene, points: Array) -> CameraScene:
 def test_a_print_of_another_size(on_tip: bool) -> None:
     """1 % too large and nobody measured it: named where the arm is known; else it may be the arm's scale as well."""
     s = on_sheet(known_arm(on_tip), 1.01 * BOARD.points)
-    (found,) = solved(s, arm_m=ARM_M).findings
-    assert (found.family, found.direction, found.same_as) == (TARGET, "size", ())
-    assert found.values["size_x"][0] == pytest.approx(0.01, abs=2e-3)
+    (found,) = solved(s, arm_m=ARM_M).evidence.findings
+    assert (found.family, found.entry.direction, found.entry.same_as) == (TARGET, "size", ())
+    assert found.entry.sizes["size_x"][0] == pytest.approx(0.01, abs=2e-3)
     assert found.at_tool_m > 3e-3
-    alone = [f for f in solved(s).findings if f.direction == "size"]
-    assert all(f.same_as for f in alone)
+    alone = [f for f in solved(s).evidence.findings if f.entry.direction == "size"]
+    assert all(f.entry.same_as for f in alone)
 
 
 @pytest.mark.slow
@@ -46,7 +46,7 @@ def test_a_bent_sheet() -> None:
     x = points[:, 0] - points[:, 0].mean()
     points[:, 2] = 5e-4 * (x / x.max()) ** 2
     (found,) = solved(on_sheet(known_arm(True), points), arm_m=ARM_M).findings
-    assert (found.family, found.direction) == (TARGET, "normal")
+    assert (found.family, found.entry.direction) == (TARGET, "normal")
     assert "bent by 0.5" in found.sentence
 
 
@@ -58,11 +58,11 @@ def test_late_images_and_a_rolling_shutter(delay_s: float, readout_s: float) -> 
     rng = np.random.default_rng(2)
     velocity = 0.3 * rng.choice([-1.0, 1.0], s.q.shape)
     r = solved(rolling_views(s, velocity, delay_s, readout_s, rng), velocity=velocity, arm_m=ARM_M)
-    found = {f.driver: f for f in r.findings}
+    found = {f.entry.driver: f for f in r.evidence.findings}
     assert set(found) == {d for d, x in (("velocity", delay_s), ("line", readout_s)) if x}
     assert all(f.family == CLOCK for f in found.values())
     if delay_s:
-        assert found["velocity"].values["delay_s"][0] == pytest.approx(delay_s, abs=5e-4)
+        assert found["velocity"].entry.sizes["delay_s"][0] == pytest.approx(delay_s, abs=5e-4)
     if readout_s:
-        assert found["line"].values["line_s"][0] == pytest.approx(readout_s / 720, rel=0.03)
-    assert not r.causes
+        assert found["line"].entry.sizes["line_s"][0] == pytest.approx(readout_s / 720, rel=0.03)
+    assert not r.evidence.causes

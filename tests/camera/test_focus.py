@@ -40,9 +40,9 @@ def test_focus_that_hunts(on_tip: bool, what: str) -> None:
         "nothing": np.ones(len(s.q)),
     }[what].astype(float)
     r = scaled(s, zooms)
-    named = [said for said in r.decision.problems if "focal length differs from image to image" in said]
-    assert r.moved is None
-    assert bool(named) == (what != "nothing"), r.decision.because
+    named = [said for said in r.claim.decision.problems if "focal length differs from image to image" in said]
+    assert r.evidence.moved is None
+    assert bool(named) == (what != "nothing"), r.claim.decision.because
     if named:
         said = float(named[0].partition("by ")[2].partition(" %")[0])
         assert said == pytest.approx(100.0 * np.std(zooms), rel=0.3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -18,6 +20,8 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 
 FLAT = np.zeros(5)
+RATIONAL = Lens.of(LENS.K, [0.52, -2.7, 6e-4, -3e-4, 1.6, 0.4, -2.5, 1.5], SIZE)  # as depth cameras have them
+PINHOLES = pytest.mark.parametrize("lens", [LENS, RATIONAL], ids=["plumb_bob", "rational_polynomial"])
 
 
 @pytest.fixture
@@ -25,23 +29,28 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(25)
 
 
-def test_projection_is_opencv_s(rng: np.random.Generator) -> None:
+@PINHOLES
+def test_projection_is_opencv_s(rng: np.random.Generator, lens: Lens) -> None:
     X = np.c_[rng.uniform(-0.2, 0.2, (50, 2)), rng.uniform(0.3, 0.6, 50)]
-    expected = cv2.projectPoints(X, np.zeros(3), np.zeros(3), LENS.K, LENS.values[4:])[0].reshape(-1, 2)
-    assert np.abs(LENS.project(X) - expected).max() < 1e-9
+    expected = cv2.projectPoints(X, np.zeros(3), np.zeros(3), lens.K, np.r_[lens.values[4:], lens.below])[0].reshape(
+        -1, 2
+    )
+    assert np.abs(lens.project(X) - expected).max() < 1e-9
 
 
-def test_rays_undo_the_projection(rng: np.random.Generator) -> None:
+@PINHOLES
+def test_rays_undo_the_projection(rng: np.random.Generator, lens: Lens) -> None:
     xy = rng.uniform(-0.6, 0.6, (50, 2))
-    assert np.abs(LENS.rays(LENS.project(np.c_[xy, np.ones(50)])) - xy).max() < 1e-10
+    assert np.abs(lens.rays(lens.project(np.c_[xy, np.ones(50)])) - xy).max() < 1e-10
 
 
-def test_lens_derivatives(rng: np.random.Generator) -> None:
+@PINHOLES
+def test_lens_derivatives(rng: np.random.Generator, lens: Lens) -> None:
     X = np.c_[rng.uniform(-0.2, 0.2, (5, 2)), rng.uniform(0.3, 0.6, 5)]
-    _, by_point, by_values = LENS.linearise(X)
+    _, by_point, by_values = lens.linearise(X)
     for i in range(5):
-        assert_jacobian(lambda x: LENS.project(x), by_point[i], X[i])
-        assert_jacobian(lambda v, i=i: Lens(v, SIZE).project(X[i]), by_values[i], np.array(LENS.values))
+        assert_jacobian(lambda x: lens.project(x), by_point[i], X[i])
+        assert_jacobian(lambda v, i=i: replace(lens, values=v).project(X[i]), by_values[i], np.array(lens.values))
 
 
 def test_corner_derivatives(rng: np.random.Generator) -> None:

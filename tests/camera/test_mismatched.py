@@ -12,8 +12,8 @@ from camera.fits import MEASURED
 from camera.scenes import scene
 
 from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.prepared import CameraImages, prepare_images
-from modcal_core.camera.solve import only_seen
+from modcal_core.camera.images import CameraImages, together
+from modcal_core.camera.prepared import prepare_images
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 
@@ -53,7 +53,7 @@ def test_joints_that_are_shuffled_are_explained_by_nothing(rng: np.random.Genera
 
 def test_joints_of_a_body_s_images_that_are_exchanged() -> None:
     s = body_scene(3, 30, 1, Faults(late=0, misread=0.0), corners=True)
-    (images,) = only_seen(s.images)
+    (images,) = together(s.images)
     lens = replace(images, lens=s.lenses[0], q=images.q[:, EXCHANGED])
     with pytest.raises(BadRecording, match="with panda_joint6 and panda_joint7 exchanged"):
         prepare_images(s.chain, lens)

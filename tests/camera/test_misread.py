@@ -10,9 +10,9 @@ from camera.bodies import Faults, body_scene, icosahedron, measured
 
 from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.corners import SHAPE, CornerTable
+from modcal_core.camera.images import together
 from modcal_core.camera.outliers import far_markers, left_out_points
 from modcal_core.camera.prepared import prepare_images
-from modcal_core.camera.solve import only_seen
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
@@ -68,7 +68,7 @@ def test_a_marker_most_of_whose_points_are_out_is_named(rng: np.random.Generator
 def test_a_marker_far_from_where_the_others_have_it(corners: bool) -> None:
     """The body's frame is that of all markers together: one an inch away moves all others off by millimetres."""
     s = body_scene(11, 40, 1, Faults(misread=0.0, late=0), corners, drawing=measured(icosahedron()))
-    (images,) = only_seen((s.images[0],))
+    (images,) = together((s.images[0],))
     ready = prepare_images(s.chain, images)
     fit = ready.fitted(fixed_sizes=True)
     assert not far_markers(fit).any()

@@ -11,8 +11,8 @@ from camera.fits import MEASURED, images, solved
 from camera.scenes import scene
 
 from modcal_core.camera.corners import FIXED, TOLERANCE
+from modcal_core.camera.decision import DO_NOT_APPLY
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.problems import DO_NOT_APPLY
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3
 
@@ -26,12 +26,12 @@ def test_a_kicked_tripod_is_named(on_tip: bool) -> None:
     T = kick @ s.T[half:]
     later = views(np.random.default_rng(0), se3.inverse(T) if on_tip else T, board=s.board)
     r = solved(replace(s, views=[*s.views[:half], *later]))
-    assert r.decision.word == DO_NOT_APPLY
-    assert r.moved is not None
-    assert r.moved.at == half
-    assert r.moved.in_world
+    assert r.claim.decision.word == DO_NOT_APPLY
+    assert r.evidence.moved is not None
+    assert r.evidence.moved.at == half
+    assert r.evidence.moved.in_world
     what = "target" if on_tip else "camera"
-    assert any(said.startswith(f"The {what} was moved before image") for said in r.decision.because)
+    assert any(said.startswith(f"The {what} was moved before image") for said in r.claim.decision.because)
 
 
 @pytest.mark.slow
@@ -43,11 +43,11 @@ def test_a_focus_that_was_changed_is_no_move(on_tip: bool, zoom: float) -> None:
     other = replace(s.lens, values=s.lens.values * np.r_[zoom, zoom, np.ones(7)])
     later = views(np.random.default_rng(0), se3.inverse(s.T) if on_tip else s.T, lens=other, board=s.board)[half:]
     r = solved(replace(s, views=[*s.views[:half], *later]), look_for_effects=False)
-    assert r.decision.word == DO_NOT_APPLY
-    assert r.moved is not None
-    assert r.moved.at == half
-    assert 100.0 * r.moved.focal == pytest.approx(100.0 * (zoom - 1.0), rel=0.3)
-    assert any("another focal length from image" in said for said in r.decision.because)
+    assert r.claim.decision.word == DO_NOT_APPLY
+    assert r.evidence.moved is not None
+    assert r.evidence.moved.at == half
+    assert 100.0 * r.evidence.moved.focal == pytest.approx(100.0 * (zoom - 1.0), rel=0.3)
+    assert any("another focal length from image" in said for said in r.claim.decision.because)
 
 
 @pytest.mark.slow
@@ -56,7 +56,7 @@ def test_an_image_of_another_posture_is_left_out() -> None:
     q = s.q.copy()
     q[7] += 0.05
     r = solved(replace(s, q=q))
-    assert list(r.left_out) == [s.views[7].name]
+    assert list(r.ready.left_out) == [s.views[7].name]
 
 
 @pytest.mark.slow
@@ -65,16 +65,16 @@ def test_a_lens_of_another_camera_is_named() -> None:
     s = images(True)
     longer = Lens(s.lens.values * np.r_[1.02, 1.02, np.ones(7)], s.lens.size)
     r = solved(s, lens=longer, stated=FIXED)
-    assert r.decision.word == DO_NOT_APPLY
-    assert any("contradict the stated lens: focal length 9" in said for said in r.decision.because)
-    assert not any("contradict" in said for said in solved(s, lens=s.lens, stated=TOLERANCE).decision.because)
+    assert r.claim.decision.word == DO_NOT_APPLY
+    assert any("contradict the stated lens: focal length 9" in said for said in r.claim.decision.because)
+    assert not any("contradict" in said for said in solved(s, lens=s.lens, stated=TOLERANCE).claim.decision.because)
 
 
 @pytest.mark.slow
 def test_an_arm_worse_than_stated_is_named() -> None:
     r = solved(images(True), arm_m=3e-4)
-    assert r.decision.word == DO_NOT_APPLY
-    assert any("as far off as --arm-mm states" in said for said in r.decision.because)
+    assert r.claim.decision.word == DO_NOT_APPLY
+    assert any("as far off as --arm-mm states" in said for said in r.claim.decision.because)
 
 
 @pytest.mark.slow
@@ -88,8 +88,8 @@ def test_images_of_another_moment_are_refused_or_named(delay_s: float) -> None:
             solved(s)
         return
     r = solved(s)
-    assert r.decision.word == DO_NOT_APPLY
-    assert any("of the same moment" in said for said in r.decision.because)
+    assert r.claim.decision.word == DO_NOT_APPLY
+    assert any("of the same moment" in said for said in r.claim.decision.because)
 
 
 def test_pictures_turned_upside_down_are_left_out() -> None:
@@ -98,8 +98,8 @@ def test_pictures_turned_upside_down_are_left_out() -> None:
     far = np.array(s.lens.size) - 1.0
     turned = [replace(v, pixels=far - v.pixels) if i % 3 == 0 else v for i, v in enumerate(s.views)]
     r = solved(replace(s, views=turned), look_for_effects=False)
-    assert r.decision.word == DO_NOT_APPLY
-    assert set(r.left_out) == {v.name for v in turned[::3]}
+    assert r.claim.decision.word == DO_NOT_APPLY
+    assert set(r.ready.left_out) == {v.name for v in turned[::3]}
 
 
 def test_a_camera_that_hung_is_noticed() -> None:
@@ -107,9 +107,9 @@ def test_a_camera_that_hung_is_noticed() -> None:
     s = images(True)
     hung = [replace(s.views[4], name=v.name) if 4 <= i < 8 else v for i, v in enumerate(s.views)]
     r = solved(replace(s, views=hung), look_for_effects=False)
-    assert set(r.left_out) == {"5.png", "6.png", "7.png"}
-    assert all("the same picture as 4.png" in why for why in r.left_out.values())
-    assert r.decision.word == DO_NOT_APPLY
+    assert set(r.ready.left_out) == {"5.png", "6.png", "7.png"}
+    assert all("the same picture as 4.png" in why for why in r.ready.left_out.values())
+    assert r.claim.decision.word == DO_NOT_APPLY
 
 
 def test_copies_of_images_say_nothing_more() -> None:
@@ -117,8 +117,8 @@ def test_copies_of_images_say_nothing_more() -> None:
     copies = [replace(v, name=f"copy of {v.name}") for v in s.views]
     both = replace(s, q=np.concatenate([s.q, s.q]), views=[*s.views, *copies])
     once, twice = (solved(one, look_for_effects=False) for one in (s, both))
-    assert twice.in_view.interval == pytest.approx(once.in_view.interval, rel=1e-6)
-    assert set(twice.left_out) == {v.name for v in copies}
+    assert twice.claim.in_view.interval == pytest.approx(once.claim.in_view.interval, rel=1e-6)
+    assert set(twice.ready.left_out) == {v.name for v in copies}
 
 
 def test_two_boards_in_turn_are_refused() -> None:

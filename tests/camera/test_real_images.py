@@ -89,7 +89,8 @@ def placed(lens: Lens | None) -> CameraFit:
     assert not found.camera_on_tip
     assert found.rival > 3.0
     q = flange_joints(A)
-    arm = arm_poses(flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, False, (), True)
+    arm = arm_poses(flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, False)
+    arm = replace(arm, parameters=arm.placed, faults=None)
     return fit_camera(table, arm, prior, fit.lens)
 
 

@@ -12,12 +12,13 @@ from camera.scenes import BOARD_ON_TIP, CAMERA_IN_WORLD, CameraScene, scene
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import PrintedTarget
+from modcal_core.camera.decision import APPLY
 from modcal_core.camera.fit import equations_at
+from modcal_core.camera.images import CameraImages
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.prepared import CameraImages, prepare_images
-from modcal_core.camera.problems import APPLY
+from modcal_core.camera.prepared import prepare_images
 from modcal_core.camera.solve import CameraProblem, CameraSolution, further_of, solve_camera
-from modcal_core.camera.tool_error import postures_in_view
+from modcal_core.camera.views import postures_in_view
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -74,15 +75,16 @@ def test_three_cameras_know_the_arm_better_than_one(cell: CameraScene, three: Ca
     """Size and bow of the sheet on the tip are one for both that see it; the other sheet gets its size by the arm."""
     second, hand = three.further
     assert (second.mounting.camera_on_tip, hand.mounting.camera_on_tip) == (False, True)
-    assert second.used == len(on_tripod(cell).views) >= 10
-    assert (np.abs(second.state.lens.values - OTHER_LENS.values)[:4] < 4.0 * second.std[:4]).all()
-    assert second.std[:4].max() < 3.0
-    assert (second.state.shape == three.fit.state.shape).all()
-    assert not np.isclose(hand.state.shape[:2], three.fit.state.shape[:2]).any()
-    assert hand.rms_px < 0.5
-    assert three.decision.word == APPLY
+    (state, std, _), (of_hand, _, hand_px) = three.fit.of_further()
+    assert second.table.views == len(on_tripod(cell).views) >= 10
+    assert (np.abs(state.lens.values - OTHER_LENS.values)[:4] < 4.0 * std[:4]).all()
+    assert std[:4].max() < 3.0
+    assert (state.shape == three.fit.state.shape).all()
+    assert not np.isclose(of_hand.shape[:2], three.fit.state.shape[:2]).any()
+    assert hand_px < 0.5
+    assert three.claim.decision.word == APPLY
     q, _ = postures_in_view(three.fit, np.random.default_rng(1))
-    assert true_error(cell, three.fit, q) < three.in_view.interval[2]
+    assert true_error(cell, three.fit, q) < three.claim.in_view.interval[2]
     equations, sizes = three.fit.equations, three.fit.sizes
     arm = equations.arm
     alone = np.diag(replace(equations, cameras=equations.cameras[:1]).solve(sizes).covariance())[arm]
@@ -128,11 +130,13 @@ def test_a_kicked_second_tripod_is_named(cell: CameraScene) -> None:
 @pytest.mark.slow
 def test_a_kick_of_one_tripod_is_not_said_of_the_other(cell: CameraScene) -> None:
     r = solved(cell, on_tripod(cell, 6))
-    assert r.moved is None
-    assert [said for said in r.decision.problems if "was moved" in said] == [
-        said for said in r.decision.problems if said.startswith("The camera of /second/image was moved before image 6")
+    assert r.evidence.moved is None
+    assert [said for said in r.claim.decision.problems if "was moved" in said] == [
+        said
+        for said in r.claim.decision.problems
+        if said.startswith("The camera of /second/image was moved before image 6")
     ]
-    assert any("/second/image was moved" in said for said in r.decision.problems)
+    assert any("/second/image was moved" in said for said in r.claim.decision.problems)
 
 
 def test_a_camera_is_given_once(cell: CameraScene) -> None:

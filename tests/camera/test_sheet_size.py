@@ -12,9 +12,9 @@ from camera.fits import AS_DRAWN, MEASURED, solved, true_error
 from camera.scenes import scene
 
 from modcal_core.camera.bundle import PrintedTarget
-from modcal_core.camera.problems import APPLY, CANNOT_TELL, DO_NOT_APPLY
+from modcal_core.camera.decision import APPLY, CANNOT_TELL, DO_NOT_APPLY
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
-from modcal_core.camera.tool_error import postures_in_view
+from modcal_core.camera.views import postures_in_view
 from modcal_core.geometry import se3
 
 
@@ -22,9 +22,9 @@ from modcal_core.geometry import se3
 def test_without_anything_metric_nothing_can_be_told() -> None:
     s = scene(1, True, count=15, board=BOARD)
     r = solved(s)
-    assert r.decision.word == CANNOT_TELL
-    assert "rulers" in r.decision.because[0]
-    whole, known = r.shares["print scale"]
+    assert r.claim.decision.word == CANNOT_TELL
+    assert "rulers" in r.claim.decision.because[0]
+    whole, known = r.claim.shares["print scale"]
     assert known < 0.5 * whole  # which is what a ruler would tell
 
 
@@ -33,8 +33,8 @@ def test_a_sheet_of_another_size_is_named() -> None:
     """Printed 5 % too large, and measured by nobody; the arm is known to a millimetre."""
     s = scene(4, True, count=15, length_std=3e-4, angle_std=5e-4, printed=1.05 * BOARD.points)
     r = solved(s, arm_m=1e-3)
-    assert r.decision.word == DO_NOT_APPLY
-    assert re.search(r"\+(4\.9|5\.[01]) % \(x\)", r.decision.because[0])
+    assert r.claim.decision.word == DO_NOT_APPLY
+    assert re.search(r"\+(4\.9|5\.[01]) % \(x\)", r.claim.decision.because[0])
 
 
 @pytest.mark.slow
@@ -43,9 +43,9 @@ def test_squares_of_another_size_are_named(stated: PrintedTarget) -> None:
     """Printed 10 % too large: the arm's links could take it up, which no arm is built like."""
     s = scene(21, True, count=15, length_std=1e-3, angle_std=2e-3, printed=1.1 * BOARD.points, board=stated)
     r = solved(s)
-    assert r.decision.word == DO_NOT_APPLY
-    assert "The sheet is +9." in r.decision.because[0] or "The sheet is +10." in r.decision.because[0]
-    assert "scale than its URDF" in r.decision.because[0]
+    assert r.claim.decision.word == DO_NOT_APPLY
+    assert "The sheet is +9." in r.claim.decision.because[0] or "The sheet is +10." in r.claim.decision.because[0]
+    assert "scale than its URDF" in r.claim.decision.because[0]
 
 
 @pytest.mark.slow
@@ -57,19 +57,19 @@ def test_a_sheet_that_a_bad_arm_hides_is_not_trusted(on_tip: bool) -> None:
     s = scene(33, on_tip, count=20, length_std=4e-3, angle_std=5e-3, board=AS_DRAWN, printed=1.02 * BOARD.points)
     r = solved(s)
     q, _ = postures_in_view(r.fit, np.random.default_rng(1))
-    assert r.decision.word == CANNOT_TELL
-    assert "state how well (--measured-to-mm)" in r.decision.because[0]
-    assert true_error(s, r.fit, q) < r.in_view.interval[2]
-    assert r.rests_on is not None
-    assert true_error(s, r.fit, q) < r.rests_on.if_wrong_m
-    assert any("look much alike" in said or "The sheet is +" in said for said in r.decision.because)
+    assert r.claim.decision.word == CANNOT_TELL
+    assert "state how well (--measured-to-mm)" in r.claim.decision.because[0]
+    assert true_error(s, r.fit, q) < r.claim.in_view.interval[2]
+    assert r.claim.rests_on is not None
+    assert true_error(s, r.fit, q) < r.claim.rests_on.if_wrong_m
+    assert any("look much alike" in said or "The sheet is +" in said for said in r.claim.decision.because)
     if on_tip:
         return
     T = se3.inverse(s.T) if on_tip else s.T
     clean = solved(replace(s, board=MEASURED, views=views(np.random.default_rng(0), T, board=s.board)))
-    assert clean.decision.word == APPLY
-    assert clean.in_view.interval[2] < 4e-3
-    assert "rests on the sheet's stated size" in clean.decision.because[-1]
+    assert clean.claim.decision.word == APPLY
+    assert clean.claim.in_view.interval[2] < 4e-3
+    assert "rests on the sheet's stated size" in clean.claim.decision.because[-1]
 
 
 def test_rulers_of_which_nobody_says_how_well_they_were_read_count_as_any_statement() -> None:
@@ -80,7 +80,7 @@ def test_rulers_of_which_nobody_says_how_well_they_were_read_count_as_any_statem
     chance = {}
     for std in (None, RULER_STD_M):
         board = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2008, 0.1205), "rulers", std))
-        error = solved(replace(s, board=board), look_for_effects=False).in_view
-        chance[std] = float(error.weight[error.of == error.wrong.index("size")].sum())
+        error = solved(replace(s, board=board), look_for_effects=False).claim.in_view
+        chance[std] = error.by["size"].chance
     assert chance[None] >= 0.0499
     assert chance[RULER_STD_M] < 0.03

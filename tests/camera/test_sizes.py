@@ -1,4 +1,4 @@
-"""The minimum that is found downhill, and sizes of errors that are as likely as a plain search finds them."""
+"""Sizes of errors that are as likely as a plain search finds them."""
 
 from __future__ import annotations
 
@@ -10,53 +10,9 @@ from camera.fits import images, start
 from scipy.optimize import minimize
 
 from modcal_core.camera.corners import common_prior
-from modcal_core.camera.descent import downhill
 from modcal_core.camera.equations import Sizes
 from modcal_core.camera.fit import START, CameraFit, fit_camera, likeliest, usual
 from modcal_core.geometry.so3 import Array
-
-LOW, HIGH = np.full(4, -5.0), np.full(4, 5.0)
-
-
-class Valley:
-    """cosh of four values seen askew, which no parabola is; it counts how often it was asked."""
-
-    def __init__(self, lowest: Array) -> None:
-        rng = np.random.default_rng(3)
-        self.lowest, self.calls = lowest, 0
-        self.askew = np.linalg.qr(rng.normal(size=(4, 4)))[0] * [8.0, 3.0, 1.5, 0.8]
-
-    def __call__(self, x: Array) -> float:
-        self.calls += 1
-        return float(np.sum(np.cosh(np.clip(0.2 * (x - self.lowest) @ self.askew, -50.0, 50.0))))
-
-
-def test_the_lowest_place_is_found_from_near_and_far() -> None:
-    lowest = np.array([0.3, -1.0, 2.0, 0.5])
-    for away, most in ((0.0, 9), (0.1, 60), (2.0, 130)):
-        valley = Valley(lowest)
-        begin = lowest + away * np.array([1.0, -0.5, 0.3, 0.8])
-        found = downhill(valley, begin, LOW, HIGH, np.full(4, 1e-3), 1e-5, 1000)
-        assert valley(found) - 4.0 < 3e-5
-        assert valley.calls - 1 <= most
-
-
-def test_bounds_hold_and_the_rest_is_lowest_beside_them() -> None:
-    """Of values that are tied to each other the others move where one may not go on."""
-    tied = np.array([[2.0, 1.0], [1.0, 3.0]])
-
-    def bowl(x: Array) -> float:
-        return float(0.5 * (x - 4.0) @ tied @ (x - 4.0))
-
-    found = downhill(bowl, np.array([0.5, 0.0]), np.full(2, -1.0), np.array([1.0, 9.0]), np.full(2, 1e-3), 1e-9, 400)
-    assert found[0] == 1.0
-    assert found[1] == pytest.approx(4.0 + 1.0, abs=1e-4)  # the slope by the second: 1 (1 - 4) + 3 (x - 4) = 0
-
-
-def test_no_step_is_begun_after_so_many_calls() -> None:
-    valley = Valley(np.zeros(4))
-    downhill(valley, np.full(4, 3.0), LOW, HIGH, np.full(4, 1e-3), 0.0, 20)
-    assert valley.calls < 20 + 4 + 20
 
 
 @cache

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +20,9 @@ from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.files import to_yaml
 from modcal_core.geometry import se3
+from modcal_core.outcome import offsets_of
 from modcal_core.robots.tables import from_csv, from_table
-from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf import joint_origins, read_chain
 from modcal_nodes.cli.main import run
 
 URDF = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"
@@ -51,6 +55,55 @@ def test_a_calibration_as_cpc(tmp_path: Path, capfd: pytest.CaptureFixture[str])
         )
         assert "left out" not in capfd.readouterr().out
         assert_same(from_table(yaml.safe_load((tmp_path / which).read_text())), getattr(made, which).chain, 1e-10)
+
+
+CAMERA = """<link name="cam"/><link name="optical"/>
+<joint name="holder" type="fixed"><origin xyz="9 9 9"/><parent link="{0}"/><child link="cam"/></joint>
+<joint name="turn" type="fixed"><origin xyz="0.01 0.02 0.03" rpy="-1.5708 0.2 -1.6"/><parent link="cam"/><child link="optical"/></joint>"""
+
+
+@pytest.mark.parametrize("carrier", ["tool0", "base_link"])
+def test_the_joint_by_which_a_camera_is_mounted(
+    carrier: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    made = calibrated(tmp_path / "cal")
+    urdf = URDF.read_text().replace("</robot>", CAMERA.format(carrier) + "</robot>")
+    (tmp_path / "cal" / "calibrated.urdf").write_text(urdf)
+    out = tmp_path / "mount.xacro"
+    verb = ["export", str(tmp_path / "cal"), "--to", "mount", "--out", str(out)]
+    assert run([*verb, "--link", "optical"]) == 0
+    xyz, rpy = re.findall(r"(?:xyz|rpy)='([^']*)'", out.read_text())
+    assert "('holder', dict(" in out.read_text()
+    written = read_chain(
+        urdf.replace('xyz="9 9 9"', f'xyz="{xyz}" rpy="{rpy}"'), tip="optical" if carrier == "tool0" else None
+    )
+    if carrier == "tool0":
+        found, expected = written.origins[-1], read_chain(urdf, tip="tool0").origins[-1] @ made.calibrated.T_tip_tool
+    else:
+        origins = joint_origins(urdf.replace('xyz="9 9 9"', f'xyz="{xyz}" rpy="{rpy}"'))
+        found, expected = origins["holder"] @ origins["turn"], se3.inverse(made.calibrated.T_frame_base[0])
+    assert np.abs(found - expected).max() < 1e-9
+    refused(
+        [*verb, "--link", "wrist_1_link"], "link wrist_1_link: hangs by fixed joints on neither tool0 nor base", capfd
+    )
+    refused(verb, "give --link LINK", capfd)
+
+
+def test_joint_offsets_for_ros2_control(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    made = calibrated(tmp_path / "cal")
+    made = replace(made, postures=np.random.default_rng(2).uniform(-2.0, 2.0, (40, 6)), kind="pose")
+    (tmp_path / "cal" / "calibration.yaml").write_text(to_yaml(to_data(made)))
+    out = tmp_path / "offsets.xml"
+    assert run(["export", str(tmp_path / "cal"), "--to", "ros2_control", "--out", str(out)]) == 0
+    known = offsets_of(made)
+    assert known is not None
+    root = ET.fromstring(out.read_text())
+    written = {j.get("name"): float(j.findtext("offset", "")) for j in root.iter("joint")}
+    assert written == {one.joint: one.value for one in known.found}
+    assert {t.findtext("plugin") for t in root} == {"transmission_interface/SimpleTransmission"}
+    assert f"which leave {known.left_mm:.3g} mm RMS of the {known.nominal_mm:.3g} mm corrected" in " ".join(
+        capfd.readouterr().out.split()
+    )
 
 
 def test_with_the_measured_tool(tmp_path: Path) -> None:

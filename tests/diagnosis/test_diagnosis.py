@@ -258,6 +258,32 @@ def test_a_late_tracker_is_named_not_hidden() -> None:
     assert late.parameters["delay"][0] == pytest.approx(0.004, abs=5e-5)
 
 
+def test_a_clock_that_drifts_is_one_cause() -> None:
+    """Two crystals that differ by 150 ppm; the arm has nothing."""
+    clean = streams(60, dwell=0.0)
+    (track,) = clean.readings
+    late = 1.5e-4 * (track.stamps - track.stamps.mean())
+    samples = prepare(replace(clean, readings=(replace(track, stamps=track.stamps + late),)), ur10()).samples
+    report = report_of(samples)
+    assert {family for family, *_ in named(report)} == {"latency"}  # what is late in the middle may stand beside it
+    found = next(e for e in report.effects if e.driver == "time")
+    assert found.parameters["drift"][0] == pytest.approx(1.5e-4, rel=0.05)
+    assert "drifts against that of the joints by 15" in found.sentence
+
+
+@pytest.mark.parametrize(("place", "direction"), [("tracker", "radial"), ("base", "all")])
+def test_a_tracker_or_a_stand_that_follows_a_temperature(place: str, direction: str) -> None:
+    bare, warm = with_signal(recorded(3, nothing), "temperature:hall", 5)
+    samples = replace(recorded(3, nothing), signals=bare.signals)
+    by = samples.reading * 4e-5 if place == "tracker" else np.array([0.0, 0.0, 1e-4])
+    found = only(report_of(replace(samples, reading=samples.reading + warm[:, None] * by)))
+    assert (found.family, found.driver) == ("thermal", "temperature:hall")
+    assert f"{place} {direction} by temperature:hall" in (
+        f"{found.place} {found.direction} by {found.driver}",
+        *found.same_as,
+    )
+
+
 def test_a_clean_motion_comes_out_clean() -> None:
     report = report_of(prepare(streams(60, dwell=0.0), ur10()).samples)
     assert report.effects == ()

@@ -28,6 +28,10 @@ def swapped(q: Array) -> Array:
     return q[:, [0, 2, 1, 3, 4, 5]]
 
 
+def reversed_wrist(q: Array) -> Array:
+    return q * np.where(np.arange(6) == 4, -1.0, 1.0)
+
+
 def other_zero(q: Array) -> Array:
     return q + np.pi / 2 * (np.arange(6) == 2)
 
@@ -38,6 +42,8 @@ def other_zero(q: Array) -> Array:
     [
         (swapped, "joints shoulder_lift_joint and elbow_joint look swapped"),
         (other_zero, "joint elbow_joint reads 89.9° too much"),
+        # half a turn of the joint before turns the wrist nearly alike, and is followed first
+        (reversed_wrist, "wrist_2_joint looks reversed"),
     ],
 )
 def test_a_joint_is_named_though_orientations_are_of_another_convention(joints, words: str) -> None:  # type: ignore[no-untyped-def]

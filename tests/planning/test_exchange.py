@@ -8,13 +8,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 from cells import samples_of, ur10
-from finite_differences import assert_jacobian
 from planning.sites import ground, hall
 
 from modcal_core.calibration.equations import normal_equations
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.criteria import CRITERIA, criterion, observability
+from modcal_core.planning.criteria import CRITERIA, Criterion, observability
 from modcal_core.planning.exchange import Search, exchange, grown, information
 
 
@@ -54,24 +53,6 @@ def test_what_accuracy_counts_is_what_the_claim_draws() -> None:
     assert claimed.ci95[0] < expected < claimed.ci95[1]
 
 
-@pytest.mark.parametrize("name", CRITERIA)
-def test_slopes_of_the_criteria(name: str) -> None:
-    rng = np.random.default_rng(2)
-    rows = small(rng)
-    H = np.eye(5) + of(rows, np.arange(6))
-    good = criterion(name, of(rows, [7, 8]) / 2.0)
-    D = rng.standard_normal((3, 5, 5))
-    D = D + D.transpose(0, 2, 1)
-    slope = np.array([[np.sum(good.gradient(H) * d) for d in D]])
-    assert_jacobian(
-        lambda x: np.atleast_1d(good.value(H + np.tensordot(x, D, axes=1))),
-        slope,
-        np.zeros(3),
-        step=1e-2,
-        tolerance=1e-7,
-    )
-
-
 def test_indices_are_those_of_the_singular_values() -> None:
     rows = small(np.random.default_rng(3))
     s = np.linalg.svd(rows[:7].reshape(21, 5), compute_uv=False)
@@ -86,65 +67,51 @@ def test_indices_are_those_of_the_singular_values() -> None:
     assert (short.o1, short.rank) == (0.0, 3)
 
 
-def test_each_criterion_ranks_sets_as_its_index() -> None:
-    rows = small(np.random.default_rng(4))
-    sets = list(combinations(range(12), 6))[::40]
-    told = [of(rows, s) for s in sets]
-    for name in ("o1", "o2", "o3", "o4", "o5"):
-        good = criterion(name, np.eye(5))
-        index = [getattr(observability(H, 6), name) for H in told]
-        assert np.array_equal(np.argsort(index), np.argsort([float(good.value(H)) for H in told]))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CRITERIA)
 def test_of_few_candidates_the_best_set_of_all_is_found(name: str) -> None:
     rng = np.random.default_rng(5)
     for _ in range(4):
         rows = small(rng, N=11)
-        good = criterion(name, of(rows, range(11)) / 11.0)
+        good = Criterion(name, of(rows, range(11)) / 11.0)
         best = max(float(good.value(np.eye(5) + of(rows, np.array(s)))) for s in combinations(range(11), 5))
         found = exchange(Search.of(rows, good, np.eye(5)), 5, rng, starts=40)
-        assert found.value == pytest.approx(best, rel=1e-9)
-        assert found.value == pytest.approx(float(good.value(np.eye(5) + of(rows, found.chosen))), rel=1e-9)
-        assert len(set(found.chosen.tolist())) == 5
+        assert float(good.value(np.eye(5) + of(rows, found))) == pytest.approx(best, rel=1e-9)
+        assert len(set(found.tolist())) == 5
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CRITERIA)
 def test_no_single_exchange_makes_it_better(name: str) -> None:
-    """For the criteria with exact updates; the others, ranked by slope, must at least beat what is drawn at random."""
     rng, there = np.random.default_rng(6), ground()
     base = there.outlook.search(there.outlook.rows(there.pool.q), name)
     found = exchange(base, 24, rng, starts=1, passes=20)
-    good, J, H = base.criterion, base.J, base.H + of(base.J, found.chosen)
-    if name in ("accuracy", "d", "o1"):
-        for out in found.chosen[::5]:
-            others = J[np.setdiff1d(np.arange(len(J)), found.chosen)]
-            without = H - of(J, [out])
-            assert good.value(without + others.transpose(0, 2, 1) @ others).max() <= found.value + 1e-5 * abs(
-                found.value
-            )
+    good, J, H = base.criterion, base.J, base.H + of(base.J, found)
+    value = float(good.value(H))
+    for out in found[::5]:
+        others = J[np.setdiff1d(np.arange(len(J)), found)]
+        without = H - of(J, [out])
+        assert good.value(without + others.transpose(0, 2, 1) @ others).max() <= value + 1e-5 * abs(value)
     drawn = [of(J, rng.choice(len(J), 24, replace=False)) for _ in range(200)]
-    assert found.value > max(float(good.value(base.H + told)) for told in drawn)
+    assert value > max(float(good.value(base.H + told)) for told in drawn)
 
 
 def test_what_is_known_already_is_not_measured_again() -> None:
     rows = small(np.random.default_rng(7))
     known = np.zeros((5, 5))
     known[:3, :3] = 1e6 * np.eye(3)
-    base = Search.of(rows, criterion("d", np.eye(5)), np.eye(5) + known)
+    base = Search.of(rows, Criterion("d", np.eye(5)), np.eye(5) + known)
     found = exchange(base, 3, np.random.default_rng(0), starts=8)
     best = max(
         combinations(range(12), 3),
         key=lambda s: np.linalg.slogdet(np.eye(5) + known + of(rows, np.array(s)))[1],
     )
-    assert tuple(found.chosen) == best
+    assert tuple(found) == best
 
 
 def test_a_criterion_that_is_not_known_is_refused() -> None:
     with pytest.raises(BadTable, match="is not known"):
-        criterion("o6", np.eye(2))
+        Criterion("o6", np.eye(2))
 
 
 @pytest.mark.parametrize("name", ["accuracy", "d"])
@@ -153,7 +120,7 @@ def test_what_candidates_are_worth_is_kept_up_as_stations_come_and_go(name: str,
     """Against the criterion itself, of every candidate, after many changes."""
     rng = np.random.default_rng(6)
     rows = small(rng, N=30, c=c, P=9)
-    good = criterion(name, of(rows, [0, 1, 2]) / 3.0)
+    good = Criterion(name, of(rows, [0, 1, 2]) / 3.0)
     chosen = list(range(10))
     base = np.eye(9)
     search = Search.of(rows, good, base + of(rows, chosen))
@@ -170,7 +137,7 @@ def test_what_is_not_likely_to_be_read_counts_by_its_chance() -> None:
     """Of two stations that tell the same the likelier one is taken, and none that cannot be read."""
     rows = small(np.random.default_rng(8), N=6)
     rows[1] = rows[0]
-    base = Search.of(rows, criterion("d", np.eye(5)), np.eye(5))
+    base = Search.of(rows, Criterion("d", np.eye(5)), np.eye(5))
     chance = np.array([0.5, 0.9, 0.0, 1e-9, 1e-9, 1e-9])
     assert grown(base, 6, chance)[0] == 1
     assert sorted(grown(base, 6, chance)) == [0, 1, 3, 4, 5]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
+from html import unescape
 from html.parser import HTMLParser
 
 import numpy as np
@@ -20,6 +21,7 @@ from modcal_core.report.as_json import to_json_data
 from modcal_core.report.charts import AFTER, BAD, GOOD, INK, PANEL, PAPER, SOFT, WARN
 from modcal_core.report.html import to_html
 from modcal_core.report.page import FILES, TINT, as_script_data
+from modcal_core.report.report import Report
 from modcal_core.report.scene import scene
 
 Element = tuple[str, dict[str, str]]
@@ -305,3 +307,8 @@ def test_the_share_of_stations_is_what_was_recorded() -> None:
     assert sum(sizes.values()) == COUNT
     for name, count in sizes.items():
         assert f"{name.replace('_', '-')} ({count})" in page("warm")
+
+
+def test_a_report_shows_its_page_in_notebooks() -> None:
+    shown = Report.of(points())._repr_html_()
+    assert unescape(shown.partition('srcdoc="')[2].partition('" style=')[0]) == to_html(points())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -90,6 +91,16 @@ def test_only_a_predictable_share_does_not_stand_in_the_way(kind: ReasonKind, re
     assert met.result == result
     assert (result == "PASS") == ("this is the reason" not in met.because)
     assert assess(claimed(0.1, 0.3), Asked(0.01), open_for).result == "FAIL"  # however open
+
+
+@pytest.mark.parametrize(("read_mm", "result"), [(None, "PASS"), (0.9, "PASS"), (1.1, "CANNOT TELL")])
+def test_readings_that_miss_by_more_than_is_asked_pass_only_as_noise(read_mm: float | None, result: str) -> None:
+    claim = replace(claimed(0.1, 0.3), read_mm=read_mm)
+    scatters = Verdict("open", (Reason("predictable", "The tool scatters."),))
+    met = assess(claim, Asked(1.0), scatters)
+    assert met.result == result
+    assert (result == "PASS") == ("but the tool scatters." not in met.because)
+    assert assess(claim, Asked(1.0), CALM).result == "PASS"
 
 
 def test_without_a_verdict_or_a_claim_nothing_passes_and_a_floor_need_not_be_known() -> None:

@@ -115,11 +115,3 @@ def test_turns_are_counted_from_the_seed() -> None:
         start = q + 0.05
         start[5] += turns
         assert inverse(chain, chain_forward(chain, q), start)[5] == pytest.approx(5.5 + turns, abs=1e-8)
-
-
-def test_weights_do_not_change_the_answer(rng: np.random.Generator) -> None:
-    chain = ARMS["iiwa14"]
-    q = 0.5 * postures(chain, 1, rng)[0]
-    for weights in ([1, 1, 1, 0.1, 0.1, 0.1], [0.1, 1, 1, 3, 3, 3]):
-        found = inverse(chain, chain_forward(chain, q), q + 0.1, weights=weights)
-        assert np.abs(chain_forward(chain, found) - chain_forward(chain, q)).max() < 1e-9

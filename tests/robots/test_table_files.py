@@ -171,3 +171,10 @@ def bent_elbow(angle: float) -> Chain:
 def test_an_unknown_convention() -> None:
     with pytest.raises(BadTable, match="convention 'dhh': is unknown: choose cpc, dh, mdh"):
         to_table(ur10(), "dhh")
+
+
+@pytest.mark.parametrize(("row", "said"), [({"alpha": 90.0}, "alpha: is 90"), ({"d": 300.0, "a": 250.0}, "d: is 300")])
+def test_a_table_in_other_units_is_refused_in_whatever_file(row: dict[str, float], said: str) -> None:
+    table = {"convention": "dh", "joints": [{"theta": 0.0, "d": 0.0, "a": 0.0, "alpha": 0.0, **row}] * 2}
+    with pytest.raises(BadTable, match=f"{said}, in the unit m rad"):
+        from_table(table)

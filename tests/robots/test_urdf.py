@@ -12,6 +12,7 @@ from robots.test_kinematics import ARMS, chain_of, urdf
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import se3
 from modcal_core.robot import Robot
+from modcal_core.robots import Follower, inverse, random_postures
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import joint_origins, read_chain, read_path
 
@@ -56,8 +57,7 @@ def test_default_tips_of_real_files(shared_data: Path) -> None:
         chain = read_chain(panda, recorded=recorded)
         assert (chain.n, chain.tip) == (7, "ball_link")
     assert read_chain(panda, tip="panda_leftfinger").n == 8
-    with pytest.raises(BadRobot, match="joint panda_finger_joint2: mimics panda_finger_joint1: give a --tip before it"):
-        read_chain(panda, tip="panda_rightfinger")
+    assert read_chain(panda, tip="panda_rightfinger").follows == (Follower(7, "panda_finger_joint1", 1.0, 0.0),)
 
 
 ARM = links("l0") + serial("rrrrrr")
@@ -83,6 +83,8 @@ TIPS = {
     "one arm of two": (links("l0") + serial("r") + serial("rrrrrr", "b", "l1") + serial("rrrrrr", "a", "l1"), "a6"),
     "a cylinder that balances a link": (ARM + links("rod", "tool0") + joint("c", "l1", "rod", inside='<mimic joint="lj2"/>') + joint("t", "l6", "tool0", "fixed"), "tool0"),
     "a cylinder beside the last joint": (ARM + links("rod", "tool0") + joint("c", "l4", "rod", inside='<mimic joint="lj6"/>') + joint("t", "l6", "tool0", "fixed"), "tool0"),
+    "a gripper's motor behind the tool's frame": (ARM + links("tool0", "base", "slider") + joint("t", "l6", "tool0", "fixed") + joint("b", "l6", "base", "fixed") + joint("gripper_main", "base", "slider", "prismatic"), "tool0"),
+    "a parallelogram's joint": (ARM + links("rod", "level", "z_tcp") + joint("r", "l1", "rod", inside='<mimic joint="lj2"/>') + joint("p", "l6", "level", inside='<mimic joint="lj5" multiplier="-1"/>') + joint("s", "level", "z_tcp"), "z_tcp"),
     "a camera on the arm": (links("l0") + serial("rrrrrr") + serial("rr", "c", "l3"), "l6"),
 }  # fmt: skip
 
@@ -113,6 +115,37 @@ def test_an_arm_that_was_recorded_goes_first() -> None:
 def test_a_joint_that_was_not_recorded_does_not_shorten_the_arm() -> None:
     recorded = set(chain_of("ur10").names) - {"wrist_3_joint"}
     assert read_chain(urdf("ur10"), recorded=recorded).n == 6
+
+
+def test_a_joint_that_mimics_inside_the_chain_follows() -> None:
+    """A hand held level by a rod: its joint mimics one that mimics another; inverse, postures and limits follow."""
+    text = robot(
+        links("l0") + serial("rrrr"),
+        links("twin", "hand", "z"),
+        joint("twin", "l1", "twin", inside='<mimic joint="lj3" multiplier="2" offset="0.1"/>'),
+        joint("level", "l4", "hand", inside='<mimic joint="twin" multiplier="-0.5" offset="0.3"/>'),
+        joint("z", "hand", "z"),
+    )
+    chain = read_chain(text)
+    assert chain.names == ("lj1", "lj2", "lj3", "lj4", "level", "z")
+    assert chain.own_names == ("lj1", "lj2", "lj3", "lj4", "z")
+    rng = np.random.default_rng(4)
+    q = random_postures(chain, 20, rng)
+    assert np.allclose(q[:, 4], 0.25 - q[:, 2])
+    goal = chain_forward(chain, q[0])
+    found = inverse(chain, goal, q[0] + [0.1, -0.1, 0.2, 0.1, 0.5, 0.1], rng=rng)
+    assert found[4] == pytest.approx(0.25 - found[2], abs=1e-12)
+    assert np.abs(chain_forward(chain, found) - goal).max() < 1e-6
+    notes = Robot.from_urdf(text).notes
+    assert notes == ("Joint level follows lj3: -1 times its position, plus 0.25.",)
+    with pytest.raises(BadRobot, match="joint level: mimics nobody, which leads nothing"):
+        read_chain(text.replace('mimic joint="twin"', 'mimic joint="nobody"'))
+
+
+def test_a_mass_without_a_value_is_noted() -> None:
+    text = urdf("ur10").replace('mass value="7.1"', "mass", 1)
+    (note,) = Robot.from_urdf(text).notes
+    assert note.endswith("has an <inertial> without mass: it weighs nothing.")
 
 
 # -- the chain --------------------------------------------------------------------------------------------------------
@@ -199,9 +232,10 @@ BAD = {
     "is not XML (Couldn't find end": "<robot",
     "is <sdf>, not <robot>": "<sdf/>",
     "holds xacro commands": '<robot name="x" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="y"/></robot>',
+    "holds xacro commands: expand": '<robot name="x" xmlns:xacro="http://other.org/x"><xacro:macro name="y"/></robot>',
     "holds xacro commands: expand it": '<robot name="x"><xacro:include filename="y"/></robot>',
     "holds xacro commands: expand it first": robot(TWO, joint("j", "a", "b", inside='<origin xyz="${d} 0 0"/>')),
-    "Required attribute not set in XML: name": '<robot><link name="a"/></robot>',
+    "robot description: <robot>: has no name": '<robot><link name="a"/></robot>',
     "only 1.0 is supported": '<robot name="x" version="2.0"><link name="a"/></robot>',
     "has 0 root links": '<robot name="x"/>',
     "has 2 root links (a, b)": robot(TWO),
@@ -212,15 +246,15 @@ BAD = {
     "joint j: names link 'c', which does not exist": robot(TWO, joint("j", "a", "c")),
     "link 'b': is the child of joints i and j": robot(links("a", "b"), joint("i", "a", "b"), joint("j", "a", "b")),
     "joint i: closes a loop": robot(links("r", "a", "b"), joint("i", "a", "b"), joint("j", "b", "a")),
-    "Required element not set in XML: child": robot(TWO, '<joint name="j" type="revolute"><parent link="a"/></joint>'),
-    "[@name='j']: Invalid joint type: hinge": robot(TWO, joint("j", "a", "b", "hinge")),
+    "joint j: has no <child>": robot(TWO, '<joint name="j" type="revolute"><parent link="a"/></joint>'),
+    "joint j: Invalid joint type: hinge": robot(TWO, joint("j", "a", "b", "hinge")),
     "joint j: its limits run from 1 to -1": robot(TWO, joint("j", "a", "b", inside='<limit lower="1" upper="-1"/>')),
     "joint j: its limits run from nan": robot(TWO, joint("j", "a", "b", inside='<limit lower="nan" upper="1"/>')),
-    "could not convert string to float: '1,5'": robot(TWO, joint("j", "a", "b", inside='<origin xyz="1,5 0 0"/>')),
-    "origin[@xyz]: Invalid vector length": robot(TWO, joint("j", "a", "b", inside='<origin xyz="1 0"/>')),
+    "joint j: <origin xyz>: '1,5 0 0' holds what is not a number": robot(TWO, joint("j", "a", "b", inside='<origin xyz="1,5 0 0"/>')),
+    "joint j: <origin xyz>: needs 3 finite numbers": robot(TWO, joint("j", "a", "b", inside='<origin xyz="1 0"/>')),
     "joint elbow_joint: <origin xyz>: needs 3 finite": urdf("ur10").replace("-0.612 0 0", "-0.612 nan 0"),
     "joint j: <axis>: has no xyz": robot(TWO, joint("j", "a", "b", inside='<axis xzy="1 0 0"/>')),
-    "joint j: <axis>: needs 3 finite numbers": robot(TWO, joint("j", "a", "b", inside='<axis xyz="inf 0 0"/>')),
+    "joint j: <axis xyz>: needs 3 finite numbers": robot(TWO, joint("j", "a", "b", inside='<axis xyz="inf 0 0"/>')),
     "its axis has no length": urdf("ur10").replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', 1),
     "add up to 613 m, 20 m is the limit: it looks like millimetres": urdf("ur10").replace("-0.612 0 0", "-612 0 0"),
     "<origin rpy>: -90 rad is beyond 12.6: it looks like degrees": urdf("ur10").replace("-1.5707963267948966 0 0", "-90 0 0"),

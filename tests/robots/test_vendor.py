@@ -13,10 +13,16 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
-from modcal_core.robots.makers import franka_kinematics, kinematics_yaml_data, lacks_hash, ur_kinematics
-from modcal_core.robots.tables import from_table
+from modcal_core.robots.makers import (
+    franka_kinematics,
+    from_ur_kinematics,
+    kinematics_yaml_data,
+    lacks_hash,
+    ur_kinematics,
+)
+from modcal_core.robots.tables import from_table, from_ur_conf
 from modcal_core.robots.urdf import joint_origins, read_chain
-from modcal_core.robots.urdf_write import calibrated_urdf
+from modcal_core.robots.urdf_write import calibrated_urdf, chain_urdf
 
 # default_kinematics.yaml of UR's description, as published for the UR10
 UR10 = {
@@ -160,3 +166,56 @@ def test_another_arm_has_no_maker_form() -> None:
         ur_kinematics(origins)
     with pytest.raises(NotRepresentable, match="needs joints"):
         franka_kinematics(origins)
+
+
+# -- a controller's differences from its model ------------------------------------------------------------------------
+
+DH_OF_UR10 = {
+    "theta": [0.0] * 6,
+    "d": [0.1273, 0.0, 0.0, 0.163941, 0.1157, 0.0922],
+    "a": [0.0, -0.612, -0.5723, 0.0, 0.0, 0.0],
+    "alpha": [np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0],
+}
+
+
+def differences() -> dict[str, np.ndarray]:
+    """A UR10 whose elbow and first wrist are tilted by 1.1 and 5.2 mrad: common normals hundreds of metres away."""
+    turn, bent = np.array([1.6, 0.05]), np.array([1.1e-3, 5.2e-3])
+    along = np.array([0.612, 0.5723]) * np.sin(turn) / np.sin(bent)
+    out = {key: np.array([1e-5, 0.0, 0.0, 2e-5, -3e-5, 0.0]) for key in DH_OF_UR10}
+    out["theta"][1:4] = turn[0], turn[1] - turn[0], -turn[1]
+    out["a"][1:3] = np.array([0.612, 0.5723]) * (1.0 - np.cos(turn))
+    out["d"][1:4] = along[0], along[1] - along[0], -along[1]
+    out["alpha"][1:3] = bent
+    return out
+
+
+def by_dh(theta: np.ndarray, d: np.ndarray, a: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """The pose by UR's own convention, behind the half turn of its description's base."""
+    T = np.diag([-1.0, -1.0, 1.0, 1.0])
+    for t, along, out, twist in zip(theta, d, a, alpha, strict=True):
+        c, s, ct, st = np.cos(t), np.sin(t), np.cos(twist), np.sin(twist)
+        T = T @ [[c, -s * ct, s * st, out * c], [s, c * ct, -c * st, out * s], [0, st, ct, along], [0, 0, 0, 1]]
+    return T
+
+
+def test_a_controllers_file_is_the_arm_in_the_descriptions_frames() -> None:
+    nominal = read_chain(urdf("ur10"))
+    delta = differences()
+    assert np.abs(delta["d"]).max() > 300.0
+    conf = "".join(f"delta_{key} = [ {', '.join(map(str, row.tolist()))}]\n" for key, row in delta.items())
+    conf = f"[mounting]\ncalibration_status = 2   # 2 == linearised\n{conf}joint_checksum = [ 0x1, 0x2]\n"
+    chain = from_ur_conf(conf, nominal)
+    values = {k: np.array(v) + delta[k] for k, v in DH_OF_UR10.items()}
+    for q in np.random.default_rng(8).uniform(-2.0, 2.0, (5, 6)):
+        expected = by_dh(q + values["theta"], values["d"], values["a"], values["alpha"])
+        assert np.abs(chain_forward(chain, q) - expected).max() < 1e-9
+    assert np.abs(chain.origins[:, :3, 3] - nominal.origins[:, :3, 3]).max() < 5e-3  # not hundreds of metres
+    again = read_chain(chain_urdf(chain))
+    table = kinematics_yaml_data(again)["kinematics"]
+    assert abs(table["shoulder"]["yaw"]) < 1e-9, "the half turn is in the description's own joint"
+    assert np.abs(from_ur_kinematics({"kinematics": table}).origins - chain.origins).max() < 1e-9
+    with pytest.raises(BadTable, match="delta_d"):
+        from_ur_conf(conf.replace("delta_d", "d"), nominal)
+    with pytest.raises(BadTable, match="is of a UR; this arm has panda_joint1"):
+        from_ur_conf(conf, read_chain(urdf("panda")))

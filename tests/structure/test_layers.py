@@ -27,7 +27,7 @@ _LAYERS = (
     "effects",
     "calibration",
     "hypotheses",
-    "regimes",
+    "moves",
     "modules",
     "diagnosis",
     "online",
@@ -36,7 +36,7 @@ _ALSO = {"lazy", "errors", "files", "geometry", "robots", "measurements"}
 LAYERS: dict[str, set[str]] = {layer: set(_LAYERS[: i + 1]) for i, layer in enumerate(_LAYERS)}
 LAYERS["claim"] = LAYERS["calibration"] | {"claim"}
 LAYERS["correction"] = LAYERS["calibration"] | {"correction"}
-LAYERS["camera"] = LAYERS["diagnosis"] | {"camera"}
+LAYERS["camera"] = LAYERS["diagnosis"] | {"claim", "camera"}
 LAYERS["articulation"] = _ALSO | {"articulation"}
 LAYERS["impedance"] = _ALSO | {"articulation", "impedance"}
 LAYERS["verdict"] = LAYERS["diagnosis"] | {"verdict"}
@@ -50,7 +50,7 @@ _PUBLIC = {"__init__", "public", "result"}
 
 MODCAL = {"modcal_core", "modcal_msgs_py", "modcal_nodes"}
 # What each layer of the core may import from outside, beyond NumPy, SciPy and the standard library ...
-_PARSERS = {"lxml", "urdf_parser_py"}
+_PARSERS = {"lxml"}
 OUTSIDE = {"robots/urdf": _PARSERS, "articulation/urdf": _PARSERS}
 # ... and what only inside a function, so that importing the core stays quick and needs no plotting.
 OUTSIDE_WHEN_CALLED = {

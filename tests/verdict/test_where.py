@@ -132,9 +132,7 @@ def test_a_frozen_model_of_an_arm_with_a_new_zero_and_outside_its_range(made: Re
 def test_a_joint_is_named_by_the_direction_of_its_error_alone(made: Recorded) -> None:
     """Its error goes with nothing, but it moves the tool as no other joint does."""
     off = 1e-3 * np.random.default_rng(8).normal(size=len(made.samples))
-    assert "correlates with nothing that was recorded, as an error of joint elbow_joint" in said(
-        with_error(made, 2, off)
-    )
+    assert "of what is left lies along the motion of joint elbow_joint" in said(with_error(made, 2, off))
 
 
 @pytest.mark.slow

@@ -11,8 +11,6 @@ from modcal_core.checking import (
     PATTERN,
     UNTRIED,
     BeyondRanges,
-    CheckState,
-    FoundChanges,
     FrozenCalibration,
     NamedChange,
     Noticed,
@@ -30,7 +28,6 @@ from modcal_core.checking import (
     require_accounted,
     require_one_setting,
     require_own_rows,
-    search,
     spread_out,
     with_new_frames,
 )
@@ -39,6 +36,7 @@ from modcal_core.evaluation import evaluate
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import recognised
 from modcal_core.measurements import Samples
+from modcal_core.moves import CheckState, FoundChanges, search
 from modcal_core.outcome import Outcome, unseen_note
 from modcal_core.verdict import Applied, applicable, own_rows
 
@@ -146,7 +144,7 @@ def checkup(
     begin = frozen(calibration, applied.model, samples, pattern)
     inside = _where_curves_are_known(calibration, samples)
     part = calibration.with_scatter(spread_out(inside, MAX))
-    require_own_rows(begin.model, part, calibration.noise)
+    require_own_rows(begin.model, part)
     try:
         found = search(begin.model, part, begin.known, placed_anew(part, new))
     except np.linalg.LinAlgError:  # so far apart that their likelihoods cannot be weighed
@@ -155,7 +153,7 @@ def checkup(
             f"miss the calibrated arm by {_size(errors(begin.model, part))[0]:.3g} mm RMS, and contradict each other",
             "check that each stands beside its own posture, and that robot and instrument are those of the calibration",
         ) from None
-    require_one_setting(found, begin.model, _expected(found))
+    require_one_setting(found)
     if known.doubt is not None:
         require_accounted(found, known.doubt)
     fixed = None if found.more else repaired(calibration, found, begin.index)

@@ -79,7 +79,8 @@ def calibrate(
     except NotEnoughData as error:
         raise _too_little(error, samples) from error
     _require_measured(found.report, samples)
-    report = _traced(found.report, samples, robot.name).with_tolerance(asked)
+    report = replace(found.report, notes=(*found.report.notes, *robot.notes))
+    report = _traced(report, samples, robot.name).with_tolerance(asked)
     return sealed(Result(report, found.calibration, robot, samples, found.scored))
 
 

@@ -51,6 +51,10 @@ class Result:
             return f"All fits reached their minimum; the last one took {self.iterations} steps."
         return f"A fit ended before its minimum, the last one after {self.iterations} steps: see report.open_because."
 
+    def _repr_html_(self) -> str:
+        """The report, as notebooks show it."""
+        return self.report._repr_html_()
+
     def files(self, factory: Mapping[str, Any] | None = None, page: bool = True) -> dict[str, str]:
         """Names and texts of the files of a calibration: report, corrected model, everything needed to predict.
 

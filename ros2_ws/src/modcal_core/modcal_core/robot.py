@@ -27,7 +27,7 @@ class Robot:
 
     mechanism: kinematics, a Chain or a Delta. inertias: lumped bodies of the joints; None where they are unknown.
     description: URDF text; None for a Delta. name: used in reports. other_tips: other arms with as many joints, which
-    may have been meant where no tip was named.
+    may have been meant where no tip was named. notes: what the description lacks, and joints that follow others.
     """
 
     mechanism: Mechanism
@@ -35,6 +35,7 @@ class Robot:
     description: str | None = None
     name: str = "robot"
     other_tips: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def from_urdf(
@@ -49,13 +50,18 @@ class Robot:
         source: path of the file, or its text. base: the first link; None: the root. tip: the last link; None: the one
         behind most of the joints named in recorded, or behind most joints. Raises BadRobot.
         """
-        from modcal_core.robots import document, other_tips, read_chain, read_inertias
+        from modcal_core.robots import other_tips, parse, read_chain, read_inertias
 
         is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
         text = str(source) if is_text else Path(source).read_text(encoding="utf-8", errors="replace")
         chain = read_chain(text, base, tip, recorded)
         others = () if tip is not None else other_tips(text, chain.base, recorded)
-        return cls(chain, read_inertias(text, chain), text, str(document(text).get("name") or "robot"), others)
+        tree = parse(text)
+        followed = (
+            f"Joint {chain.names[f.joint]} follows {f.leader}: {f.factor:g} times its position, plus {f.offset:g}."
+            for f in chain.follows
+        )
+        return cls(chain, read_inertias(text, chain), text, tree.name or "robot", others, (*tree.notes, *followed))
 
     @classmethod
     def from_dh(cls, table: Table) -> Robot:

@@ -23,7 +23,7 @@ from modcal_core.calibration import (
 from modcal_core.diagnosis import Diagnosis, Loads, with_stated
 from modcal_core.hypotheses import proved
 from modcal_core.measurements import Samples
-from modcal_core.regimes import find_regimes, moves_of
+from modcal_core.moves import find_regimes, moves_of
 from modcal_core.robots import Inertias, Mechanism, weightless
 from modcal_core.verdict import sane_inertias
 

@@ -12,12 +12,15 @@ readings agree with the model because they came out of it.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from modcal_core.errors import BadRecording, BadTable
+from modcal_core.geometry import so3
 from modcal_core.measurements import Listed, added
 from modcal_core.measurements.kinds import kinds
 from modcal_msgs_py.track_rows import JOINT_STATE, STATE_OF_CONTROLLER, TRAJECTORY
@@ -69,10 +72,49 @@ class AddedTopic:
     take: Callable[[Any], Iterable[Said]]
 
 
+# --- robot_calibration's captures: each message is a station, with the joints and what sensors saw of one target
+
+_LEAST = 3  # features that show a pose
+
+
+def _captured(message: Any) -> Iterator[Said]:
+    """The joints, and the target in each camera: a pose where the arm says where the features are on the target, a
+    point where there is one.
+    """
+    state = message.joint_states
+    yield Joints(state.name, state.position, state.velocity, state.effort)
+    seen = [
+        (_is_camera(one), np.array([(f.point.x, f.point.y, f.point.z) for f in one.features]), one.features)
+        for one in message.observations
+        if len(one.features)
+    ]
+    for camera, points, features in seen:
+        layout = next((p for is_camera, p, _ in seen if not is_camera and len(p) == len(points)), None)
+        if not camera:
+            continue
+        frame = str(features[0].header.frame_id)
+        if len(points) == 1:
+            yield Reading("point", frame, points[0])
+        elif layout is not None and len(points) >= _LEAST:
+            R = so3.nearest_rotation((points - points.mean(axis=0)).T @ (layout - layout.mean(axis=0)))
+            yield Reading("pose", frame, [*(points - layout @ R.T).mean(axis=0), *so3.to_quaternion(R)])
+
+
+def _is_camera(observation: Any) -> bool:
+    """Whether an observation says what camera it was seen by."""
+    info = observation.ext_camera_info.camera_info
+    return float(next(iter(getattr(info, "k", getattr(info, "K", ()))), 0.0)) > 0.0
+
+
+_CAPTURES = AddedTopic("calibration_data", "robot_calibration_msgs/msg/CalibrationData", _captured)
+
+
 @cache
 def added_topics() -> dict[str, AddedTopic]:
-    """The topics of installed packages, by name. Raises BadTable for what is none, or that two packages claim."""
-    out: dict[str, AddedTopic] = {}
+    """robot_calibration's captures, and the topics of installed packages, by name. Raises BadTable for what is none, or
+    that two packages claim.
+    """
+    out = {_CAPTURES.topic: _CAPTURES}
     for offender, named in added(GROUP):
         if not isinstance(named, AddedTopic):
             raise BadTable(offender, f"names a {type(named).__name__}", "name an AddedTopic")

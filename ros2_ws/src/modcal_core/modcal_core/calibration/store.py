@@ -57,7 +57,7 @@ _EFFECT = ("family", "place", "direction", "driver", "shape", "values", "std")
 _MODEL = _keys(
     "frames", "tool", "leaders", "delta", "base", "tip", "tip_origin",
     instruments=_list_of(_keys("frame", "kind", "constants", "target")),
-    joints=_list_of(_keys("name", "type", "origin", "axis", "limits")),
+    joints=_list_of(_keys("name", "type", "origin", "axis", "limits", follows=_keys("joint", "factor", "offset"))),
 )  # fmt: skip
 SCHEMA: Schema = _keys(
     "modcal_calibration", "robot", "seen",

@@ -7,6 +7,7 @@ name.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from modcal_core.robots import (
     CarryingJoint,
     Chain,
     Delta,
+    Follower,
     Hanging,
     HeldBehind,
     Inertias,
@@ -240,6 +242,7 @@ def model_to_data(model: Model) -> dict[str, Any]:
     if isinstance(chain, Delta):
         return {"delta": delta_to_data(chain), **cell}
     chain = model.serial
+    follows = {f.joint: {"joint": f.leader, "factor": f.factor, "offset": f.offset} for f in chain.follows}
     return {
         "base": chain.base,
         "tip": chain.tip,
@@ -250,6 +253,7 @@ def model_to_data(model: Model) -> dict[str, Any]:
                 "origin": chain.origins[k][:3].tolist(),
                 "axis": chain.axes[k].tolist(),
                 "limits": [float(chain.lower[k]), float(chain.upper[k])],
+                **({"follows": follows[k]} if k in follows else {}),
             }
             for k, name in enumerate(chain.names)
         ],
@@ -294,7 +298,12 @@ def _chain_from_data(data: Mapping[str, Any]) -> Mechanism:
     if "delta" in data:
         return delta_from_data(data["delta"], "calibration: delta")
     joints: Sequence[Mapping[str, Any]] = data["joints"]
-    return Chain.build(
+    follows = tuple(
+        Follower(k, str(f["joint"]), float(f["factor"]), float(f["offset"]))
+        for k, joint in enumerate(joints)
+        if (f := joint.get("follows")) is not None
+    )
+    chain = Chain.build(
         [str(j["name"]) for j in joints],
         [_transform(j["origin"]) for j in joints] + [_transform(data["tip_origin"])],
         [j["axis"] for j in joints],
@@ -304,6 +313,7 @@ def _chain_from_data(data: Mapping[str, Any]) -> Mechanism:
         str(data["base"]),
         str(data["tip"]),
     )
+    return replace(chain, follows=follows)
 
 
 def _transform(rows: Any) -> Array:

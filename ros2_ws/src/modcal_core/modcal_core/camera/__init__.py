@@ -8,20 +8,22 @@ if TYPE_CHECKING:
     from modcal_core.camera.arm_poses import NOTHING_KNOWN, ImageMoments
     from modcal_core.camera.bundle import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, MARKER_CORNERS, TAG, BoardView
     from modcal_core.camera.bundle import BundleMarker, MarkerBundle, PrintedTarget
-    from modcal_core.camera.causes import CameraCause, at_flange, flange_in_tool
-    from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, CornerTable, corner_rows, grams
+    from modcal_core.camera.causes import CameraCause
+    from modcal_core.camera.claim import ALL_BUT_IMAGES, ToolError
+    from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, SHAPE_NAMES
+    from modcal_core.camera.corners import CameraState, CornerTable, corner_rows, grams
     from modcal_core.camera.fit import CameraFit, uncertainty_about
     from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens, homography
-    from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, Lens
+    from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, STATED, Lens
     from modcal_core.camera.mounting import MIN_VIEWS
     from modcal_core.camera.other_readings import ReadingsBeside, beside
     from modcal_core.camera.plan import plan_images
     from modcal_core.camera.outliers import MIN_CORNERS, distances_of_views, enough_corners
-    from modcal_core.camera.prepared import CameraImages
-    from modcal_core.camera.problems import APPLY, CANNOT_TELL
-    from modcal_core.camera.solve import CameraProblem, CameraSolution, FurtherSeen, solve_camera
+    from modcal_core.camera.images import CameraImages, PreparedImages
+    from modcal_core.camera.decision import APPLY, CANNOT_TELL
+    from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
     from modcal_core.camera.target_file import read_any_target, read_target, target_from_data, target_to_data
-    from modcal_core.camera.tool_error import ALL_BUT_IMAGES, ToolError, covered, tilt_and_distance
+    from modcal_core.camera.views import covered, tilt_and_distance
     from modcal_core.camera.watching import CameraWatch, Moved
 else:
     from modcal_core.lazy import lazy_face
@@ -29,19 +31,11 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL", "CHARUCO", "CHESSBOARD", "COMMON"]
-__all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE", "POSE"]
-__all__ += ["READOUT", "SCALE", "SHAPE", "TAG", "BoardView", "BundleMarker", "CameraCause", "CameraFit"]
-__all__ += [
-    "CameraImages",
-    "CameraProblem",
-    "CameraSolution",
-    "CameraWatch",
-    "CornerTable",
-    "FurtherSeen",
-    "ImageMoments",
-    "Lens",
-]
-__all__ += ["MarkerBundle", "Moved", "PrintedTarget", "ReadingsBeside", "ToolError", "at_flange", "beside"]
-__all__ += ["board_poses", "corner_rows", "covered", "distances_of_views", "enough_corners", "first_lens", "fit_lens"]
-__all__ += ["flange_in_tool", "grams", "homography", "plan_images", "read_any_target", "read_target", "solve_camera"]
-__all__ += ["target_from_data", "target_to_data", "tilt_and_distance", "uncertainty_about"]
+__all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE"]
+__all__ += ["POSE", "READOUT", "SCALE", "SHAPE", "SHAPE_NAMES", "STATED", "TAG", "BoardView", "BundleMarker"]
+__all__ += ["CameraCause", "CameraFit", "CameraImages", "CameraProblem", "CameraSolution", "CameraState"]
+__all__ += ["CameraWatch", "CornerTable", "ImageMoments", "Lens", "MarkerBundle", "Moved", "PreparedImages"]
+__all__ += ["PrintedTarget", "ReadingsBeside", "ToolError", "beside", "board_poses", "corner_rows", "covered"]
+__all__ += ["distances_of_views", "enough_corners", "first_lens", "fit_lens", "grams", "homography", "plan_images"]
+__all__ += ["read_any_target", "read_target", "solve_camera", "target_from_data", "target_to_data"]
+__all__ += ["tilt_and_distance", "uncertainty_about"]

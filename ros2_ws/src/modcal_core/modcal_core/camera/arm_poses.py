@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -34,7 +35,7 @@ from modcal_core.calibration import (
     model_at,
     ordered_candidates,
 )
-from modcal_core.camera.corners import CLOCK_S, CameraState, CommonPrior, CornerTable, common_names
+from modcal_core.camera.corners import CLOCK_S, CameraState, CommonPrior, CornerTable
 from modcal_core.camera.other_readings import BesideRows, ReadingsBeside
 from modcal_core.effects import Drivers, Effect, NominalArm, prior_stds
 from modcal_core.geometry import Array, se3, so3
@@ -45,18 +46,27 @@ from modcal_core.robots import Chain, Inertias, body_jacobian
 
 @dataclass(frozen=True)
 class ArmFaults:
-    """Covariance of an arm's A parameters by faults of lengths, and by faults of angles, of size 1, (A, A) each.
-    stated: their size, where somebody states it.
+    """What E faults of an arm, all of usual size, do to the A parameters of a fit, (A, E). place, turns: of each fault,
+    (E,). stated: their size, where somebody states it.
     """
 
-    lengths: Array
-    angles: Array
+    moves: Array
+    place: np.ndarray
+    turns: np.ndarray
     stated: float | None = None
 
+    @cached_property
+    def lengths(self) -> Array:
+        """Covariance of the parameters by faults of lengths, (A, A)."""
+        return np.asarray(self.moves[:, ~self.turns] @ self.moves[:, ~self.turns].T)
+
+    @cached_property
+    def angles(self) -> Array:
+        """Covariance of the parameters by faults of angles, (A, A)."""
+        return np.asarray(self.moves[:, self.turns] @ self.moves[:, self.turns].T)
+
     def covariance(self, ratio: float = 1.0) -> Array:
-        """Prior covariance of the arm's faults, (A, A). ratio: scale of the length faults over that of the angle
-        faults.
-        """
+        """Prior covariance of the parameters, (A, A). ratio: scale of length faults over that of angle faults."""
         return ratio**2 * self.lengths + self.angles
 
     def information(self, size: float, ratio: float) -> Array:
@@ -75,9 +85,8 @@ def arm_faults(
     J = linearise(model, every, np.zeros(len(every)), samples).J.T
     at = {p.name: i for i, p in enumerate(every)}
     kept = J[:, [at[p.name] for p in parameters]]
-    M = np.linalg.lstsq(kept, J, rcond=None)[0] * np.array([p.prior_std for p in every])
-    turns = np.array([p.turns for p in every])
-    return ArmFaults(M[:, ~turns] @ M[:, ~turns].T, M[:, turns] @ M[:, turns].T)
+    moves = np.linalg.lstsq(kept, J, rcond=None)[0] * np.array([p.prior_std for p in every])
+    return ArmFaults(moves, np.array([p.place for p in every]), np.array([p.turns for p in every]))
 
 
 @dataclass(frozen=True)
@@ -132,6 +141,20 @@ _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
 @dataclass(frozen=True)
+class ValuePrior:
+    """start: of values, in a fit (V,). mean, information: of their prior, (V,) and (V, V)."""
+
+    start: Array
+    mean: Array
+    information: Array
+
+    @classmethod
+    def of(cls, std: Array) -> ValuePrior:
+        """Deviations of which nothing is known but how large they usually are."""
+        return cls(np.zeros(len(std)), np.zeros(len(std)), np.diag(std**-2))
+
+
+@dataclass(frozen=True)
 class ArmPoses:
     """The arm at N images. model: base and tool as found first, and the effects that it has. parameters: what a fit may
     change besides the effects. q: (N, n).
@@ -166,11 +189,9 @@ class ArmPoses:
         return replace(self, model=self.model.with_effects(tuple(effects)))
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the P values."""
-        effects = [f"{e.label}/{i}" for e in self.model.effects for i in range(len(e.values))]
-        others = self.beside.names if self.beside else ()
-        return (*(p.name for p in self.parameters), *effects, *others, *(n for c in self.further for n in c.names))
+    def placed(self) -> tuple[ModelParameter, ...]:
+        """Parameters of base and tool alone."""
+        return tuple(p for p in self.parameters if not p.of_arm)
 
     @property
     def count(self) -> int:
@@ -186,29 +207,19 @@ class ArmPoses:
         """How many of the values are those of the arm's model: its parameters and its effects."""
         return len(self.parameters) + sum(len(e.values) for e in self.model.effects)
 
-    @property
-    def start(self) -> Array:
-        """The values to begin with, (P,): no deviation, effects as they are in the model."""
-        effects = [e.values for e in self.model.effects]
-        further = [c.start for c in self.further]
-        return np.concatenate([np.zeros(len(self.parameters)), *effects, np.zeros(self._of_beside), *further])
-
-    @property
-    def expected(self) -> Array:
-        """What each value is expected to be, (P,): nothing, settings of effects as they were found."""
-        out = [np.zeros(len(self.parameters))]
-        for effect in self.model.effects:
-            linear = len(effect.amplitudes)
-            out.append(np.r_[np.zeros(linear), effect.values[linear:]])
-        return np.concatenate([*out, np.zeros(self._of_beside), *(c.expected for c in self.further)])
-
-    @property
-    def information(self) -> Array:
-        """Information of the prior, (P, P). Base and tool are free; ``faults`` refines that of the arm."""
+    @cached_property
+    def values(self) -> ValuePrior:
+        """What is expected of the P values. Base and tool are free; ``faults`` refines what is expected of the arm."""
         own = [p.prior_std if p.of_arm else (FREE_RAD if p.turns else FREE_M) for p in self.parameters]
-        effects = [prior_stds(e, self.drivers()) for e in self.model.effects]
-        std = np.concatenate([np.array(own, dtype=float), *effects, self.beside.prior_std if self.beside else []])
-        return np.asarray(block_diag(np.diag(std**-2), *(one.information for one in self.further)))
+        parts = [ValuePrior.of(np.array(own, dtype=float))]
+        for effect in self.model.effects:  # settings are expected to be as they were found
+            settings = np.where(np.arange(len(effect.values)) < len(effect.amplitudes), 0.0, effect.values)
+            parts.append(replace(ValuePrior.of(prior_stds(effect, self.drivers())), start=effect.values, mean=settings))
+        if self.beside is not None:
+            parts.append(ValuePrior.of(self.beside.prior_std))
+        parts += [one.values for one in self.further]
+        start, mean = (np.concatenate(each) for each in zip(*((p.start, p.mean) for p in parts), strict=True))
+        return ValuePrior(start, mean, block_diag(*(p.information for p in parts)))
 
     @property
     def moves(self) -> bool:
@@ -325,14 +336,12 @@ def arm_poses(
     T_tip_tool: Array,
     camera_on_tip: bool,
     fixed: Sequence[str] = (),
-    hand_eye_only: bool = False,
     moments: ImageMoments = NOTHING_KNOWN,
     inertias: Inertias | None = None,
 ) -> ArmPoses:
     """The nominal arm, base and tool where they were found first, with the parameters that a fit may change.
 
-    fixed: names, places or patterns that stay as they are. hand_eye_only: of base and tool alone. moments, inertias:
-    for effects.
+    fixed: names, places or patterns that stay as they are. moments, inertias: for effects.
     """
     frame = "target" if camera_on_tip else "camera"
     arm_drawn = NominalArm(chain, inertias)
@@ -341,7 +350,7 @@ def arm_poses(
     # All of base and tool, and beside them all of the arm, though some of it is the same motion: a shift along the
     # first joint is base or arm. Were it the arm's alone, its prior would hold the base where it was found first.
     placed = choose_parameters(model, views, fixed, among=lambda p: not p.of_arm).parameters
-    arm = () if hand_eye_only else choose_parameters(model, views, fixed, among=lambda p: p.of_arm).parameters
+    arm = choose_parameters(model, views, fixed, among=lambda p: p.of_arm).parameters
     parameters = sorted((*placed, *arm), key=lambda p: (p.place, p.direction))
     faults = arm_faults(model, [p for p in parameters if p.of_arm], views, fixed) if arm else None
     return ArmPoses(
@@ -356,7 +365,7 @@ def with_stated(poses: ArmPoses, error_m: float | None) -> ArmPoses:
     arm, faults = poses.of_arm, poses.faults
     if error_m is None or faults is None:
         return poses
-    _, motions = poses.at_postures(poses.q).tool_motions(poses.start)
+    _, motions = poses.at_postures(poses.q).tool_motions(poses.values.start)
     J = motions[:, :3].reshape(-1, motions.shape[2])
     basis, singular, _ = np.linalg.svd(J[:, ~arm], full_matrices=False)
     basis = basis[:, singular > 1e-9 * singular[0]]
@@ -388,28 +397,12 @@ class FurtherCamera:
         return np.r_[placed, np.full(int(self.poses.moves), P), P + 1 + common].astype(int)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of what it has of its own."""
-        every = (*(p.name for p in self.poses.parameters), *common_names(self.begin.lens, self.table))
-        return tuple(f"{self.name} {every[i]}" for i in self.own)
-
-    @property
-    def start(self) -> Array:
-        """The values of its own to begin with."""
-        return np.asarray(_vector(self.begin)[self.own])
-
-    @property
-    def expected(self) -> Array:
-        """What these are expected to be: places where they were found first."""
-        P = len(self.poses.parameters)
-        return np.asarray(np.r_[np.zeros(P + 1), self.prior.mean][self.own])
-
-    @property
-    def information(self) -> Array:
-        """Information of the prior of its own values."""
-        P = len(self.poses.parameters)
-        whole = block_diag(self.poses.information[:P, :P], np.array([[CLOCK_S**-2]]), self.prior.information)
-        return np.asarray(whole[np.ix_(self.own, self.own)])
+    def values(self) -> ValuePrior:
+        """What is expected of its own values: places where they were found first."""
+        P, own = len(self.poses.parameters), self.own
+        whole = block_diag(self.poses.values.information[:P, :P], np.array([[CLOCK_S**-2]]), self.prior.information)
+        mean = np.r_[np.zeros(P + 1), self.prior.mean]
+        return ValuePrior(_vector(self.begin)[own], mean[own], whole[np.ix_(own, own)])
 
     def at(self, first: ArmPoses, state: CameraState, place: int) -> tuple[np.ndarray, CameraState]:
         """(where each of its parameters, the effects, clock, lens, shape, readout and places stand among those of all,

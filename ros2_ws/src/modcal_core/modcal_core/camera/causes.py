@@ -22,12 +22,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from modcal_core.calibration import Model, RowView
-from modcal_core.camera.corners import POSE
+from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.fit import CameraFit, equations_at, fit_camera, missed_pixels
 from modcal_core.camera.mounting import MIN_VIEWS
 from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, NumberBank, Scanner, Space, choose
 from modcal_core.effects import AXIS, Drivers, Effect, candidates
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array
 
 _ONLY_ROUNDING = 1e-9  # of an image's information, which a direction it does not see gets
 
@@ -188,46 +188,39 @@ def _with(fit: CameraFit, effect: Effect) -> CameraFit:
     return fit_camera(fit.table, poses, fit.prior, begin, fit.sizes)
 
 
+def _unseen(fit: CameraFit, part: int) -> tuple[np.ndarray, CornerTable, Array]:
+    """(every fourth image, mask (N,); its corners; how far these are from where a fit of the others has them [px])."""
+    held = np.arange(fit.table.views) % _PARTS == part
+    table = fit.table.select(held)
+    return held, table, missed_pixels(table, fit.poses.select(held), fit.of_part(~held).state)
+
+
+def _parted(fit: CameraFit) -> bool:
+    """Whether enough images are left without every fourth."""
+    N = fit.table.views
+    return N >= _PARTS and N - -(-N // _PARTS) >= MIN_VIEWS
+
+
+def held_out(*fits: CameraFit) -> tuple[float, ...]:
+    """RMS of each fit on every fourth image, fitted to the others at the same sizes [px]; NaN for too few images."""
+    if not _parted(fits[0]):
+        return (float("nan"),) * len(fits)
+    return tuple(table.rms(gap) for _, table, gap in (_unseen(fit, _PARTS - 1) for fit in fits))
+
+
 def predicted(fit: CameraFit) -> float:
     """Mean square of the residuals [px²] of every fourth image, and so on, predicted from fits of the others.
 
     Each image counts by no more than a few times the median, so that none rules alone. NaN for too few images.
     """
-    N = fit.table.views
-    if N - -(-N // _PARTS) < MIN_VIEWS:
+    if not _parted(fit):
         return float("nan")
-    square = np.empty(N)
+    square = np.empty(fit.table.views)
     for part in range(_PARTS):
-        held = np.arange(N) % _PARTS == part
-        table = fit.table.select(held)
-        gap = missed_pixels(table, fit.poses.select(held), fit.of_part(~held).state)
+        held, table, gap = _unseen(fit, part)
         total = np.bincount(table.view, table.weight * (gap**2).sum(1), table.views)
         square[held] = total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0)
     return float(np.minimum(square, 25.0 * np.median(square)).mean())
-
-
-def flange_in_tool(fit: CameraFit) -> Array:
-    """The flange in the frame of whatever the arm carries, (3,) [m]."""
-    return np.asarray(se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3])
-
-
-def at_flange(T: Array, point: Array, motions: Array) -> Array:
-    """Motion of a point (3,) of the tool along the frame, (M, 3, K), for motions (M, 6, K) at poses T (M, 4, 4)."""
-    away = T[:, :3, :3] @ point
-    return np.asarray(motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1))
-
-
-def frame_basis(at_frame: Array) -> Array:
-    """Orthonormal columns (3 M, 6): how points (M, 3) move with a rigid motion of their frame."""
-    M = len(at_frame)
-    placed = np.concatenate([np.broadcast_to(np.eye(3), (M, 3, 3)), -so3.hat(at_frame)], axis=2)
-    return np.asarray(np.linalg.qr(placed.reshape(3 * M, -1))[0])
-
-
-def flange_motions(fit: CameraFit, q: Array) -> Array:
-    """Motion of the flange at postures q (M, n) per parameter of arm, effects and other instruments, (M, 3, P)."""
-    T, motions = fit.poses.at_postures(q).tool_motions(fit.state.values)
-    return at_flange(T, flange_in_tool(fit), motions)
 
 
 # Standard deviations at which one of some hundred candidates stands out: noise takes one so far once in 16 000.
@@ -264,7 +257,7 @@ def hidden_springs(fit: CameraFit) -> tuple[HiddenSpring, ...]:
     if not scanner.enough(asked):  # type: ignore[arg-type]
         return ()
     T = fit.poses.tool_at(fit.state.values)
-    joints = at_flange(T, flange_in_tool(fit), fit.poses.joint_motions(fit.state.values, T))
+    joints = fit.at_flange(T, fit.poses.joint_motions(fit.state.values, T))
     out = []
     for effect in effects:
         information = scanner.information(asked, effect)

@@ -11,20 +11,27 @@ that hunts is held against heights and widths that differ against each other fro
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
 
 from modcal_core.camera.corners import POSE
-from modcal_core.camera.equations import SolvedEquations
+from modcal_core.camera.equations import ALONE, CameraRows, SolvedEquations, stops_of
 from modcal_core.camera.fit import CameraFit
 from modcal_core.geometry import Array
 
-_GAIN = 20.0  # of −2 log likelihood: odds of 1 : 20 000, for some hundred places in two halves
+WORLD, TIP, _FOCAL, _EACH = (
+    "world",
+    "tip",
+    "focal length",
+    "focus",
+)  # what changes: the half in the world, that on the arm, …
+GAIN = 20.0  # of −2 log likelihood: odds of 1 : 20 000, for some hundred places in two halves
 _SCREEN = 0.0  # the same at the sizes of the fit, which take some of a change for noise; below it there is none
 _EDGE = 3  # images on either side
-_USUAL = np.r_[[0.01] * 3, [0.02] * 3]  # m, rad; how far something is moved that is kicked
+USUAL = np.r_[[0.01] * 3, [0.02] * 3]  # m, rad; how far something is moved that is kicked, or a joint that slips
 _USUAL_FOCAL = 0.02  # relative, of a focus or zoom that was touched
 _SPREADS = np.geomspace(2e-4, 0.1, 28)  # relative, from what no image shows to another lens
 _LEAST = 1e-3  # relative; lenses breathe by more than that when they focus again, and a fixed one by less as it warms
@@ -68,26 +75,26 @@ class FoundChange:
 
 
 @dataclass(frozen=True)
-class _Change:
-    """columns: what its k numbers do to twist, lens and all else of an image, (N, 21 + Z, k). usual: standard
-    deviations of the numbers, (k,). each: whether they differ from image to image, by a spread that the images decide.
+class Change:
+    """A change of images from one stop of the arm on. columns: by camera, what its k numbers do to twist, lens and all
+    else of its images, (N, 21 + Z, k). usual: standard deviations of the numbers, (k,). each: whether they differ from
+    stop to stop, by a spread that the images decide. order: the stops in order of time.
     """
 
-    columns: Array
-    usual: Array = field(default_factory=lambda: np.array([_USUAL_FOCAL]))
+    columns: Mapping[int, Array]
+    usual: Array
+    order: np.ndarray
     each: bool = False
 
     def best(self, solved: SolvedEquations, places: np.ndarray) -> tuple[float, int, Array]:
-        """(gain of −2 log likelihood, first image after it, its values, or their spread) of the likeliest change.
+        """(gain of −2 log likelihood, first stop after it, its values, or their spread) of the likeliest change.
 
-        places: those of the first image after it that are tried, (M,).
+        places: those of the first stop after it that are tried, (M,), counted in order of time.
         """
-        by = solved.by_change(self.columns)
-        own = by[:, :, :-1] @ self.columns
-        arm = by[:, :, :POSE] @ solved.equations.cameras[0].moved
-        cross = np.concatenate([arm, by[:, :, POSE:-1]], axis=2)[:, :, solved.use]
+        own, cross = (part[self.order] for part in solved.equations.by_change(solved.sizes, self.columns))
+        score, cross = cross[:, :, -1], cross[:, :, solved.use]
         factor = scipy.linalg.cho_factor(solved.H)
-        score = by[:, :, -1] - cross @ scipy.linalg.cho_solve(factor, solved.b)
+        score = score - cross @ scipy.linalg.cho_solve(factor, solved.b)
         if self.each:
             C = np.diag(own[:, 0, 0]) - cross[:, 0] @ scipy.linalg.cho_solve(factor, cross[:, 0].T)
             values, vectors = np.linalg.eigh(C)
@@ -114,31 +121,48 @@ class _Change:
         return least, self.best(solved, places)[2]
 
 
+def of_twist(rows: CameraRows, twists: Array) -> Array:
+    """Columns (N, 21 + Z, k) of a change that moves the target by these twists (N, 6, k)."""
+    out = np.zeros((len(twists), rows.grams.shape[1] - 1, twists.shape[2]))
+    out[:, :POSE] = twists
+    return out
+
+
+def shift_of(half: str, values: Array, places: Array) -> float:
+    """How far a half that was moved by these values (6,) is from where it was [m]. places: of the tool, (N, 3)."""
+    shift = values[:3] + np.cross(values[3:], places.mean(axis=0)) if half == WORLD else values[:3]
+    return float(np.linalg.norm(shift))
+
+
 def find_change(fit: CameraFit) -> FoundChange | None:
     """The likeliest change among the images of a fit, None if none is beyond doubt."""
-    T = fit.tool
+    # a camera that was moved would put the others' images of the same stops elsewhere as well
+    cameras = tuple(replace(one, stop=np.full(len(one.stop), ALONE)) for one in fit.equations.cameras)
+    fit = replace(fit, equations=replace(fit.equations, cameras=cameras))
+    T, rows = fit.tool, cameras[0]
     N = len(T)
     if N < 2 * _EDGE:
         return None
-    width = fit.equations.cameras[0].grams.shape[1] - 1
-    focal = fit.state.lens.values[:2]
-    world, tip, wider, apart = (np.zeros((N, width, k)) for k in (POSE, POSE, 1, 1))
-    world[:, :POSE], tip[:, :POSE] = fit.poses.half_motions(T)
-    wider[:, POSE : POSE + 2, 0], apart[:, POSE : POSE + 2, 0] = focal, focal * [1.0, -1.0]
-    changes = [_Change(world, _USUAL), _Change(tip, _USUAL), _Change(wider), _Change(wider, each=True)]
+    wider, apart = of_twist(rows, np.zeros((N, POSE, 1))), of_twist(rows, np.zeros((N, POSE, 1)))
+    wider[:, POSE : POSE + 2, 0] = fit.state.lens.values[:2]
+    apart[:, POSE : POSE + 2, 0] = fit.state.lens.values[:2] * [1.0, -1.0]
+    order, focal = stops_of(cameras)[0], np.array([_USUAL_FOCAL])
+    halves = dict(zip((WORLD, TIP), fit.poses.half_motions(T), strict=True))
+    changes = {half: Change({0: of_twist(rows, moved)}, USUAL, order) for half, moved in halves.items()}
+    changes |= {_FOCAL: Change({0: wider}, focal, order), _EACH: Change({0: wider}, focal, order, each=True)}
     solved, places = fit.equations.solve(fit.sizes), np.arange(_EDGE, N - _EDGE + 1)
-    screened = [(k, one, *one.best(solved, places)[:2]) for k, one in enumerate(changes)]
-    weighed = [(k, at, *one.weighed(fit, np.array([at]))) for k, one, gain, at in screened if gain >= _SCREEN]
+    screened = [(what, one, *one.best(solved, places)[:2]) for what, one in changes.items()]
+    weighed = [(what, at, *one.weighed(fit, np.array([at]))) for what, one, gain, at in screened if gain >= _SCREEN]
     nothing = fit.weighed()[1] if weighed else 0.0
-    for k, at, misfit, x in sorted(weighed, key=lambda found: found[2]):
+    for what, at, misfit, x in sorted(weighed, key=lambda found: found[2]):
         gain = nothing - misfit
-        if gain < _GAIN:
+        if gain < GAIN:
             break
-        if k < 2:
-            shift = x[:3] + np.cross(x[3:], T[:, :3, 3].mean(0)) if k == 0 else x[:3]
-            return FoundChange(gain, k == 0, at, float(np.linalg.norm(shift)), float(np.linalg.norm(x[3:])))
-        each = changes[k].each
-        if (each and x[0] < _LEAST) or (each and _Change(apart, each=True).weighed(fit, places)[0] - misfit < _GAIN):
+        if what in halves:
+            shift, turn = shift_of(what, x, T[:, :3, 3]), float(np.linalg.norm(x[3:]))
+            return FoundChange(gain, what == WORLD, at, shift, turn)
+        shape = Change({0: apart}, focal, order, each=True)
+        if what == _EACH and (x[0] < _LEAST or shape.weighed(fit, places)[0] - misfit < GAIN):
             continue
-        return FoundChange(gain, not fit.poses.camera_on_tip, at, focal=float(x[0]), each=each)
+        return FoundChange(gain, not fit.poses.camera_on_tip, at, focal=float(x[0]), each=what == _EACH)
     return None

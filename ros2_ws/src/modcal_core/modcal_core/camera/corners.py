@@ -206,12 +206,6 @@ def grams(table: CornerTable, rows: CornerRows) -> Array:
     return out
 
 
-def common_names(lens: Lens, table: CornerTable) -> tuple[str, ...]:
-    """Names of clock and of what all images share, (16 + Z,)."""
-    places = (f"places/{i}" for i in range(table.places * table.markers))
-    return ("clock", *(f"lens/{n}" for n in lens.names), *(f"sheet/{n}" for n in SHAPE_NAMES), "readout", *places)
-
-
 @dataclass(frozen=True)
 class CameraState:
     """values: of the arm's parameters, (P,). offset_s: of the clock. lens: as elsewhere. shape: of the target, the
@@ -231,7 +225,7 @@ class CameraState:
 
     def with_common(self, common: Array) -> CameraState:
         """The same with other values of lens, shape, readout and places of markers (15 + Z,)."""
-        lens = Lens(common[:LENS], self.lens.size, self.lens.model)
+        lens = replace(self.lens, values=common[:LENS])
         return replace(self, lens=lens, shape=shape_of(common), readout_s=float(common[READOUT]))
 
     def moved(self, step: Array) -> CameraState:

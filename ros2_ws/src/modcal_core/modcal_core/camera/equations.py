@@ -19,7 +19,7 @@ those that make the data likeliest, the parameters integrated out (evidence, typ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -111,7 +111,7 @@ class _Sums:
     @classmethod
     def of(cls, cameras: Sequence[CameraRows], size: int) -> _Sums:
         """Of all cameras. size: number of all columns."""
-        stops = _stops([one.stop for one in cameras])
+        stops = stops_of(cameras)
         count, m = 1 + max(int(stop.max()) for stop in stops), cameras[0].joints.shape[2] + 3
         inner, rows = np.zeros((count, m, m)), np.zeros((count, m, size + 1))
         whole = np.zeros((size + 1, size + 1))
@@ -120,7 +120,7 @@ class _Sums:
             own = np.concatenate([one.joints, one.shifts], axis=2)  # twists per unit of what is off
             G = one.grams[:, :POSE]
             to_pose = np.swapaxes(own, 1, 2) @ G
-            inner[stop] += to_pose[:, :, :POSE] @ own  # no two images of one camera are of one stop
+            np.add.at(inner, stop, to_pose[:, :, :POSE] @ own)
             by = np.concatenate([to_pose[:, :, :POSE] @ one.moved, to_pose[:, :, POSE:]], axis=2)
             A = one.moved.reshape(-1, K)
             cross = A.T @ G[:, :, POSE:].reshape(len(A), -1)
@@ -133,12 +133,20 @@ class _Sums:
             keep = np.flatnonzero(np.r_[one.columns, size] >= 0)
             at = np.r_[one.columns, size][keep]
             whole[np.ix_(at, at)] += part[np.ix_(keep, keep)]
-            rows[stop[:, None], :, at] += by[:, :, keep].transpose(0, 2, 1)
+            np.add.at(rows, stop, _spread(by[:, :, keep], at, size + 1))
         return cls(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), inner, rows)
 
 
-def _stops(given: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _spread(part: Array, at: np.ndarray, size: int) -> Array:
+    """Columns (N, m, K) where they stand among so many, (N, m, size)."""
+    out = np.zeros((*part.shape[:2], size))
+    out[:, :, at] = part
+    return out
+
+
+def stops_of(cameras: Sequence[CameraRows]) -> list[np.ndarray]:
     """The stop of every image (N,) of each camera, from 0 on, one of its own where it is not known."""
+    given = [one.stop for one in cameras]
     known = np.concatenate(given)
     alone = known == ALONE
     known[alone] = known.max(initial=ALONE) + 1 + np.arange(alone.sum())
@@ -197,7 +205,8 @@ class Equations:
     places: PlacePrior | None = None
 
     @cached_property
-    def _sums(self) -> _Sums:
+    def sums(self) -> _Sums:
+        """Over all images at noise 1."""
         return _Sums.of(self.cameras, len(self.offset))
 
     def prior(self, sizes: Sizes) -> Array:
@@ -210,12 +219,41 @@ class Equations:
             out[first:, first:] = self.places.information(sizes.places)
         return out
 
+    def _inner(self, sizes: Sizes) -> tuple[Array, Array]:
+        """(standard deviations of what joints and tool are off by at a stop, (m,); M of each stop, (S, m, m))."""
+        off = np.r_[np.full(len(self.sums.inner[0]) - 3, sizes.joint), np.full(3, sizes.shift)]
+        scale = off / sizes.noise
+        return off, np.eye(len(off)) + scale[:, None] * self.sums.inner * scale
+
+    def by_change(self, sizes: Sizes, columns: Mapping[int, Array]) -> tuple[Array, Array]:
+        """Products of a change with itself, (S, k, k), and with all parameters and the residual, (S, k, size + 1), at
+        each stop, what the arm is off by there integrated out.
+
+        columns: by camera, by how much k numbers change twist, lens, shape, readout and places, (N, 21 + Z, k).
+        """
+        sums, (off, inner), size = self.sums, self._inner(sizes), len(self.offset)
+        stops, k = stops_of(self.cameras), next(iter(columns.values())).shape[2]
+        own, cross = np.zeros((len(inner), k, k)), np.zeros((len(inner), k, size + 1))
+        back = np.zeros((len(inner), k, len(off)))
+        for camera, D in columns.items():
+            one, stop = self.cameras[camera], stops[camera]
+            by = np.swapaxes(D, 1, 2) @ one.grams[:, :-1] / sizes.noise**2
+            np.add.at(own, stop, by[:, :, :-1] @ D)
+            full = np.concatenate([by[:, :, :POSE] @ one.moved, by[:, :, POSE:]], axis=2)
+            every = np.r_[one.columns, size]
+            np.add.at(cross, stop, _spread(full[:, :, every >= 0], every[every >= 0], size + 1))
+            np.add.at(back, stop, by[:, :, :POSE] @ np.concatenate([one.joints, one.shifts], axis=2))
+        back *= off
+        taken = back @ np.linalg.inv(inner)
+        own -= taken @ np.swapaxes(back, 1, 2)
+        cross -= taken @ (off[:, None] * sums.rows) / sizes.noise**2
+        return own, cross
+
     def solve(self, sizes: Sizes) -> SolvedEquations:
         """The normal equations with these sizes."""
-        sums, unit = self._sums, sizes.noise**-2
-        off = np.r_[np.full(len(sums.inner[0]) - 3, sizes.joint), np.full(3, sizes.shift)]
-        scale = off / sizes.noise
-        L = np.linalg.cholesky(np.eye(len(off)) + scale[:, None] * sums.inner * scale)
+        sums, unit = self.sums, sizes.noise**-2
+        off, inner = self._inner(sizes)
+        L = np.linalg.cholesky(inner)
         V = (np.linalg.inv(L) * (off * unit) @ sums.rows).reshape(-1, len(sums.b) + 1)
         taken = V.T @ V
         H, b, cost = unit * sums.H - taken[:-1, :-1], unit * sums.b - taken[:-1, -1], unit * sums.cost - taken[-1, -1]
@@ -266,15 +304,6 @@ class SolvedEquations:
         """Products of each image's twist with all of its columns, its own twist integrated out, (N, 6, 22 + Z)."""
         own = self.equations.cameras[0].grams[:, :POSE] / self.sizes.noise**2
         return np.asarray(own - own[:, :, :POSE] @ self.S @ own)
-
-    def by_change(self, columns: Array) -> Array:
-        """The same of any change of an image in place of its twist, (N, k, 22 + Z).
-
-        columns: by how much it changes twist, lens, shape, readout and places of the first camera, (N, 21 + Z, k).
-        """
-        G = self.equations.cameras[0].grams / self.sizes.noise**2
-        by = np.swapaxes(columns, 1, 2) @ G[:, :-1]
-        return np.asarray(by - by[:, :, :POSE] @ self.S @ G[:, :POSE])
 
     def step(self, damping: float = 0.0) -> Array:
         """The step of all parameters (K + 15 + Z,), zero for those held fixed."""

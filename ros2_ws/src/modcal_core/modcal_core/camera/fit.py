@@ -23,14 +23,13 @@ from modcal_core.camera.corners import (
     CameraState,
     CommonPrior,
     CornerTable,
-    common_names,
     corner_rows,
     grams,
 )
-from modcal_core.camera.descent import damped, downhill
 from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, SolvedEquations
+from modcal_core.camera.intrinsics import damped
 from modcal_core.camera.lens import Lens
-from modcal_core.geometry import Array
+from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POSE
 
 START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1 mrad and is 1 mm off a parameter
@@ -45,7 +44,8 @@ _MIN = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
 _MAX = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
 _ARM, _OTHER, _LENGTHS, _PLACES = 3, 4, 5, 6
 _EVALUATIONS = 400  # many times what a search takes
-_MET = 0.005  # of −2 log likelihood, which moves by 1 at a standard deviation
+_NO_SIZES = 1e12  # of −2 log likelihood
+_DOWNHILL: Any = {"ftol": 1e-7, "gtol": 0.02, "eps": 1e-4}  # −2 log likelihood moves by 1 at a standard deviation
 _ROUGH, _ROUGHLY = 2.0, 0.3  # the same, and of logarithms, where the search from afar may end
 
 
@@ -86,7 +86,11 @@ def likeliest(
     def misfit(logs: Array) -> float:
         full = inside(logs)
         sizes = Sizes.of_logs(full)
-        return misfit_of(equations.solve(sizes)) + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
+        try:
+            found = misfit_of(equations.solve(sizes))
+        except np.linalg.LinAlgError:  # far beyond what errors are, rounding is all that is left of an equation
+            found = _NO_SIZES
+        return found + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
 
     first = known[unknown]
     around = np.vstack([first, first + np.eye(len(first))])
@@ -95,10 +99,8 @@ def likeliest(
         first = minimize(misfit, first, method="Nelder-Mead", options=options).x
     else:
         first = min(around, key=misfit)
-    bounds = _MIN[unknown], _MAX[unknown]
-    # where the data say nothing of a size, what is usual still does
-    found = downhill(misfit, first, *bounds, 2.0 / _FACTOR[unknown] ** 2, _MET, _EVALUATIONS)
-    return Sizes.of_logs(inside(found))
+    bounds = list(zip(_MIN[unknown], _MAX[unknown], strict=True))
+    return Sizes.of_logs(inside(minimize(misfit, first, method="L-BFGS-B", bounds=bounds, options=_DOWNHILL).x))
 
 
 _STEPS = 30  # at the same sizes
@@ -144,6 +146,20 @@ class CameraFit:
         return self.poses.tool_motions(self.state.values, self.state.offset_s)[0]
 
     @property
+    def flange(self) -> Array:
+        """The flange in the frame of whatever the arm carries, (3,) [m]."""
+        return np.asarray(se3.inverse(self.poses.model_at(self.state.values).T_tip_tool)[:3, 3])
+
+    def at_flange(self, T: Array, motions: Array) -> Array:
+        """Motion of the flange along the frame, (M, 3, K), for motions (M, 6, K) of the tool at poses T (M, 4, 4)."""
+        away = T[:, :3, :3] @ self.flange
+        return np.asarray(motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1))
+
+    def flange_motions(self, q: Array) -> Array:
+        """Motion of the flange at postures q (M, n) per parameter of arm, effects and other instruments, (M, 3, P)."""
+        return self.at_flange(*self.poses.at_postures(q).tool_motions(self.state.values))
+
+    @property
     def arm_stated(self) -> bool:
         """Whether the size of the arm's faults is stated."""
         return self.poses.faults is not None and self.poses.faults.stated is not None
@@ -152,6 +168,17 @@ class CameraFit:
         """A fit of these images only (mask (N,)), with the same sizes of errors."""
         some = self.table.select(rows), self.poses.select(rows)
         return fit_camera(*some, self.prior, self.state, self.sizes, fixed_sizes=True)
+
+    def of_further(self) -> list[tuple[CameraState, Array, float]]:
+        """(state; standard deviations of lens, shape, readout and places, (15 + Z,), those of the first camera as in
+        this fit; RMS of its corners [px]) of each further camera.
+        """
+        out, std = [], np.sqrt(np.diag(self.covariance))
+        every = zip(self.poses.further_at(self.state), self.equations.cameras[1:], strict=True)
+        for (camera, columns, state), rows in every:
+            own = columns[len(state.values) + 1 :]
+            out.append((state, np.where(own >= 0, std[own], 0.0), camera.table.rms(rows.pixels)))
+        return out
 
     def weighed(
         self,
@@ -163,11 +190,6 @@ class CameraFit:
         sizes = likeliest(equations, self.sizes, misfit_of)
         solved = equations.solve(sizes)
         return solved, misfit_of(solved) + usual(sizes)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the rows of the covariance."""
-        return (*self.poses.names, *common_names(self.state.lens, self.table))
 
 
 def fit_camera(
@@ -182,7 +204,7 @@ def fit_camera(
 
     sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
-    state = CameraState(poses.start, 0.0, begin, prior.shape) if isinstance(begin, Lens) else begin
+    state = CameraState(poses.values.start, 0.0, begin, prior.shape) if isinstance(begin, Lens) else begin
     afar = sizes == START
     if poses.faults is not None and poses.faults.stated is not None:
         sizes = replace(sizes, arm=poses.faults.stated)
@@ -216,8 +238,8 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
     cameras += [camera_rows(one.table, one.poses, there, columns) for one, columns, there in poses.further_at(state)]
     return Equations(
         tuple(cameras),
-        np.r_[state.values - poses.expected, state.offset_s, state.common - prior.mean],
-        block_diag(poses.information, np.array([[CLOCK_S**-2]]), prior.information),
+        np.r_[state.values - poses.values.mean, state.offset_s, state.common - prior.mean],
+        block_diag(poses.values.information, np.array([[CLOCK_S**-2]]), prior.information),
         free,
         np.flatnonzero(poses.of_arm),
         poses.rows_beside(state.values, P + 1),

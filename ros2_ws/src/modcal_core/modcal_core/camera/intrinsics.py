@@ -10,13 +10,13 @@ principal point being taken to be the middle of the image until the fit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows, grams
-from modcal_core.camera.descent import damped
 from modcal_core.camera.lens import COUNT, FISHEYE, PINHOLE, Lens
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3, so3
@@ -172,6 +172,43 @@ def _normal(table: CornerTable, lens: Lens, shape: Array, T: Array) -> tuple[Arr
     g = of_views(w[:, None] * np.einsum("mki,mk->mi", rows.by_pose, rows.residual))
     px = of_views(w * np.einsum("mi,mi->m", rows.pixels, rows.pixels))
     return square, H, g, np.sqrt(px / np.maximum(of_views(w), 1.0))
+
+
+_FIRST, _LEAST, _MOST = 1e-6, 1e-12, 1e7  # damping, relative to the curvature of each value; at the last no step helps
+
+
+class Descending(Protocol):
+    """Where a descent stands."""
+
+    @property
+    def cost(self) -> float:
+        """Of the place."""
+
+
+_P = TypeVar("_P", bound=Descending)
+
+
+def damped(
+    here: _P, stepped: Callable[[_P, float], _P | None], met: float, share: float, steps: int
+) -> tuple[_P, bool]:
+    """(the place where the cost is least, whether it met) by damped Gauss-Newton steps from here.
+
+    stepped: the place a step with this damping farther, None for one that is not possible. met, share: gain of the last
+    step, absolute and relative to the cost. steps: at most.
+    """
+    damping = _FIRST
+    for _ in range(steps):
+        there = stepped(here, damping)
+        if there is not None and there.cost <= here.cost + met:
+            gain, here = here.cost - there.cost, there
+            damping = max(0.1 * damping, _LEAST)
+            if gain <= met + share * max(here.cost, 1e-30):
+                return here, True
+        else:
+            damping = max(10.0 * damping, _FIRST)
+            if damping > _MOST:
+                return here, True
+    return here, False
 
 
 _INTRINSICS_STEPS = 100  # of Gauss and Newton, at most

@@ -5,7 +5,9 @@ Pinhole: with x = X / Z, y = Y / Z, r² = x² + y² and D = 1 + k1 r² + k2 r⁴
     x_d = x D + 2 p1 x y + p2 (r² + 2 x²)        u = fx x_d + cx
     y_d = y D + p1 (r² + 2 y²) + 2 p2 x y        v = fy y_d + cy
 
-(Brown 1971, in the order of OpenCV). Fisheye: with θ the angle between ray and axis and r = tan θ,
+(Brown 1971, in the order of OpenCV). A rational polynomial divides D by 1 + k4 r² + k5 r⁴ + k6 r⁶, whose three numbers
+stay as stated: images show no difference between them and the others. Fisheye: with θ the angle between ray and axis
+and r = tan θ,
 
     x_d = x / r · θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)          and y_d likewise
 
@@ -14,7 +16,7 @@ Pinhole: with x = X / Z, y = Y / Z, r² = x² + y² and D = 1 + k1 r² + k2 r⁴
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +29,8 @@ NAMES = {
     FISHEYE: ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4", "none"),
 }
 COUNT = 9  # the last of a fisheye's stays zero
-DISTORTIONS = {PINHOLE: 5, FISHEYE: 4}  # how many coefficients there are
+DISTORTIONS = {PINHOLE: 5, FISHEYE: 4}  # how many coefficients are fitted
+STATED = {PINHOLE: 8, FISHEYE: 4}  # and how many a file may state
 _WIDEST = 1.5  # rad from the axis, the farthest that a ray x, y, 1 can show
 _ON_AXIS = 1e-9  # of the depth; nearer the axis, a fisheye is a pinhole
 _STEPS = 20  # of Newton's method; three are enough near the middle
@@ -36,15 +39,17 @@ _STEPS = 20  # of Newton's method; three are enough near the middle
 @dataclass(frozen=True)
 class Lens:
     """Intrinsics of a camera. values: fx fy cx cy [px] k1 k2 p1 p2 k3, of a fisheye fx fy cx cy k1 k2 k3 k4 0, (9,).
-    size: width and height of images [px]. model: PINHOLE or FISHEYE.
+    size: width and height of images [px]. model: PINHOLE or FISHEYE. below: k4 k5 k6 of a rational polynomial, (3,).
     """
 
     values: Array
     size: tuple[int, int]
     model: str = PINHOLE
+    below: Array = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", view(np.asarray(self.values, dtype=float)))
+        object.__setattr__(self, "below", view(np.asarray(self.below, dtype=float)))
 
     @classmethod
     def plain(cls, focal: float, size: tuple[int, int], model: str = PINHOLE) -> Lens:
@@ -53,12 +58,12 @@ class Lens:
 
     @classmethod
     def of(cls, K: ArrayLike, distortion: ArrayLike, size: tuple[int, int], model: str = PINHOLE) -> Lens:
-        """From a camera matrix (3, 3) and coefficients: up to five k1 k2 p1 p2 k3, of a fisheye up to four k1 … k4."""
+        """From a camera matrix (3, 3) and up to eight coefficients k1 k2 p1 p2 k3 … k6, of a fisheye four k1 … k4."""
         K = np.asarray(K, dtype=float)
-        d = np.zeros(5)
+        d = np.zeros(8)
         given = np.asarray(distortion, dtype=float).ravel()
         d[: len(given)] = given
-        return cls(np.r_[K[0, 0], K[1, 1], K[0, 2], K[1, 2], d], size, model)
+        return cls(np.r_[K[0, 0], K[1, 1], K[0, 2], K[1, 2], d[:5]], size, model, d[5:])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -81,7 +86,7 @@ class Lens:
         X = np.asarray(X, dtype=float)
         if self.model == FISHEYE:
             return self._fisheye(X.reshape(-1, 3))[0].reshape(*X.shape[:-1], 2)
-        xd, yd = _distort(X[..., 0] / X[..., 2], X[..., 1] / X[..., 2], self.values)[:2]
+        xd, yd = _distort(X[..., 0] / X[..., 2], X[..., 1] / X[..., 2], self)[:2]
         fx, fy, cx, cy = self.values[:4]
         return np.stack([fx * xd + cx, fy * yd + cy], axis=-1)
 
@@ -92,8 +97,8 @@ class Lens:
         fx, fy, cx, cy = self.values[:4]
         z = 1.0 / X[:, 2]
         x, y = X[:, 0] * z, X[:, 1] * z
-        xd, yd, r2, D = _distort(x, y, self.values)
-        xx, xy, yy = _slopes(x, y, r2, D, self.values)
+        xd, yd, r2, D = _distort(x, y, self)
+        xx, xy, yy = _slopes(x, y, r2, D, self)
         zero = np.zeros_like(x)
         by_point = np.stack(
             [
@@ -103,8 +108,9 @@ class Lens:
             axis=1,
         )
         by_values = np.empty((len(X), 2, COUNT))
-        u = (xd, zero, zero + 1.0, zero, x * r2, x * r2**2, 2.0 * x * y, r2 + 2.0 * x * x, x * r2**3)
-        v = (zero, yd, zero, zero + 1.0, y * r2, y * r2**2, r2 + 2.0 * y * y, 2.0 * x * y, y * r2**3)
+        over = r2 / _below(r2, self.below)
+        u = (xd, zero, zero + 1.0, zero, x * over, x * over * r2, 2.0 * x * y, r2 + 2.0 * x * x, x * over * r2**2)
+        v = (zero, yd, zero, zero + 1.0, y * over, y * over * r2, r2 + 2.0 * y * y, 2.0 * x * y, y * over * r2**2)
         for j, (a, b) in enumerate(zip(u, v, strict=True)):
             by_values[:, 0, j], by_values[:, 1, j] = (a, b) if j < 4 else (fx * a, fy * b)
         return np.stack([fx * xd + cx, fy * yd + cy], axis=1), by_point, by_values
@@ -118,8 +124,8 @@ class Lens:
         xy = goal.copy()
         for _ in range(_STEPS):
             x, y = xy.T
-            xd, yd, r2, D = _distort(x, y, self.values)
-            a, b, d = _slopes(x, y, r2, D, self.values)
+            xd, yd, r2, D = _distort(x, y, self)
+            a, b, d = _slopes(x, y, r2, D, self)
             gap = goal - np.stack([xd, yd], axis=1)
             det = a * d - b * b
             det = np.where(np.abs(det) < 1e-6, 1.0, det)
@@ -131,7 +137,7 @@ class Lens:
 
     def moved(self, change: ArrayLike) -> Lens:
         """The lens with its values changed by (9,)."""
-        return Lens(self.values + np.asarray(change), self.size, self.model)
+        return replace(self, values=self.values + np.asarray(change))
 
     def _fisheye(self, X: Array) -> tuple[Array, Array, Array]:
         """As :meth:`linearise`."""
@@ -176,20 +182,27 @@ class Lens:
         return np.asarray(goal * stretch[:, None])
 
 
-def _distort(x: Array, y: Array, values: Array) -> tuple[Array, Array, Array, Array]:
+def _below(r2: Array, below: Array) -> Array:
+    """What a rational polynomial divides by."""
+    k4, k5, k6 = below
+    return np.asarray(1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+
+
+def _distort(x: Array, y: Array, lens: Lens) -> tuple[Array, Array, Array, Array]:
     """Distorted x and y, r², and the radial factor."""
-    k1, k2, p1, p2, k3 = values[4:]
+    k1, k2, p1, p2, k3 = lens.values[4:]
     r2 = x * x + y * y
-    D = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    D = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / _below(r2, lens.below)
     xd = x * D + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
     yd = y * D + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
     return xd, yd, r2, D
 
 
-def _slopes(x: Array, y: Array, r2: Array, D: Array, values: Array) -> tuple[Array, Array, Array]:
+def _slopes(x: Array, y: Array, r2: Array, D: Array, lens: Lens) -> tuple[Array, Array, Array]:
     """Derivatives of distorted x by x, of either by the other, and of distorted y by y."""
-    k1, k2, p1, p2, k3 = values[4:]
-    slope = k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2)
+    (k1, k2, p1, p2, k3), (k4, k5, k6) = lens.values[4:], lens.below
+    slope = k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2) - D * (k4 + r2 * (2.0 * k5 + 3.0 * k6 * r2))
+    slope = slope / _below(r2, lens.below)
     return (
         D + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
         2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y,

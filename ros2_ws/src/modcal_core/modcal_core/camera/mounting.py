@@ -20,7 +20,6 @@ import numpy as np
 
 from modcal_core.calibration import hand_eye
 from modcal_core.camera.corners import CornerTable
-from modcal_core.camera.fit import CameraFit, missed_pixels
 from modcal_core.camera.intrinsics import BoardPose
 from modcal_core.camera.lens import PINHOLE, Lens
 from modcal_core.errors import BadRecording, ModcalError, NotEnoughData
@@ -163,22 +162,6 @@ def _require_motion(T_base_tip: Array, seen: Array, turns: Array) -> None:
         raise NotEnoughData("images", said, "turn the wrist by 30° or more about two axes")
 
 
-_HELD_OUT = 4  # every fourth image
-
-
-def held_out(fit: CameraFit, nominal: CameraFit) -> tuple[float, float]:
-    """RMS of (nominal, calibrated) on every fourth image, fitted to the others at the same sizes [px]."""
-    N = fit.table.views
-    held = np.arange(N) % _HELD_OUT == _HELD_OUT - 1
-    if held.sum() == 0 or (~held).sum() < MIN_VIEWS:
-        return float("nan"), float("nan")
-    out = []
-    for one in (nominal, fit):
-        unseen = one.table.select(held)
-        out.append(unseen.rms(missed_pixels(unseen, one.poses.select(held), one.of_part(~held).state)))
-    return out[0], out[1]
-
-
 _NEAR = 0.03  # misfit as a share of the reach: no arm is built worse than that
 _MISMATCHED_CLEAR = 3.0  # times that of any other way
 _P1 = 6  # of a lens's values
@@ -236,4 +219,4 @@ def _mirrored(table: CornerTable, lens: Lens) -> tuple[CornerTable, Lens]:
     values[3] = lens.size[1] - 1.0 - values[3]
     if lens.model == PINHOLE:
         values[_P1] = -values[_P1]
-    return replace(table, pixels=pixels), Lens(values, lens.size, lens.model)
+    return replace(table, pixels=pixels), replace(lens, values=values)

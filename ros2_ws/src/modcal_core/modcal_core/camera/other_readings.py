@@ -66,11 +66,6 @@ class ReadingsBeside:
     samples: Samples
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters of their own."""
-        return tuple(f"beside {p.name}" for p in self.own)
-
-    @property
     def prior_std(self) -> Array:
         """Prior standard deviations of the readings' own parameters."""
         placed = [_PLACED_RAD if p.turns else _PLACED_M for p in self.own]

@@ -15,14 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import ModelParameter, exceeded_chi2, median_chi2
-from modcal_core.camera.arm_poses import ArmPoses
-from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle
-from modcal_core.camera.corners import POSE, SHAPE, CommonPrior, CornerTable, corner_rows
-from modcal_core.camera.fit import START, CameraFit, fit_camera
-from modcal_core.camera.intrinsics import LensFit
+from modcal_core.calibration import exceeded_chi2, median_chi2
+from modcal_core.camera.bundle import MarkerBundle
+from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows
+from modcal_core.camera.fit import START, CameraFit
+from modcal_core.camera.images import PreparedImages
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.mounting import MIN_VIEWS, Mounting
+from modcal_core.camera.mounting import MIN_VIEWS
 from modcal_core.geometry import Array, so3
 
 _TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
@@ -44,40 +43,18 @@ _CLEANED = 5  # times that points and images are looked through
 ELSEWHERE = "far from where the arm has it"
 
 
-@dataclass(frozen=True)
-class PreparedImages:
-    """target: that was seen. table: its corners. poses: the nominal arm at the images, base and tool as found. placed:
-    parameters of these alone. lens_fit: from the images alone. prior: of lens and sheet. mounting: as found. left_out:
-    images by reason.
-    """
-
-    target: CalibrationTarget
-    table: CornerTable
-    poses: ArmPoses
-    placed: tuple[ModelParameter, ...]
-    lens_fit: LensFit
-    prior: CommonPrior
-    mounting: Mounting
-    left_out: dict[str, str]
-
-    def select(self, rows: np.ndarray, why: str) -> PreparedImages:
-        """With these images only. why: the others are left out."""
-        out = {n: why for n, keep in zip(self.table.names, rows, strict=True) if not keep}
-        return replace(self, table=self.table.select(rows), poses=self.poses.select(rows), left_out=self.left_out | out)
-
-    def fitted(self, last: CameraFit | None = None, fixed_sizes: bool = False) -> CameraFit:
-        """A fit of these images. last: one to begin with. fixed_sizes: take the sizes of errors as they are there."""
-        begin, sizes = (self.lens_fit.lens, START) if last is None else (last.state, last.sizes)
-        return fit_camera(self.table, self.poses, self.prior, begin, sizes, fixed_sizes)
-
-
 def corner_weights(table: CornerTable, lens: Lens, shape: Array, T_camera_target: Array) -> Array:
     """1 for corners that agree with the pose of the target in their own image, or nearly, else 0, (M,)."""
     rows = corner_rows(table, lens, shape, T_camera_target)
-    size = np.abs(rows.residual)
-    sigma = _TO_SIGMA * np.median(size[table.weight > 0.0])
-    agrees = (size <= _CORNER * max(float(sigma), 1e-9)) | (np.abs(rows.pixels) <= _CORNER_PX)
+    agrees = _agreeing(table, rows.residual) | (np.abs(rows.pixels) <= _CORNER_PX)
     return np.where(agrees.all(axis=1), table.weight, 0.0)
+
+
+def _agreeing(table: CornerTable, residual: Array) -> np.ndarray:
+    """Which whitened residuals (M, 2) are no larger than those of the corners in use."""
+    size = np.abs(residual)
+    sigma = _TO_SIGMA * np.median(size[table.weight > 0.0])
+    return np.asarray(size <= _CORNER * max(float(sigma), 1e-9))
 
 
 def enough_corners(points: Array) -> bool:
@@ -153,9 +130,8 @@ def point_weights(fit: CameraFit) -> Array:
     rows = corner_rows(table, fit.state.lens, fit.state.shape, fit.poses.seen(fit.tool), fit.state.readout_s)
     G = fit.equations.cameras[0].grams / fit.sizes.noise**2
     own = (fit.equations.solve(fit.sizes).S @ G[:, :POSE, -1:])[:, :, 0]  # its twist, as likely as it is
-    size = np.abs(rows.residual - (rows.by_pose @ own[table.view][:, :, None])[:, :, 0])
-    sigma = _TO_SIGMA * np.median(size[table.weight > 0.0])
-    return np.asarray((size <= _CORNER * max(float(sigma), 1e-9)).all(axis=1), dtype=float)
+    residual = rows.residual - (rows.by_pose @ own[table.view][:, :, None])[:, :, 0]
+    return np.asarray(_agreeing(table, residual).all(axis=1), dtype=float)
 
 
 def far_markers(fit: CameraFit) -> np.ndarray:

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
-from modcal_core.camera.causes import flange_in_tool, flange_motions, frame_basis
+from modcal_core.camera.claim import frame_basis, mean_square
 from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.fit import CameraFit, camera_rows
-from modcal_core.camera.tool_error import in_view, mean_square, tilt_and_distance
+from modcal_core.camera.views import in_view, inside_image, tilt_and_distance
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3
 
@@ -73,10 +73,10 @@ def plan_images(fit: CameraFit, target: CalibrationTarget, count: int, rng: np.r
 
 def _at_tool(fit: CameraFit, target: CalibrationTarget, q: Array) -> Array:
     """Motions of the flange at postures q (M, n) per parameter, (M, 3, P): of a body those of the arm by itself."""
-    J = flange_motions(fit, q)
+    J = fit.flange_motions(q)
     if isinstance(target, MarkerBundle):
         T = fit.poses.at_postures(q).tool_at(fit.state.values)
-        basis = frame_basis(se3.apply(T, flange_in_tool(fit)))
+        basis = frame_basis(se3.apply(T, fit.flange))
         rows = J.reshape(-1, J.shape[2])
         J = (rows - basis @ (basis.T @ rows)).reshape(J.shape)
     return J
@@ -86,11 +86,7 @@ def _shown(fit: CameraFit, target: CalibrationTarget, seen: Array) -> np.ndarray
     """Which of the target's points an image shows that has it at T_camera_target (M, 4, 4), (M, C) bool: of a body
     those of the kind that images have, on faces that look at the camera.
     """
-    X = np.einsum("mij,cj->mci", seen[:, :3, :3], target.points) + seen[:, None, :3, 3]
-    ahead = X[:, :, 2] > 1e-3
-    pixels = fit.state.lens.project(np.where(ahead[:, :, None], X, [0.0, 0.0, 1.0]))
-    edge = np.array(fit.state.lens.size) - 1.0 - _EDGE_PX
-    shown = ahead & ((pixels > _EDGE_PX) & (pixels < edge)).all(axis=2)
+    X, shown = inside_image(fit.state.lens, seen, target.points, _EDGE_PX)
     if isinstance(target, MarkerBundle):
         shown &= np.isin(np.arange(len(target.points)), np.unique(fit.table.ids))
         out = np.einsum("mij,cj->mci", seen[:, :3, :3], target.normals)

@@ -8,17 +8,17 @@ from functools import partial
 
 import numpy as np
 
-from modcal_core.camera.arm_poses import NOTHING_KNOWN, ImageMoments, arm_poses
+from modcal_core.camera.arm_poses import arm_poses
 from modcal_core.camera.body_start import body_poses, images_with_pose, require_order, start_of_body
-from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
-from modcal_core.camera.corners import FREE, SHAPE, CommonPrior, CornerTable, common_prior, corner_rows
+from modcal_core.camera.bundle import BoardView, MarkerBundle
+from modcal_core.camera.corners import SHAPE, CommonPrior, CornerTable, common_prior, corner_rows
+from modcal_core.camera.images import CameraImages, PreparedImages
 from modcal_core.camera.intrinsics import LensFit, board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
 from modcal_core.camera.mounting import MIN_VIEWS, Mounting, explained, find_mounting
 from modcal_core.camera.outliers import (
     ELSEWHERE,
-    PreparedImages,
     bad_images,
     corner_weights,
     enough_corners,
@@ -26,43 +26,10 @@ from modcal_core.camera.outliers import (
     mostly_out,
 )
 from modcal_core.errors import BadRecording, NotEnoughData
-from modcal_core.geometry import Array
 from modcal_core.robots import Chain, Inertias, chain_forward
 
 _NOWHERE, _NOWHERE_TIMES = 0.1, 10.0  # of the reach, and of the others' misfit: an image of elsewhere, or turned round
 _APART_OF_REACH = 0.03  # misfit of images and arm, as a share of the reach: no arm is built that badly
-
-
-@dataclass(frozen=True)
-class CameraImages:
-    """What one camera saw. name: of its topic, for messages. q, velocity: of the joints at each view, (N, n); None:
-    they stood. size: of the images [px]. lens: as stated, with what becomes of it: free (a start), tolerance, fixed;
-    None: found from the images. camera_on_tip: the mounting where it is stated. flat: the sheet is known to be flat.
-    moments: for effects. fisheye: whether the lens is one, where nothing is stated of it.
-    """
-
-    q: Array
-    views: Sequence[BoardView]
-    target: CalibrationTarget
-    size: tuple[int, int]
-    velocity: Array | None = None
-    lens: Lens | None = None
-    stated: str = FREE
-    camera_on_tip: bool | None = None
-    flat: bool = False
-    moments: ImageMoments = NOTHING_KNOWN
-    fisheye: bool = False
-    name: str = "images"
-
-    def select(self, rows: np.ndarray) -> CameraImages:
-        """With these images only (mask (N,))."""
-        return replace(
-            self,
-            q=self.q[rows],
-            views=[view for view, keep in zip(self.views, rows, strict=True) if keep],
-            velocity=None if self.velocity is None else self.velocity[rows],
-            moments=self.moments.select(rows),
-        )
 
 
 @dataclass(frozen=True)
@@ -109,8 +76,7 @@ def prepare_images(
     velocity = np.zeros_like(q) if seen.images.velocity is None else seen.images.velocity
     at = (chain, q, velocity, mounting.T_frame_base, mounting.T_tip_tool, mounting.camera_on_tip, fixed)
     poses = arm_poses(*at, moments=seen.images.moments, inertias=inertias)
-    placed = arm_poses(*at, hand_eye_only=True).parameters
-    return PreparedImages(images.target, seen.table, poses, placed, lens_fit, prior, mounting, seen.left_out)
+    return PreparedImages(images, seen.table, poses, lens_fit, prior, mounting, seen.left_out)
 
 
 _Start = tuple[_Seen, LensFit, CommonPrior, Mounting]

@@ -1,35 +1,31 @@
 """Whether camera, target or arm were moved since the calibration, from the images that come in while the robot works.
 
-Each image is compared with where the calibrated model has its target: six numbers, with the covariance of its corners,
-of what an image has of its own, and of the model, which all images share. For the last few images the likelihood of
-*nothing happened* stands against each half being elsewhere since one of them (six numbers) and each joint's zero having
-slipped (one); the likeliest is named where it beats nothing by far and the next one clearly. Images of several cameras
-are judged together: each camera may have been moved by itself, while joints, and a target that cameras see from the
-same side, are one for all. What joints and tool are off by at a stop is one for all images of it.
+The last few images are equations like those of a fit, about the calibrated model and with all that it knows as a prior.
+*Nothing happened* stands against each half being elsewhere since one stop of the arm (six numbers) and each joint's
+zero having slipped (one), as among the images of a fit (:mod:`changes`); the likeliest is named where it beats nothing
+by far and the next one clearly. Images of several cameras are judged together: each camera may have been moved by
+itself, while joints, and a target that cameras see from the same side, are one for all.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.bundle import BoardView, PrintedTarget
+from modcal_core.camera.changes import GAIN, TIP, USUAL, WORLD, Change, of_twist, shift_of
 from modcal_core.camera.corners import POSE, CameraState, CornerTable
+from modcal_core.camera.equations import CameraRows, SolvedEquations
 from modcal_core.camera.fit import CameraFit, camera_rows
 from modcal_core.geometry import Array
 
-WORLD, TIP = "world", "tip"
 _WINDOW = 8  # images that are looked back on
-_MIN = 2  # of them that show a change: a single one may be a misread board
-_GAIN = 20.0  # of −2 log likelihood against nothing, the price of the numbers taken off: odds of 1 : 20 000
-_CLEAR = 6.0  # of the same against the next likeliest: odds of 20 : 1
+_CLEAR = 6.0  # of −2 log likelihood against the next likeliest: odds of 20 : 1
 _SAME = 1e-3  # rad or m by which joints differ within a stop
-_USUAL_M, _USUAL_RAD = 0.01, 0.02  # how far something is moved that is kicked, or a joint that slips
 
 
 @dataclass(frozen=True)
@@ -54,34 +50,6 @@ class Moved:
 
 
 @dataclass(frozen=True)
-class _Half:
-    """what: "camera" or "target". which: the camera's name, or the side of the target. half: world or tip."""
-
-    what: str
-    which: str
-    half: str
-
-
-@dataclass(frozen=True)
-class _ImageResidual:
-    """One image against the model. place: of the tool in the frame, (3,). offset: of its target as the camera sees it,
-    (6,). cov: of its corners, (6, 6). own: what the arm is off by at this stop, (6, n + 3), of unit variance. q: (n,).
-    by_model: what the model's parameters move it by, (6, P). halves: the same of each half, (6, 6), by what that is.
-    joints: of each joint, (6, n).
-    """
-
-    stamp: float
-    place: Array
-    offset: Array
-    cov: Array
-    own: Array
-    q: Array
-    by_model: Array
-    halves: dict[_Half, Array]
-    joints: Array
-
-
-@dataclass(frozen=True)
 class _Watched:
     """A camera. poses, state: of the fit. columns: of each of its parameters among those of all, −1 for none."""
 
@@ -89,11 +57,28 @@ class _Watched:
     state: CameraState
     columns: np.ndarray
 
-    def half(self, half: str, name: str) -> _Half:
-        """What one of the two halves is."""
-        if (half == TIP) == self.poses.camera_on_tip:
-            return _Half("camera", name, half)
-        return _Half("target", half, half)
+
+@dataclass(frozen=True)
+class _Seen:
+    """An image. stamp: or its number. stop: number of the stop of the arm at which it was taken."""
+
+    camera: str
+    view: BoardView
+    q: Array
+    stamp: float
+    stop: int
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What may have been moved. name: for a person. half: world or tip, empty of a joint. places: of the tool in the
+    images that show it, (N, 3).
+    """
+
+    name: str
+    half: str
+    change: Change
+    places: Array
 
 
 class CameraWatch:
@@ -105,8 +90,15 @@ class CameraWatch:
         self._cameras = {"": _Watched(fit.poses, fit.state, np.arange(len(fit.covariance)))}
         for one, columns, state in fit.poses.further_at(fit.state):
             self._cameras[one.name] = _Watched(one.poses, state, columns)
-        self._seen: deque[_ImageResidual] = deque(maxlen=_WINDOW * len(self._cameras))
-        self._count = 0
+        known = fit.equations.solve(fit.sizes)
+        information = np.zeros_like(fit.covariance)
+        information[np.ix_(known.use, known.use)] = known.H
+        nothing = np.zeros(len(information))
+        self._known = replace(
+            fit.equations, offset=nothing, information=information, beside=None, faults=None, places=None
+        )
+        self._seen: deque[_Seen] = deque(maxlen=_WINDOW * len(self._cameras))
+        self._count = self._stop = 0
 
     def image(self, view: BoardView, q: Array, camera: str = "") -> Moved | None:
         """What was moved by this image, the arm standing at q (n,); None while nothing stands out.
@@ -114,117 +106,74 @@ class CameraWatch:
         camera: of a further one its name. One that is not in the calibration says nothing.
         """
         self._count += 1
-        if camera in self._cameras and (seen := self._look(view, np.asarray(q), camera)) is not None:
-            self._seen.append(seen)
+        if camera in self._cameras and len(view) >= POSE:
+            if self._seen and np.abs(np.asarray(q) - self._seen[-1].q).max() > _SAME:
+                self._stop += 1
+            stamp = view.stamp if np.isfinite(view.stamp) else float(self._count)
+            self._seen.append(_Seen(camera, view, np.asarray(q), stamp, self._stop))
         return self._judge()
-
-    def _look(self, view: BoardView, q: Array, camera: str) -> _ImageResidual | None:
-        fit, watched = self._fit, self._cameras[camera]
-        if len(view) < POSE:
-            return None
-        table = CornerTable.of([view], self._target)
-        state, at = watched.state, watched.poses.at_postures(q[None])
-        T = at.tool_at(state.values)
-        rows = camera_rows(table, at, state, watched.columns)
-        G = rows.grams[0] / fit.sizes.noise**2
-        own = np.linalg.pinv(G[:POSE, :POSE], hermitian=True)
-        by_own = np.concatenate([rows.moved[0], own @ G[:POSE, POSE:-1]], axis=1)
-        by_model = np.zeros((POSE, len(fit.covariance)))
-        fitted = watched.columns >= 0
-        by_model[:, watched.columns[fitted]] = by_own[:, fitted]
-        halves = [watched.half(half, camera) for half in (WORLD, TIP)]
-        return _ImageResidual(
-            view.stamp if np.isfinite(view.stamp) else float(self._count),
-            T[0, :3, 3],
-            own @ G[:POSE, -1],
-            own,
-            np.concatenate([fit.sizes.joint * rows.joints[0], fit.sizes.shift * rows.shifts[0]], axis=1),
-            q,
-            by_model,
-            {half: twists[0] for half, twists in zip(halves, at.half_motions(T), strict=True)},
-            rows.joints[0],
-        )
-
-    def _judge(self) -> Moved | None:
-        seen = list(self._seen)
-        if len(seen) < _MIN:
-            return None
-        K = len(seen)
-        stops = _stops(seen)
-        model = np.concatenate([s.by_model for s in seen])
-        V = model @ self._fit.covariance @ model.T
-        for k, one in enumerate(seen):
-            rows = slice(POSE * k, POSE * (k + 1))
-            V[rows, rows] += one.cov
-            for other in np.flatnonzero(stops == stops[k]):
-                V[rows, POSE * other : POSE * (other + 1)] += one.own @ seen[other].own.T
-        V += 1e-14 * np.trace(V) / len(V) * np.eye(len(V))
-        offset = np.concatenate([s.offset for s in seen])
-        white = np.linalg.inv(np.linalg.cholesky(V))
-        y = white @ offset
-        usual = np.r_[[_USUAL_M] * 3, [_USUAL_RAD] * 3]
-        halves = list(dict.fromkeys(half for s in seen for half in s.halves))
-        nothing = np.zeros((POSE, POSE))
-        found: list[tuple[float, _Half | str, int, Array, Array]] = []
-        for first in range(K - _MIN + 1):
-            since = np.repeat(np.arange(K) >= first, POSE)[:, None]
-            for half in halves:
-                columns = np.concatenate([s.halves.get(half, nothing) for s in seen]) * since * usual
-                gain, x = _gain(white @ columns, y)
-                found.append((gain, half, first, x * usual, columns))
-            joints = np.concatenate([s.joints for s in seen]) * since * _USUAL_RAD
-            for j, name in enumerate(self._fit.poses.model.chain.names):
-                gain, x = _gain(white @ joints[:, j : j + 1], y)
-                found.append((gain, name, first, x * _USUAL_RAD, joints[:, j : j + 1]))
-        found.sort(key=lambda f: -f[0])
-        gain, what, first, x, columns = found[0]
-        if gain < _GAIN or _least_without(columns, offset, V, stops, first) < 0.5 * _GAIN:
-            return None
-        # a change of everything from the first image on may be one from any time before
-        rival = next((f for f in found if f[1] != what), None)
-        names = [self._name(what)]
-        if rival is not None and gain - rival[0] < _CLEAR:
-            names.append(self._name(rival[1]))
-        shift = np.zeros(3)
-        if isinstance(what, _Half):
-            p = np.mean([s.place for s in seen if what in s.halves], axis=0)
-            shift = x[:3] + np.cross(x[3:], p) if what.half == WORLD else x[:3]
-        turn = float(np.linalg.norm(x[3:] if len(x) == POSE else x))
-        return Moved(" or ".join(dict.fromkeys(names)), seen[first].stamp, float(np.linalg.norm(shift)), turn, gain)
-
-    def _name(self, what: _Half | str) -> str:
-        if isinstance(what, str):
-            return f"joint {what}"
-        if what.what == "target" or len(self._cameras) == 1:
-            return what.what
-        return f"camera {what.which}" if what.which else "first camera"
 
     def forget(self) -> None:
         """Begin again, with the next image: after something was put right."""
         self._seen.clear()
 
+    def _judge(self) -> Moved | None:
+        stops = sorted({one.stop for one in self._seen})
+        if len(stops) < 2:
+            return None
+        solved, parts = self._weighed(list(self._seen))
+        places = np.arange(len(stops) - 1)  # a change that one stop alone shows may be a misread board
+        found = sorted(((*part.change.best(solved, places), part) for part in parts), key=lambda f: -f[0])
+        gain, first, x, part = found[0]
+        if gain < GAIN or self._least_without(part.name, stops[first:]) < 0.5 * GAIN:
+            return None
+        names = [part.name, *(other.name for rival, *_, other in found[1:2] if gain - rival < _CLEAR)]
+        shift = shift_of(part.half, x, part.places) if part.half else 0.0
+        since = next(one.stamp for one in self._seen if one.stop == stops[first])
+        turn = float(np.linalg.norm(x[3:] if part.half else x))
+        return Moved(" or ".join(dict.fromkeys(names)), since, shift, turn, gain)
 
-def _stops(seen: Sequence[_ImageResidual]) -> np.ndarray:
-    """The number of the stop of each image: those one after the other at the same joints are of one."""
-    apart = [np.abs(b.q - a.q).max() > _SAME for a, b in pairwise(seen)]
-    return np.r_[0, np.cumsum(apart)].astype(int)
+    def _least_without(self, name: str, after: Sequence[int]) -> float:
+        """The least gain of a change before these stops that is left without any one of them: a single one may be
+        misread, or its joints be of another moment, which is no move.
+        """
+        out = []
+        for stop in after:
+            seen = [one for one in self._seen if one.stop != stop]
+            solved, parts = self._weighed(seen)
+            part = next((one for one in parts if one.name == name), None)
+            first = sum(s < after[0] for s in {one.stop for one in seen})
+            out.append(part.change.best(solved, np.array([first]))[0] if part and len(after) > 1 else 0.0)
+        return min(out)
 
+    def _weighed(self, seen: Sequence[_Seen]) -> tuple[SolvedEquations, list[_Part]]:
+        """(the equations of these images, what may have been moved among them)."""
+        halves: dict[tuple[str, str], dict[int, Array]] = {}
+        rows: list[CameraRows] = []
+        joints, tools = [], []
+        for camera in dict.fromkeys(one.camera for one in seen):
+            own, watched = [one for one in seen if one.camera == camera], self._cameras[camera]
+            at = watched.poses.at_postures(np.stack([one.q for one in own]))
+            table = CornerTable.of([one.view for one in own], self._target)
+            here = camera_rows(table, at, watched.state, watched.columns)
+            T = at.tool_at(watched.state.values)
+            for half, twists in zip((WORLD, TIP), at.half_motions(T), strict=True):
+                carried = (half == TIP) == watched.poses.camera_on_tip  # it is the camera
+                halves.setdefault((half, self._camera(camera) if carried else "target"), {})[len(rows)] = twists
+            rows.append(replace(here, stop=np.array([one.stop for one in own])))
+            joints.append(here.joints)
+            tools.append(T[:, :3, 3])
+        solved = replace(self._known, cameras=tuple(rows)).solve(self._fit.sizes)
+        order = np.arange(len({one.stop for one in seen}))
+        parts = []
+        for (half, name), twists_of in halves.items():
+            change = Change({k: of_twist(rows[k], twists) for k, twists in twists_of.items()}, USUAL, order)
+            parts.append(_Part(name, half, change, np.concatenate([tools[k] for k in twists_of])))
+        for j, name in enumerate(self._fit.poses.model.chain.names):
+            columns = {k: of_twist(rows[k], joint[:, :, j : j + 1]) for k, joint in enumerate(joints)}
+            parts.append(_Part(f"joint {name}", "", Change(columns, USUAL[3:4], order), np.zeros((0, 3))))
+        return solved, parts
 
-def _least_without(columns: Array, offset: Array, V: Array, stops: np.ndarray, first: int) -> float:
-    """The least gain that is left without any one stop since an image: a single one may be misread, or its joints be of
-    another moment, which is no move.
-    """
-    out = []
-    for stop in np.unique(stops[first:]):
-        keep = np.repeat(stops != stop, POSE)
-        white = np.linalg.inv(np.linalg.cholesky(V[np.ix_(keep, keep)]))
-        out.append(_gain(white @ columns[keep], white @ offset[keep])[0])
-    return min(out)
-
-
-def _gain(columns: Array, y: Array) -> tuple[float, Array]:
-    """(gain of −2 log likelihood by columns (m, k) of unit prior, their values), the price of k numbers taken off."""
-    H = columns.T @ columns + np.eye(columns.shape[1])
-    b = columns.T @ y
-    x = np.asarray(np.linalg.solve(H, b), dtype=float)
-    return float(b @ x - np.linalg.slogdet(H)[1]), x
+    def _camera(self, name: str) -> str:
+        """A camera by name, for a person."""
+        return "camera" if len(self._cameras) == 1 else f"camera {name}" if name else "first camera"

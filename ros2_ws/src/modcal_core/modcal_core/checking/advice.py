@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Model
-from modcal_core.checking.evidence import SIZES, ChangeJudge, log_priors
-from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, NOISE, TOOL, ZERO, CellChange
+from modcal_core.calibration import Calibration, Model, NoiseModel
 from modcal_core.checking.known import FrozenCalibration, tried_stations
 from modcal_core.checking.outcome import Alike, Noticed, Recommendation
-from modcal_core.checking.rivals import FittedChange
-from modcal_core.checking.searching import FALSE_ALARM, FoundChanges
-from modcal_core.checking.state import CheckState, state_at
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
+from modcal_core.moves import (
+    BASE,
+    FALSE_ALARM,
+    FRAME,
+    GEAR,
+    NOISE,
+    SIZES,
+    TOOL,
+    ZERO,
+    CellChange,
+    ChangeJudge,
+    CheckState,
+    FittedChange,
+    FoundChanges,
+    FrozenKnowledge,
+    log_priors,
+)
 
 STATIONS = 6  # that are proposed at a time
 _SAME = 0.0025  # of the squares: what differs by less over all recorded postures is the same motion (as plan --decide)
@@ -184,3 +197,16 @@ def advise(
             "refit_base", "Use the repaired model: it differs in the base only, nothing else need be measured."
         )
     return Recommendation("use_repaired", "Use the repaired model: it differs in what is named above only.")
+
+
+def state_at(q: Array, model: Model, samples: Samples, noise: NoiseModel, kind: str | None = None) -> CheckState:
+    """The model at other postures (k, n), with exact readings as the first of the samples is, or of this kind."""
+    like = samples.select(np.zeros(len(q), int))
+    if kind is not None:
+        like = replace(like, kind=np.full(len(q), kind, dtype=like.kind.dtype))
+    unknown = np.full(q.shape, np.nan)
+    poses = replace(like, q=q, station=np.arange(len(q)), velocity=np.zeros_like(q), effort=unknown)
+    poses = replace(poses, acceleration=np.zeros_like(q), approach=np.zeros_like(q), following=unknown)
+    T = model.predict_samples(poses)
+    poses = replace(poses, reading=T[:, :3, 3], R=np.where(poses.is_pose[:, None, None], T[:, :3, :3], np.eye(3)))
+    return CheckState(model, poses, FrozenKnowledge((), np.zeros((0, 0)), (), noise))

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import INSTRUMENT, Calibration, Model, with_frames
-from modcal_core.checking.noise import FrozenKnowledge
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
+from modcal_core.moves import FrozenKnowledge
 
 PATTERN = 0.25  # share of the variance that is taken to be common to neighbouring postures where no report says it
 _MIN_PATTERN = 0.1  # the same where a report saw none: of 160 stations it sees no less than some ten per cent

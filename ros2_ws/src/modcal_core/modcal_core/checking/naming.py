@@ -4,15 +4,38 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, LENGTH, LOAD, NOISE, SCALE, TOOL, ZERO, CellChange
 from modcal_core.checking.known import UNTRIED, BeyondRanges
 from modcal_core.checking.outcome import Alike, NamedChange, SizeFound
-from modcal_core.checking.rivals import FittedChange
 from modcal_core.geometry import Array
+from modcal_core.moves import (
+    BASE,
+    FRAME,
+    GEAR,
+    LENGTH,
+    LINK,
+    LOAD,
+    NOISE,
+    PAYLOAD,
+    PLAY,
+    SCALE,
+    STEP,
+    TOOL,
+    ZERO,
+    CellChange,
+    FittedChange,
+)
 
 _95 = 1.959964  # standard deviations
 _LISTED = 3  # others that a sentence has room for; check.json and the page have them all
-_SHIFTS, _TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
+_PLACED = (BASE, FRAME, TOOL, LINK, PLAY, STEP)  # of up to six sizes
+_CURVE = ("rms_over_stations", 1e3, "mrad")
+_ONE = {  # name, factor and unit of a change of one size
+    ZERO: ("zero", 1e3, "mrad"),
+    LENGTH: ("growth", 1e3, "mm"),
+    SCALE: ("scale", 1e6, "ppm"),
+    LOAD: ("compliance", 1e6, "urad/(N m)"),
+    GEAR: ("ratio", 1e6, "ppm"),
+}
 
 
 def named(
@@ -52,43 +75,29 @@ def _sizes(change: FittedChange) -> tuple[SizeFound, ...]:
     h, values = change.hypothesis, change.sizes
     std = np.sqrt(np.maximum(np.diag(change.covariance), 0.0)) if len(change.covariance) else np.zeros(len(values))
     if h.kind == NOISE:
-        return tuple(
-            SizeFound(what, factor, factor, factor, "times")
-            for what, factor in zip(("position", "orientation"), change.judged.noise, strict=True)
-            if factor > 1.0
-        )
-    if h.kind in (BASE, FRAME, TOOL):
-        if len(h.motions) == 1:  # of one size, along one twist
-            way = np.array(h.motions[0].twist)
-            values, std = values[0] * way, std[0] * np.abs(way)
-        names = [(n, "mm") for n in _SHIFTS] + [(n, "mrad") for n in _TURNS]
-        return tuple(_size(n, v, s, 1e3, u) for (n, u), v, s in zip(names, values, std, strict=False))
+        factors = zip(("position", "orientation"), change.judged.noise, strict=True)
+        return tuple(SizeFound(what, factor, factor, factor, "times") for what, factor in factors if factor > 1.0)
+    if h.kind in _PLACED and len(h.motions) == 1:  # of one size, along one twist
+        way = np.array(h.motions[0].twist)
+        values, std = values[0] * way, std[0] * np.abs(way)
     if h.curve >= 0:
         rms = float(np.sqrt(np.mean(values**2)))
-        spread = float(np.sqrt(np.mean(std**2) / max(len(values), 1)))
-        return (_size("rms_over_stations", rms, spread, 1e3, "mrad"),)
-    if h.replaces >= 0:
-        return (_size("growth", values[0], std[0], 100.0, "%"),)
-    if h.kind == ZERO:
-        turns = h.motions[0].twist[5] != 0.0
-        return (_size("zero", values[0], std[0], 1e3, "mrad" if turns else "mm"),)
-    if h.kind == LENGTH:
-        return (_size("growth", values[0], std[0], 1e3, "mm"),)
-    if h.kind == SCALE:
-        return (_size("scale", values[0], std[0], 1e6, "ppm"),)
-    if h.kind == LOAD:
-        return (_size("compliance", values[0], std[0], 1e6, "urad/(N m)"),)
-    if len(values) == 4:  # a wave, and one of twice its cycles
-        return tuple(
-            _size(
-                name, float(np.hypot(*values[part])), _along(values[part], change.covariance[part, part]), 1e3, "mrad"
-            )
-            for name, part in (("amplitude", slice(2)), ("amplitude_2", slice(2, 4)))
-        )
-    if len(values) == 2:  # a wave
-        size = float(np.hypot(*values))
-        return (_size("amplitude", size, _along(values, change.covariance), 1e3, "mrad"),)
-    return (_size("ratio", values[0], std[0], 1e6, "ppm"),)
+        names, values, std = [_CURVE], np.array([rms]), np.array([float(np.sqrt(np.mean(std**2) / max(len(std), 1)))])
+    elif h.kind in _PLACED:
+        names = [(n, 1e3, "mm") for n in ("x", "y", "z")] + [(n, 1e3, "mrad") for n in ("rx", "ry", "rz")]
+    elif h.replaces >= 0:
+        names = [("growth", 100.0, "%")]
+    elif h.kind == PAYLOAD:
+        names = [(f"compliance of {e.place}", *_ONE[LOAD][1:]) for e in h.effects]
+    elif h.kind == GEAR and len(values) > 1:  # a wave, and one of twice its cycles
+        pairs = [slice(k, k + 2) for k in range(0, len(values), 2)]
+        names = [("amplitude", 1e3, "mrad"), ("amplitude_2", 1e3, "mrad")][: len(pairs)]
+        std = np.array([_along(values[pair], change.covariance[pair, pair]) for pair in pairs])
+        values = np.array([np.hypot(*values[pair]) for pair in pairs])
+    else:
+        slides = h.kind == ZERO and h.motions[0].twist[5] == 0.0
+        names = [("zero", 1e3, "mm") if slides else _ONE[h.kind]]
+    return tuple(_size(n, v, s, factor, u) for (n, factor, u), v, s in zip(names, values, std, strict=False))
 
 
 def _along(values: Array, covariance: Array) -> float:
@@ -129,33 +138,31 @@ def _said(size: SizeFound) -> str:
 
 
 def _sentence(h: CellChange, sizes: tuple[SizeFound, ...], rms: str, rivals: tuple[str, ...], alike: Alike) -> str:
+    first = _said(sizes[0]) if sizes else ""
     if h.kind == NOISE:
         what = " and ".join(f"{s.value:.1f} times in {s.name}" for s in sizes)
         out = f"The readings scatter more than when the calibration was made: {what}."
-    elif h.kind in (BASE, FRAME, TOOL):
+    elif h.kind in _PLACED:
         shift, turn = (float(np.linalg.norm([s.value for s in sizes if s.unit == unit])) for unit in ("mm", "mrad"))
-        who = f"Frame {h.place}" if h.kind == FRAME else " or the ".join((f"The {h.place}", *h.names))
-        out = f"{who} has moved: {shift:.3f} mm and {turn:.3f} mrad, {rms}."
-    elif h.kind == ZERO:
-        out = f"The zero of {h.place} has changed by {_said(sizes[0])}, {rms}."
-    elif h.kind == LENGTH:
-        which = "All links have grown" if h.place == "arm" else f"The link before {h.place} has grown"
-        out = f"{which} by {_said(sizes[0])}, as heat does, {rms}."
-    elif h.kind == SCALE:
-        out = f"The tracker's readings are longer by {_said(sizes[0])}, {rms}."
-    elif h.kind == LOAD:
-        by = f"its deflection under load has grown by {_said(sizes[0])}" if h.replaces >= 0 else f"by {_said(sizes[0])}"
-        out = f"{h.place} deflects differently under load: {by}, {rms}."
-    elif h.kind == GEAR and h.replaces >= 0:
-        out = f"The curve of {h.place}'s gear has grown by {_said(sizes[0])}, {rms}."
-    elif h.kind == GEAR and h.curve >= 0:
-        out = f"The gear of {h.place} has changed: its curve differs by {sizes[0].value:.3g} mrad RMS, {rms}."
-    elif h.kind == GEAR and sizes[0].name == "ratio":
-        out = f"The gear ratio of {h.place} has changed by {_said(sizes[0])}, {rms}."
+        who = {
+            FRAME: f"Frame {h.place} has moved",
+            LINK: f"The link before {h.place} is bent",
+            PLAY: "The tool or the target is loose and stands off to either side by its weight",
+            STEP: f"The {h.place} moved between two stations of the recording",
+        }.get(h.kind, " or the ".join((f"The {h.place}", *h.names)) + " has moved")
+        out = f"{who}: {shift:.3f} mm and {turn:.3f} mrad, {rms}."
     else:
-        assert h.effect is not None
-        cycles = h.effect.shape.settings["cycles"]
-        out = f"The gear or encoder of {h.place} has changed: {_said(sizes[0])} at {cycles:.4g} a turn, {rms}."
+        link = "All links have grown" if h.place == "arm" else f"The link before {h.place} has grown"
+        by = f"its deflection under load has grown by {first}" if h.replaces >= 0 else f"by {first}"
+        said = {
+            ZERO: f"The zero of {h.place} has changed by {first}",
+            LENGTH: f"{link} by {first}, as heat does",
+            SCALE: f"The tracker's readings are longer by {first}",
+            PAYLOAD: "All joints deflect differently under load, as under another payload",
+            LOAD: f"{h.place} deflects differently under load: {by}",
+            GEAR: _of_a_gear(h, sizes),
+        }[h.kind]
+        out = f"{said}, {rms}."
     if not rivals:
         return out
     others = " or ".join(rivals[:_LISTED])
@@ -167,3 +174,16 @@ def _sentence(h: CellChange, sizes: tuple[SizeFound, ...], rms: str, rivals: tup
         "poses would tell",
     }.get(alike, "these stations cannot tell")
     return f"{out} It may as well be {others}: {why}."
+
+
+def _of_a_gear(h: CellChange, sizes: tuple[SizeFound, ...]) -> str:
+    if h.kind != GEAR:
+        return ""
+    if h.replaces >= 0:
+        return f"The curve of {h.place}'s gear has grown by {_said(sizes[0])}"
+    if h.curve >= 0:
+        return f"The gear of {h.place} has changed: its curve differs by {sizes[0].value:.3g} mrad RMS"
+    if sizes[0].name == "ratio":
+        return f"The gear ratio of {h.place} has changed by {_said(sizes[0])}"
+    cycles = h.effect.shape.settings["cycles"]
+    return f"The gear or encoder of {h.place} has changed: {_said(sizes[0])} at {cycles:.4g} a turn"

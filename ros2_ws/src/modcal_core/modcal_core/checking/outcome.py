@@ -31,7 +31,7 @@ class SizeFound:
 
 @dataclass(frozen=True)
 class NamedChange:
-    """One change. kind, place: as in :mod:`modcal_core.checking.hypotheses`. label: for people. sizes: of it.
+    """One change. kind, place: as in :mod:`modcal_core.moves.rows`. label: for people. sizes: of it.
 
     moved_mm: how far it moves the tool over these stations, RMS, with its 95 % interval. turned_deg: how far it turns
     it, RMS; None where no orientation is read. probability: of this one

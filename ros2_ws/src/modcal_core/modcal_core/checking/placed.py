@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.calibration import Calibration, Cell, Model, ModelParameter, Uncertainty, direction_names, refit_cell
-from modcal_core.checking.hypotheses import FRAME, CellChange, GeometryMotion
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.measurements.kinds import is_direct
+from modcal_core.moves import FRAME, CellChange, GeometryMotion
 
 
 def new_frames(calibration: Calibration, samples: Samples) -> tuple[str, ...]:

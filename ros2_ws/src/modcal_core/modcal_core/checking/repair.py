@@ -12,12 +12,20 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.calibration import Calibration, Model, NoiseModel, Uncertainty, exact_samples, joint_ranges
-from modcal_core.checking.hypotheses import BASE, FRAME, NOISE, TOOL, CellChange, GeometryMotion, put_in
-from modcal_core.checking.noise import FrozenKnowledge
-from modcal_core.checking.searching import FoundChanges
-from modcal_core.checking.state import CheckState
 from modcal_core.effects import Effect
 from modcal_core.geometry import Array
+from modcal_core.moves import (
+    BASE,
+    FRAME,
+    NOISE,
+    TOOL,
+    CellChange,
+    CheckState,
+    FoundChanges,
+    FrozenKnowledge,
+    GeometryMotion,
+    put_in,
+)
 
 _POSTURES = 40  # at which a change is written as deviations of the calibration's own parameters
 
@@ -64,7 +72,7 @@ def _of_calibration(h: CellChange, calibration: Calibration, frames: tuple[str, 
         for m in h.motions
     )
     at = -1
-    if h.replaces >= 0 and h.effect is not None:
+    if h.replaces >= 0:
         at = _number(h.effect, calibration)
     return replace(h, motions=motions, replaces=at)
 
@@ -110,12 +118,14 @@ def _as_deviations(h: CellChange, now: Calibration, known: Uncertainty, K: int) 
     if not h.motions:
         first = P
         for i, effect in enumerate(now.calibrated.effects):
-            if h.replaces == i and h.effect is not None:
+            if h.replaces == i:
                 B[first : first + len(effect.amplitudes), 0] = h.effect.amplitudes
-            elif (
-                h.replaces < 0 and h.effect is not None and (effect.key, effect.shape) == (h.effect.key, h.effect.shape)
-            ):
-                B[first : first + h.sizes] = np.eye(h.sizes)
+            at = 0
+            for added in h.effects if h.replaces < 0 else ():
+                k = len(added.amplitudes)
+                if (effect.key, effect.shape) == (added.key, added.shape):
+                    B[first : first + k, at : at + k] = np.eye(k)
+                at += k
             first += len(effect.values)
         return B
     model: Model = now.calibrated.with_effects(())

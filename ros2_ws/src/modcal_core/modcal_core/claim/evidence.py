@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modcal_core.claim.neighbourhood import FREE, Neighbourhood
+from modcal_core.claim.neighbourhood import FREE, ArmEvidence, Neighbourhood
 from modcal_core.geometry import Array
 
 # Common widths of lengths, angles, waves, loads, signs and warps, in usual sizes: log-normal, with a steep end. Most
@@ -58,7 +58,7 @@ class _Round:
     drawn: Array
 
 
-def draw(about: Neighbourhood, count: int, rng: np.random.Generator) -> Drawn:
+def draw(about: ArmEvidence, count: int, rng: np.random.Generator) -> Drawn:
     """Draws of what the readings leave possible."""
     each = -(-count // _ROUNDS)
     rounds = list(_rounds(about, each, rng))
@@ -74,6 +74,11 @@ def draw(about: Neighbourhood, count: int, rng: np.random.Generator) -> Drawn:
     return Drawn(values, opened, noise[:, about.main], width, std, usual)
 
 
+def usual_std(about: Neighbourhood) -> Array:
+    """Deviations (K,) that values have in usual arms, by the law of the common widths, whatever the readings say."""
+    return about.std * np.exp(np.r_[USUAL, 0.0])[about.sort]
+
+
 def widths_of_links(about: Neighbourhood) -> dict[int, float]:
     """By place the width of its errors that the readings make most likely, on average, in usual errors."""
     logs = np.log(draw(about, _ROUNDS, np.random.default_rng(0)).widths).mean(axis=0)
@@ -81,7 +86,7 @@ def widths_of_links(about: Neighbourhood) -> dict[int, float]:
     return {int(place): float(np.exp(logs[about.place == place].mean())) for place in places}
 
 
-def _rounds(about: Neighbourhood, each: int, rng: np.random.Generator) -> Iterator[_Round]:
+def _rounds(about: ArmEvidence, each: int, rng: np.random.Generator) -> Iterator[_Round]:
     """The rounds, with so many draws each."""
     expected = np.flatnonzero(about.sort != FREE)
     (sorts, of_sort), (groups, of_group) = (
@@ -112,7 +117,7 @@ def _rounds(about: Neighbourhood, each: int, rng: np.random.Generator) -> Iterat
         common = np.exp([np.interp(x, np.r_[0.0, sums], _EDGES) for x, sums in zip(at, below, strict=True)])
 
 
-def _values(about: Neighbourhood, D: Array, noise: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+def _values(about: ArmEvidence, D: Array, noise: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Mean (K,) and draws (count, K) of the values, given their deviations D and the noise of each kind."""
     H, g = about.equations(noise)
     A = H * np.outer(D, D)

@@ -59,20 +59,17 @@ LENGTH, ANGLE, WAVE, LOAD, SIGN, WARP, FREE = range(7)  # sorts of values
 
 
 @dataclass(frozen=True)
-class Neighbourhood:
-    """model: the calibrated one, with the functions as effects of no size. parameters: of the geometry. shipped: values
-    that the calibrated model has (K,), from the nominal arm. H (S, K, K), g (S, K), square, rows (S,): by each kind of
-    reading normal equations about the calibrated model, squared residuals, in units of the fit's noise, and equations.
-    stated: H (K, K) and g (K,) of what is known besides. usual: noise that instruments usually have, in the same units
-    (S,). std: usual size of each value (K,). sort: of each, LENGTH … FREE (K,). group: a number of what it belongs to,
-    a link or one joint's functions of a sort (K,). place: of values of the arm, else -1 (K,). joints: mean squared
-    weighed reading of the main kind per rad² of all joints, each alone. shares: how likely each of SHARES is. main: the
-    kind with the most equations. pull: what g is short of (K,). read: what the
-    main kind scatters by.
+class ArmEvidence:
+    """What is said of K values of an arm, as far as draws of them ask for it.
+
+    shipped: values that the calibrated model has (K,), from the nominal arm. H (S, K, K), g (S, K), square, rows (S,):
+    by each kind of reading normal equations about the calibrated model, squared residuals, in units of the fit's noise,
+    and equations. stated: H (K, K) and g (K,) of what is known besides. usual: noise that instruments usually have, in
+    the same units (S,). std: usual size of each value (K,). sort: of each, LENGTH … FREE (K,). group: a number of what
+    it belongs to, a link or one joint's functions of a sort (K,). main: the kind with the most equations. pull: what g
+    is short of (K,).
     """
 
-    model: Model
-    parameters: tuple[ModelParameter, ...]
     shipped: Array
     H: Array
     g: Array
@@ -83,17 +80,28 @@ class Neighbourhood:
     std: Array
     sort: np.ndarray
     group: np.ndarray
-    place: np.ndarray
-    joints: float
-    shares: Array
     main: int
     pull: Array
-    read: float
 
     def equations(self, noise: Array) -> tuple[Array, Array]:
         """H (K, K) and g (K,) of all that is known, given the noise of each kind (S,)."""
         each = noise**-2.0
         return np.tensordot(each, self.H, 1) + self.stated[0], each @ self.g + self.stated[1]
+
+
+@dataclass(frozen=True)
+class Neighbourhood(ArmEvidence):
+    """model: the calibrated one, with the functions as effects of no size. parameters: of the geometry. place: of
+    values of the arm, else -1 (K,). joints: mean squared weighed reading of the main kind per rad² of all joints, each
+    alone. shares: how likely each of SHARES is. read: what the main kind scatters by.
+    """
+
+    model: Model
+    parameters: tuple[ModelParameter, ...]
+    place: np.ndarray
+    joints: float
+    shares: Array
+    read: float
 
     def unread(self) -> Neighbourhood:
         """The same before the readings are there: they miss the model by their noise, about the calibrated arm."""

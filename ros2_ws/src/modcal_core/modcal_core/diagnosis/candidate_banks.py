@@ -108,7 +108,7 @@ class BankedCandidates:
             return (key,) * len(basis), basis
         keys: list[Key] = []
         for i, several in enumerate(terms):
-            own = f" {i} {sorted(effect.shape.settings.items())}" if len(terms) > 1 else ""
+            own = f" {i} {sorted(effect.shape.settings.items())}" if len(terms) > 1 or effect.shape.settings else ""
             keys.append((several[0].place, effect.direction + effect.driver + own))
             self._composed[keys[-1]] = [(t.place, t.direction, t.size) for t in several]
         return tuple(keys), np.ones((len(keys), len(self.drivers)))

@@ -35,7 +35,7 @@ _PLAINLY_MORE = 1.3  # times what the best line explains, for a whole curve, its
 _RHYTHM = 10.0  # cycles a turn that are one kind of rhythm
 _MAX_NAMED = 12  # in a sentence
 _MAX_RIVALS = 4  # that are fitted, for time
-_NOT_LINEAR = "velocity"  # the driver of delays, whose second order is in the fit and not in the scan
+_NOT_LINEAR = ("velocity", "clock")  # the drivers of delays, whose second order is in the fit and not in the scan
 _WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplitudes explain by chance
 _NEARLY = 0.9  # share of the best explanation; what only stands elsewhere is plainer than any curve
 _MAX_SCANNED = 500  # samples; more are thinned evenly
@@ -196,11 +196,11 @@ def other_forms(effect: Effect, candidates: Iterable[Effect]) -> tuple[Effect, .
     """The candidates of the same family, place and direction by another driver, where the scan sees one of the two to
     first order only; each has as many amplitudes as the effect. Empty for an effect that has one form.
     """
-    late = effect.driver == _NOT_LINEAR
+    late = effect.driver in _NOT_LINEAR
     return tuple(
         other
         for other in candidates
-        if (late or other.driver == _NOT_LINEAR)
+        if (late or other.driver in _NOT_LINEAR)
         and other.driver != effect.driver
         and (other.family, other.place, other.direction) == (effect.family, effect.place, effect.direction)
         and other.shape.size == effect.shape.size

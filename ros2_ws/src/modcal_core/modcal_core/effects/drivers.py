@@ -4,7 +4,8 @@ A driver has the name that people and reports use: ``position:J``, ``load:J``, `
 ``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``; ``following:J`` is the commanded position less the
 measured one. Others are ways to know a load and are reported as ``load:J``: ``effort:J`` is the torque that the
 actuator itself reports, ``payload:J`` that of 1 kg at the tip, ``offset_x:J`` … what it changes by for each metre
-beside the tip, and ``moment:J`` the two components across the axis. A family may bring more.
+beside the tip, and ``moment:J`` the two components across the axis; ``clock`` is the time of
+what does not move the arm. A family may bring more.
 
 Time goes on for as long again as the recording lasted, for a session rarely ends with it; from there it returns to the
 recording's end, so that days later nothing is extrapolated. Temperatures go on for as far again as they were seen, for
@@ -126,6 +127,8 @@ def public_driver(driver: str) -> str:
     """The name of a driver in reports."""
     first = driver.partition(",")[0]
     kind, _, rest = first.partition(":")
+    if kind == "clock":
+        return "time"
     return f"load:{rest}" if kind in _LOADS else first.partition(PART)[0]
 
 
@@ -338,7 +341,9 @@ def _along(drivers: Drivers, j: int) -> int:
 
 KINDS: Mapping[str, DriverKind] = {
     "constant": lambda at, _: np.ones(len(at)),
+    "stamp": lambda at, _: at.samples.stamps,  # of these samples alone, whatever a calibration has seen
     "time": lambda at, _: at.samples.stamps if at.arm.limits is None else at.arm.limits.time(at.samples.stamps),
+    "clock": lambda at, _: at.samples.stamps,  # of the readings, whose course is no other recording's
     "velocity": lambda at, _: np.asarray(np.nan_to_num(at.samples.velocity.T)),  # of all joints, (n, N)
     "reading": lambda at, _: np.ones(len(at)),
     "position": lambda at, joint: at.samples.q[:, _column(at, joint)],

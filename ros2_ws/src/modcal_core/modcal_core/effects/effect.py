@@ -341,7 +341,7 @@ def prior_stds(effect: Effect, drivers: Drivers) -> Array:
         if effect.held is not None:
             out.append(effect.held)
         elif effect.direction == JOINTS or effect.driver == "velocity":
-            out.append(EXPECTED_DELAY)
+            out.append(EXPECTED_DELAY / float(np.sqrt(np.mean(delay_course(effect, drivers) ** 2))))
         elif effect.direction == PAIRS:
             out.append(EXPECTED_RODS)
         elif effect.shape.kind in ("spline", "waves"):
@@ -394,7 +394,17 @@ def _directions(direction: str, chain: Mechanism, k: int) -> list[list[tuple[int
     return [[(DIRECTIONS.index(direction), 1.0)]]
 
 
+def delay_course(effect: Effect, drivers: Drivers) -> Array:
+    """What the amplitude of a delay is multiplied by, (N,): one, or its course over time."""
+    if effect.shape.kind == "linear":
+        return np.ones(len(drivers))
+    return drivers.basis(effect.driver, 0.0, effect.shape)[0]
+
+
 def _delay(effect: Effect, drivers: Drivers) -> Array:
-    """Motion of the joints (n, N) per second that the readings are late: back along their course, to second order."""
-    delay = float(effect.values[0]) if len(effect.values) else 0.0
-    return -np.nan_to_num(drivers.samples.velocity.T) + 0.5 * delay * drivers.samples.acceleration.T
+    """Motion of the joints (n, N) per amplitude of a delay: back along their course, to second order."""
+    course = delay_course(effect, drivers)
+    delay = course * (float(effect.values[0]) if len(effect.values) else 0.0)
+    return np.asarray(
+        course * (-np.nan_to_num(drivers.samples.velocity.T) + 0.5 * delay * drivers.samples.acceleration.T)
+    )

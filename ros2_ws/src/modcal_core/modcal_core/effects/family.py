@@ -84,10 +84,12 @@ def unnamed(entry: ReportEntry) -> str:
 def over_time(entry: ReportEntry) -> str:
     """What moved at one time, settles, or follows a driver slowly."""
     if "at" in entry.sizes:
-        return f"{entry.place} moved by {entry.total} at one moment (stamp {entry.sizes['at'][0]:.1f} s)"
+        at, _, unit = entry.sizes["at"]
+        when = f"stamp {at:.1f} s" if unit == "s" else f"row {at:.0f}"
+        return f"{entry.place} moved by {entry.total} at one moment ({when})"
     if "time_constant" in entry.sizes:
-        tau = entry.sizes["time_constant"][0]
-        return f"{entry.place} settles by {entry.total} with a time constant of {tau:.0f} s"
+        tau, _, unit = entry.sizes["time_constant"]
+        return f"{entry.place} settles by {entry.total} with a time constant of {tau:.0f} {unit}"
     return f"{entry.place} moves with {entry.of_driver} ({entry.total})"
 
 

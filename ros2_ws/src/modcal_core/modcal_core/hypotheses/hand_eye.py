@@ -30,7 +30,7 @@ ANYWHERE = float(np.log(8.0 * np.pi**2))  # log of the volume of orientations
 _DRAWS = 240  # with a third of the stations in agreement, one draw of five holds only these: 1 − (1 − 3⁻⁵)²⁴⁰ = 63 %
 _ROUNDS = 8  # iterations
 _OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
-_MANY = 0.2  # share of the stations that must agree, lest chance finds that many
+MANY = 0.2  # share of the stations that must agree, lest chance finds that many
 
 
 def limits(chain: Chain) -> tuple[float, float]:
@@ -226,7 +226,7 @@ class HandEyeFit:
         A wide spread swallows two heaps of readings; one of them, with the other astray, says what is wrong.
         """
         mine, others = int(self.agree(2.0).sum()), int(other.agree(2.0).sum())
-        if max(mine, others) >= _MANY * len(self.gap) and mine != others:
+        if max(mine, others) >= MANY * len(self.gap) and mine != others:
             return mine > others
         return self.evidence > other.evidence
 
@@ -364,8 +364,9 @@ def _by_draws(case: HandEye) -> Placement | None:
     points = np.einsum("nij,cj->cni", case.B[:, :3, :3], x) + case.B[:, :3, 3]
     inside = np.linalg.norm(case.p - (points @ np.swapaxes(Y, 1, 2) + t[:, None]), axis=2) < 2.0 * distance
     if case.poses:
-        turned = so3.log(np.swapaxes(Y[:, None] @ case.A[:, :3, :3] @ X[:, None], -1, -2) @ case.R)
-        inside &= np.linalg.norm(turned, axis=-1) < 2.0 * angle
+        back = (np.swapaxes(Y, 1, 2)[:, None] @ case.R @ np.swapaxes(X, 1, 2)[:, None]).reshape(draws, N, 9)
+        cosine = 0.5 * (np.einsum("cnk,nk->cn", back, case.A[:, :3, :3].reshape(N, 9)) - 1.0)
+        inside &= cosine > np.cos(2.0 * angle)
     best = int(np.argmax(inside.sum(axis=1)))
     if inside[best].sum() <= few:
         return None

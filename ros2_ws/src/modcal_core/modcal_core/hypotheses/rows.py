@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.geometry import Array, so3
 from modcal_core.hypotheses.hand_eye import (
     ANYWHERE,
@@ -35,6 +36,7 @@ from modcal_core.measurements import spread_rows
 _FEW = 40  # stations at which hypotheses are screened
 _KEPT = 8  # of them that are then asked of all stations
 _LEAST = 3  # stations; fewer are single wrong readings
+_NEAR = 4.0  # limits of an arm, that neighbours may miss in closed form and agree once refined
 _UNITS = {
     "millimetres": 1e3,
     "centimetres": 1e2,
@@ -242,9 +244,10 @@ def stretches(fit: HandEyeFit) -> Iterator[Hypothesis]:
     case, first, N = fit.case, 0, len(fit.case)
     parts: list[tuple[int, int, Placement]] = []
     window = 6 if case.poses else 10
+    near = _near_by_windows(case, window)
     while first + window <= N and len(parts) <= 12:
-        own = placed(case.select(np.arange(first, first + window)), thorough=False)
-        if not own.explains:
+        own = placed(case.select(np.arange(first, first + window)), thorough=False) if near[first] else None
+        if own is None or not own.explains:
             first += 1
             continue
         end = first + window
@@ -283,6 +286,22 @@ def stretches(fit: HandEyeFit) -> Iterator[Hypothesis]:
             values * (len(parts) - 1),
             "rows",
         )
+
+
+def _near_by_windows(case: HandEye, length: int) -> np.ndarray:
+    """Whether a base and a tool in closed form bring so many neighbours near, for each that may be the first."""
+    rows = np.arange(max(len(case) - length + 1, 0))[:, None] + np.arange(length)
+    angle, distance = (_NEAR * limit for limit in case.limits)
+    A, R = case.A[rows], case.R[rows]
+    Y = base_by_positions(A, case.p[rows])
+    near = np.median(np.linalg.norm(tool_and_place(Y, A, case.p[rows])[0], axis=2), axis=1) < distance
+    if case.poses:
+        a = A[..., :3, :3]
+        Y, X = base_and_tool_turns(a, R)
+        gaps, turns = tool_and_place(Y, A, case.p[rows])[0], turns_left(Y, a, X, R)
+        near |= np.median(np.linalg.norm(gaps, axis=2), axis=1) < distance
+        near &= np.median(np.linalg.norm(turns, axis=2), axis=1) < angle
+    return near
 
 
 def _mean(parts: list[Placement], here: Placement, kept: str) -> Placement:

@@ -16,16 +16,15 @@ import numpy as np
 from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.geometry import so3
 from modcal_core.hypotheses import channels, conventions, description, joints, rows
-from modcal_core.hypotheses.hand_eye import HandEye, HandEyeFit, placed, points
+from modcal_core.hypotheses.hand_eye import MANY, HandEye, HandEyeFit, placed, points
 from modcal_core.hypotheses.hypothesis import Hypothesis
 from modcal_core.measurements import spread_rows
 
 SURE = 30.0  # nats over nothing; of a hundred stations at the errors of a nominal arm, which are not independent
 ODDS = 3.0  # nats, odds of twenty to one, within which another explanation is a rival
-AN_ARM = 0.05  # of the reach; what misses by more is explained by nothing
-_BETTER = 4.0  # times, by which what is no explanation for a nominal arm must still be better
 _AGREED = 0.9  # share of the stations; what is left then is single wrong readings, or asked of the arm itself
 _FEW, _FITTED = 60, 8  # stations that tables are sifted on, and hypotheses of each that are fitted
+_DRAWN = 6  # of them that are fitted from draws of stations as well
 _FEWEST = 12  # stations that can be asked by themselves, twice what base and tool ask for
 _DEPTH, _BEAM = 3, 2  # mistakes at once, and states that are followed
 _AT_ONCE = 96  # cases in a block, for memory
@@ -101,23 +100,33 @@ def explain(case: HandEye, table: Sequence[Hypothesis] | None = None, depth: int
 def _answered(root: SearchState, seen: Sequence[SearchState]) -> Answer:
     """The likeliest explanation, where it is one."""
     likely = [s for s in seen if s.said and s.score > root.score + SURE]
-    good = [s for s in likely if s.fit.explains] or [s for s in likely if _much_better(s.fit, root.fit)]
+    many = max(MANY, 2.0 * float(root.fit.agree(2.0).mean()))  # another mistake may spoil the others
+    good = [s for s in likely if s.fit.explains] or [s for s in likely if s.fit.agree(2.0).mean() >= many]
     if not good:
         return Answer((), root.fit, root.fit)
+    good += _exchanged(root, max(good, key=lambda s: s.score), likely)
     best = max(good, key=lambda s: s.score)
-    near = [s for s in good if s.score > best.score - ODDS and s is not best]
+    near = [s for s in good if s.score > best.score - ODDS and len(s.said) == len(best.said)]
     own = {h.what for h in best.said}
-    others = tuple(dict.fromkeys(s.said[-1].what for s in near if len(s.said) == len(best.said)))
-    rivals = tuple(what for what in others if what not in own)[:3]
+    rivals = tuple(dict.fromkeys(h.what for s in near for h in s.said if h.what not in own))[:3]
     return Answer(best.said, root.fit, best.fit, best.score - root.score, rivals)
 
 
-def _much_better(after: HandEyeFit, before: HandEyeFit) -> bool:
-    """Whether what is left is no nominal arm's error and still mostly gone."""
-    limit = AN_ARM * after.case.chain.reach()
-    size = max(after.usual[1] / after.case.limits[1], after.usual[0] / after.case.limits[0])
-    was = max(before.usual[1] / before.case.limits[1], before.usual[0] / before.case.limits[0])
-    return after.usual[1] <= min(limit, after.case.motion[1] / _BETTER) and _BETTER * size <= was
+def _exchanged(root: SearchState, best: SearchState, likely: Sequence[SearchState]) -> list[SearchState]:
+    """Of several mistakes, each exchanged for others that gained by themselves: only the likeliest were followed."""
+    if len(best.said) < 2:
+        return []
+    out, alone = [], sorted((s for s in likely if len(s.said) == 1), key=lambda s: -s.score)
+    for k, h in enumerate(best.said):
+        others = {s.said[0].what: s.said[0] for s in alone if s.said[0].touches == h.touches}
+        others.pop(h.what, None)
+        for other in [*others.values()][:_FITTED]:
+            state = root
+            for part in (*best.said[:k], other, *best.said[k + 1 :]):
+                state = next(_followed_by(state, part, thorough=True), root)
+            if len(state.said) == len(best.said) and state.fit.explains:
+                out.append(state)
+    return out
 
 
 def _different(states: Sequence[SearchState]) -> list[SearchState]:
@@ -142,7 +151,8 @@ def _followed(state: SearchState, table: Sequence[Hypothesis] | None) -> list[Se
     if table is not None:
         return _fitted(state, _sifted(case, table))
     trials = _fitted(state, _sifted(case, _whole(case)))
-    for proposers in (_PLAIN, _LABORIOUS):
+    laborious = not state.said or bool(state.fit.agree(2.0).mean() >= MANY)  # else nonsense is followed for long
+    for proposers in (_PLAIN, _LABORIOUS)[: 1 + laborious]:
         if any(t.ends for t in trials):
             break
         trials += _fitted(state, _proposed(state.fit, proposers))
@@ -202,15 +212,23 @@ def _proposed(fit: HandEyeFit, proposers: Sequence[_Proposer]) -> Iterator[Hypot
 
 
 def _fitted(state: SearchState, hypotheses: Iterable[Hypothesis]) -> list[SearchState]:
-    out = []
+    """The states that these lead to; only the likeliest are fitted by draws as well."""
+    quick: dict[str, SearchState] = {}
     for h in hypotheses:
-        try:
-            fit = placed(h.undone(state.fit.case))
-        except np.linalg.LinAlgError:
-            continue
-        if np.isfinite(fit.evidence):
-            out.append(SearchState(fit, (*state.said, h)))
-    return out
+        if h.what not in quick:  # else the same from another start
+            quick.update((s.said[-1].what, s) for s in _followed_by(state, h, thorough=False))
+    likely = sorted(quick.values(), key=lambda s: -s.score)
+    return [s for q in likely[:_DRAWN] for s in _followed_by(state, q.said[-1], thorough=True)] + likely[_DRAWN:]
+
+
+def _followed_by(state: SearchState, h: Hypothesis, thorough: bool) -> Iterator[SearchState]:
+    """The state with one more hypothesis; none where it leaves nothing to fit."""
+    try:
+        fit = placed(h.undone(state.fit.case), thorough)
+    except np.linalg.LinAlgError:
+        return
+    if np.isfinite(fit.evidence):
+        yield SearchState(fit, (*state.said, h))
 
 
 def _sifted(case: HandEye, table: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -115,23 +115,22 @@ def _fitted(
     state = start, list(placed), poses
 
     def see(x: Array, some: Sequence[Instrument], at: Array) -> tuple[list[_PlacedResidual], list[Array]]:
+        """Residuals of each instrument, and their derivatives (m, 3, k) by the tool and by what is its own."""
         seen, derivatives = [], []
-        for k, (instrument, mine) in enumerate(zip(some, rows, strict=True)):
+        for instrument, mine in zip(some, rows, strict=True):
             tool = T_base_tip[mine] @ se3.transform(p=x)
             scene = scene_in(at[samples.frames.index(instrument.frame)], tool)
             sight = instrument.of_kind.see(scene, instrument.values, samples.reading[mine])
             kind = instrument.of_kind
             seen.append(_PlacedResidual(sight.residual, sight.lever, samples.reading[mine], kind.unit, kind.dimensions))
             through = np.moveaxis(sight.through, 2, 0)
-            constants = len(instrument.values)
-            J = np.zeros((len(mine), 3, 3 + sum(6 + len(i.values) for i in some)))
-            first = 3 + sum(6 + len(i.values) for i in some[:k])
-            J[:, :, :3] = through @ tool[:, :3, :3]
-            J[:, :, first : first + 3] = through
-            J[:, :, first + 3 : first + 6] = -through @ so3.hat(scene.target.T)
-            J[:, :, first + 6 : first + 6 + constants] = np.moveaxis(sight.constants, (0, 2), (2, 0))
+            own = np.moveaxis(sight.constants, (0, 2), (2, 0))
+            J = np.concatenate([through @ tool[:, :3, :3], through, -through @ so3.hat(scene.target.T), own], axis=2)
             derivatives.append(J * sight.lever[:, None, None])
         return seen, derivatives
+
+    ends = 3 + np.cumsum([6 + len(i.values) for i in placed])
+    columns = [np.r_[0:3, end - 6 - len(i.values) : end] for i, end in zip(placed, ends, strict=True)]
 
     def cost(seen: Sequence[_PlacedResidual]) -> float:
         return float(
@@ -141,12 +140,13 @@ def _fitted(
     seen, derivatives = see(*state)
     now, damping = cost(seen), 1e-3
     for _ in range(_STEPS):
-        r = np.concatenate([(s.residual * s.lever).T for s in seen])
-        J = np.concatenate(derivatives)
-        weight = 1.0 / (1.0 + np.sum(r**2, axis=1) / _SOFT)
-        A = np.einsum("n,nij,nik->jk", weight, J, J)
-        g = np.einsum("n,nij,ni->j", weight, J, r)
-        step = np.linalg.lstsq(A + damping * np.diag(np.diag(A) + 1e-9), g, rcond=None)[0]
+        A, g = np.zeros((int(ends[-1]), int(ends[-1]))), np.zeros(int(ends[-1]))
+        for one, J, own in zip(seen, derivatives, columns, strict=True):  # instruments share the tool alone
+            r = (one.residual * one.lever).T
+            weighted = J / (1.0 + np.sum(r**2, axis=1) / _SOFT)[:, None, None]
+            A[np.ix_(own, own)] += np.tensordot(weighted, J, ([0, 1], [0, 1]))
+            g[own] += np.tensordot(weighted, r, ([0, 1], [0, 1]))
+        step = np.asarray(np.linalg.lstsq(A + damping * np.diag(np.diag(A) + 1e-9), g, rcond=None)[0], dtype=float)
         moved = _moved(state, step, samples)
         new, their = see(*moved)
         after = cost(new)

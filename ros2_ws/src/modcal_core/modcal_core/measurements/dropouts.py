@@ -25,7 +25,7 @@ from modcal_core.measurements.kinds.kind import farthest
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack, joints_by_time
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots import Mechanism
+from modcal_core.robots import Mechanism, is_serial_arm
 
 JOINTS = "joint states without a finite position"
 BEYOND = "joint states with a position that no joint has"
@@ -67,6 +67,7 @@ def cleaned(recording: Recording, names: tuple[str, ...], chain: Mechanism | Non
     chain: the arm, where it is known: what it cannot reach is left out too, as far as it is an exception. Raises
     BadRecording where nothing is left of a track that is needed.
     """
+    recording = _followed(recording, chain)
     notes: list[str] = []
     doubts: list[str] = []
     lost = dict(recording.lost)
@@ -79,6 +80,29 @@ def cleaned(recording: Recording, names: tuple[str, ...], chain: Mechanism | Non
         return Cleaned(recording, (), tuple(lost.items()))
     clean = replace(recording, joints=joints, readings=readings, signals=signals)
     return Cleaned(clean, tuple(notes), tuple(lost.items()), tuple(doubts))
+
+
+def _followed(recording: Recording, chain: Mechanism | None) -> Recording:
+    """The recording with joints that mimic another one, where their own positions were not recorded."""
+    followers = chain.follows if chain is not None and is_serial_arm(chain) else ()
+    known = {name for track in recording.joints for name in track.names}
+    new = [(chain.names[f.joint], f) for f in followers if chain is not None and chain.names[f.joint] not in known]
+    if not new:
+        return recording
+    tracks = []
+    for track in recording.joints:
+        here = [(name, track.names.index(f.leader), f) for name, f in new if f.leader in track.names]
+        k, factor, offset = [i for _, i, _ in here], [f.factor for *_, f in here], [f.offset for *_, f in here]
+        tracks.append(
+            replace(
+                track,
+                names=(*track.names, *(name for name, *_ in here)),
+                position=np.c_[track.position, track.position[:, k] * factor + offset],
+                velocity=np.c_[track.velocity, track.velocity[:, k] * factor],
+                effort=np.c_[track.effort, np.full((len(track.stamps), len(k)), np.nan)],
+            )
+        )
+    return replace(recording, joints=tuple(tracks))
 
 
 def elsewhen(stamps: Array) -> np.ndarray:

@@ -28,6 +28,8 @@ ORDER_ONLY = "The table has no clock: stamps give the order of the rows only, no
 SOCKETS = "Sockets, in each of which the tool's ball rests at one point: "
 TARGETS = "Another target on the tool from these stamps [s] on: "
 IMPORTED = "Imported from tables by "
+ARM = "The arm that was measured, from link to link: "
+_BETWEEN = " → "
 PART = "#"  # between the topic and the field, in the name of a signal that is one of many numbers in a message
 
 
@@ -133,6 +135,17 @@ class Recording:
         """Frames that a note states to be sockets."""
         stated = [note.removeprefix(SOCKETS).rstrip(".") for note in self.warnings if note.startswith(SOCKETS)]
         return tuple(name for names in stated for name in names.split(", "))
+
+    @property
+    def arm(self) -> tuple[str, str] | None:
+        """Base and tip links of the arm that was measured, where `modcal import` noted them."""
+        noted = next((note.removeprefix(ARM).rstrip(".") for note in self.warnings if note.startswith(ARM)), None)
+        base, arrow, tip = (noted or "").partition(_BETWEEN)
+        return (base, tip) if arrow else None
+
+    def of_arm(self, base: str, tip: str) -> Recording:
+        """The same with a note of the arm's base and tip links."""
+        return replace(self, warnings=(*self.warnings, f"{ARM}{base}{_BETWEEN}{tip}."))
 
     @property
     def tool_changes(self) -> tuple[float, ...]:

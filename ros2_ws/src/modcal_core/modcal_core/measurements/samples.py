@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRecording
-from modcal_core.geometry import Array, se3, view
+from modcal_core.geometry import Array, se3, so3, view
 from modcal_core.measurements.dwells import StationRules, spread_rows
 from modcal_core.measurements.pairing import paired_columns
 from modcal_core.measurements.recording import (
@@ -171,6 +172,36 @@ class Samples:
                 "arrays", began=None if stamps is None else float(t[0]), instrument=instrument, checked=False
             ),
         )
+
+    @classmethod
+    def from_frame(cls, table: Any, joints: Sequence[str], readings: Sequence[str], **more: Any) -> Samples:
+        """Samples of the rows of a pandas DataFrame. joints: its columns of joint positions [rad, m], by their names.
+        readings: columns x y z [m], or x y z qx qy qz qw. more: as of :meth:`from_arrays`, stamps and sigma also by the
+        name of a column. Raises BadRecording.
+        """
+        missing = [name for name in (*joints, *readings) if name not in table.columns]
+        if missing:
+            there = ", ".join(map(str, table.columns))
+            raise BadRecording(f"column {missing[0]}", "is not in the frame", f"choose among {there}")
+        more = {
+            key: table[value].to_numpy(float) if isinstance(value, str) and key != "frame" else value
+            for key, value in more.items()
+        }
+        values = table[list(readings)].to_numpy(float)
+        read = {"points" if values.shape[1] == 3 else "poses": values}
+        return cls.from_arrays(table[list(joints)].to_numpy(float), **read, names=tuple(joints), **more)
+
+    def to_frame(self) -> Any:
+        """The samples as a pandas DataFrame, a row each: joints by name, stamp, station, frame, kind, x y z and, of
+        poses, qx qy qz qw. Raises ImportError without pandas.
+        """
+        pandas = import_module("pandas")
+        names = self.names or tuple(f"q{k}" for k in range(self.q.shape[1]))
+        turns = np.where((self.kind == POSE)[:, None], so3.to_quaternion(self.R), np.nan)
+        columns = {**dict(zip(names, self.q.T, strict=True)), "stamp": self.stamps, "station": self.station}
+        columns |= {"frame": np.array(self.frames)[self.frame], "kind": self.kind.astype(str)}
+        columns |= dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), np.c_[self.reading, turns].T, strict=True))
+        return pandas.DataFrame(columns)
 
     def of_joints(self, names: tuple[str, ...]) -> Samples:
         """The samples with the columns of these joints, in this order.

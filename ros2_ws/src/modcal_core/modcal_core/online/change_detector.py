@@ -6,25 +6,36 @@ likelihood ratio, Willsky & Jones 1976). Two things keep it quiet where nothing 
 much, so a glint is no change; and a posture speaks once, by its latest sample, for a model that misses there by a
 little does so every time.
 
-Each thing that can happen to a cell is one hypothesis: columns of motions, all zero before the change. The one that
-takes most of the residual away, with what its number of columns would take by chance counted against it (Schwarz 1978),
-is named, or what outside the arm takes as much away, and with it those that explain nearly as much. It is a suspicion:
-the diagnosis decides on more data.
+What has changed is asked of the same rows and by the same evidence as in a check (:mod:`modcal_core.moves`), of the
+samples that are remembered. It is a suspicion: the diagnosis decides on more data.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
 from modcal_core.calibration import INSTRUMENT, Model, ModelParameter, NoiseModel
-from modcal_core.effects import BY_HAND, one_motion, put_back_first
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
+from modcal_core.moves import (
+    BASE,
+    FRAME,
+    LENGTH,
+    LOAD,
+    PAYLOAD,
+    TOOL,
+    ZERO,
+    CellChange,
+    CheckState,
+    FrozenKnowledge,
+    MoveSearch,
+    hypotheses,
+)
 from modcal_core.online.fixed_linearisation import FixedLinearisation
-from modcal_core.robots import payload_wrench
 
 POSTURES = 48  # distinct postures that are remembered
 _SAME = 0.03  # rad or m; postures closer than this are one
@@ -33,19 +44,17 @@ _MAX_SAID = 6.0  # standard deviations that one sample may say at most
 # model that misses a little more than it says
 ALARM = 60.0
 _MIN = 3  # postures that must agree
+_KINDS = (BASE, FRAME, TOOL, ZERO, LENGTH, LOAD, PAYLOAD)  # what happens within hours, and shows at a few postures
 _MIN_GAP = 0.2  # s between samples of an arm in motion, whose residuals are alike
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What the watch remembers of one sample: the row, its residual (6,) and the motions (6, C), both whitened, and the
-    motions as they are, in m and rad per unit (6, C).
-    """
+    """What the watch remembers of one sample: the row, its residual (6,) and the motions (6, C), both whitened."""
 
     sample: Samples
     residual: Array
     motions: Array
-    unwhitened: Array
 
     @property
     def stamp(self) -> float:
@@ -70,6 +79,7 @@ class ChangeDetector:
         self._known = np.array([names[_key(parameters[i])] for i in moving], dtype=int)
         self._covariance = covariance[np.ix_(moving, moving)]
         self._noise_model = noise
+        self.known = FrozenKnowledge(tuple(parameters[i] for i in moving), self._covariance, (), noise)
         self._frozen = FixedLinearisation(model, self.directions, np.zeros(len(self.directions)))
         self.seen: list[Seen] = []
         self.largest = 0.0
@@ -99,7 +109,7 @@ class ChangeDetector:
         residual, motions = np.linalg.solve(L, r), np.linalg.solve(L, J)
         if len(motions) < 6:
             residual, motions = np.r_[residual, np.zeros(3)], np.r_[motions, np.zeros((3, motions.shape[1]))]
-        return Seen(sample, residual, motions, J)
+        return Seen(sample, residual, motions)
 
     def _since(self) -> float | None:
         if len(self.seen) < _MIN:
@@ -123,9 +133,6 @@ def all_directions(model: Model) -> tuple[ModelParameter, ...]:
     n = model.chain.tool_place
     places = [ModelParameter(f"place {k}/{d}", k, d) for k in range(1, n + 1) for d in range(6)]
     return (*frames, *places)
-
-
-_AS_GOOD = 10.0  # difference of the criterion below which two hypotheses are not told apart
 
 
 @dataclass(frozen=True)
@@ -163,96 +170,39 @@ class ChangeHypothesis:
         return text + (f"; it may as well be {', '.join(self.same_as)}" if self.same_as else "")
 
 
-@dataclass(frozen=True)
-class _Hypothesis:
-    place: str
-    direction: str
-    driver: str
-    columns: Array  # (m, k, 6): whitened motions at m samples
-    lengths: Array  # (m, k, 3 or 6): the same in m and rad, of the tool
-
-    @property
-    def label(self) -> str:
-        return f"{self.place} {self.direction} by {self.driver}"
-
-
 def find_change(detector: ChangeDetector, since: float) -> ChangeHypothesis:
-    """The hypothesis that explains best what the watch has seen since this stamp [s]."""
-    seen = [s for s in detector.seen if s.stamp >= since]
-    residual = np.stack([s.residual for s in seen])
-    total = float(np.sum(residual**2))
-    judged = []
-    for hypothesis in _hypotheses(detector, seen):
-        A = hypothesis.columns.transpose(0, 2, 1).reshape(-1, hypothesis.columns.shape[1])
-        values = np.linalg.lstsq(A, residual.ravel(), rcond=1e-8)[0]
-        gain = total - float(np.sum((residual.ravel() - A @ values) ** 2))
-        moved = np.einsum("mki,k->mi", hypothesis.lengths, values)
-        size, turn = (float(np.sqrt(np.mean(np.sum(m**2, axis=1)))) for m in (moved[:, :3], moved[:, 3:]))
-        cost = A.shape[1] * np.log(residual.size)
-        judged.append((gain - cost, hypothesis, gain, size, turn if moved.shape[1] == 6 else np.nan))
-    score = np.array([j[0] for j in judged])
-    outside = [j[1].place in (*BY_HAND, *detector.model.frames) for j in judged]
-    at = put_back_first(int(np.argmax(score)), outside, 0.5 * np.array([j[2] for j in judged]))
-    _, best, gain, size, turn = judged[at]
-    as_well = sorted(np.flatnonzero(score > score[at] - _AS_GOOD).tolist(), key=lambda i: -score[i])
-    names = one_motion(best.place) if len(detector.model.frames) == 1 or best.place == "tool" else ()
-    same = (
-        *(f"{name} {best.direction} by {best.driver}" for name in names),
-        *(judged[i][1].label for i in as_well if i != at),
-    )
-    return ChangeHypothesis(best.place, best.direction, best.driver, since, size, turn, gain, total, same)
+    """The row of the catalogue that explains best what the watch has seen since this stamp [s]."""
+    model = detector.model
+    samples = reduce(Samples.followed_by, [s.sample for s in detector.seen if s.stamp >= since])
+    engine = MoveSearch(CheckState(model, samples, detector.known), asked=_watched(model, samples))
+    found, state = engine.nearest(), engine.plain.state
+    columns, row = state.columns(found.hypothesis), state.row_samples
+    # of each sample by itself, as it is watched
+    L = np.linalg.cholesky(state.null.covariances[state.null.reference] * (row[:, None] == row))
+    A, z = np.linalg.solve(L, columns), np.linalg.solve(L, state.residual)
+    values = np.linalg.lstsq(A, z, rcond=1e-8)[0]
+    left, total = float(np.sum((z - A @ values) ** 2)), float(z @ z)
+    shift, turn = np.split(columns @ values, [3 * len(samples)])
+    place, direction, driver = _words(found.hypothesis, columns, state)
+    names = (f"{name} {direction} by {driver}" for name in found.hypothesis.names)
+    rivals = (j.candidate.hypothesis for j in found.same_as)
+    same = (*names, *(" ".join("{} {} by {}".format(*_words(h, state.columns(h), state)).split()) for h in rivals))
+    size = float(np.sqrt(np.sum(shift**2) / len(samples)))
+    turned = float(np.sqrt(3.0 * np.mean(turn**2))) if len(turn) else np.nan
+    return ChangeHypothesis(place, direction, driver, since, size, turned, total - left, total, same)
 
 
-def _hypotheses(detector: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hypothesis]:
-    chain = detector.model.chain
-    n, F = chain.tool_place, len(detector.model.frames)
-    motions = np.stack([s.motions for s in seen])  # (m, 6, C)
-    rows = min(len(s.unwhitened) for s in seen)
-    lengths = np.stack([s.unwhitened[:rows] for s in seen])  # (m, 3 or 6, C)
-    columns = {(p.place, p.direction, p.frame): i for i, p in enumerate(detector.directions)}
-    t = np.array([s.stamp for s in seen])
-    growing = (t - t[0]) / max(float(np.ptp(t)), 1e-9)
+def _watched(model: Model, samples: Samples) -> list[CellChange]:
+    """What is asked of a stream: at once or growing, where a change may be either."""
+    rows = [h for h in hypotheses(model, samples) if h.kind in _KINDS]
+    return [*rows, *(replace(h, growing=True) for h in rows if h.motions)]
 
-    def of(place: int, directions: Array, scale: Array | None = None, frame: int = -1) -> tuple[Array, Array]:
-        """Columns along combinations (k, 6) of a place's directions, times a number for each sample (m,)."""
-        index = [columns[place, d, frame] for d in range(6)]
-        factor = np.ones(len(seen)) if scale is None else scale
-        moved = [np.einsum("mid,kd,m->mki", a[:, :, index], directions, factor) for a in (motions, lengths)]
-        return moved[0], moved[1]
 
-    def of_all_frames(directions: Array, scale: Array | None = None) -> tuple[Array, Array]:
-        """The same in front of the arm, where every frame has columns of its own."""
-        parts = [of(0, directions, scale, f) for f in range(F)]
-        return np.sum([p[0] for p in parts], axis=0), np.sum([p[1] for p in parts], axis=0)
-
-    every = np.eye(6)
-    for driver, scale in (("time (at once)", None), ("time (growing)", growing)):
-        yield _Hypothesis("base", "all", driver, *of_all_frames(every, scale))
-        yield _Hypothesis("tool", "all", driver, *of(n, every, scale))
-        for j, name in enumerate(chain.names):
-            k = chain.first_place + j
-            along = chain.length_direction(k)
-            if along.any() and k > 0:
-                yield _Hypothesis(name, "length", driver, *of(k, np.r_[along, np.zeros(3)][None], scale))
-            axis = every[[5 if chain.revolute[j] else 2]]
-            turned = of(k, axis, scale) if k else of_all_frames(axis, scale)
-            yield _Hypothesis(name, "axis", driver, *turned)
-        if F > 1:
-            for f, name in enumerate(detector.model.frames):
-                only = np.array([int(s.sample.frame[0]) == f for s in seen], dtype=float)
-                yield _Hypothesis(name, "all", driver, *of(0, every, only if scale is None else only * scale, f))
-    load = payload_wrench(chain, np.concatenate([s.sample.q for s in seen]))
-    given = []
-    for j, name in enumerate(chain.names):
-        k, row = chain.first_place + j, 5 if chain.revolute[j] else 2
-        axis = every[[row]]
-        given.append(of(k, axis, load[j, row]) if k else of_all_frames(axis, load[j, row]))
-        yield _Hypothesis(name, "axis", f"load:{name}", *given[-1])
-    heaviest = int(np.argmax([np.sum(g[1] ** 2) for g in given]))
-    yield _Hypothesis(
-        chain.names[heaviest],
-        "axis",
-        f"load:{chain.names[heaviest]} (and all other joints)",
-        np.concatenate([g[0] for g in given], axis=1),
-        np.concatenate([g[1] for g in given], axis=1),
-    )
+def _words(h: CellChange, columns: Array, state: CheckState) -> tuple[str, str, str]:
+    """Place, direction and driver, as in reports."""
+    if h.kind in (LOAD, PAYLOAD):
+        j = int(np.argmax(np.sum(columns**2, axis=0))) if h.kind == PAYLOAD else state.model.chain.names.index(h.place)
+        name = state.model.chain.names[j]
+        return name, "axis", f"load:{name}" + (" (and all other joints)" if h.kind == PAYLOAD else "")
+    direction = {ZERO: "axis", LENGTH: "length"}.get(h.kind, "all")
+    return h.place, direction, f"time ({'growing' if h.growing else 'at once'})"

@@ -207,7 +207,9 @@ class Outcome:
         at_tool = None
         if (one := self.claim) is not None:
             found = one.mm[asked.statistic]
-            at_tool = AtTool(found.value, found.ci95, one.over, one.unshown_mm, one.remedy)
+            size = self.size_mm("final")
+            read = None if size is None else float(getattr(size, asked.statistic))
+            at_tool = AtTool(found.value, found.ci95, one.over, one.unshown_mm, one.remedy, read)
         return replace(self, tolerance=assess(at_tool, asked, self.judged))
 
     def rejected_rows(self) -> np.ndarray:

@@ -48,6 +48,20 @@ def parameters(effects: Sequence[Effect], chain: Mechanism, companions: Sequence
     return out
 
 
+def _in_rows(sizes: Sizes, samples: Samples) -> Sizes:
+    """Sizes with rows for seconds, where stamps only count rows."""
+    gaps = np.diff(np.unique(samples.stamps))
+    if samples.clock or not len(gaps) or np.ptp(gaps) > 1e-6 * gaps[0]:
+        return sizes
+    row, out = float(gaps[0]), dict(sizes)
+    for name, (value, std, unit) in sizes.items():
+        if unit == "s":
+            out[name] = value / row, std / row, "rows"
+        elif unit.endswith("/s"):
+            out[name] = value * row, std * row, f"{unit[:-1]}row"
+    return out
+
+
 def at_tool(model: Model, effects: Sequence[int], samples: Samples) -> float:
     """RMS distance [m] by which the effects of these numbers together move the tool at the samples."""
     kept = tuple(e for i, e in enumerate(model.effects) if i not in set(effects))
@@ -55,6 +69,7 @@ def at_tool(model: Model, effects: Sequence[int], samples: Samples) -> float:
     return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
 
 
+_TOLD = 2  # rivals that a sentence gives; report.json has all of them
 MAX_SEEN = 500  # samples at which the size at the tool is taken
 
 
@@ -101,7 +116,15 @@ class Finding:
         entry = ReportEntry(self.place, self.direction, self.driver, self.parameters, self.same_as)
         said = family_named(self.family).sentence(entry)
         moved = f" (it moves the tool by {1e3 * self.tool:.3f} mm RMS)" if self.tool is not None else ""
-        return f"{said}; {self._gain}{moved}."
+        return f"{said}; {self._gain}{moved}.{self._rivals}"
+
+    @property
+    def _rivals(self) -> str:
+        if not self.same_as:
+            return ""
+        more = len(self.same_as) - _TOLD
+        others = "; ".join(self.same_as[:_TOLD]) + (f"; and {more} more" if more > 0 else "")
+        return f" These readings do not tell it from: {others}."
 
     @property
     def _gain(self) -> str:
@@ -142,7 +165,7 @@ def findings(diagnosis: Diagnosis, shipped: Model, case: Case) -> tuple[Finding,
         entries.append(
             Finding(
                 *(first.family, first.place, first.direction, first.public_driver),
-                parameters=parameters(effects, shipped.chain, companions),
+                parameters=_in_rows(parameters(effects, shipped.chain, companions), samples),
                 p_value=min(c.p_value for c in causes),
                 before=before,
                 after=after,

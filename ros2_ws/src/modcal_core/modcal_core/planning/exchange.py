@@ -10,8 +10,7 @@ Woodbury): with U = P J_kᵀ, M = (1 ± J_k U)⁻¹, A_j = J_j U and B_j = J_j P
 
     P ∓ U M Uᵀ,    S_j ∓ A_j M A_jᵀ,    G_j ∓ A_j M B_jᵀ ∓ B_j M A_jᵀ + A_j M (Uᵀ Γ U) M A_jᵀ
 
-The indices that hang on single eigenvalues have no such form: candidates are ranked by the slope tr(∂/∂H · JᵀJ),
-and the best of these are computed exactly. In Fedorov's exchange one station after the other leaves the set, and the
+In Fedorov's exchange one station after the other leaves the set, and the
 candidate that serves best takes its place; the first start grows the set, the others begin at random, and the best end
 is taken.
 """
@@ -26,10 +25,9 @@ import numpy as np
 from modcal_core.geometry import Array
 from modcal_core.planning.criteria import Criterion
 
-_SHORTLIST = 24  # for time: candidates that are tried in full
 _BETTER = 1e-9  # of the criterion, that counts as better
 _AFRESH = 4  # stations added, after which all is computed again: from the prior to what they tell is many decades
-_ROUNDS = 40  # in which a set is grown, at most; up to as many stations are taken one by one
+_ONE_BY_ONE = 40  # stations that are taken one by one; of more some at once, for time
 PASSES = 8  # iterations
 
 
@@ -41,21 +39,23 @@ def information(J: Array) -> Array:
 
 @dataclass(frozen=True)
 class Search:
-    """What every candidate is worth now. J: their rows (N, c, K). H: information (K, K); inverse: P. S, G: (N, c, c);
-    none of the three for criteria of single eigenvalues.
+    """What every candidate is worth now. J: their rows (N, c, K). H: information (K, K); inverse: P. S, G: (N, c, c); G
+    for accuracy only.
     """
 
     criterion: Criterion
     J: Array
     H: Array
-    inverse: Array | None = None
-    S: Array | None = None
-    G: Array | None = None
+    inverse: Array
+    S: Array
+    G: Array | None
 
     @property
     def value(self) -> float:
         """The criterion of the information that is there."""
-        return float(self.criterion.value(self.H))
+        if self.G is None:
+            return float(self.criterion.value(self.H))
+        return -float(np.sum(self.inverse * self.criterion.gamma))
 
     def beside(self, chosen: Sequence[int] | np.ndarray) -> Search:
         """The same with these candidates there as well."""
@@ -64,8 +64,6 @@ class Search:
     @classmethod
     def of(cls, J: Array, criterion: Criterion, H: Array) -> Search:
         """Candidates J (N, c, K) beside information H (K, K)."""
-        if criterion.spectral:
-            return cls(criterion, J, H)
         P = np.asarray(np.linalg.inv(H))
         JP = _times(J, P)
         S = JP @ J.transpose(0, 2, 1) + np.eye(J.shape[1])
@@ -76,8 +74,6 @@ class Search:
         """The same once station k has come (1) or gone (−1)."""
         own = self.J[k]
         H = self.H + sign * own.T @ own
-        if self.inverse is None or self.S is None:
-            return replace(self, H=H)
         c, gamma = len(own), self.criterion.gamma
         U = self.inverse @ own.T
         M = sign * np.linalg.inv(np.eye(c) + sign * own @ U)
@@ -93,19 +89,12 @@ class Search:
         return replace(self, H=H, inverse=P, S=S, G=self.G - crossed - crossed.transpose(0, 2, 1))
 
     def gains(self, free: np.ndarray) -> Array:
-        """By how much each candidate raises the criterion, (N,); −inf for those that are not free or not tried."""
-        if self.S is not None:
-            if self.G is None:
-                gain = np.linalg.slogdet(self.S)[1]
-            else:
-                gain = np.trace(np.linalg.solve(self.S, self.G), axis1=1, axis2=2)
-            return np.where(free, gain, -np.inf)
-        slope = np.sum(_times(self.J, self.criterion.gradient(self.H)) * self.J, axis=(1, 2))
-        few = np.argsort(np.where(free, -slope, np.inf), kind="stable")[:_SHORTLIST]
-        few = few[free[few]]
-        out = np.full(len(self.J), -np.inf)
-        out[few] = self.criterion.value(self.H + self.J[few].transpose(0, 2, 1) @ self.J[few]) - self.value
-        return out
+        """By how much each candidate raises the criterion, (N,); −inf for those that are not free."""
+        if self.G is None:
+            gain = np.linalg.slogdet(self.S)[1]
+        else:
+            gain = np.trace(np.linalg.solve(self.S, self.G), axis1=1, axis2=2)
+        return np.where(free, gain, -np.inf)
 
 
 def _times(J: Array, A: Array) -> Array:
@@ -116,8 +105,7 @@ def _times(J: Array, A: Array) -> Array:
 def grown(base: Search, count: int, chance: Array | None = None) -> list[int]:
     """Numbers of the ``count`` candidates that raise the criterion most, each beside those before it.
 
-    chance: of each to be measured, (N,), by which its worth counts; 0 leaves it out. Of many stations several are taken
-    at once, for time.
+    chance: of each to be measured, (N,), by which its worth counts; 0 leaves it out.
     """
     chance = np.ones(len(base.J)) if chance is None else chance
     free = chance > 0.0
@@ -127,7 +115,7 @@ def grown(base: Search, count: int, chance: Array | None = None) -> list[int]:
     while len(chosen) < count:
         gains = search.gains(free)
         gains[free] *= chance[free]
-        more = np.argsort(-gains, kind="stable")[: min(max(1, count // _ROUNDS), count - len(chosen))].tolist()
+        more = np.argsort(-gains, kind="stable")[: min(1 + len(chosen) // _ONE_BY_ONE, count - len(chosen))].tolist()
         before, free[more] = len(chosen), False
         chosen += more
         if before // _AFRESH < len(chosen) // _AFRESH:
@@ -138,15 +126,6 @@ def grown(base: Search, count: int, chance: Array | None = None) -> list[int]:
     return chosen
 
 
-@dataclass(frozen=True)
-class Exchange:
-    """chosen: numbers of the candidates, sorted, (k,). value: of the criterion. starts: values of all starts."""
-
-    chosen: np.ndarray
-    value: float
-    starts: tuple[float, ...]
-
-
 def exchange(
     base: Search,
     count: int,
@@ -154,15 +133,13 @@ def exchange(
     starts: int = 4,
     passes: int = PASSES,
     begin: np.ndarray | None = None,
-) -> Exchange:
-    """The ``count`` candidates that are best together. begin: numbers to begin from; there is then this one start."""
+) -> np.ndarray:
+    """Numbers of the ``count`` candidates that are best together, sorted. begin: instead of starts, one from these."""
     assert 0 < count <= len(base.J), (count, len(base.J))
-    ends = [] if begin is None else [_improved(base, begin, rng, passes)]
-    for start in range(0 if begin is not None else starts):
-        first = np.array(grown(base, count)) if start == 0 else rng.choice(len(base.J), count, replace=False)
-        ends.append(_improved(base, first, rng, passes))
-    chosen, value = max(ends, key=lambda end: end[1])
-    return Exchange(np.sort(chosen), value, tuple(v for _, v in ends))
+    begins = [begin] if begin is not None else [np.array(grown(base, count))]
+    begins += [rng.choice(len(base.J), count, replace=False) for _ in range(0 if begin is not None else starts - 1)]
+    ends = [_improved(base, first, rng, passes) for first in begins]
+    return np.sort(max(ends, key=lambda end: end[1])[0])
 
 
 def _improved(base: Search, chosen: np.ndarray, rng: np.random.Generator, passes: int) -> tuple[np.ndarray, float]:

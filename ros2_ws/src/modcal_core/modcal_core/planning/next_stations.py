@@ -53,10 +53,9 @@ def _at_random(pool: Pool, session: Session, count: int) -> list[int]:
 
 
 def _best_for_nominal(pool: Pool, session: Session, count: int, rng: np.random.Generator) -> np.ndarray:
-    assert pool.ground is not None
     q = pool.q[np.setdiff1d(np.arange(len(pool.q)), pool.order)]
-    view = nominal_outlook(pool.ground.model, q, pool.where, session.kind, pool.ground.site.noise)
-    return exchange(view.search(view.rows(q)), min(count, len(q)), rng, 1, _PASSES).chosen
+    view = nominal_outlook(pool, q, session.kind)
+    return exchange(view.search(view.rows(q)), min(count, len(q)), rng, 1, _PASSES)
 
 
 def _far_apart(q: Array, count: int) -> np.ndarray:

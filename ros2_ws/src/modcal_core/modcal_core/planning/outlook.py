@@ -26,12 +26,13 @@ from modcal_core.calibration import (
     choose_parameters,
     linearise,
 )
-from modcal_core.claim import Neighbourhood, arms_near
+from modcal_core.claim import Neighbourhood, arms_near, usual_std
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
 from modcal_core.planning.closed_chain import readings_at
-from modcal_core.planning.criteria import ACCURACY, criterion
+from modcal_core.planning.criteria import ACCURACY, Criterion
 from modcal_core.planning.exchange import Search, information
+from modcal_core.planning.pool import Pool
 from modcal_core.planning.refit import Refit
 from modcal_core.planning.site import Noise
 
@@ -91,7 +92,7 @@ class Outlook:
 
     def search(self, rows: Array, which: str = ACCURACY) -> Search:
         """Candidates with these rows (N, c, K), by a criterion: accuracy counts all values, others the fit's own."""
-        good = criterion(which, self.gamma)
+        good = Criterion(which, self.gamma)
         if which == ACCURACY:
             return Search.of(rows, good, self.H)
         units = np.array([p.prior_std for p in self.about.parameters])[self.own] / self.about.std[self.own]
@@ -114,28 +115,33 @@ class Outlook:
         return J.reshape(len(J), -1, len(samples)).transpose(2, 1, 0) * about.std
 
 
-def nominal_outlook(
-    model: Model, q: Array, where: Array, kind: str, noise: Noise, fixed: Sequence[str] = ()
-) -> Outlook:
-    """The outlook before anything is measured, on a model with one frame. q: postures to choose from (N, n). where:
-    postures at which accuracy counts. fixed: parameters that are as the drawing has them, by name, place or pattern.
+def nominal_outlook(pool: Pool, q: Array, kind: str, fixed: Sequence[str] = ()) -> Outlook:
+    """The outlook before anything is measured. q: postures of the pool to choose from (N, n). fixed: parameters that
+    are as the drawing has them, by name, place or pattern.
+
+    Functions for what nobody named are as wide as the claim expects them: were they wider, most stations would look for
+    what most arms do not have.
     """
+    assert pool.ground is not None
+    model, noise = pool.ground.model, pool.ground.site.noise
     fitted = choose_parameters(model, (View(kind, 0),), fixed).parameters
     joints = unrepeated(model, q, noise)
     scatter = np.sqrt(np.repeat([np.mean(joints[:, :3] ** 2), np.mean(joints[:, 3:] ** 2)], 3) * joints.shape[2])
     planned = readings_at(model, q, kind)
     size = NoiseModel(noise.position + float(scatter[0]), noise.rotation + float(scatter[3]))
     about = arms_near(model, model.chain, planned, Cell(fixed=tuple(fixed)), noise=size)
+    about = replace(about, std=usual_std(about))
     names = [p.name for p in about.parameters]
     own = np.array([names.index(p.name) for p in fitted])
     eye = np.eye(len(about.std))
-    return _counting(Outlook(about, own, noise, scatter, eye, eye, kind), where, None)
+    return _counting(Outlook(about, own, noise, scatter, eye, eye, kind), pool.where, None)
 
 
 def outlook(refitted: Refit, where: Array, cell: Cell, rng: np.random.Generator) -> Outlook:
     """What further stations would be worth to a fitted model. where: postures (M, n) at which accuracy counts."""
     calibration, right = refitted.calibration, refitted.samples.select(~refitted.wrong)
     about = arms_near(calibration.calibrated, calibration.nominal.chain, right, cell)
+    about = replace(about, std=usual_std(about))
     assert calibration.uncertainty is not None
     fitted = {p.name for p in calibration.uncertainty.parameters}
     P = len(about.parameters)

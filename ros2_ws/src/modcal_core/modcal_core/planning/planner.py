@@ -18,8 +18,8 @@ from modcal_core.claim import Claim, expected_claim
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.planning.closed_chain import readings_at
-from modcal_core.planning.criteria import ACCURACY, Observability, criterion, observability
-from modcal_core.planning.exchange import PASSES, Exchange, exchange, information
+from modcal_core.planning.criteria import ACCURACY, Criterion, Observability, observability
+from modcal_core.planning.exchange import exchange, grown, information
 from modcal_core.planning.outlook import nominal_outlook, unrepeated
 from modcal_core.planning.pool import CANDIDATES, Ground, Pool, survey
 from modcal_core.planning.route import RETURNS, Route, route
@@ -27,10 +27,8 @@ from modcal_core.planning.site import Site
 from modcal_core.robots import Mechanism
 
 _REFINED = (0.3, 0.1, 0.03)  # rad or m by which stations are moved, round by round, in search of better ones
-_MOVED = 24  # new candidates for every station and round
-_FEWER = 5  # stations fewer that are tried at the end, one by one
+_MOVED = 800  # new candidates for all stations and a round, for time
 STARTS = 2  # of the exchange
-_QUICK = (1, 2)  # starts and passes while the number of stations is looked for
 _MAX = 400  # stations
 _USUAL = 2.0  # times the fewest stations, where neither a number nor an accuracy is asked for: effects need some, too
 _CLAIMED = 200  # postures that a claim is made over, for time
@@ -117,9 +115,8 @@ class Planner:
         """Raises BadTable for a criterion or parameters that are not known."""
         assert pool.ground is not None
         self.pool, self.ground, self.request, self._rng = pool, pool.ground, request, rng
-        noise = self.ground.site.noise
-        fresh = nominal_outlook(self.ground.model, pool.q, pool.where, request.reading, noise, request.fixed)
-        criterion(request.criterion, fresh.gamma)
+        fresh = nominal_outlook(pool, pool.q, request.reading, request.fixed)
+        Criterion(request.criterion, fresh.gamma)
         self.outlook = fresh if request.besides is None else fresh.beside(fresh.rows(request.besides))
         self._rows = self.outlook.rows(pool.q)
 
@@ -137,25 +134,24 @@ class Planner:
         """RMS error of the tool [m] that a fit to stations with these rows leaves."""
         return self.outlook.beside(rows).error(own=True)
 
-    def quick(self, count: int) -> Array:
-        """A good set of so many stations, (count, n), soon."""
-        return self.pool.q[self._exchanged(self._rows, count, *_QUICK).chosen]
+    def grown(self) -> Array:
+        """As many stations as a plan may have, of which the first so many are a good set of so many, (k, n)."""
+        search = self.outlook.search(self._rows, self.request.criterion)
+        return self.pool.q[grown(search, min(_MAX, len(self.pool.q)))]
 
     def best(self, count: int, starts: int) -> Array:
         """The best set of so many stations, (count, n): by exchange, then each moved about where it is, as long as the
         exchange among these finds better ones.
         """
-        q = self.pool.q[self._exchanged(self._rows, count, starts).chosen]
+        q = self.pool.q[self._exchanged(self._rows, count, starts)]
         for size in _REFINED:
-            moved = np.concatenate([q, self.ground.around(q, (size,), _MOVED, self._rng)])
-            q = moved[self._exchanged(self.outlook.rows(moved), count, begin=np.arange(count)).chosen]
+            moved = np.concatenate([q, self.ground.around(q, (size,), max(_MOVED // count, 1), self._rng)])
+            q = moved[self._exchanged(self.outlook.rows(moved), count, begin=np.arange(count))]
         return q
 
-    def _exchanged(
-        self, rows: Array, count: int, starts: int = 1, passes: int = PASSES, begin: np.ndarray | None = None
-    ) -> Exchange:
+    def _exchanged(self, rows: Array, count: int, starts: int = 1, begin: np.ndarray | None = None) -> np.ndarray:
         search = self.outlook.search(rows, self.request.criterion)
-        return exchange(search, count, self._rng, starts, passes, begin)
+        return exchange(search, count, self._rng, starts, begin=begin)
 
     def random(self, count: int) -> float:
         """What so many stations would leave that are drawn from the same postures, the median of several sets [m]."""
@@ -209,36 +205,30 @@ def _to_accuracy(
     planner: Planner, wanted: float, least: int, repeat: float
 ) -> tuple[Array, Claim, tuple[tuple[int, Claim], ...]]:
     """The fewest stations whose claim meets the wish [m], by doubling and halving, their claim, and what was tried."""
-    there, asked = len(planner.pool.q), f"{planner.request.measure} of {1e3 * wanted:.3g} mm"
-    _require(least, least, there)
+    asked = f"{planner.request.measure} of {1e3 * wanted:.3g} mm"
+    _require(least, least, len(planner.pool.q))
     if repeat >= wanted:
         said = f"what the joints do not repeat alone makes {1e3 * repeat:.3g} mm RMS"
         raise NotPlannable(asked, said, "ask for less, or correct the noise of the site")
     tried: dict[int, Claim] = {}
+    grown = planner.grown()
 
     def enough(count: int) -> bool:
         if count not in tried:
-            tried[count] = planner.claim(planner.quick(count))
+            tried[count] = planner.claim(grown[:count])
         return planner.measure(tried[count]) <= wanted
 
     low, high = least, least
     while not enough(high):
-        if high >= min(_MAX, there):
+        if high >= len(grown):
             said = f"{high} stations leave {1e3 * planner.measure(tried[high]):.3g} mm"
             raise NotPlannable(asked, said, "ask for less, use a better tracker, or measure poses")
-        low, high = high, min(2 * high, _MAX, there)
+        low, high = high, min(2 * high, len(grown))
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if enough(middle) else (middle, high)
     best = planner.best(high, planner.request.starts)
     claim = planner.claim(best)
-    for fewer in range(high - 1, max(high - _FEWER, least) - 1, -1):  # the quick search does not refine
-        other = planner.best(fewer, 1)
-        promised = planner.claim(other)
-        if planner.measure(promised) > wanted:
-            break
-        best, claim = other, promised
-    while planner.measure(claim) > wanted and len(best) < there:
-        best = planner.best(len(best) + 1, 1)
-        claim = planner.claim(best)
+    if planner.measure(claim) > wanted:  # what is better by the expected error may be claimed no better
+        best, claim = grown[:high], tried[high]
     return best, claim, tuple(sorted(tried.items()))

@@ -11,9 +11,8 @@ from modcal_core.calibration import Calibration, Model, joint_ranges
 from modcal_core.errors import BadTable, NotPlannable
 from modcal_core.geometry import Array, se3
 from modcal_core.planning.closed_chain import one_frame_model
-from modcal_core.planning.designs import sobol_postures
 from modcal_core.planning.site import Site, Spheres, clearance, spheres_of, view_postures, visible
-from modcal_core.robots import Mechanism, is_serial_arm
+from modcal_core.robots import Mechanism, is_serial_arm, random_postures
 
 CANDIDATES = 1500  # random postures that stations are chosen from, for time
 _WHERE = 400  # postures that stand for where accuracy counts
@@ -91,7 +90,7 @@ def survey(
         raise BadTable(f"reading '{reading}'", "does not come from a camera on the tool", "choose pose")
     T = se3.transform(p=-site.still)  # how what stands there is turned does not matter
     ground = Ground(one_frame_model(chain, T, se3.transform(p=site.moving)), site, spheres)
-    drawn = sobol_postures(chain, min(_DRAWN * candidates, 1 << 16), rng)
+    drawn = random_postures(chain, min(_DRAWN * candidates, 1 << 16), rng)
     free, seen, tried = [], [], 0
     for block in np.array_split(drawn, max(1, len(drawn) // 2048)):
         untouched = block[ground.free(block)]
@@ -176,7 +175,7 @@ def one_turn(spheres: Spheres, site: Site, rng: np.random.Generator) -> Mechanis
     wide = chain.revolute & (chain.upper - chain.lower > 2.0 * np.pi) & ~np.isin(chain.names, list(site.limits))
     if not wide.any():
         return chain
-    q = sobol_postures(chain, _PROBED, rng)
+    q = random_postures(chain, _PROBED, rng)
     q = q[clearance(spheres, site, q) >= 0.0]
     lower, upper = chain.lower.copy(), chain.upper.copy()
     for k in np.flatnonzero(wide):

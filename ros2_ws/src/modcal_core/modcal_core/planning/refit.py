@@ -32,7 +32,7 @@ from modcal_core.geometry import Array
 from modcal_core.hypotheses import proved
 from modcal_core.measurements import Samples
 from modcal_core.measurements.kinds import dimensions
-from modcal_core.regimes import find_regimes
+from modcal_core.moves import find_regimes
 from modcal_core.robots import Inertias, Mechanism, weightless
 from modcal_core.verdict import sane_inertias
 

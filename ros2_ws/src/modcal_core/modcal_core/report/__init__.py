@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_core.report.articulation import Articulation, articulation_data, articulation_html
     from modcal_core.report.as_json import to_json_data
-    from modcal_core.report.camera import camera_files, camera_report, lines
-    from modcal_core.report.camera_page import camera_certificate, camera_tolerance
+    from modcal_core.report.camera import camera_files, camera_report
+    from modcal_core.report.camera_page import camera_certificate, camera_sentences, camera_tolerance
     from modcal_core.report.certificates import Hashes, certificate, certificate_html, is_made_from
     from modcal_core.report.checkup import History, HistoryEntry, checkup_data, checkup_html, checkup_summary
     from modcal_core.report.checkup import history_data, history_summary
@@ -30,9 +30,9 @@ else:
 __all__ = ["REMEDY", "STATUS_WORDS", "Articulation", "Hashes", "History", "HistoryEntry", "LimitsFound"]
 __all__ += ["Particulars", "Report", "Side", "SummaryLine", "SummaryTable", "Tone", "articulation_data"]
 __all__ += ["articulation_html", "calibration_files", "camera_certificate", "camera_files", "camera_report"]
-__all__ += ["camera_tolerance", "certificate", "certificate_html", "checkup_data", "checkup_html", "checkup_summary"]
-__all__ += ["compare", "comparison_data", "comparison_summary", "delta_files", "figure", "history_data"]
-__all__ += ["history_summary", "is_made_from", "joint_limits", "limits_data", "limits_html", "lines", "pictures"]
-__all__ += ["plan_sentences", "planning_html", "report_files", "sensitivity_data", "sensitivity_html"]
+__all__ += ["camera_sentences", "camera_tolerance", "certificate", "certificate_html", "checkup_data", "checkup_html"]
+__all__ += ["checkup_summary", "compare", "comparison_data", "comparison_summary", "delta_files", "figure"]
+__all__ += ["history_data", "history_summary", "is_made_from", "joint_limits", "limits_data", "limits_html"]
+__all__ += ["pictures", "plan_sentences", "planning_html", "report_files", "sensitivity_data", "sensitivity_html"]
 __all__ += ["sensitivity_sentences", "sentence", "short_status", "single_csv", "summary", "to_csv", "to_json_data"]
 __all__ += ["to_plan_data", "to_text", "to_trajectory_data"]

@@ -5,7 +5,7 @@ Held-out pixels stand in it and are never called accuracy; what stands for accur
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -21,15 +21,15 @@ from modcal_core.camera import (
     READOUT,
     SCALE,
     SHAPE,
+    SHAPE_NAMES,
     BundleMarker,
     CameraCause,
     CameraSolution,
-    FurtherSeen,
+    CameraState,
     Lens,
     MarkerBundle,
+    PreparedImages,
     ToolError,
-    at_flange,
-    flange_in_tool,
     uncertainty_about,
 )
 from modcal_core.effects import ReportEntry, family_named
@@ -44,7 +44,7 @@ from modcal_core.verdict import Tolerance
 
 def moved_data(solution: CameraSolution) -> dict[str, Any] | None:
     """What was moved among the images, None if nothing was."""
-    moved = solution.moved
+    moved = solution.evidence.moved
     if moved is None:
         return None
     what = "target" if moved.in_world == solution.fit.poses.camera_on_tip else "camera"
@@ -63,24 +63,32 @@ def lens_data(lens: Lens, std: Array) -> dict[str, Any]:
     return {name: {"value": float(value), "std": float(s)} for name, value, s, used in known if used}
 
 
-def further_data(one: FurtherSeen) -> dict[str, Any]:
-    """A further camera."""
-    lens = one.state.lens
-    return {
-        "name": one.name,
-        "mounting": "tip" if one.mounting.camera_on_tip else "world",
-        "target": one.target.label,
-        "images": {"given": one.given, "used": one.used, "left_out": one.left_out},
-        "rms_px": one.rms_px,
-        "lens": lens_data(lens, one.std),
-        "clock_s": one.state.offset_s,
-        "readout_s": one.state.readout_s,
-    }
+def _further(solution: CameraSolution) -> Iterator[tuple[PreparedImages, CameraState, Array, float]]:
+    """(images, state, standard deviations, RMS [px]) of further cameras."""
+    for ready, (state, std, rms_px) in zip(solution.further, solution.fit.of_further(), strict=True):
+        yield ready, state, std, rms_px
+
+
+def further_data(solution: CameraSolution) -> list[dict[str, Any]]:
+    """The further cameras."""
+    return [
+        {
+            "name": one.given.name,
+            "mounting": "tip" if one.mounting.camera_on_tip else "world",
+            "target": one.given.target.label,
+            "images": {"given": len(one.given.views), "used": one.table.views, "left_out": one.left_out},
+            "rms_px": rms_px,
+            "lens": lens_data(state.lens, std),
+            "clock_s": state.offset_s,
+            "readout_s": state.readout_s,
+        }
+        for one, state, std, rms_px in _further(solution)
+    ]
 
 
 def rests_on_data(solution: CameraSolution) -> dict[str, float] | None:
     """What the stated size of the target is worth, None where the images show it."""
-    rests = solution.rests_on
+    rests = solution.claim.rests_on
     if rests is None:
         return None
     return {
@@ -114,7 +122,7 @@ class _MarkerPlace:
 
 def body_data(solution: CameraSolution) -> dict[str, Any] | None:
     """The body as ``report.json`` has it, None of a sheet."""
-    target, fit = solution.target, solution.fit
+    target, fit = solution.ready.given.target, solution.fit
     if not isinstance(target, MarkerBundle):
         return None
     P = fit.poses.count + 1
@@ -140,7 +148,7 @@ def body_data(solution: CameraSolution) -> dict[str, Any] | None:
 
 def body_notes(solution: CameraSolution) -> tuple[str, ...]:
     """Where the markers of a body are, in sentences; nothing of a sheet."""
-    target = solution.target
+    target = solution.ready.given.target
     if not isinstance(target, MarkerBundle):
         return ()
     places = _places(solution, target)
@@ -222,8 +230,8 @@ def camera_files(
         "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
         "camera.yaml": to_yaml(camera_info(solution.fit.state.lens)),
     }
-    for i, one in enumerate(solution.further, start=2):
-        files[f"camera_{i}.yaml"] = to_yaml(camera_info(one.state.lens, f"camera_{i}"))
+    for i, (state, *_) in enumerate(solution.fit.of_further(), start=2):
+        files[f"camera_{i}.yaml"] = to_yaml(camera_info(state.lens, f"camera_{i}"))
     if not page:
         return files
     charts = camera_charts.camera_charts(solution.fit)
@@ -234,15 +242,16 @@ def camera_files(
 def camera_info(lens: Lens, name: str = "camera") -> dict[str, Any]:
     """A lens in the form of ROS's camera_info files. name: of the camera."""
     fx, fy, cx, cy = (float(x) for x in lens.values[:4])
-    count = DISTORTIONS[lens.model]
+    rational = bool(lens.below.any())
+    d = [*lens.values[4 : 4 + DISTORTIONS[lens.model]], *(lens.below if rational else ())]
     projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     return {
         "image_width": lens.size[0],
         "image_height": lens.size[1],
         "camera_name": name,
         "camera_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in lens.K.ravel()]},
-        "distortion_model": lens.model,
-        "distortion_coefficients": {"rows": 1, "cols": count, "data": [float(x) for x in lens.values[4 : 4 + count]]},
+        "distortion_model": "rational_polynomial" if rational else lens.model,
+        "distortion_coefficients": {"rows": 1, "cols": len(d), "data": [float(x) for x in d]},
         "rectification_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in np.eye(3).ravel()]},
         "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
     }
@@ -252,14 +261,14 @@ def camera_report(
     solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str], met: Tolerance | None = None
 ) -> dict[str, Any]:
     """The data of ``report.json``: the keys of every report, and ``camera``. left_out: images no corners came from."""
-    fit, decision = solution.fit, solution.decision
+    fit, decision = solution.fit, solution.claim.decision
     P = fit.poses.count
     R = P + 1 + READOUT
     std = np.sqrt(np.diag(fit.covariance))
     values = np.r_[fit.state.values, fit.state.offset_s, fit.state.common]
     problems = () if decision.word in (APPLY, CANNOT_TELL) else decision.because
-    trace = Trace(robot=robot.name, instrument=f"camera, {solution.target.label}")
-    out = dict(left_out) | solution.left_out
+    trace = Trace(robot=robot.name, instrument=f"camera, {solution.ready.given.target.label}")
+    out = dict(left_out) | solution.ready.left_out
     return {
         "modcal_report": FORMAT,
         "recording": {
@@ -276,8 +285,8 @@ def camera_report(
         "effects": effect_entries(solution),
         "unexplained": _left(solution),
         "identifiability": None,
-        "status": "open" if problems or solution.open_points else "cannot_tell",
-        "open_because": [*problems, *solution.open_points],
+        "status": "open" if problems or solution.evidence.open_points else "cannot_tell",
+        "open_because": [*problems, *solution.evidence.open_points],
         "remedy": decision.because[0] if decision.word == CANNOT_TELL else None,
         "converged": fit.converged,
         "regimes": [],
@@ -288,26 +297,26 @@ def camera_report(
             "decision": decision.word,
             "because": list(decision.because),
             "chance_worse": decision.chance_worse,
-            "metric": list(solution.metric),
+            "metric": list(solution.claim.metric),
             "rests_on_size": rests_on_data(solution),
             "mounting": "tip" if fit.poses.camera_on_tip else "world",
-            "rival_mounting": float(solution.mounting.rival),
-            "target": solution.target.label,
+            "rival_mounting": float(solution.ready.mounting.rival),
+            "target": solution.ready.given.target.label,
             "images": {"given": images, "used": fit.table.views, "left_out": out},
-            "corners": {"used": int(fit.table.weight.sum()), "left_out_share": solution.corners_out},
+            "corners": {"used": int(fit.table.weight.sum()), "left_out_share": solution.fit.table.left_out},
             "tool_error_mm": {
-                "in_view": _errors(solution.in_view),
-                "anywhere": _errors(solution.anywhere),
-                "arm_alone": None if solution.alone is None else _errors(solution.alone),
+                "in_view": _errors(solution.claim.in_view),
+                "anywhere": _errors(solution.claim.anywhere),
+                "arm_alone": _errors(solution.claim.alone),
             },
-            "held_out_px": dict(zip(("nominal", "calibrated"), map(finite, solution.held_out_px), strict=True)),
+            "held_out_px": dict(zip(("nominal", "calibrated"), map(finite, solution.claim.held_out_px), strict=True)),
             "rms_px": fit.rms_px,
             "sizes": asdict(fit.sizes),
             "lens": lens_data(fit.state.lens, std[P + 1 :]),
             "sheet": {
-                name.partition("/")[2]: {"value": float(values[i]), "std": float(std[i])}
-                for i, name in enumerate(fit.names)
-                if name.startswith("sheet/") and not fit.table.places
+                name: {"value": float(values[i]), "std": float(std[i])}
+                for i, name in enumerate(SHAPE_NAMES, start=P + 1 + SCALE.start)
+                if not fit.table.places
             },
             "body": body_data(solution),
             "clock_s": {"value": fit.state.offset_s, "std": float(std[P])} if std[P] > 0.0 else None,
@@ -315,15 +324,15 @@ def camera_report(
             "moved": moved_data(solution),
             "account_mm2": [
                 {"what": name, "value": 1e6 * (whole - known)}
-                for name, (whole, known) in solution.shares.items()
+                for name, (whole, known) in solution.claim.shares.items()
                 if name != ALL_BUT_IMAGES
             ],
-            "weak": list(solution.weak),
+            "weak": list(solution.evidence.weak),
             "springs_not_shown": [
                 {"place": one.place, "softer_than": 1.0 / one.least, "at_tool_mm": 1e3 * one.at_tool_m}
-                for one in solution.hidden
+                for one in solution.evidence.hidden
             ],
-            "further": [further_data(one) for one in solution.further],
+            "further": further_data(solution),
         },
         "parameters": [
             {"name": p.name, "value": float(v), "std": float(s), "unit": p.unit}
@@ -337,14 +346,14 @@ def camera_report(
 def notes(solution: CameraSolution) -> tuple[str, ...]:
     """What else a person should know, in sentences."""
     out = [f"{_sentence(cause.effect.family, entry)}." for cause, entry in _named(solution)]
-    out += [found.sentence for found in solution.findings]
-    out += (*body_notes(solution), *solution.open_points, *solution.notes)
-    if solution.left is not None:
-        said = solution.left.effect.label
+    out += [found.sentence for found in solution.evidence.findings]
+    out += (*body_notes(solution), *solution.evidence.open_points, *solution.notes)
+    if solution.evidence.left is not None:
+        said = solution.evidence.left.effect.label
         out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
-    out += solution.weak
-    if solution.hidden and solution.hidden[0].at_tool_m > _WORTH * solution.in_view.interval[0]:
-        one = solution.hidden[0]
+    out += solution.evidence.weak
+    if solution.evidence.hidden and solution.evidence.hidden[0].at_tool_m > _WORTH * solution.claim.in_view.interval[0]:
+        one = solution.evidence.hidden[0]
         chain = solution.fit.poses.model.serial
         per = "N m/rad" if chain.revolute[chain.names.index(one.place)] else "N/m"
         out.append(
@@ -353,7 +362,7 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
             "geometry, which holds where the images are."
         )
     target = "body" if solution.fit.table.places else "sheet"
-    every, without = solution.shares.get(ALL_BUT_IMAGES, (0.0, 0.0))
+    every, without = solution.claim.shares.get(ALL_BUT_IMAGES, (0.0, 0.0))
     if without > _MOSTLY * every:
         out.append(
             f"Too few pixels or images are most of what is left: were lens, {target} and clock known exactly, the "
@@ -361,7 +370,7 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
             "images, a larger target, a nearer camera or more pixels tell more."
         )
     body = solution.fit.table.places > 0
-    for name, (whole, known) in sorted(solution.shares.items(), key=lambda s: s[1][1]):
+    for name, (whole, known) in sorted(solution.claim.shares.items(), key=lambda s: s[1][1]):
         if name == ALL_BUT_IMAGES:
             continue
         if whole - known > _WORTH * whole:
@@ -373,33 +382,6 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
     return tuple(out)
 
 
-def lines(solution: CameraSolution, images: int, left_out: Mapping[str, str]) -> list[str]:
-    """The result for a terminal."""
-    fit = solution.fit
-    what = "target" if fit.poses.camera_on_tip else "camera"
-    out = [
-        f"Mounting: {solution.mounting.label}. {solution.target.label}, {fit.table.views} of {images} images, "
-        f"{int(fit.table.weight.sum())} corners, {fit.rms_px:.2f} px RMS.",
-        *(
-            f"Also {one.name}: {one.mounting.label}. {one.target.label}, {one.used} of {one.given} images, "
-            f"{one.rms_px:.2f} px RMS."
-            for one in solution.further
-        ),
-        _line("Where the target is in view", solution.in_view),
-        *(
-            ()
-            if solution.alone is None
-            else (_line(f"There, the arm by itself, wherever the {what} stands", solution.alone),)
-        ),
-        _line("Anywhere within the joint limits", solution.anywhere),
-        f"Held-out images: {solution.held_out_px[0]:.2f} px nominal, {solution.held_out_px[1]:.2f} px calibrated "
-        "(pixels are no accuracy).",
-    ]
-    out += [f"Left out: {name}: {why}." for name, why in (dict(left_out) | solution.left_out).items()]
-    out += list(notes(solution))
-    return [*out, f"{solution.decision.word.upper()}: {' '.join(solution.decision.because)}"]
-
-
 def effect_entries(solution: CameraSolution) -> list[dict[str, Any]]:
     """The effects as ``report.json`` has them. RMS before and after are what images have of their own, at the tool."""
     model, throw = solution.model, _throw(solution)
@@ -409,10 +391,9 @@ def effect_entries(solution: CameraSolution) -> list[dict[str, Any]]:
         rms = (throw * cause.before, throw * cause.after, moved)
         out.append(_entry(cause.effect.family, entry, cause.p_value, rms, _sentence(cause.effect.family, entry)))
     scatter = throw * solution.fit.sizes.joint
-    for found in solution.findings:
-        entry = ReportEntry(found.place, found.direction, found.driver, found.values, found.same_as)
+    for found in solution.evidence.findings:
         rms = (float(np.hypot(scatter, found.at_tool_m)), scatter, found.at_tool_m)
-        out.append(_entry(found.family, entry, found.p_value, rms, found.sentence))
+        out.append(_entry(found.family, found.entry, found.p_value, rms, found.sentence))
     return out
 
 
@@ -436,7 +417,7 @@ def _entry(
 def _named(solution: CameraSolution) -> list[tuple[CameraCause, ReportEntry]]:
     chain = solution.fit.poses.model.chain
     out = []
-    for cause in solution.causes:
+    for cause in solution.evidence.causes:
         e = cause.effect
         sizes = parameters((e,), chain)
         out.append((cause, ReportEntry(e.place, e.direction, e.public_driver, sizes, cause.same_as)))
@@ -451,23 +432,15 @@ def _throw(solution: CameraSolution) -> float:
     """RMS distance at the flange per radian (or metre) that each joint is off by itself [m]."""
     poses, values = solution.fit.poses, solution.fit.state.values
     T = poses.tool_at(values)
-    moved = at_flange(T, flange_in_tool(solution.fit), poses.joint_motions(values, T))
+    moved = solution.fit.at_flange(T, poses.joint_motions(values, T))
     return float(np.sqrt((moved**2).sum() / len(T)))
 
 
 def _left(solution: CameraSolution) -> dict[str, Any] | None:
-    choice = solution.left
+    choice = solution.evidence.left
     if choice is None:
         return None
     return unexplained(1e3 * _throw(solution) * solution.fit.sizes.joint, choice) | {"p_value": choice.p_value}
-
-
-def _line(where: str, error: ToolError) -> str:
-    (middle, low, high), (drawn, drawn_low, drawn_high) = error.interval, error.nominal_interval
-    return (
-        f"{where}: error at the tool {1e3 * middle:.2f} mm RMS (95 %: {1e3 * low:.2f} to {1e3 * high:.2f}); "
-        f"nominal arm {1e3 * drawn:.2f} mm ({1e3 * drawn_low:.2f} to {1e3 * drawn_high:.2f})."
-    )
 
 
 def _errors(error: ToolError) -> dict[str, Any]:

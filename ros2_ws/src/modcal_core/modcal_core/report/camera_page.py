@@ -19,15 +19,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.outcome import Trace, counted
-from modcal_core.report.certificates import (
-    MAX_REASONS,
-    Certificate,
-    Hashes,
-    Scale,
-    box_in_words,
-    listed,
-    signatures,
-)
+from modcal_core.report.certificates import MAX_REASONS, Certificate, Hashes, box_in_words
 from modcal_core.report.charts import AFTER, Axis, Chart, Panel
 from modcal_core.report.page import (
     Block,
@@ -48,7 +40,11 @@ from modcal_core.robots import chain_forward
 from modcal_core.verdict import Asked, Tolerance
 
 TONES = {"apply": "good", "do not apply": "bad", "cannot tell": "warn"}
-_PLACES = (("in_view", "where the target is in view"), ("anywhere", "anywhere within the joint limits"))
+_PLACES = {
+    "in_view": "where the target is in view",
+    "arm_alone": "there, the arm by itself",
+    "anywhere": "anywhere within the joint limits",
+}
 
 
 def to_html(
@@ -60,7 +56,7 @@ def to_html(
     """
     camera = data["camera"]
     blocks: list[Block | None] = [
-        Listing(_sentences(data)),
+        Listing(camera_sentences(data)),
         Section("found", "What was found", _tables(data)),
         _robot(model, q),
         Section("images", "Images", [Figures(charts)]) if charts else None,
@@ -71,16 +67,30 @@ def to_html(
     return Page(title, " ".join(camera["because"]), blocks, camera["decision"], tone).html()
 
 
-def _sentences(data: Mapping[str, Any]) -> list[str]:
+def camera_sentences(data: Mapping[str, Any]) -> list[str]:
+    """What was seen, how far the tool is off, and what was found, for the page and a terminal."""
     camera, images = data["camera"], data["camera"]["images"]
     where = "on the tip, the target stands still" if camera["mounting"] == "tip" else "beside the arm, the target moves"
     px = {name: "not known" if x is None else f"{x:.2f} px" for name, x in camera["held_out_px"].items()}
     out = [
         f"The camera is {where}. {camera['target']}, {images['used']} of {counted(images['given'], 'image')}, "
-        f"{camera['corners']['used']} corners, {camera['rms_px']:.2f} px RMS.",
-        f"Held-out images: {px['nominal']} with the nominal arm, {px['calibrated']} with the calibrated one. "
-        "Pixels are no accuracy: an arm can get worse while its pixels get better.",
+        f"{camera['corners']['used']} corners, {camera['rms_px']:.2f} px RMS."
     ]
+    out += [
+        f"Also {one['name']}, on the {one['mounting']}: {one['target']}, {one['images']['used']} of "
+        f"{counted(one['images']['given'], 'image')}, {one['rms_px']:.2f} px RMS."
+        for one in camera.get("further", ())
+    ]
+    for words, sizes in _tool_errors(data):
+        ours, nominal = (
+            f"{size['rms']:.2f} mm RMS (95 %: {size['low95']:.2f} to {size['high95']:.2f})"
+            for size in (sizes["calibrated"], sizes["nominal"])
+        )
+        out.append(f"Error at the tool, {words}: {ours}; nominal arm {nominal}.")
+    out.append(
+        f"Held-out images: {px['nominal']} with the nominal arm, {px['calibrated']} with the calibrated one. "
+        "Pixels are no accuracy: an arm can get worse while its pixels get better."
+    )
     if moved := camera["moved"]:
         out.append(
             f"The {moved['what']} was moved before {moved['before_image']}, by {moved['shift_mm']:.2f} mm and "
@@ -90,13 +100,19 @@ def _sentences(data: Mapping[str, Any]) -> list[str]:
     return [*out, *data["notes"]]
 
 
+def _tool_errors(data: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Where the error at the tool is known, in words, and its sizes [mm] of both arms."""
+    sizes = data["camera"]["tool_error_mm"]
+    return [(words, sizes[place]) for place, words in _PLACES.items() if sizes.get(place)]
+
+
 def _tables(data: Mapping[str, Any]) -> list[PageTable]:
     """The error at the tool first, then effects, the lens, and the sheet; a table has one unit."""
     camera = data["camera"]
     rows = []
-    for place, words in _PLACES:
+    for words, sizes in _tool_errors(data):
         for arm in ("nominal", "calibrated"):
-            size = camera["tool_error_mm"][place][arm]
+            size = sizes[arm]
             rows.append((f"{arm} arm, {words}", f"{size['rms']:.2f}", f"{size['low95']:.2f} … {size['high95']:.2f}"))
     tables = [PageTable("Error at the tool, mm", ("arm", "RMS, mm", "95 % interval, mm"), tuple(rows))]
     if effects := data["effects"]:
@@ -191,9 +207,9 @@ def camera_tolerance(solution: CameraSolution, tolerance_mm: float) -> Tolerance
         said = f"The RMS is {middle:.3f} mm, and at least {low:.3f} mm with 95 % confidence: more than {limit}."
         return Tolerance(asked, middle, (low, high), "FAIL", said)
     against = ""
-    if solution.decision.problems:
-        against = solution.decision.problems[0]
-    elif not solution.metric:
+    if solution.claim.decision.problems:
+        against = solution.claim.decision.problems[0]
+    elif not solution.claim.metric:
         against = "Nothing in these images has a length that somebody measured."
     elif high > tolerance_mm:
         against = f"The RMS is {middle:.3f} mm, but may be up to {high:.3f} mm: more and better images would tell."
@@ -209,40 +225,38 @@ def camera_certificate(
     """The certificate. met: of :func:`camera_tolerance`. images: how many there were. Raises BadTable without met."""
     if met is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 2")
-    doubts = tuple(said for said in solution.decision.because if said != met.because)[:MAX_REASONS]
+    doubts = tuple(said for said in solution.claim.decision.because if said != met.because)[:MAX_REASONS]
     if met.result == "PASS":
         doubts = _reservations(solution, images)
     fit = solution.fit
     flange = chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)
-    low, high = met.ci95
-    before = 1e3 * solution.judged.nominal_interval[0]
-    where = "by itself" if solution.judged is solution.alone else "in view"
+    where = "by itself" if solution.judged is solution.claim.alone else "in view"
     facts = (
         ("Robot", said.robot or robot or None),
         ("Serial number", said.serial or None),
         ("Date of the recording", None),
         ("Images", f"{fit.table.views} of {images}, {int(fit.table.weight.sum())} corners, {fit.rms_px:.2f} px RMS"),
         ("Instrument", said.instrument or f"camera of {fit.state.lens.size[0]} × {fit.state.lens.size[1]} pixels"),
-        ("Target", f"{solution.target.label}; {solution.mounting.label}"),
-        ("Its lengths by", "; ".join(solution.metric) or "nothing"),
+        ("Target", f"{solution.ready.given.target.label}; {solution.ready.mounting.label}"),
+        ("Its lengths by", "; ".join(solution.claim.metric) or "nothing"),
         (f"Nominal arm, {where}", _size(solution.judged, calibrated=False)),
         (f"Calibrated arm, {where}", _size(solution.judged)),
-        ("Anywhere", _size(solution.anywhere)),
-        ("Advice", solution.decision.word),
+        ("Anywhere", _size(solution.claim.anywhere)),
+        ("Advice", solution.claim.decision.word),
         ("Volume", box_in_words(flange[:, :3, 3])),
         ("Conditions", said.conditions or None),
         ("Program", f"modcal {Trace().version}"),
     )
     return Certificate(
         title="Accuracy certificate: calibration by camera",
-        result=met.result,
-        because=met.because,
+        met=met,
         reservations=doubts,
-        scale=Scale(met.asked.mm, before, met.value_mm, low, high, 1.25 * max(met.asked.mm, high or 0.0)),
+        before=1e3 * solution.judged.nominal_interval[0],
         facts=facts,
         silent_on=_SILENT_ON,
-        hashes=listed(hashes, "images and joints"),
-        signatures=signatures(said),
+        hashes=hashes,
+        said=said,
+        recorded="images and joints",
     )
 
 
@@ -251,7 +265,7 @@ def _reservations(solution: CameraSolution, images: int) -> tuple[str, ...]:
     out = [
         "The figure is that of a fit to these images, with the interval that they leave: the floor of arm and camera "
         "is not known.",
-        *solution.decision.because[1:],
+        *solution.claim.decision.because[1:],
     ]
     if left := images - solution.fit.table.views:
         out.append(f"{left} of {images} images were left out.")

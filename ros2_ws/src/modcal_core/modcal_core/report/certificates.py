@@ -19,7 +19,7 @@ from modcal_core.outcome import Outcome, counted
 from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
 from modcal_core.report.page import Block, Facts, Figures, Listing, Page, PageTable, Paragraph, Section, Signatures
 from modcal_core.report.particulars import Particulars
-from modcal_core.verdict import PoseTest, pose_test
+from modcal_core.verdict import PoseTest, Tolerance, pose_test
 
 MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
@@ -41,42 +41,30 @@ class Hashes:
 
 
 @dataclass(frozen=True)
-class Scale:
-    """The drawing of the result [mm]: the error before and after, the interval, the tolerance; all from 0 to end."""
-
-    asked: float
-    before: float | None
-    value: float | None
-    low: float | None
-    high: float | None
-    end: float
-
-
-@dataclass(frozen=True)
 class Certificate:
     """What the page says, in its order.
 
-    result: of the tolerance. heading: the same as it is shown. because: how it came about. reservations: what keeps a
-    PASS from being one without. facts: names and what is known, None where a line is left to be filled in by hand.
-    sections: errors, and results by ISO 9283. silent_on: what the result does not say. hashes: names and SHA-256.
-    signatures: roles and names, empty where they are to be written.
+    met: the tolerance, and the result for it. reservations: what keeps a PASS from being one without, or reasons.
+    before: the error of the nominal arm [mm]. facts: names and what is known, None where a line is left to be filled in
+    by hand. sections: errors, and results by ISO 9283. silent_on: what the result does not say. said: who signs.
+    recorded: what the recording is called.
     """
 
     title: str
-    result: str
-    because: str
+    met: Tolerance
     reservations: tuple[str, ...]
-    scale: Scale
+    before: float | None
     facts: tuple[tuple[str, str | None], ...]
     silent_on: tuple[str, ...]
-    hashes: tuple[tuple[str, str], ...]
-    signatures: tuple[tuple[str, str], ...]
+    hashes: Hashes
+    said: Particulars
     sections: tuple[Section, ...] = ()
+    recorded: str = "recording"
 
     @property
     def heading(self) -> str:
         """The result as it is shown."""
-        return "PASS, with reservations" if self.result == "PASS" and self.reservations else self.result
+        return "PASS, with reservations" if self.met.result == "PASS" and self.reservations else self.met.result
 
     @property
     def tone(self) -> str:
@@ -104,15 +92,14 @@ def certificate(
     tests = pose_test(report.scored, {k: report.errors[k] for k in ("nominal", "final")})
     return Certificate(
         title="Accuracy certificate: " + ("frozen calibration" if report.searched is None else "calibration"),
-        result=met.result,
-        because=met.because,
+        met=met,
         reservations=doubts,
-        scale=_scale(report),
+        before=_before(report, met),
         facts=_facts(report, stated, said, made_from),
         sections=(*_errors(report), Section("iso", "ISO 9283", [Paragraph(said) for said in _iso(tests)])),
         silent_on=_silent_on(report, stated, tests),
-        hashes=listed(replace(hashes, recording=hashes.recording or report.trace.bag_sha256), "recording"),
-        signatures=signatures(said),
+        hashes=replace(hashes, recording=hashes.recording or report.trace.bag_sha256),
+        said=said,
     )
 
 
@@ -176,17 +163,12 @@ def _rejected(report: Outcome, count: int) -> str:
     return f"{count} of {report.samples.stations} stations were rejected and {counts} in the figures{sizes}."
 
 
-def _scale(report: Outcome) -> Scale:
-    met = report.tolerance
-    assert met is not None
+def _before(report: Outcome, met: Tolerance) -> float | None:
+    """The nominal arm's error [mm], of what is judged."""
+    if report.claim is not None and met.asked.statistic == "p95":
+        return report.claim.nominal_p95
     before = report.size_mm("nominal")
-    start = None if before is None else float(getattr(before, met.asked.statistic))
-    if report.claim is not None and met.asked.statistic == "p95":  # at the tool, as what is judged
-        start = report.claim.nominal_p95
-    low, high = met.ci95
-    # what is judged stays readable where the nominal model is far worse: that mark then stands at the edge
-    largest = max(met.asked.mm, met.value_mm or 0.0, high or 0.0)
-    return Scale(met.asked.mm, start, met.value_mm, low, high, 1.25 * largest)
+    return None if before is None else float(getattr(before, met.asked.statistic))
 
 
 def _facts(report: Outcome, stated: Stated, said: Particulars, made_from: bool) -> tuple[tuple[str, str | None], ...]:
@@ -326,52 +308,39 @@ def _silent_on(report: Outcome, stated: Stated, tests: PoseTest) -> tuple[str, .
     return tuple(out)
 
 
-def listed(hashes: Hashes, recording: str) -> tuple[tuple[str, str], ...]:
-    """Names of the files and their hashes, as far as they are known. recording: what that is called."""
-    named = (
-        (recording, hashes.recording),
-        ("robot description", hashes.description),
-        ("calibration.yaml", hashes.calibration),
-    )
-    return tuple((name, digest) for name, digest in named if digest)
-
-
-def signatures(said: Particulars) -> tuple[tuple[str, str], ...]:
-    """Who signs, as far as it is stated."""
-    return (("Measured by", said.measured_by), ("Approved by", said.approved_by))
-
-
 def certificate_html(one: Certificate) -> str:
     """The certificate as HTML text."""
     blocks: list[Block] = []
     if one.reservations:
-        label = "Reservations" if one.result == "PASS" else "Reasons"
+        label = "Reservations" if one.met.result == "PASS" else "Reasons"
         blocks.append(Listing(one.reservations, one.tone, label))
-    blocks += [Figures([drawn(one.scale, one.tone)]), Facts(one.facts)]
-    blocks += one.sections
+    blocks += [Figures([drawn(one.met, one.before, one.tone)]), Facts(one.facts), *one.sections]
     blocks.append(Section("silent", "What this certificate does not say", [Listing(one.silent_on)]))
-    if one.hashes:
-        blocks.append(Section("hashes", "SHA-256", [Facts(one.hashes, small=True)]))
-    blocks.append(Signatures(one.signatures))
-    return Page(one.title, one.because, blocks, one.heading, one.tone, "certificate").html()
+    of, names = one.hashes, (one.recorded, "robot description", "calibration.yaml")
+    if known := [pair for pair in zip(names, (of.recording, of.description, of.calibration), strict=True) if pair[1]]:
+        blocks.append(Section("hashes", "SHA-256", [Facts(known, small=True)]))
+    blocks.append(Signatures((("Measured by", one.said.measured_by), ("Approved by", one.said.approved_by))))
+    return Page(one.title, one.met.because, blocks, one.heading, one.tone, "certificate").html()
 
 
-def drawn(scale: Scale, tone: str) -> Chart:
-    """The error, its interval and the tolerance on one axis."""
-    keys = ((f"tolerance {scale.asked:g}", BAD, "line"),)
-    panel = Panel(Axis("mm", 0.0, scale.end), Axis.rows([""]), 370.0, 62.0, keys)
-    said = f"tolerance {scale.asked:g} mm"
-    if scale.value is not None:
-        said += f", error {scale.value:.3f} mm"
-        ends = [scale.value if end is None else end for end in (scale.low, scale.high)]
+def drawn(met: Tolerance, before: float | None, tone: str) -> Chart:
+    """The error, its interval and the tolerance on one axis. before: of the nominal arm [mm]."""
+    asked, value, (low, high) = met.asked.mm, met.value_mm, met.ci95
+    # what is judged stays readable where the nominal model is far worse
+    end = 1.25 * max(asked, value or 0.0, high or 0.0)
+    panel = Panel(Axis("mm", 0.0, end), Axis.rows([""]), 370.0, 62.0, ((f"tolerance {asked:g}", BAD, "line"),))
+    said = f"tolerance {asked:g} mm"
+    if value is not None:
+        said += f", error {value:.3f} mm"
+        ends = [value if one is None else one for one in (low, high)]
         panel.bars((np.array(ends[:1]), np.array(ends[1:])), (np.array([-0.25]), np.array([0.25])), tone)
-        panel.line(np.full(2, scale.value), np.array([-0.4, 0.4]), INK, 1.6)
-    if scale.low is not None and scale.high is not None:
-        said += f" with a 95 % interval of {scale.low:.3f} to {scale.high:.3f} mm"
-    panel.line(np.full(2, scale.asked), np.array([-0.5, 0.5]), BAD, 1.4, dashed=True)
+        panel.line(np.full(2, value), np.array([-0.4, 0.4]), INK, 1.6)
+    if low is not None and high is not None:
+        said += f" with a 95 % interval of {low:.3f} to {high:.3f} mm"
+    panel.line(np.full(2, asked), np.array([-0.5, 0.5]), BAD, 1.4, dashed=True)
     words = (
         "Bar: the tool's error, each end passed with a chance of 5 %; stroke: the likely one; dashed: the tolerance."
     )
-    if scale.before is not None:
-        words += f" Before calibration the error was {scale.before:.3f} mm."
+    if before is not None:
+        words += f" Before calibration the error was {before:.3f} mm."
     return panel.chart("scale", f"Scale in millimetres: {said}.", words)

@@ -15,7 +15,7 @@ from modcal_core.report.charts import AFTER, BAD, BEFORE, INK, SMALL, Chart, Pan
 from modcal_core.report.page import Figures, Listing, Page, Section, files_section
 from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_paths
 from modcal_core.report.words import percent
-from modcal_core.robots import plain
+from modcal_core.robots import is_serial_arm, plain
 
 _MEASURES = {"p95": "95th percentile", "rms": "RMS"}
 _VIEWS = (("from above", (0, 1)), ("from the side", (0, 2)))
@@ -26,7 +26,6 @@ _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 def to_plan_data(plan: Plan) -> dict[str, Any]:
     """The plan as nested dictionaries: stations in order, what is expected of them, and against what."""
     expected, ground = plan.expected, plan.ground
-    indices = expected.indices
     return {
         "modcal_plan": 1,
         "joints": list(ground.model.chain.names),
@@ -37,10 +36,7 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
         "left_rms_mm": {"planned": 1e3 * expected.left, "random": 1e3 * expected.at_random},
         "not_repeated_rms_mm": 1e3 * expected.repeat,
         "ratio_to_random": expected.ratios,
-        "observability": {
-            **{name: float(getattr(indices, name)) for name in ("o1", "o2", "o3", "o4", "o5")},
-            "rank": indices.rank,
-        },
+        "observability": vars(expected.indices),
         "tried": [{"stations": n, "at_most_mm": c.mm["p95"].ci95[1]} for n, c in plan.curve],
         "postures": {
             "candidates": len(plan.pool.q),
@@ -107,12 +103,14 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
     speed: largest of any joint [rad/s, m/s]. dwell: [s] at each station. It ends before the first blocked way.
     """
     points: list[dict[str, Any]] = []
+    chain = plan.ground.model.chain
+    own = chain.own if is_serial_arm(chain) else np.ones(chain.n, bool)  # no controller takes a joint that follows
     now = 0.0
 
     def stand(q: Array) -> None:
         seconds, nanoseconds = divmod(round(now * 1e9), 10**9)
         at = {"sec": seconds, "nanosec": nanoseconds}
-        points.append({"positions": plain(q), "velocities": [0.0] * len(q), "time_from_start": at})
+        points.append({"positions": plain(q[own]), "velocities": [0.0] * int(own.sum()), "time_from_start": at})
 
     stand(plan.q[0])
     now += dwell
@@ -125,7 +123,7 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
             stand(here)
         now += dwell
         stand(stops[-1])
-    return {"joint_names": list(plan.ground.model.chain.names), "points": points}
+    return {"joint_names": [name for name, moves in zip(chain.names, own, strict=True) if moves], "points": points}
 
 
 def figure(plan: Plan) -> str:

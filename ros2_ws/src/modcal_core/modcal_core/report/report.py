@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from html import escape
 from pathlib import Path
 from typing import Any, Self
 
@@ -96,6 +97,12 @@ class Report(Outcome):
     def __str__(self) -> str:
         """What the command shows on the terminal."""
         return text(summary(self))
+
+    def _repr_html_(self) -> str:
+        """The page for notebooks, in a frame of its own: its styles and scripts meet no others."""
+        from modcal_core.report.html import to_html
+
+        return f'<iframe srcdoc="{escape(to_html(self))}" style="width: 100%; height: 60em; border: 0"></iframe>'
 
     def to_data(self) -> dict[str, Any]:
         """The data of ``report.json``: dictionaries, lists, texts, numbers and None."""

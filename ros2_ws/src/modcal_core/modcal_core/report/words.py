@@ -31,7 +31,7 @@ def sentence(report: Outcome) -> str:
     """What a person reads first, a few sentences."""
     if report.size_mm("final") is None and report.size_deg("final") is None:
         return _counts(report) + " No station was scored, so the error is unknown."
-    parts = [_counts(report), _error(report), _status(report)]
+    parts = [_counts(report), _error(report), short_status(report.judged)]
     if report.searched is False:
         parts.append(NOT_SOUGHT)
     if report.tolerance is not None:
@@ -97,16 +97,6 @@ def _stage(report: Outcome, stage: str, name: str) -> str:
     if size is None:
         return "" if angle is None else f"{name} {angle.rms:.3g}°"
     return f"{name} {size.rms:.3f} mm" + ("" if angle is None else f" and {angle.rms:.3g}°")
-
-
-def _status(report: Outcome) -> str:
-    said = short_status(report.judged)
-    left = report.left
-    if report.status != "at_floor" and left is not None:
-        at = f"{left.effect.place} ({left.effect.direction})"
-        driver = left.effect.public_driver.replace(":", " of ")
-        said += f" The largest remaining pattern is at {at} and correlates with {driver}."
-    return said
 
 
 def _reasons(verdict: Verdict) -> str:

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.acceleration import Drives, Window, bias_torque, read_drives, torque
     from modcal_core.robots.bodies import DOWN, STANDARD_GRAVITY, HeldWeight, Payload, chain_gravity_wrench
     from modcal_core.robots.bodies import equivalent_inertia, mass_matrix, with_payload
-    from modcal_core.robots.chain import Chain
+    from modcal_core.robots.chain import Chain, Follower
     from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DELTA_UNITS, DISTAL, OFFSET, PARAMETERS, PROXIMAL
     from modcal_core.robots.delta import RATIO, ZERO, Delta, delta_from_data, delta_to_data
     from modcal_core.robots.delta_kinematics import delta_inverse, position_jacobians, reachable, tool_pose
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from modcal_core.robots.makers import NO_HASH, from_ur_kinematics, kinematics_yaml_data, lacks_hash
     from modcal_core.robots.mechanism import Mechanism, forward, gravity_wrench, is_delta, is_serial_arm, offset_wrench
     from modcal_core.robots.mechanism import passable, payload_wrench, random_postures, takes, tool_frames
-    from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_cpc, from_csv, from_table, loss
-    from modcal_core.robots.tables import nearest_dh, to_cpc, to_csv, to_table
+    from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_cpc, from_csv, from_table, from_ur_conf
+    from modcal_core.robots.tables import loss, nearest_dh, to_cpc, to_csv, to_table
     from modcal_core.robots.urdf import joint_origins, other_tips, read_chain, read_path
     from modcal_core.robots.urdf_inertias import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
     from modcal_core.robots.urdf_inertias import moved_centres, read_inertias, weightless
     from modcal_core.robots.urdf_tree import Tree, document, parse, rerooted
     from modcal_core.robots.urdf_write import calibrated_urdf, chain_urdf, joint_element
-    from modcal_core.robots.urdf_write import number, origin_element, urdf_text, xacro_origins
+    from modcal_core.robots.urdf_write import number, origin_element, ros2_control_offsets, urdf_text, xacro_origins
 else:
     from modcal_core.lazy import lazy_face
 
@@ -37,16 +37,16 @@ else:
 
 __all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
 __all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain", "Delta"]
-__all__ += ["Drives", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointPath", "LoadedArm"]
-__all__ += ["Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian"]
+__all__ += ["Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointPath"]
+__all__ += ["LoadedArm", "Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian"]
 __all__ += ["calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds"]
 __all__ += ["delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia", "forward"]
-__all__ += ["frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_kinematics", "gravity_wrench"]
-__all__ += ["held_behind", "inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element", "joint_origins"]
-__all__ += ["kinematics_yaml_data", "lacks_hash", "loss", "mass_matrix", "motion", "moved_centres", "nearest_dh"]
-__all__ += ["number", "offset_wrench", "origin_element", "other_tips", "parse", "passable", "payload_wrench"]
-__all__ += ["place_jacobian", "plain", "pose_and_jacobian", "position_jacobians", "random_postures", "reachable"]
-__all__ += ["read_chain", "read_drives", "read_inertias", "read_path", "read_rows", "require_method", "rerooted"]
-__all__ += ["spatial_jacobian", "takes", "to_cpc", "to_csv", "to_dh", "to_table", "tool_frames", "tool_pose"]
-__all__ += ["tool_positions", "torque", "urdf_text", "vector", "weightless", "with_payload", "within_bounds"]
-__all__ += ["within_torque", "xacro_origins"]
+__all__ += ["frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_conf", "from_ur_kinematics"]
+__all__ += ["gravity_wrench", "held_behind", "inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element"]
+__all__ += ["joint_origins", "kinematics_yaml_data", "lacks_hash", "loss", "mass_matrix", "motion", "moved_centres"]
+__all__ += ["nearest_dh", "number", "offset_wrench", "origin_element", "other_tips", "parse", "passable"]
+__all__ += ["payload_wrench", "place_jacobian", "plain", "pose_and_jacobian", "position_jacobians", "random_postures"]
+__all__ += ["reachable", "read_chain", "read_drives", "read_inertias", "read_path", "read_rows", "require_method"]
+__all__ += ["rerooted", "ros2_control_offsets", "spatial_jacobian", "takes", "to_cpc", "to_csv", "to_dh", "to_table"]
+__all__ += ["tool_frames", "tool_pose", "tool_positions", "torque", "urdf_text", "vector", "weightless"]
+__all__ += ["with_payload", "within_bounds", "within_torque", "xacro_origins"]

@@ -28,6 +28,19 @@ def read_only(a: ArrayLike, dtype: type = float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class Follower:
+    """A joint of a chain that mimics another: it stands at ``factor`` times that one's position, plus ``offset``.
+
+    joint: its number in the chain. leader: name of the other, which may be off the chain.
+    """
+
+    joint: int
+    leader: str
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class Chain:
     """A serial arm from its base link to its tip link. Immutable; arrays are read-only.
 
@@ -37,6 +50,7 @@ class Chain:
     revolute: True where the joint turns, False where it slides, (n,).
     lower, upper: limits [rad or m], (n,); ±inf where the robot states none.
     links: the link in front of each joint, where the robot names them; empty otherwise.
+    follows: the joints that mimic another.
     """
 
     names: tuple[str, ...]
@@ -48,6 +62,7 @@ class Chain:
     base: str = "base"
     tip: str = "tip"
     links: tuple[str, ...] = ()
+    follows: tuple[Follower, ...] = ()
 
     @classmethod
     def build(
@@ -88,6 +103,38 @@ class Chain:
     def n(self) -> int:
         """Number of moving joints."""
         return len(self.names)
+
+    @cached_property
+    def led(self) -> tuple[tuple[int, int, float, float], ...]:
+        """Joints that mimic another of this chain: number, the leader's number, factor and offset."""
+        numbers = {name: k for k, name in enumerate(self.names)}
+        return tuple((f.joint, numbers[f.leader], f.factor, f.offset) for f in self.follows if f.leader in numbers)
+
+    @cached_property
+    def own(self) -> np.ndarray:
+        """Which joints follow no other of this chain, (n,) bool."""
+        return read_only(~np.isin(np.arange(self.n), [joint for joint, *_ in self.led]), bool)
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of these joints."""
+        return tuple(name for name, own in zip(self.names, self.own, strict=True) if own)
+
+    def followed(self, q: Array) -> Array:
+        """Positions (..., n) [rad, m] with the joints that mimic another of this chain where they follow it."""
+        if not self.led:
+            return q
+        out = np.array(q, dtype=float)
+        for joint, leader, factor, offset in self.led:
+            out[..., joint] = factor * out[..., leader] + offset
+        return out
+
+    def by_leaders(self, J: Array) -> Array:
+        """Derivatives (..., n) by the joints, of those that follow added to their leaders', whose place they take."""
+        for joint, leader, factor, _ in self.led:
+            J[..., leader] += factor * J[..., joint]
+            J[..., joint] = 0.0
+        return J
 
     @property
     def first_place(self) -> int:

@@ -40,7 +40,6 @@ def inverse(
     T_base_tip: ArrayLike,
     seed: ArrayLike,
     mask: ArrayLike = ALL_SIX,
-    weights: ArrayLike | None = None,
     rng: np.random.Generator | None = None,
     restarts: int = 30,
     tolerance: float = TOLERANCE,
@@ -48,19 +47,18 @@ def inverse(
     """Joint positions (n,) [rad, m] within the limits that put the tip at a pose (4, 4) of the base.
 
     seed: posture (n,) to begin from; the solution near it is found, turns counted, where there is one. mask: which of
-    x y z rx ry rz, along and about the axes of the tip as it will be, must be met. weights: of the six, (6,), for the
-    way there. rng: draws the postures of up to ``restarts`` other tries; without it only the seed is tried.
-    tolerance: largest error [m and rad] of what must be met. Raises NotReachable with the smallest error found.
+    x y z rx ry rz, along and about the axes of the tip as it will be, must be met. rng: draws the postures of up to
+    ``restarts`` other tries; without it only the seed is tried. tolerance: largest error [m and rad] of what must be
+    met. Raises NotReachable with the smallest error found.
     """
     goal = np.asarray(T_base_tip, dtype=float)
     wanted = np.flatnonzero(np.asarray(mask, dtype=bool))
-    weight = np.ones(6) if weights is None else np.asarray(weights, dtype=float)
     start = np.asarray(seed, dtype=float)
     assert goal.shape == (4, 4), goal.shape
     assert start.shape == (chain.n,), start.shape
     best, nearest = np.full(6, np.inf), start
     for q in _starts(chain, start, rng, restarts):
-        q, error = _descend(chain, goal, q, wanted, weight[wanted], tolerance)
+        q, error = _descend(chain, goal, q, wanted, tolerance)
         if np.abs(error).max(initial=0.0) <= tolerance:
             return _unwound(chain, q, start)
         if np.linalg.norm(error) < np.linalg.norm(best):
@@ -79,7 +77,7 @@ def inverse(
 
 def _starts(chain: Chain, seed: Array, rng: np.random.Generator | None, restarts: int) -> Iterator[Array]:
     """The seed, put within the limits, then random postures."""
-    yield np.clip(seed, chain.lower, chain.upper)
+    yield chain.followed(np.clip(seed, chain.lower, chain.upper))
     if rng is not None:
         span = np.where(chain.revolute, _FREE_TURN, _FREE_SLIDE)
         low = np.maximum(chain.lower, np.where(np.isfinite(chain.upper), chain.upper - 2.0 * span, -span))
@@ -87,24 +85,22 @@ def _starts(chain: Chain, seed: Array, rng: np.random.Generator | None, restarts
         middle = 0.5 * (np.maximum(chain.lower, -span) + np.minimum(chain.upper, span))
         low, high = np.where(low < high, low, middle), np.where(low < high, high, middle)
         for _ in range(restarts):
-            yield rng.uniform(low, high)
+            yield chain.followed(rng.uniform(low, high))
 
 
-def _descend(
-    chain: Chain, goal: Array, q: Array, wanted: np.ndarray, weight: Array, tolerance: float
-) -> tuple[Array, Array]:
+def _descend(chain: Chain, goal: Array, q: Array, wanted: np.ndarray, tolerance: float) -> tuple[Array, Array]:
     """The posture that the steps from q end in, and the error (6,) that is left there, zero where none is wanted."""
     e, J = _linearised(chain, goal, q)
     for _ in range(_MAX_STEPS):
-        r, A = weight * e[wanted], weight[:, None] * J[wanted]
+        r, A = e[wanted], J[wanted]
         if np.abs(e[wanted]).max(initial=0.0) <= tolerance:
             break
         cost = float(r @ r)
         damping = DAMPING * cost + 1e-14
         for _ in range(6):
-            new = q + _step(chain, q, A, r, damping)
+            new = chain.followed(q + _step(chain, q, A, r, damping))
             e_new, J_new = _linearised(chain, goal, new)
-            left = weight * e_new[wanted]
+            left = e_new[wanted]
             if float(left @ left) < cost:
                 break
             damping = max(30.0 * damping, 1e-6)
@@ -127,7 +123,7 @@ def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     J = np.empty((6, chain.n))
     J[:3] = (v - crossed_rows(e[None, :3], w)).T
     J[3:] = so3.left_jacobian_inverse(e[3:]) @ w.T
-    return e, J
+    return e, chain.by_leaders(J)
 
 
 def _step(chain: Chain, q: Array, A: Array, r: Array, damping: float) -> Array:
@@ -153,7 +149,7 @@ def _unwound(chain: Chain, q: Array, seed: Array) -> Array:
     """The same posture with whole turns taken off where that is closer to the seed and within the limits."""
     turns = np.where(chain.revolute, np.round((q - seed) / (2.0 * np.pi)), 0.0)
     nearer = q - 2.0 * np.pi * turns
-    return np.where((nearer >= chain.lower) & (nearer <= chain.upper), nearer, q)
+    return chain.followed(np.where((nearer >= chain.lower) & (nearer <= chain.upper), nearer, q))
 
 
 # --- Inverse kinematics from many starts, for many poses, at once
@@ -209,6 +205,7 @@ def inverse_batch(
     shape = np.broadcast_shapes(goal.shape[:-2], start.shape[:-1])
     goal = np.broadcast_to(goal, (*shape, 4, 4)).reshape(-1, 4, 4)
     q = np.clip(np.broadcast_to(start, (*shape, chain.n)).reshape(-1, chain.n), chain.lower, chain.upper)
+    q = chain.followed(q)
     wanted = np.flatnonzero(np.asarray(mask, dtype=bool))
     q, error = _descend_all(chain, goal, q, wanted, tolerance)
     out = np.zeros((len(q), 6))
@@ -230,7 +227,7 @@ def _descend_all(chain: Chain, goal: Array, q: Array, wanted: np.ndarray, tolera
         if not len(rows):
             break
         A, r = J[rows][:, wanted], e[rows][:, wanted]
-        new = q[rows] + _steps(chain, q[rows], A, r, damping[rows])
+        new = chain.followed(q[rows] + _steps(chain, q[rows], A, r, damping[rows]))
         e_new, J_new = _linearised_all(chain, goal[rows], new)
         cost_new = np.sum(e_new[:, wanted] ** 2, axis=1)
         better = cost_new < cost[rows]
@@ -252,7 +249,7 @@ def _linearised_all(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     J = np.empty((len(q), 6, chain.n))
     J[:, :3] = np.swapaxes(v - np.cross(e[:, None, :3], w), 1, 2)
     J[:, 3:] = so3.left_jacobian_inverse(e[:, 3:]) @ np.swapaxes(w, 1, 2)
-    return e, J
+    return e, chain.by_leaders(J)
 
 
 def _steps(chain: Chain, q: Array, A: Array, r: Array, damping: Array) -> Array:

@@ -21,7 +21,8 @@ import numpy as np
 from modcal_core.errors import BadTable, NotRepresentable, refusing
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.dh import vector
+from modcal_core.robots.dh import from_dh, vector
+from modcal_core.robots.kinematics import chain_forward
 
 _UR = {
     "shoulder_pan_joint": "shoulder",
@@ -35,6 +36,7 @@ _FRANKA = re.compile(r"(?P<prefix>(?:.*_)?(?:panda|fer|fr3|fp3)(?:v[\d_]*\d)?_)j
 
 _AS_MADE = "give the file as the manufacturer's own tool wrote it for this arm"
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # about z: UR's description puts it before the table
+_SAME_M = 1e-6  # by which the description of a model may be off its DH numbers
 _FAR_MM, _FAR_DEG = 15.0, 3.0  # farther apart than calibrations of one arm lie
 _KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 NO_HASH = """\
@@ -62,7 +64,14 @@ def kinematics_yaml_data(
         return found
     filled = _filled_in(factory, found, "factory kinematics")
     prefix = _ur_prefix(chain.names)
-    return filled if prefix is None else _filled_in(factory, ur_kinematics(_as_laid_out(chain, origins, factory)), "")
+    if prefix is None:
+        return filled
+    made = from_ur_kinematics(factory)
+    own = _behind_the_half_turn({name: origins[name] for name in chain.names})
+    table = [_HALF_TURN @ made.origins[0], *made.origins[1:-1]]
+    if all(_near(F, T) for F, T in zip(table, own.values(), strict=True)):
+        return filled
+    return _filled_in(factory, ur_kinematics(_as_laid_out(chain, made)), "")
 
 
 def lacks_hash(data: Mapping[str, Any]) -> bool:
@@ -87,17 +96,55 @@ def from_ur_kinematics(data: Mapping[str, Any]) -> Chain:
     return Chain.build(tuple(_UR), origins, lower=-most, upper=most, base="base_link", tip="tool0")
 
 
-def _as_laid_out(chain: Chain, origins: Mapping[str, Array], factory: Mapping[str, Any]) -> dict[str, Array]:
-    """The joints' origins (4, 4) by name in the frames of a factory's file. Raises BadTable where it is of another arm.
+_DH = ("theta", "d", "a", "alpha")
 
-    Origins that are near the factory's stay. Else the axes at zero are compared as lines, and the factory's frames are
-    put onto the calibrated ones.
+
+@refusing
+def ur_conf_table(text: str, nominal: Chain) -> dict[str, Any]:
+    """The DH table of a UR controller's calibration.conf, which holds differences from its model's DH numbers.
+
+    nominal: that model as UR's description lays it out, from base_link to tool0. Raises BadTable for anything else.
     """
-    made = from_ur_kinematics(factory)
-    own = {name: origins[name] for name in chain.names}
-    table = [_HALF_TURN @ made.origins[0], *made.origins[1:-1]]
-    if all(_near(F, T) for F, T in zip(table, own.values(), strict=True)):
-        return own
+    found = [re.search(rf"^\s*delta_{key}\s*=\s*\[([^\]]*)\]", text, re.MULTILINE) for key in _DH]
+    rows = zip(_DH, found, strict=True)
+    deltas = np.array([vector(row[1].split(",") if row else [], len(_UR), f"delta_{key}") for key, row in rows])
+    if _ur_prefix(nominal.names) is None:
+        raise BadTable(
+            "calibration.conf", f"is of a UR; this arm has {', '.join(nominal.names)}", "give the UR's --urdf"
+        )
+    first, links, numbers = _HALF_TURN @ nominal.origins[0], nominal.origins[1:-1], np.zeros((4, len(_UR)))
+    alpha = np.arctan2(links[:, 2, 1], links[:, 1, 1])
+    numbers[1] = np.r_[first[2, 3], np.cos(alpha) * links[:, 2, 3] - np.sin(alpha) * links[:, 1, 3]]
+    numbers[2, :-1], numbers[3, :-1] = links[:, 0, 3], alpha
+
+    def table(values: Array) -> dict[str, Any]:
+        joints = [
+            {"name": name, **dict(zip(_DH, map(float, of), strict=True))}
+            for name, of in zip(nominal.names, values.T, strict=True)
+        ]
+        ends = {"base_link": nominal.base, "tip_link": nominal.tip, "base": {"xyz": [0, 0, 0], "rpy": [0, 0, np.pi]}}
+        limits = zip(joints, nominal.lower.tolist(), nominal.upper.tolist(), strict=True)
+        return {"convention": "dh", **ends, "joints": [{**j, "lower": low, "upper": high} for j, low, high in limits]}
+
+    q = np.linspace(-1.0, 1.0, 4 * nominal.n).reshape(4, -1)
+    if np.abs(chain_forward(from_dh(table(numbers)), q) - chain_forward(nominal, q)).max() > _SAME_M:
+        raise BadTable("robot description", "is not laid out as UR's present one", "give the URDF of ur_description")
+    return table(numbers + deltas)
+
+
+def laid_out_as(chain: Chain, nominal: Chain) -> Chain:
+    """A UR arm with its frames where those of its model's description are, but on its own axes. Raises BadTable."""
+    steps = np.stack(list(_as_laid_out(chain, nominal).values()))
+    steps[0] = _HALF_TURN @ steps[0]
+    return nominal.with_origins(np.concatenate([steps, nominal.origins[-1:]]))
+
+
+def _as_laid_out(chain: Chain, made: Chain) -> dict[str, Array]:
+    """The joints' origins (4, 4) by name in the frames of UR's description, the first behind its half turn, where made
+    has them. Raises BadTable where that is another arm.
+
+    The axes at zero are compared as lines, and the frames of made are put onto those of the chain.
+    """
     at_zero, frames = _at_zero(chain), _at_zero(made)
     axes = np.einsum("kij,kj->ki", at_zero[:-1, :3, :3], chain.axes)
     R = np.rint(so3.nearest_rotation(frames[:-1, :3, 2].T @ axes))  # layouts differ by right angles
@@ -122,6 +169,13 @@ def _as_laid_out(chain: Chain, origins: Mapping[str, Array], factory: Mapping[st
     frames[:, :3, 3] = points + axes * np.sum(axes * (frames[:, :3, 3] - points), axis=1, keepdims=True)
     steps = se3.inverse(np.concatenate([_HALF_TURN[None], frames[:-1]])) @ frames
     return dict(zip(chain.names, steps, strict=True))
+
+
+def _behind_the_half_turn(origins: Mapping[str, Array]) -> dict[str, Array]:
+    """Origins by joint, of which the first holds no half turn about z: UR's description has that in a joint before."""
+    name = next(iter(origins))
+    turned = origins[name][0, 0] < 0.0 and origins[name][2, 2] > 0.0
+    return {**origins, **({name: _HALF_TURN @ origins[name]} if turned else {})}
 
 
 def _near(F: Array, T: Array) -> bool:
@@ -154,7 +208,7 @@ def _filled_in(factory: Any, found: Mapping[str, Any], where: str) -> dict[str, 
 
 def _in_makers_form(chain: Chain, origins: Mapping[str, Array]) -> dict[str, Any]:
     if _ur_prefix(chain.names) is not None:
-        return ur_kinematics({name: origins[name] for name in chain.names})
+        return ur_kinematics(_behind_the_half_turn({name: origins[name] for name in chain.names}))
     prefix = _franka_prefix(chain.names)
     if prefix is not None:
         return franka_kinematics({name: T for name, T in origins.items() if name.startswith(prefix)})

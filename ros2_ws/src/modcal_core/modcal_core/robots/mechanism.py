@@ -201,8 +201,8 @@ def random_postures(robot: Mechanism, count: int, rng: np.random.Generator) -> A
     span = np.where(robot.revolute, np.pi, 0.5)
     low = np.where(np.isfinite(robot.lower), robot.lower, -span)
     high = np.where(np.isfinite(robot.upper), robot.upper, span)
-    if not robot.closed:
-        return rng.uniform(low, high, (count, robot.n))
+    if is_serial_arm(robot):
+        return robot.followed(rng.uniform(low, high, (count, robot.n)))
     found = np.empty((0, robot.n))
     for _ in range(1000):
         q = rng.uniform(low, high, (4 * count, robot.n))

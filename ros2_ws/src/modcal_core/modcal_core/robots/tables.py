@@ -58,7 +58,7 @@ from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import from_dh, from_mdh, plain, read_rows, to_dh, to_mdh, vector, write_rows
 from modcal_core.robots.kinematics import chain_forward
-from modcal_core.robots.makers import from_ur_kinematics
+from modcal_core.robots.makers import from_ur_kinematics, laid_out_as, ur_conf_table
 
 # --- Complete and parametrically continuous (CPC) tables, to and from chains
 
@@ -147,7 +147,15 @@ def from_table(table: Mapping[str, Any]) -> Chain:
         said = "has no key 'convention'" if convention is None else f"convention {convention!r} is unknown"
         raise BadTable("kinematic table", said, f"write convention: {', '.join(_READERS)}")
     chain = _READERS[convention](table)
+    _require_units(table["joints"], chain, "m rad", "kinematic table")
     return from_cpc(to_cpc(chain)) if _longest(chain) > _LONGEST_M else chain
+
+
+def from_ur_conf(text: str, nominal: Chain) -> Chain:
+    """The arm of a UR controller's calibration.conf. nominal: its model as UR's description lays it out, from base_link
+    to tool0, whose frames it keeps as far as its axes let it. Raises BadTable.
+    """
+    return laid_out_as(from_table(ur_conf_table(text, nominal)), nominal)
 
 
 def _longest(chain: Chain) -> float:
@@ -182,7 +190,8 @@ def to_table(chain: Chain, convention: str, largest_offset: float = 10.0) -> dic
 def loss(chain: Chain, table: dict[str, Any]) -> float:
     """The largest difference [m, and of rotations] of the tip's pose between a chain and its table, over postures."""
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (_POSTURES, chain.n)) * np.where(chain.revolute, _SPAN, _SLIDE)
-    return float(np.abs(chain_forward(from_table(table), q) - chain_forward(chain, q)).max())
+    again = _READERS[table["convention"]](table)
+    return float(np.abs(chain_forward(again, q) - chain_forward(chain, q)).max())
 
 
 # --- Kinematic tables as CSV, one row a joint; what is not of a joint stands in comment lines before them
@@ -265,25 +274,22 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
         if joint.get("name", "").isdigit():
             joint["name"] = f"joint_{joint['name']}"
     found = _scaled(table, *(1.0 / factor for factor in UNITS[unit]))
-    _require_unit(table["joints"], _ANGLES, _FULL_TURN * UNITS[unit][1], unit, source)
-    try:
-        _require_unit(table["joints"], _LENGTHS, _LONGEST_M * UNITS[unit][0], unit, source)
-    except BadTable:
-        # lengths that cancel are those of nearly parallel axes
-        if _longest(from_table(found)) > _LONGEST_M:
-            raise
+    _require_units(table["joints"], _READERS[convention](found), unit, source)
     return found
 
 
-def _require_unit(
-    joints: Sequence[Mapping[str, Any]], keys: Sequence[str], most: float, unit: str, source: str
-) -> None:
-    """Raises BadTable for a turn or a length that no arm has, in this unit."""
-    for i, joint in enumerate(joints):
-        for key in keys:
+def _require_units(joints: Sequence[Mapping[str, Any]], chain: Chain, unit: str, source: str) -> None:
+    """Raises BadTable for a turn or a length that no arm has, in this unit. Lengths that cancel are those of nearly
+    parallel axes.
+    """
+    limits = [(key, _FULL_TURN * UNITS[unit][1]) for key in _ANGLES]
+    if _longest(chain) > _LONGEST_M and _longest(from_cpc(to_cpc(chain))) > _LONGEST_M:
+        limits += [(key, _LONGEST_M * UNITS[unit][0]) for key in _LENGTHS]
+    for key, most in limits:
+        for i, joint in enumerate(joints):
             if abs(joint.get(key, 0.0)) > most:
                 said = f"is {joint[key]:g}, in the unit {unit}"
-                remedy = f"write the unit as '# unit: mm deg' ({', '.join(UNITS)})"
+                remedy = f"write the unit as '# unit: mm deg' ({', '.join(UNITS)}) in a CSV; YAML is in m and rad"
                 raise BadTable(f"{source}, joint {i + 1}: {key}", said, remedy)
 
 

@@ -7,14 +7,14 @@ The frame of a joint is the frame of its child link, so joint k of the chain mov
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.chain import Chain, Follower
 from modcal_core.robots.urdf_tree import FIX, TURNS, Joint, Tree, parse
 
 # --- Where an arm ends when nobody says so: past its joints and its flange, short of a gripper's fingers
@@ -51,30 +51,28 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
     been meant as well.
 
     Among several, one with a tool's usual name (tool0, tcp, ee, flange), then the one with the longest way, then the
-    first by name. The way ends before joints that mimic, before those that others mimic unless the arm goes on behind
-    them (a cylinder that balances a link mimics its joint), before those that a chain cannot hold, before a gripper's
-    own, and where it forks into a hand. recorded: names of the joints that were recorded; of arms whose
-    joints were all recorded the longest is taken, and where there is none the longest at all, so that the missing
-    joints can be named. Raises BadRobot when nothing moves.
+    first by name. The way ends before joints that mimic or that others mimic, unless the arm goes on behind them (a
+    cylinder that balances a link mimics its joint; a parallelogram's joint is on the way), before those that a chain
+    cannot hold, before a gripper's own, and where it forks into a hand. recorded: names of the joints that were
+    recorded; of arms whose joints were all recorded the longest is taken, and where there is none the longest at all,
+    so that the missing joints can be named. Raises BadRobot when nothing moves.
     """
     led = {joint.mimics for joint in tree.joints if joint.mimics is not None}
-    led -= {joint.name for joint in tree.joints if joint.name in led and _goes_on(tree, joint, led)}
+    ended = {j.name for j in tree.joints if (j.mimics is not None or j.name in led) and not _goes_on(tree, j, led)}
     ends: list[_End] = []
 
-    def follow(link: str, moving: tuple[str, ...], length: int, unknown: bool) -> None:
-        fingers = _fingers(tree, link, len(moving))
-        further = [
-            j
-            for j in tree.below[link]
-            if not j.moves or (j.kind in TURNS and j.mimics is None and j.name not in led | fingers)
-        ]
+    def follow(link: str, moving: tuple[str, ...], length: int, unknown: bool, tooled: bool) -> None:
+        tooled = tooled or any(_is_tool(name) for name in (link, *(j.child for j in tree.below[link] if not j.moves)))
+        fingers = _fingers(tree, link, len(moving), tooled)
+        further = [j for j in tree.below[link] if not j.moves or (j.kind in TURNS and j.name not in ended | fingers)]
         if moving and not further:
             ends.append(_End(link, unknown, moving, length))
         for joint in further:
-            missing = joint.moves and recorded is not None and joint.name not in recorded
-            follow(joint.child, (*moving, joint.name) if joint.moves else moving, length + 1, unknown or missing)
+            own = joint.moves and joint.mimics is None
+            missing = own and recorded is not None and joint.name not in recorded
+            follow(joint.child, (*moving, joint.name) if own else moving, length + 1, unknown or missing, tooled)
 
-    follow(base, (), 0, False)
+    follow(base, (), 0, False, False)
     if not ends:
         raise BadRobot(f"link '{base}'", "no moving joint behind it", "give the --base of an arm")
     best = min(ends, key=lambda end: end.order)
@@ -85,19 +83,22 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
     return best.link, tuple(end.link for end in rivals.values())
 
 
+def _is_tool(link: str) -> bool:
+    return any(pattern.search(link.lower()) for pattern in _TOOL_NAMES)
+
+
 def _goes_on(tree: Tree, joint: Joint, led: Collection[str | None]) -> bool:
     """Whether joints that nothing leads, or a tool's frame, are behind a joint."""
-    if any(pattern.search(joint.child.lower()) for pattern in _TOOL_NAMES):
+    if _is_tool(joint.child):
         return True
     return any(
-        (j.moves and j.mimics is None and j.name not in led) or _goes_on(tree, j, led)
-        for j in tree.below[joint.child]
-        if j.mimics is None
+        (j.moves and j.mimics is None and j.name not in led) or _goes_on(tree, j, led) for j in tree.below[joint.child]
     )
 
 
-def _fingers(tree: Tree, link: str, before: int) -> set[str]:
+def _fingers(tree: Tree, link: str, before: int, tooled: bool) -> set[str]:
     """The joints of a hand's fingers on a link, behind so many joints; none of them is the arm's continuation.
+    tooled: whether a tool's frame stands here or before.
 
     They are known by two or more branches that are the longest, and shorter than the arm before; the two arms of a
     torso are longer than what carries them. A single one is known by its name, or by that of the link that it moves.
@@ -109,17 +110,18 @@ def _fingers(tree: Tree, link: str, before: int) -> set[str]:
     return {
         joint.name
         for joint in tree.below[link]
-        if joint.moves and depth[joint.name] < before and _named_as_finger(joint, len(depth))
+        if joint.moves and depth[joint.name] < before and _named_as_finger(joint, tooled or len(depth) > 1)
     }
 
 
-def _named_as_finger(joint: Joint, beside: int) -> bool:
-    """Whether a joint's names are a gripper's; beside: how many joints its parent carries.
+def _named_as_finger(joint: Joint, behind: bool) -> bool:
+    """Whether a joint's names are a gripper's. behind: whether it stands behind the arm's end.
 
-    The joint before a whole hand may be named after it as well: a gripper's own stands on a palm, which carries more.
+    The joint before a whole hand may be named after it as well: a gripper's own stands on a palm, which carries more,
+    or behind a tool's frame.
     """
     names = f"{joint.name} {joint.child}".lower()
-    return bool(_FINGER.search(names)) or (beside > 1 and bool(_GRIPPER.search(names)))
+    return bool(_FINGER.search(names)) or (behind and bool(_GRIPPER.search(names)))
 
 
 def _depth(tree: Tree, joint: Joint) -> int:
@@ -148,8 +150,6 @@ def read_chain(
         if joint.kind not in TURNS:
             said = f"is {joint.kind}, which a chain cannot hold"
             raise BadRobot(f"joint {joint.name}", said, "give another --base or --tip")
-        if joint.mimics is not None:
-            raise BadRobot(f"joint {joint.name}", f"mimics {joint.mimics}", "give a --tip before it")
         if not joint.lower <= joint.upper:
             raise BadRobot(f"joint {joint.name}", f"its limits run from {joint.lower:g} to {joint.upper:g}", FIX)
         moving.append(joint)
@@ -168,7 +168,22 @@ def read_chain(
     if chain.revolute.any() and long > _FARTHEST:
         said = f"its links add up to {long:.0f} m, {_FARTHEST:g} m is the limit: it looks like millimetres"
         raise BadRobot(f"robot '{tree.name}'", said, "give <origin xyz> in metres")
-    return replace(chain, links=tuple(joint.parent for joint in moving))
+    return replace(chain, links=tuple(joint.parent for joint in moving), follows=tuple(_follows(tree, moving)))
+
+
+def _follows(tree: Tree, moving: Sequence[Joint]) -> Iterator[Follower]:
+    """Which of these joints follow another one. Raises BadRobot where nothing leads it."""
+    joints = {joint.name: joint for joint in tree.joints}
+    for k, joint in enumerate(moving):
+        leader, factor, offset, met = joint, 1.0, 0.0, set[str]()
+        while leader.mimics is not None:  # of one that mimics itself, the first one leads
+            factor, offset = factor * leader.mimic_factor, offset + factor * leader.mimic_offset
+            if leader.mimics not in joints or leader.name in met:
+                raise BadRobot(f"joint {joint.name}", f"mimics {leader.mimics}, which leads nothing", FIX)
+            met.add(leader.name)
+            leader = joints[leader.mimics]
+        if leader is not joint:
+            yield Follower(k, leader.name, factor, offset)
 
 
 def other_tips(urdf_xml: str, base: str, recorded: Collection[str] | None = None) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """The links and joints of a URDF, checked, as plain values.
 
-``urdf_parser_py`` (the parser of ROS's own Python tools) reads the document. It is given only what kinematics and
-gravity need: what simulators, drivers and meshes add can neither break the reading nor make the parser speak on stderr.
+Only what kinematics and gravity need is read: what simulators, drivers and meshes add cannot break the reading. Of what
+may stand once, the first counts.
 
 A joint on the way from the root to that link is turned round: where its child was at O R(a, q) in its parent, the
 parent is at R(−a, q) O⁻¹ in its child. A joint's origin stands before its motion, so O⁻¹ is a fixed joint of its own,
@@ -11,16 +11,15 @@ behind a link <joint>_frame.
 from __future__ import annotations
 
 import difflib
+import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from lxml import etree
-from urdf_parser_py.urdf import URDF
-from urdf_parser_py.xml_reflection.core import ParseError
 
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array, se3, so3
@@ -36,27 +35,8 @@ _MAX_TURN = 4.0 * np.pi  # rad; an <origin rpy> beyond this was meant in degrees
 _MAX_TEXT = 5_000_000  # characters
 _MAX_JOINTS, _DEEPEST = 2000, 250  # joints, in all and in a row
 
-# The children that are read in each element, and the attributes in each of those.
-_CHILDREN: Mapping[str, set[str]] = {
-    "robot": {"link", "joint"},
-    "link": {"inertial"},
-    "joint": {"origin", "axis", "parent", "child", "limit", "mimic"},
-    "inertial": {"origin", "mass", "inertia"},
-}
-_ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
-    "robot": ("name", "version"),
-    "link": ("name",),
-    "joint": ("name", "type"),
-    "origin": ("xyz", "rpy"),
-    "axis": ("xyz",),
-    "parent": ("link",),
-    "child": ("link",),
-    "limit": ("lower", "upper"),
-    "mimic": ("joint", "multiplier", "offset"),
-    "mass": ("value",),
-    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
-}
-_NEEDED = {"axis": "xyz", "parent": "link", "child": "link", "mimic": "joint"}
+_KINDS = (*TURNS, "fixed", "floating", "planar")
+_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 @dataclass(frozen=True)
@@ -94,12 +74,13 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Tree:
-    """Links and joints of one robot, connected and free of doubles."""
+    """Links and joints of one robot, connected and free of doubles. notes: a sentence for each thing that it lacks."""
 
     name: str
     links: tuple[str, ...]
     joints: tuple[Joint, ...]
     inertials: Mapping[str, Inertial]
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def above(self) -> dict[str, Joint]:
@@ -147,11 +128,24 @@ def parse(urdf_xml: str) -> Tree:
     for tag in ("link", "joint"):
         if (count := sum(_local(child) == tag for child in root)) > _MAX_JOINTS:
             raise BadRobot("robot description", f"has {count} {tag}s, {_MAX_JOINTS} is the limit", _ONE_ROBOT)
-    robot = _parsed(_essential(root))
-    joints = tuple(_joint(joint) for joint in robot.joints)
-    links = tuple(link.name for link in robot.links)
-    inertials = {link.name: _inertial(link) for link in robot.links if link.inertial is not None}
-    tree = Tree(robot.name, links, joints, inertials)
+    name, version = _required(root, "name", "robot description"), root.get("version") or "1.0"
+    if version != "1.0":
+        raise BadRobot("robot description", f"is of version {version}, only 1.0 is supported", FIX)
+    joints = tuple(_joint(e) for e in root if _local(e) == "joint")
+    links = tuple(
+        (_required(e, "name", "robot description"), _child(e, "inertial")) for e in root if _local(e) == "link"
+    )
+    bodies = {link: _inertial(own, link) for link, own in links if own is not None}
+    inertials = {link: own for link, own in bodies.items() if own is not None}
+    notes = (
+        *(
+            f"Link {name} has an <inertial> without mass: it weighs nothing."
+            for name, own in bodies.items()
+            if own is None
+        ),
+        *(f"Joint {j.name} has limits from {j.lower:g} to {j.upper:g}." for j in joints if not j.lower <= j.upper),
+    )
+    tree = Tree(name, tuple(link for link, _ in links), joints, inertials, notes)
     _check(tree)
     for array in (a for joint in joints for a in (joint.T_parent_joint, joint.axis)):
         array.flags.writeable = False
@@ -178,7 +172,7 @@ def document(urdf_xml: str) -> Any:
         raise BadRobot("robot description", f"is not XML ({said})", remedy) from error
     if _local(root) != "robot":
         raise BadRobot("robot description", f"is <{_local(root)}>, not <robot>", "give a URDF file")
-    if any(isinstance(e.tag, str) and ("xacro" in e.tag.partition("}")[0] or "xacro:" in e.tag) for e in root.iter()):
+    if any(isinstance(e.tag, str) and "xacro" in (e.prefix, *re.split("[}/:]", e.tag)[:-1]) for e in root.iter()):
         raise _unexpanded()
     return root
 
@@ -214,88 +208,90 @@ def _local(element: Any) -> str:
     return str(etree.QName(element).localname)
 
 
-def _essential(element: Any) -> Any:
-    """A copy of an element with only what is read here; of what may stand once, the first counts."""
-    tag = _local(element)
-    copy = etree.Element(tag, {key: element.get(key) for key in _ATTRIBUTES.get(tag, ()) if element.get(key)})
-    if tag == "limit":
-        for key in ("effort", "velocity"):  # the parser insists on them
-            copy.set(key, "0")
-    for child in element:
-        name = _local(child)
-        if name == "limit" and not (child.get("lower") or child.get("upper")):
-            continue  # it states effort and speed only; the parser would read a range of 0 to 0
-        if name == "axis" and element.get("type") == "fixed":
-            continue
-        if name == "inertial" and not any(_local(e) == "mass" and e.get("value") for e in child):
-            continue  # it weighs nothing
-        if (needed := _NEEDED.get(name)) and not child.get(needed):
-            raise BadRobot(f"{tag} {element.get('name')}: <{name}>", f"has no {needed}", FIX)
-        if name in _CHILDREN.get(tag, ()) and (tag == "robot" or copy.find(name) is None):
-            copy.append(_essential(child))
-    return copy
+def _child(element: Any, tag: str) -> Any:
+    """The first child of this name; None where there is none."""
+    return next((child for child in element if _local(child) == tag), None)
 
 
-def _parsed(root: Any) -> Any:
+def _required(element: Any, key: str, what: str) -> str:
+    """An attribute that must be there; what: the element's owner, in a refusal."""
+    if not element.get(key):
+        raise BadRobot(f"{what}: <{_local(element)}>", f"has no {key}", FIX)
+    return str(element.get(key))
+
+
+def _numbers(element: Any, key: str, default: Sequence[float], what: str, finite: bool = True) -> Array:
+    """The numbers in an attribute, as many as in the default, which counts where it is missing."""
+    text = None if element is None else element.get(key)
+    if not text:
+        return np.array(default, dtype=float)
+    what = f"{what} <{_local(element)} {key}>"
     try:
-        return URDF.from_xml_string(etree.tostring(root))
-    except ParseError as error:
-        if "${" in str(error.e) or "$(" in str(error.e):
+        values = np.array([float(word) for word in text.split()])
+    except ValueError as error:
+        if "${" in text or "$(" in text:
             raise _unexpanded() from error
-        said = " ".join(str(error.e).split()) or type(error.e).__name__
-        raise BadRobot(f"robot description, {error.path}", said, FIX) from error
-    except (AssertionError, KeyError, ValueError, TypeError, AttributeError) as error:
-        raise BadRobot("robot description", f"is not a URDF ({error})", FIX) from error
+        raise BadRobot(what, f"'{text}' holds what is not a number", FIX) from error
+    if len(values) != len(default) or (finite and not np.isfinite(values).all()):
+        raise BadRobot(what, f"needs {len(default)} finite number{'s' * (len(default) > 1)}", FIX)
+    return values
 
 
-def _joint(joint: Any) -> Joint:
-    limit = joint.limit if joint.type != "continuous" else None
-    lower, upper = (-np.inf, np.inf) if limit is None else (float(limit.lower), float(limit.upper))
-    axis = (1.0, 0.0, 0.0) if joint.axis is None else joint.axis
-    offset = 0.0 if joint.mimic is None else float(joint.mimic.offset or 0.0)
-    factor = 1.0 if joint.mimic is None or joint.mimic.multiplier is None else float(joint.mimic.multiplier)
+def _joint(element: Any) -> Joint:
+    name, kind = _required(element, "name", "robot description"), element.get("type")
+    what = f"joint {name}"
+    if kind not in _KINDS:
+        raise BadRobot(what, f"Invalid joint type: {kind}", f"choose {', '.join(_KINDS)}")
+    ends = []
+    for tag in ("parent", "child"):
+        if (end := _child(element, tag)) is None:
+            raise BadRobot(what, f"has no <{tag}>", FIX)
+        ends.append(_required(end, "link", what))
+    limit, mimic = _child(element, "limit"), _child(element, "mimic")
+    lower, upper = -np.inf, np.inf
+    if kind != "continuous" and limit is not None and (limit.get("lower") or limit.get("upper")):
+        lower, upper = (float(_numbers(limit, key, [0.0], f"{what}:", False)[0]) for key in ("lower", "upper"))
+    axis = _child(element, "axis") if kind != "fixed" else None
+    if axis is not None:
+        _required(axis, "xyz", what)
     return Joint(
-        name=joint.name,
-        kind=joint.type,
-        parent=joint.parent,
-        child=joint.child,
-        T_parent_joint=_origin(joint.origin, f"joint {joint.name}: <origin"),
-        axis=_finite(axis, 3, f"joint {joint.name}: <axis>"),
+        name=name,
+        kind=kind,
+        parent=ends[0],
+        child=ends[1],
+        T_parent_joint=_origin(_child(element, "origin"), f"{what}:"),
+        axis=_numbers(axis, "xyz", (1.0, 0.0, 0.0), f"{what}:"),
         lower=lower,
         upper=upper,
-        mimics=None if joint.mimic is None else joint.mimic.joint,
-        mimic_offset=float(_finite([offset], 1, f"joint {joint.name}: <mimic offset>")[0]),
-        mimic_factor=float(_finite([factor], 1, f"joint {joint.name}: <mimic multiplier>")[0]),
+        mimics=None if mimic is None else _required(mimic, "joint", what),
+        mimic_offset=float(_numbers(mimic, "offset", [0.0], f"{what}:")[0]),
+        mimic_factor=float(_numbers(mimic, "multiplier", [1.0], f"{what}:")[0]),
     )
 
 
-def _inertial(link: Any) -> Inertial:
-    what = f"link {link.name}: <inertial>"
-    mass = float(_finite([link.inertial.mass or 0.0], 1, f"{what} <mass>")[0])
-    if mass < 0.0:
-        raise BadRobot(f"{what} <mass>", f"{mass:g} kg is below 0", FIX)
-    T = _origin(link.inertial.origin, f"{what} <origin")
-    inertia = np.zeros((3, 3)) if link.inertial.inertia is None else np.array(link.inertial.inertia.to_matrix(), float)
+def _inertial(element: Any, link: str) -> Inertial | None:
+    """What an <inertial> says; None where its mass has no value."""
+    what, mass = f"link {link}: <inertial>", _child(element, "mass")
+    if mass is None or not mass.get("value"):
+        return None
+    weight = float(_numbers(mass, "value", [0.0], what)[0])
+    if weight < 0.0:
+        raise BadRobot(f"{what} <mass>", f"{weight:g} kg is below 0", FIX)
+    T, inertia = _origin(_child(element, "origin"), what), _child(element, "inertia")
+    if inertia is not None:
+        for key in _INERTIA:
+            _required(inertia, key, what)
+    xx, xy, xz, yy, yz, zz = (float(_numbers(inertia, key, [0.0], what)[0]) for key in _INERTIA)
     R = T[:3, :3]
-    return Inertial(mass, T[:3, 3], R @ _finite(inertia.ravel(), 9, f"{what} <inertia>").reshape(3, 3) @ R.T)
+    return Inertial(weight, T[:3, 3], R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T)
 
 
-def _origin(origin: Any, what: str) -> Array:
-    if origin is None:
-        return np.eye(4)
-    xyz = _finite(origin.xyz or (0, 0, 0), 3, f"{what} xyz>")
-    rpy = _finite(origin.rpy or (0, 0, 0), 3, f"{what} rpy>")
+def _origin(element: Any, what: str) -> Array:
+    xyz, rpy = (_numbers(element, key, (0.0, 0.0, 0.0), what) for key in ("xyz", "rpy"))
     if np.abs(rpy).max() > _MAX_TURN:
         said = f"{rpy[np.argmax(np.abs(rpy))]:g} rad is beyond {_MAX_TURN:.1f}: it looks like degrees"
-        raise BadRobot(f"{what} rpy>", said, "give it in radians")
+        raise BadRobot(f"{what} <origin rpy>", said, "give it in radians")
     return se3.transform(so3.from_rpy(rpy), xyz)
-
-
-def _finite(values: Any, count: int, what: str) -> Array:
-    out = np.array([float(v) for v in values])
-    if out.shape != (count,) or not np.isfinite(out).all():
-        raise BadRobot(what, f"needs {count} finite numbers", FIX)
-    return out
 
 
 def _check(tree: Tree) -> None:

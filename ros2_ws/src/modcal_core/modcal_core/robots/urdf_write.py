@@ -247,5 +247,22 @@ def xacro_origins(origins: Mapping[str, Array], notes: Sequence[str] = ()) -> st
     )
 
 
+def ros2_control_offsets(offsets: Mapping[str, float], notes: Sequence[str] = ()) -> str:
+    """The text of ros2_control's transmissions with these offsets [rad or m] by joint, which are added to positions of
+    the actuator. notes become comments.
+    """
+    robot = ET.Element("ros2_control")
+    for note in notes:
+        robot.append(ET.Comment(f" {note.replace('--', '—')} "))
+    for name, offset in offsets.items():
+        transmission = ET.SubElement(robot, "transmission", name=f"{name}_transmission")
+        ET.SubElement(transmission, "plugin").text = "transmission_interface/SimpleTransmission"
+        ET.SubElement(transmission, "actuator", name=f"{name}_actuator", role="actuator1")
+        joint = ET.SubElement(transmission, "joint", name=name, role="joint1")
+        ET.SubElement(joint, "mechanical_reduction").text = "1.0"
+        ET.SubElement(joint, "offset").text = number(offset)
+    return urdf_text(robot)
+
+
 def _numbers(values: Array) -> str:
     return " ".join(map(number, values))

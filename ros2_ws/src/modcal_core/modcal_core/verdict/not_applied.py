@@ -35,6 +35,8 @@ def applicable(calibration: Calibration, samples: Samples) -> Applied:
     stood_in: list[str] = []
     partly: list[str] = []
     for effect, typical in zip(model.effects, map(calibration.typical_of, range(len(model.effects))), strict=True):
+        if effect.driver == "clock":  # how the clocks of its own recording went
+            continue
         why, cost = _lacking(effect, calibration, samples), 0.0 if typical is None else 1e6 * typical.cost
         if why is None:
             effects.append(effect)

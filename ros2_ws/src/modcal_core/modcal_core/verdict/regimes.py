@@ -6,7 +6,7 @@ import numpy as np
 
 from modcal_core.calibration import Model, station_numbers
 from modcal_core.measurements import Samples
-from modcal_core.regimes import moves_of
+from modcal_core.moves import moves_of
 from modcal_core.verdict.grounds import Regime
 
 

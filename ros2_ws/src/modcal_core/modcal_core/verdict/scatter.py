@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import eigh
 
 from modcal_core.calibration import station_numbers
 from modcal_core.geometry import Array
@@ -80,10 +81,11 @@ class _Fit:
     free: list[Array]
 
 
-def scatter(rest: Rest, predicted: Array | None = None) -> str:
+def scatter(rest: Rest, predicted: Array | None = None, most: float = np.inf) -> str:
     """A sentence where most of a rest is scatter of one place, and more than the mean explains; else an empty one.
 
-    predicted: of the rest, (6, N), where that is sure.
+    predicted: of the rest, (6, N), where that is sure. most: share of the squares by which returns differ; scatter
+    shows in these, and what does not is a function of the posture.
     """
     moving = bool(rest.samples.moving.any())
     rows = np.flatnonzero(rest.samples.moving == moving)
@@ -101,7 +103,7 @@ def scatter(rest: Rest, predicted: Array | None = None) -> str:
     named, fit = _selected(left, usual, parts)
     covariances = fit.free[len(usual) :]
     share = _share(whole, left, named, covariances)
-    if share < _MOSTLY:
+    if not _MOSTLY <= share <= most:
         return ""
     unit = named[0].unit
     if not unit:
@@ -197,17 +199,29 @@ def uneven(case: Case) -> str:
     )
 
 
-def along_joint(rest: Rest) -> tuple[str, float] | None:
-    """The joint along whose motion most of a rest lies, station by station, whatever it goes with, and its share."""
+def along(rest: Rest) -> tuple[str, float] | None:
+    """What moves along one direction as most of a rest does, station by station, and its share; None where nothing
+    does, or base or tool alone. What does so as well is named beside it.
+    """
     if not _asked(rest):
         return None
-    joints = _joints(rest)
-    along = _along(rest.residual.T, joints)
+    left, bodies = rest.residual.T, _bodies(rest, every=True)
+    parts = [*_joints(rest), *(_Part.of(body.who, _leading(body, left)[None]) for body in bodies)]
     # a residual that points anywhere lies along a motion by one part in as many as a reading has components
     chance = 1.0 / max(float(np.mean(np.sum(rest.weight > 0.0, axis=0))), 1.0)
-    best = int(np.argmax(along))
-    share = (along[best] - chance) / (1.0 - chance)
-    return (joints[best].who, share) if share > _MOSTLY else None
+    shares = [(share - chance) / (1.0 - chance) for share in _along(left, parts)]
+    named = [part for part, share in zip(parts, shares, strict=True) if share >= _PLAINER * max(shares)]
+    if max(shares) < _MOSTLY or not any(part.unit for part in named):
+        return None
+    return ", or of ".join(f"joint {part.who}" if part.unit else part.who for part in named), max(shares)
+
+
+def _leading(part: _Part, left: Array) -> Array:
+    """The one direction of a body along which most of what is left (N, 6) lies, as a column (6, N)."""
+    along = np.einsum("nid,ni->nd", part.Z, left)
+    size = np.tensordot(part.Z, part.Z, axes=([0, 1], [0, 1]))
+    held = size + 1e-9 * np.trace(size) * np.eye(len(size))
+    return np.asarray((part.Z @ eigh(along.T @ along, held)[1][:, -1]).T)
 
 
 def _asked(rest: Rest) -> bool:

@@ -249,7 +249,9 @@ def _scatter(seen: Findings, cut_off: bool) -> Iterator[str]:
     """A place that scatters by far more than the rest, unless it was stated what does not repeat."""
     mean = seen.mean
     if seen.stated.rms_mm is None and mean.rest is not None and bool(seen.case.wrong.any()) == cut_off:
-        yield from filter(None, [scatter(mean.rest, mean.predicted if mean.sure else None)])
+        shown = [t.floor.interval[1] / max(t.square, 1e-300) for t, _ in seen.tails if t.floor and t.floor.freedom]
+        found = scatter(mean.rest, mean.predicted if mean.sure else None, max(shown, default=np.inf))
+        yield from filter(None, [found])
 
 
 _REJECTED = (_many_rejected, _rejected_in_sequence, _rejected_at_a_joint)

@@ -57,7 +57,8 @@ class Tolerance:
 @dataclass(frozen=True)
 class AtTool:
     """What is claimed of the statistic asked for, at the tool [mm]. over: which postures. open_mm: what of it only the
-    usual size of errors holds. remedy: what would show that, or make the interval narrower.
+    usual size of errors holds. remedy: what would show that, or make the interval narrower. read_mm: the statistic of
+    the readings that no fit has seen, with the instrument's noise in it; None where they have no length.
     """
 
     value: float
@@ -65,10 +66,13 @@ class AtTool:
     over: str
     open_mm: float
     remedy: str
+    read_mm: float | None = None
 
 
 def assess(claim: AtTool | None, asked: Asked, verdict: Verdict | None) -> Tolerance:
-    """The result for a claim at the tool, which has what is predictable in it; all else that is open bars a PASS."""
+    """The result for a claim at the tool. What is open bars a PASS; where that is a dependence or a scatter, only if
+    readings are missed by more than is asked for: it is the arm's as much as the instrument's.
+    """
     if claim is None:
         return Tolerance(asked, None, (None, None), "CANNOT TELL", "Nothing is known of the tool's error.")
     low, high = claim.ci95
@@ -83,18 +87,19 @@ def assess(claim: AtTool | None, asked: Asked, verdict: Verdict | None) -> Toler
             because += f" {claim.open_mm:.3f} mm of it are held by what arms are like, not by readings."
         because += f" {claim.remedy}"
         return Tolerance(asked, claim.value, claim.ci95, "CANNOT TELL", because)
-    against = _against(verdict)
+    against = _against(verdict, claim.read_mm is None or claim.read_mm <= asked.mm)
     if against:
         return Tolerance(asked, claim.value, claim.ci95, "CANNOT TELL", f"{said}, at most {high:.3f} mm, but {against}")
     because = f"{said}, and at most {high:.3f} mm with 95 % confidence: within {limit}."
     return Tolerance(asked, claim.value, claim.ci95, "PASS", because)
 
 
-def _against(verdict: Verdict | None) -> str:
-    """What bars a PASS; empty where nothing does."""
+def _against(verdict: Verdict | None, within: bool) -> str:
+    """What bars a PASS; empty where nothing does. within: whether the readings are missed by no more than is asked."""
     if verdict is None:
         return "no verdict was made."
     reasons = [reason.sentence for reason in verdict.reasons if reason.kind != "predictable"]
+    reasons += [] if within else verdict.open_because
     return _lower(reasons[0]) if reasons else _lower(verdict.unproven) if verdict.unproven else ""
 
 

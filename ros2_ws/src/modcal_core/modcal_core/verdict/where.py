@@ -14,7 +14,7 @@ from modcal_core.verdict.case import Case
 from modcal_core.verdict.predictable import MAX_PREDICTABLE, MIN_STATIONS, dependence
 from modcal_core.verdict.rejected import alike, too_many
 from modcal_core.verdict.rest import Rest, rows_asked
-from modcal_core.verdict.scatter import along_joint
+from modcal_core.verdict.scatter import along
 from modcal_core.verdict.verdict import Reason, Verdict
 
 _MAX = 400  # samples, for time; more are thinned evenly
@@ -23,6 +23,7 @@ _MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is na
 _MIN_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
 _HALF = 0.5  # of what lies along one joint's motion, that a driver must predict to be named before that
 _SURELY = 0.5  # of the floor; what is less beyond it is not told from it
+_BEFORE = 1  # reasons that stand before where to look; a sentence for a person has two
 _MIN_LEVER = 0.1  # of the reach; what turns the tool from farther away moves it by its angle times this, at least
 
 
@@ -38,9 +39,12 @@ def with_places(
     if judged.status != "open":
         return judged
     named = " ".join(judged.open_because)
-    said = [*(sentence for sentence in outside if sentence not in named), *_apart(case, described or case.model.chain)]
-    said += [*_goes_with(judged, case), *_only_one_kind(judged, case)]
-    return replace(judged, reasons=(*judged.reasons, *(Reason("predictable", sentence) for sentence in said)))
+    there = [*_goes_with(judged, case)]
+    beside = [sentence for sentence in outside if sentence not in named]
+    beside += [*_apart(case, described or case.model.chain), *_only_one_kind(judged, case)]
+    where, rest = ([Reason("predictable", sentence) for sentence in said] for said in (there, beside))
+    first, others = judged.reasons[:_BEFORE], judged.reasons[_BEFORE:]
+    return replace(judged, reasons=(*first, *where, *others, *rest))
 
 
 def _goes_with(judged: Verdict, case: Case) -> Iterator[str]:
@@ -50,12 +54,9 @@ def _goes_with(judged: Verdict, case: Case) -> Iterator[str]:
     rows = rows_asked(case, _MAX)
     found = dependence(case, rows, float(np.clip(_MOSTLY * share, _MIN_NAMED, _WORTH_NAMING)))
     many = case.samples.select(rows).stations >= MIN_STATIONS
-    along = along_joint(Rest.of(case, rows)) if many else None
-    if along is not None and (found is None or found.share < _HALF * along[1]):
-        yield (
-            f"The residual correlates with nothing that was recorded, as an error of joint {along[0]} "
-            f"({along[1]:.0%} of it)."
-        )
+    moved = along(Rest.of(case, rows)) if many else None
+    if moved is not None and (found is None or found.share < _HALF * moved[1]):
+        yield f"{moved[1]:.0%} of what is left lies along the motion of {moved[0]}, station by station."
     elif found is not None:
         yield f"The residual {found.sentence}."
 

@@ -75,7 +75,7 @@ class Surroundings:
 
     def by_joint(self, columns: Sequence[int]) -> dict[str, Any]:
         """Columns by joint, as a mapping names them."""
-        return dict(zip(self.chain.names, self.numbers.keys(columns), strict=True))
+        return dict(zip(self.chain.own_names, self.numbers.keys(columns), strict=True))
 
     @property
     def q(self) -> Array:
@@ -202,7 +202,7 @@ def _holds(chain: Chain, inertias: Inertias | None, q: Array, effort: Array) -> 
     turning = np.asarray(chain.revolute, bool)
     wrench = chain_gravity_wrench(chain, inertias, q[rows])
     asked = -np.where(turning[:, None], wrench[:, 5], wrench[:, 2]).T
-    a, b = (x - x.mean(axis=0) for x in (asked, effort[rows]))
+    a, b = (x - x.mean(axis=0) for x in (asked[:, chain.own], effort[rows]))
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(np.sum(a * b)) / size if size > 0.0 else 0.0
 
@@ -302,7 +302,7 @@ def _signals(out: OtherColumns, around: Surroundings, families: Sequence[JointCo
         words = [w for w in labels[one.columns[0]].words if not w.isdigit() and w not in ("j", "joint", "axis")]
         if set(one.columns) & (out.used | around.taken) or _NOT_A_SIGNAL & set(words):
             continue
-        for name, k in zip(around.chain.names, one.columns, strict=True):
+        for name, k in zip(around.chain.own_names, one.columns, strict=True):
             if k in numbers.usable:
                 out.signals[f"{_topic(words) or 'joint_signal'}/{_topic([name])}"] = numbers.key(k)
                 out.used.add(k)

@@ -92,6 +92,8 @@ _TABLE = mapping(
 SCHEMA = mapping(
     {
         "urdf": {"type": ["string", "null"], "description": "robot description, beside the mapping or in --data"},
+        "base": {"type": ["string", "null"], "description": "link where the arm begins. Default: the root"},
+        "tip": {"type": ["string", "null"], "description": "link where it ends. Default: behind most joints"},
         "undecided": {
             "type": "array",
             "items": {"type": "string"},

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array
+from modcal_core.hypotheses import BEYOND_DOUBT, EULER, LENGTHS, MATRIX, QUATERNION, Judged
 from modcal_core.robots import Chain
 from modcal_msgs_py.tables.columns import Body, JointColumns, Numbers
-from modcal_msgs_py.tables.proof import BEYOND_DOUBT, EULER, LENGTHS, MATRIX, QUATERNION, JointCounting, Judged
+from modcal_msgs_py.tables.proof import JointCounting
 
 _COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
 _GOAL = 0.1  # of what goal plus or minus deviation leaves: the nominal arm reproduces a goal, rounded as it may be
@@ -36,26 +37,28 @@ class JointChoice:
     counted: JointCounting = field(default_factory=lambda: JointCounting({}, ""))
 
     def scales(self, chain: Chain) -> Array:
-        """What a unit of each joint is in rad or m, (n,)."""
+        """What a unit of each joint that has a column is in rad or m."""
         angle = np.pi / 180.0 if self.angle == "deg" else 1.0
-        return np.where(np.asarray(chain.revolute, bool), angle, LENGTHS[self.length])
+        return np.where(chain.revolute[chain.own], angle, LENGTHS[self.length])
 
     def postures(self, chain: Chain, values: Array) -> Array:
         """Joint positions (N, n) [rad, m] of rows of all columns."""
-        return self.counted.applied(self.scales(chain) * values[:, list(self.joints.columns)], chain.names)
+        q = np.zeros((len(values), chain.n))
+        q[:, chain.own] = self.scales(chain) * values[:, list(self.joints.columns)]
+        return self.counted.applied(q, chain)
 
     def units(self, chain: Chain) -> str:
         """The unit of the joints, of turning ones where there are such."""
-        return self.angle if np.any(chain.revolute) else self.length
+        return self.angle if np.any(chain.revolute[chain.own]) else self.length
 
     def entry(self, numbers: Numbers, chain: Chain) -> dict[str, Any]:
         """The joints as a mapping states them."""
         out: dict[str, Any] = {"unit": self.units(chain)}
-        sliding = [name for name, turns in zip(chain.names, chain.revolute, strict=True) if not turns]
-        if 0 < len(sliding) < chain.n:
+        sliding = np.array(chain.names)[chain.own & ~chain.revolute].tolist()
+        if 0 < len(sliding) < len(chain.own_names):
             out["units"] = dict.fromkeys(sliding, self.length)
         keys = numbers.keys(self.joints.columns)
-        out["columns"] = dict(zip(chain.names, keys, strict=True))
+        out["columns"] = dict(zip(chain.own_names, keys, strict=True))
         for key, value in self.counted.stated.items():
             degrees = key == "offset" and self.angle == "deg"
             out[key] = {name: round(float(np.degrees(x)), 6) if degrees else x for name, x in value.items()}
@@ -64,7 +67,7 @@ class JointChoice:
 
 def choices_of(chain: Chain, joints: JointColumns, values: Array) -> list[JointChoice]:
     """Units that the joints may be in, of turning and of sliding ones."""
-    turning = np.asarray(chain.revolute, bool)
+    turning = chain.revolute[chain.own]
     largest = float(np.abs(values[:, list(joints.columns)][:, turning]).max(initial=0.0))
     angles = ["deg"] if largest > MAX_RAD else ["rad", "deg"]
     lengths = ["m"] if turning.all() else list(LENGTHS)

@@ -1,4 +1,4 @@
-"""What proves a reading of columns: the nominal arm that fits. All that is asked of the core for it goes through here.
+"""What proves a reading of columns: the nominal arm that fits.
 
 The core compares meanings by a likelihood that single bad rows do not decide. Here are the hypotheses that only a
 table has: joints that it counts otherwise than the robot description, each as a mapping states it; a column that names
@@ -15,44 +15,10 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array, so3
-from modcal_core.hypotheses import (
-    BEYOND_DOUBT,
-    EULER,
-    LENGTHS,
-    MATRIX,
-    MIN_ROWS,
-    QUATERNION,
-    HandEye,
-    Judged,
-    Postures,
-    Sighting,
-    SightMatch,
-    Turning,
-    judge,
-    likely_orders,
-    placed,
-    rivals,
-    same_poses,
-    sights_match,
-    turnings,
-)
+from modcal_core.hypotheses import BEYOND_DOUBT, HandEye, Judged, Postures, judge, placed, rivals, same_poses, turnings
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Chain, forward
 from modcal_msgs_py.tables.readings import joint_map
-
-__all__ = [
-    "BEYOND_DOUBT",
-    "EULER",
-    "LENGTHS",
-    "MATRIX",
-    "MIN_ROWS",
-    "QUATERNION",
-    "JointCounting",
-    "Judged",
-    "Postures",
-]
-__all__ += ["SightMatch", "Sighting", "Turning", "astray", "by_target", "corrected", "is_turned", "judge"]
-__all__ += ["likely_orders", "rivals", "same_poses", "sights_match"]
 
 _ROUNDS = 3  # mistakes in how joints are counted that are looked for, one after the other
 _HALF = 0.5  # of what is left, by which the reading that is meant must be better
@@ -76,10 +42,10 @@ class JointCounting:
     stated: Mapping[str, Any]
     words: str
 
-    def applied(self, q: Array, names: Sequence[str]) -> Array:
+    def applied(self, q: Array, chain: Chain) -> Array:
         """Positions (N, n) [rad, m] of what a table holds."""
-        M, offset = joint_map({"unit": "rad", **self.stated}, names)
-        return q @ M.T + offset
+        M, offset = joint_map({"unit": "rad", **self.stated}, chain.names)
+        return chain.followed(q @ M.T + offset)
 
     def joined(self, other: JointCounting) -> JointCounting:
         """Both."""
@@ -91,8 +57,8 @@ class JointCounting:
 
 def _corrections(chain: Chain) -> Iterator[JointCounting]:
     """Every joint the other way round, with another zero, and counted together with another."""
-    names = [name for name, turns in zip(chain.names, chain.revolute, strict=True) if turns]
-    for name in chain.names:
+    names = np.array(chain.names)[chain.own & chain.revolute].tolist()
+    for name in chain.own_names:
         yield JointCounting({"sign": {name: -1.0}}, f"{name} counts the other way")
     for name in names:
         for angle in _TURNS:
@@ -140,7 +106,7 @@ def _distinct(chain: Chain, counted: Sequence[JointCounting], q: Array) -> list[
 
     A joint between two others that turns the other way is one with half a turn added to its neighbours.
     """
-    T = [forward(chain, c.applied(q, chain.names)) for c in counted]
+    T = [forward(chain, c.applied(q, chain)) for c in counted]
     same = [c for c, other in zip(counted, T, strict=True) if same_poses(T[0], other[:, :3, :3], other[:, :3, 3])]
     plainest = [c.words for c in _corrections(chain)]
     first = min(same, key=lambda c: next((i for i, w in enumerate(plainest) if c.words.endswith(w)), 0))
@@ -157,7 +123,7 @@ def _likeliest(chain: Chain, choices: Sequence[Postures], tried: list[_Way], pos
         return tried
     left = []
     for k, counted in tried:
-        T = forward(chain, counted.applied(choices[k].q[rows], chain.names))
+        T = forward(chain, counted.applied(choices[k].q[rows], chain))
         design = np.c_[T[:, :3].reshape(-1, 12), np.ones(len(rows))]
         fit = design @ np.linalg.lstsq(design, position[rows], rcond=1e-9)[0]
         left.append(float(np.median(np.linalg.norm(position[rows] - fit, axis=1))))
@@ -167,7 +133,7 @@ def _likeliest(chain: Chain, choices: Sequence[Postures], tried: list[_Way], pos
 def _all(chain: Chain, choices: Sequence[Postures], ways: Sequence[_Way], position: Array) -> list[Judged]:
     """The meanings of points, of these postures counted in these ways, best first."""
     rows = spread_rows(len(position), _MAX)
-    postures = [Postures(c.applied(choices[k].q[rows], chain.names), choices[k].name) for k, c in ways]
+    postures = [Postures(c.applied(choices[k].q[rows], chain), choices[k].name) for k, c in ways]
     return judge(chain, postures, position[rows], None)
 
 

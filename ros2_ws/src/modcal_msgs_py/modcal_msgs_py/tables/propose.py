@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,17 @@ import numpy as np
 from modcal_core.errors import BadTable
 from modcal_core.files import to_yaml
 from modcal_core.geometry import Array, se3
+from modcal_core.hypotheses import (
+    LENGTHS,
+    MATRIX,
+    MIN_ROWS,
+    Postures,
+    Turning,
+    judge,
+    likely_orders,
+    rivals,
+    same_poses,
+)
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Chain, Inertias
 from modcal_msgs_py.tables.beside import OtherColumns, Surroundings, find_beside
@@ -44,20 +56,7 @@ from modcal_msgs_py.tables.fits import (
 )
 from modcal_msgs_py.tables.labels import MEASURED
 from modcal_msgs_py.tables.moments import RowTimes, find_time, stamps_of
-from modcal_msgs_py.tables.proof import (
-    LENGTHS,
-    MATRIX,
-    MIN_ROWS,
-    Postures,
-    Turning,
-    astray,
-    by_target,
-    corrected,
-    judge,
-    likely_orders,
-    rivals,
-    same_poses,
-)
+from modcal_msgs_py.tables.proof import astray, by_target, corrected
 from modcal_msgs_py.tables.readings import rigid_poses
 from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, sight_columns
 from modcal_msgs_py.tables.table import Table
@@ -85,30 +84,21 @@ class Proposal:
         lines = [f"Mapping for modcal import, found out from {source}. Edit it where it is wrong."]
         for name, said in (("Proved", self.proved), ("Assumed", self.assumed)):
             lines += [f"{name}: {sentence}." for sentence in said]
-        return "".join(f"# {part}\n" for line in lines for part in _folded(line)) + to_yaml(self.mapping)
-
-
-def _folded(text: str) -> list[str]:
-    out, line = [], ""
-    for word in text.replace("\n", " ").split(" "):
-        if line and len(line) + len(word) >= _WIDTH:
-            out.append(line)
-            line = f"  {word}"
-        else:
-            line = f"{line} {word}" if line else word
-    return [*out, line]
+        folded = (part for line in lines for part in wrap(line, _WIDTH, subsequent_indent="  ", break_on_hyphens=False))
+        return "".join(f"# {part}\n" for part in folded) + to_yaml(self.mapping)
 
 
 @dataclass(frozen=True)
 class MeasuredArm:
     """The robot that is measured. inertias: of the chain's bodies, by which the sign of efforts is told. bystanders:
-    other joints of the robot description, each with whether it turns. urdf: its file, as a mapping states it.
+    other joints of the robot description, each with whether it turns. stated: its file, and base and tip where somebody
+    named them, as a mapping states them.
     """
 
     chain: Chain
     inertias: Inertias | None = None
     bystanders: Mapping[str, bool] = field(default_factory=dict)
-    urdf: str | None = None
+    stated: Mapping[str, str] = field(default_factory=dict)
 
 
 def find(paths: Sequence[Path], arm: MeasuredArm | Chain, watch: Watch = lambda stage: None) -> Proposal:
@@ -141,7 +131,7 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     sure = orthonormal(numbers)
     labelled = [
         j
-        for j in joint_columns(numbers, chain.names)
+        for j in joint_columns(numbers, chain.own_names)
         if not set(j.columns) & sure and not all(numbers.labels[k].of_instrument for k in j.columns)
     ]
     taken = {k for j in labelled for k in j.columns}
@@ -260,7 +250,7 @@ class _Search:
         columns = pool(numbers, taken)
         used = sorted({*columns, *(k for triple in triples for k in triple)})
         whole = np.isfinite(numbers.values[:, used]).all(axis=1)
-        if not triples or not whole.any():
+        if not triples or not whole.any() or chain.led:  # a joint that follows has no column
             return []
         values = np.where(np.isfinite(numbers.values), numbers.values, 0.0)[whole]
         largest = float(np.median(np.abs(values[:, columns]).max(axis=0))) if columns else 0.0
@@ -436,7 +426,8 @@ def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
     entry: dict[str, Any] = {"files": sheet.path.name, **sheet.form.entry()}
     used = {*choice.joints.columns, *read.columns, *beside.used}
     said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", found.time.said]
-    shown = ", ".join(f"{n} = {numbers.shown(k)}" for n, k in zip(chain.names, choice.joints.columns, strict=True))
+    pairs = zip(chain.own_names, choice.joints.columns, strict=True)
+    shown = ", ".join(f"{name} = {numbers.shown(k)}" for name, k in pairs)
     said += [f"the joints' columns by {choice.joints.how}: {shown}", *way.said]
     if not sheet.sure:
         said.append(f"the text is not UTF-8 and is read as {sheet.form.encoding}")
@@ -465,7 +456,7 @@ def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
             entry[key] = stated
     said += [*found.assumed, *beside.said, *_unused(numbers, {*used, *found.time.columns})]
     mapping: dict[str, Any] = {"undecided": list(found.questions)} if found.questions else {}
-    mapping |= {**({"urdf": arm.urdf} if arm.urdf else {}), "tables": [entry]}
+    mapping |= {**arm.stated, "tables": [entry]}
     return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), found.questions)
 
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array
+from modcal_core.hypotheses import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
 from modcal_core.measurements import BEARING, RANGE, TOUCH
 from modcal_core.robots import Chain
 from modcal_msgs_py.tables.columns import JointColumns, Numbers
 from modcal_msgs_py.tables.fits import JointChoice, choices_of
 from modcal_msgs_py.tables.labels import grouped, words
-from modcal_msgs_py.tables.proof import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
 from modcal_msgs_py.tables.readings import UNITS, direction
 
 _ANGLES = ("deg", "rad", "gon")

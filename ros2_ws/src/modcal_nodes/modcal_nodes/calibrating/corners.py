@@ -99,11 +99,11 @@ def solve_corners(job: CornerJob) -> CameraSolved:
         np.random.default_rng(job.seed),
     )
     report = camera_report(solution, robot, len(job.views), {})
-    middle, _, high = solution.in_view.interval
+    middle, _, high = solution.claim.in_view.interval
     return CameraSolved(
         camera_files(solution, robot, len(job.views), {}, page=job.page),
         str(report["verdict"]),
-        solution.decision.word == APPLY,
+        solution.claim.decision.word == APPLY,
         solution.fit,
         (1e3 * middle, 1e3 * high),
     )

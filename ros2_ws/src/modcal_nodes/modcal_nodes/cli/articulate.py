@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
@@ -18,7 +17,7 @@ from modcal_core.report import Articulation
 from modcal_core.robots import chain_forward
 from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
 from modcal_msgs_py.tables import read_track
-from modcal_nodes.cli.console import Output, say, speaking, written
+from modcal_nodes.cli.console import Output, file_option, given, option, repeated, say, speaking, written
 from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Whole, arm_line, chain_line, described
 from modcal_nodes.io import read_calibration, write_articulation
 
@@ -40,26 +39,30 @@ class _Read:
     unread: str = ""
 
 
+@dataclass(frozen=True)
+class ArticulateOptions:
+    """What is asked of a recording of a handle."""
+
+    topic: tuple[str, ...] = repeated(
+        "Poses or points of the handle, or joint_states; or ROLE=NAME, as for calibrate. Default: the first found.",
+        "NAME",
+    )
+    ignore: tuple[str, ...] = repeated("Leave a topic out. Repeatable.", "TOPIC")
+    tf: str | None = option("The handle is this pair of frames in /tf.", metavar="PARENT:CHILD")
+    urdf: Path | None = file_option("Robot description, for joint states. Default: the bag's.")
+    calibration: Path | None = file_option("For joint states: the arm as it was calibrated.")
+    base: str | None = option("Link where the arm begins. Default: the root link.", metavar="LINK")
+    tip: str | None = option("The link that holds the handle.", metavar="LINK")
+    points: bool = option("Ignore rotations.", default=False)
+    seed: int = option("Seed for choosing the samples of the first guesses.", default=0, type=Whole(min=0))
+
+
 @click.command("articulate")
 @click.argument("bag", type=EXISTING)
-@click.option(
-    "--topic",
-    "topic",
-    multiple=True,
-    metavar="NAME",
-    help="Poses or points of the handle, or joint_states; or ROLE=NAME, as for calibrate. Default: the first found.",
-)
-@click.option("--ignore", "ignore", multiple=True, metavar="TOPIC", help="Leave a topic out. Repeatable.")
-@click.option("--tf", "tf", metavar="PARENT:CHILD", help="The handle is this pair of frames in /tf.")
-@click.option("--urdf", type=EXISTING, help="Robot description, for joint states. Default: the bag's.")
-@click.option("--calibration", type=EXISTING, help="For joint states: the arm as it was calibrated.")
-@click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
-@click.option("--tip", metavar="LINK", help="The link that holds the handle.")
-@click.option("--points", is_flag=True, help="Ignore rotations.")
-@click.option("--seed", type=Whole(min=0), default=0, help="Seed for choosing the samples of the first guesses.")
+@given(ArticulateOptions)
 @click.option("--out", type=WRITTEN, help="Folder of the results.")
 @speaking
-def articulate_command(bag: Path, out: Path | None, output: Output, **options: Any) -> None:
+def articulate_command(bag: Path, out: Path | None, output: Output, options: ArticulateOptions) -> None:
     """Identify how the handle in BAG moves: fixed, sliding, turning, a screw, or none of these; and write it as a URDF.
 
     Models of installed packages are compared too; they have no URDF.
@@ -71,16 +74,16 @@ def articulate_command(bag: Path, out: Path | None, output: Output, **options: A
         text = read_track(bag)
         read = _Read(text.values, text.stamps, "", left_out=text.left_out, unread=text.unread)
     else:
-        handle = next((name for name in options["topic"] if "=" not in name), None)
-        topics = Topics.of([name for name in options["topic"] if "=" in name], options["ignore"], options["tf"])
+        handle = next((name for name in options.topic if "=" not in name), None)
+        topics = Topics.of([name for name in options.topic if "=" in name], options.ignore, options.tf)
         read = _of_bag(read_recording(bag, topics=_with_handle(bag, topics, handle)), handle, options)
     rows = np.unique(np.linspace(0, len(read.values) - 1, _MAX).round().astype(int))  # first and last pose too
-    values = read.values[rows][:, : 3 if options["points"] else None]
+    values = read.values[rows][:, : 3 if options.points else None]
     with about(str(bag)):
         track = Track.of_poses(values, None if read.stamps is None else read.stamps[rows])
     with output.working() as watch:
         watch("weighing the kinds of joint")
-        rng = np.random.default_rng(options["seed"])
+        rng = np.random.default_rng(options.seed)
         choice = choose(track, rng)
         if not read.arm:  # else the poses are the arm's by its joints, which nobody else wrote
             with about(str(bag)):
@@ -107,9 +110,9 @@ def _with_handle(bag: Path, topics: Topics, handle: str | None) -> Topics:
     return topics
 
 
-def _of_bag(recording: Recording, topic: str | None, options: dict[str, Any]) -> _Read:
+def _of_bag(recording: Recording, topic: str | None, options: ArticulateOptions) -> _Read:
     """What a bag shows of the handle: the named topic, else poses, else points, else the arm's joints."""
-    urdf, calibration = options["urdf"], options["calibration"]
+    urdf, calibration = options.urdf, options.calibration
     wanted = None if topic is None else "/" + topic.strip("/")
     shown = [r for kind in (POSE, POINT) for r in recording.readings if r.kind == kind and len(r.stamps)]
     of_arm = wanted is not None and any(track.topic == wanted for track in recording.joints)
@@ -129,7 +132,7 @@ def _of_bag(recording: Recording, topic: str | None, options: dict[str, Any]) ->
         chain = read_calibration(calibration).calibrated.serial
         arm = chain_line(chain.base, chain.tip, chain.n)
     else:
-        robot = described(recording, None, urdf, options["base"], options["tip"])
+        robot = described(recording, None, urdf, options.base, options.tip)
         chain, arm = robot.chain, arm_line(robot)
     stamps, q = joint_stamps_and_positions(recording, chain.names)
     good = np.isfinite(q).all(axis=1)

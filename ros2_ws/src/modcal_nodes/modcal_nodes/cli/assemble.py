@@ -34,9 +34,9 @@ from modcal_core.modules import (
     with_recording,
 )
 from modcal_core.preprocess import prepare
-from modcal_msgs_py import Topics, read_recording
-from modcal_nodes.cli.console import Output, explain, speaking, table, with_options
-from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN
+from modcal_msgs_py import read_recording
+from modcal_nodes.cli.console import Output, explain, given, speaking, table
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, TopicOptions
 from modcal_nodes.io import read_assembly
 
 _LIBRARY = click.option(
@@ -127,10 +127,10 @@ def modules_command() -> None:
 )  # fmt: skip
 @click.option("--accept", is_flag=True, help="Learn also from an assembly that is not as its modules were known.")
 @_LIBRARY
-@with_options(TOPICS)
+@given(TopicOptions)
 @speaking
 def learn_command(
-    spec: Path, bag: Path, store: Path, accept: bool, library_file: Path | None, output: Output, **said: Any
+    spec: Path, bag: Path, store: Path, accept: bool, library_file: Path | None, output: Output, options: TopicOptions
 ) -> None:
     """Learn from BAG, a recording of the assembly SPEC, the errors of its modules (by serial number)."""
     assembly, library = read_assembly(spec, library_file)
@@ -140,7 +140,7 @@ def learn_command(
     with output.working() as watch:
         watch(f"reading {bag.name}")
         prepared = prepare(
-            read_recording(bag, topics=Topics.of(said["topic"], said["ignore"], said["tf"])),
+            read_recording(bag, topics=options.topics),
             chain_of(assembly, library),
         )
         watch("fitting the modules")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 from rich.console import Console
 
-from modcal_core.calibration import Calibration, Stated
+from modcal_core.calibration import Calibration, Cell, Stated
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome
 from modcal_core.public import evaluate
@@ -18,8 +19,8 @@ from modcal_core.verdict import STATISTICS
 from modcal_msgs_py import Topics
 from modcal_nodes.cli.camera import OPTIONS, by_camera, calibrate_images, split_options
 from modcal_nodes.cli.certificate import CERTIFICATE, certified_hashes, exit_code, particulars
-from modcal_nodes.cli.console import Output, speaking, tell, with_options
-from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, Decimal, Whole, arm_line, chain_line
+from modcal_nodes.cli.console import Output, click_options, speaking, tell, with_options
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Decimal, TopicOptions, Whole, arm_line, chain_line
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.io import (
     Options,
@@ -99,11 +100,26 @@ TOLERANCE = (
 
 
 # What is asked of a frozen calibration on a recording
-FROZEN = (CELL, *TOPICS, *STATED, SEED_OPTION, CLOCK, *TOLERANCE, *CERTIFICATE, OUT)
+FROZEN = (CELL, *click_options(TopicOptions), *STATED, SEED_OPTION, CLOCK, *TOLERANCE, *CERTIFICATE, OUT)
 
 
 # What is asked of a calibration, one for each field of :class:`Options` but those of its tolerance
-CALIBRATION = (*_ROBOT, CELL, *TOPICS, *STATED, _SPLITS, SEED_OPTION, CLOCK)
+CALIBRATION = (*_ROBOT, CELL, *click_options(TopicOptions), *STATED, _SPLITS, SEED_OPTION, CLOCK)
+
+
+@dataclass(frozen=True)
+class CertifiedOptions(Options):
+    """The same with what is asked of a certificate, and of a frozen calibration."""
+
+    certificate: bool = False
+    serial: str | None = None
+    refit_base: bool = False
+    refit_tool: bool = False
+
+    @property
+    def cell(self) -> Cell:
+        """What is known of the surroundings of a frozen calibration."""
+        return read_cell(self.cell_file, stated=stated_from(vars(self)))
 
 
 @click.command("calibrate")
@@ -138,8 +154,8 @@ def calibrate_command(
     """
     camera = split_options(options)
     images = by_camera(ctx, bag, camera)
-    said = particulars(options)
-    asked = Options(**{name: value for name, value in options.items() if name not in ("certificate", "serial")})
+    asked = CertifiedOptions(**options)
+    said = particulars(asked)
     if images or bag is None:
         return calibrate_images(camera, asked, bag, out, output, said)
     with output.working() as watch:
@@ -149,7 +165,7 @@ def calibrate_command(
             watch("writing the certificate")
             described = asked.delta or asked.urdf or done.result.robot.description
             hashes = certified_hashes(described, done.files["calibration.yaml"])
-            files |= certified(done.result.report, done.result.samples, options, said, hashes)
+            files |= certified(done.result.report, done.result.samples, asked, said, hashes)
     out = out or Path(f"{bag.resolve().stem}_calibration")
     return _say(done.result.report, arm_line(done.result.robot), out, files, output)
 
@@ -163,29 +179,30 @@ def calibrate_command(
 @speaking
 def evaluate_command(calibration: Path, bag: Path, out: Path | None, output: Output, **options: Any) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
-    said = particulars(options)
+    asked = CertifiedOptions(**options)
+    said = particulars(asked)
     frozen = Calibration.load(calibration)
     of_core = ("refit_base", "refit_tool", "block", "seed", "tolerance_mm", "tolerance_of")
-    cell = read_cell(options["cell_file"], stated=stated_from(options))
+    cell = asked.cell
     with output.working() as watch:
-        samples = frozen_samples(frozen, bag, options, watch)
+        samples = frozen_samples(frozen, bag, asked, watch)
         watch("scoring")
-        with of_cell(options["cell_file"]):
+        with of_cell(asked.cell_file):
             report = evaluate(frozen, samples, cell=cell, **{name: options[name] for name in of_core})
         files = report_files(report, calibration=calibration_name(calibration))
         if said is not None:
             watch("writing the certificate")
             hashes = certified_hashes(samples.origin.description, calibration)
-            files |= certified(report, samples, options, said, hashes, frozen)
+            files |= certified(report, samples, asked, said, hashes, frozen)
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     arm = chain_line(frozen.nominal.chain.base, frozen.nominal.chain.tip, frozen.nominal.chain.n)
     return _say(report, arm, out, files, output)
 
 
-def frozen_samples(frozen: Calibration, bag: Path, options: Mapping[str, Any], watch: Watch) -> Samples:
+def frozen_samples(frozen: Calibration, bag: Path, options: Options, watch: Watch) -> Samples:
     """The samples of a bag for the arm of a frozen calibration, by the options of ``FROZEN``. Raises BadRecording."""
-    topics = read_topics(options["cell_file"], Topics.of(options["topic"], options["ignore"], options["tf"]))
-    return of_calibrated(opened(bag, watch, topics), frozen, options["clock_limit"])
+    topics = read_topics(options.cell_file, Topics.of(options.topic, options.ignore, options.tf))
+    return of_calibrated(opened(bag, watch, topics), frozen, options.clock_limit)
 
 
 def calibration_name(calibration: Path) -> str:
@@ -197,7 +214,7 @@ def calibration_name(calibration: Path) -> str:
 def certified(
     report: Outcome,
     samples: Samples,
-    options: Mapping[str, Any],
+    options: CertifiedOptions,
     said: Particulars,
     hashes: Hashes,
     frozen: Calibration | None = None,
@@ -207,7 +224,7 @@ def certified(
 
     # options go before the cell file, and that before what instruments state
     own = Stated(instrument_mm=samples.origin.instrument_mm, instrument_deg=samples.origin.instrument_deg)
-    stated = read_cell(options["cell_file"], stated=stated_from(options)).stated.over(own)
+    stated = options.cell.stated.over(own)
     made_from = frozen is not None and is_made_from(frozen, samples)
     return {"certificate.html": certificate_html(certificate(report, stated, said, hashes, made_from))}
 

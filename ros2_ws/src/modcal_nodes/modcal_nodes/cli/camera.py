@@ -13,8 +13,8 @@ import numpy as np
 from modcal_core.robot import Robot
 from modcal_nodes.cli.camera_input import CameraOptions, CameraSource
 from modcal_nodes.cli.certificate import certified_hashes, exit_code
-from modcal_nodes.cli.console import Output, tell
-from modcal_nodes.cli.inputs import EXISTING, Decimal, arm_line
+from modcal_nodes.cli.console import Output, click_options, tell
+from modcal_nodes.cli.inputs import arm_line
 from modcal_nodes.io import Options, Watch
 
 if TYPE_CHECKING:
@@ -26,44 +26,7 @@ _TOGETHER = tuple(one.name for one in fields(CameraOptions))
 _OF_ALL = ("urdf", "base", "tip", "fixed", "seed", "geometry_only", "topic", "ignore", "clock_limit")
 _CERTIFIED = ("tolerance_mm", "certificate", "serial", "cell_file")
 _ALSO = (*_OF_ALL, *_CERTIFIED, "out", "as_json", "verbose", "bag")
-OPTIONS = (
-    click.option(
-        "--images", type=EXISTING, metavar="FOLDER",
-        help="Images of a target, or a CSV of its corners by one camera or several; with --joints, --target, --urdf.",
-    ),
-    click.option(
-        "--joints", type=EXISTING, metavar="FILE",
-        help="CSV: a column image (or stamp [s], images being named by theirs) and one a joint [rad, m].",
-    ),
-    click.option(
-        "--target", type=EXISTING, metavar="FILE",
-        help="target.yaml of modcal target, Kalibr's, or a body's: calibrate from images in BAG, or --images.",
-    ),
-    click.option(
-        "--image-topic", metavar="TOPIC", help="Images of BAG. Default: the only ones there are."
-    ),
-    click.option(
-        "--also-camera", multiple=True, metavar="TOPIC[=FILE]",
-        help="Images of a further camera in BAG, and the target that it sees, where that is another file.",
-    ),
-    click.option(
-        "--camera-info", multiple=True, metavar="[CAMERA=]FILE",
-        help="Intrinsics, of a camera of several by its name. Default: from the images.",
-    ),
-    click.option(
-        "--intrinsics", type=click.Choice(["free", "tolerance", "fixed"]), default="tolerance",
-        help="What becomes of those in --camera-info.",
-    ),
-    click.option(
-        "--arm-mm", type=Decimal(min=0.0, min_open=True), metavar="MM",
-        help="Error of the nominal arm at its tool, RMS, as you know it.",
-    ),
-    click.option(
-        "--mounting", type=click.Choice(["tip", "world"]), help="Where the camera is. Default: found."
-    ),
-    click.option("--fisheye", is_flag=True, help="The lens is a fisheye, where no camera_info says so."),
-    click.option("--flat-target", is_flag=True, help="The target is flat: on glass or aluminium."),
-)  # fmt: skip
+OPTIONS = click_options(CameraOptions)
 
 
 def split_options(options: dict[str, Any]) -> CameraOptions:
@@ -120,9 +83,9 @@ def calibrate_images(
         camera_certificate,
         camera_files,
         camera_report,
+        camera_sentences,
         camera_tolerance,
         certificate_html,
-        lines,
     )
 
     with output.working() as watch:
@@ -140,7 +103,9 @@ def calibrate_images(
             files["certificate.html"] = certificate_html(page)
     out = out or Path(f"{source.resolve().stem}_calibration")
     data = camera_report(solution, robot, images, found.left_out, met)
-    told = [arm_line(robot), *lines(solution, images, found.left_out)]
+    decision = data["camera"]
+    told = [arm_line(robot), *camera_sentences(data)]
+    told.append(f"{decision['decision'].upper()}: {' '.join(decision['because'])}")
     told += [] if met is None else [f"{met.result}: {met.because}"]
     output.saved(data, partial(tell, told), out, files)
     return exit_code(met)
@@ -158,7 +123,7 @@ def plan_next_images(camera: CameraOptions, options: Options, count: int, out: P
     with output.working() as watch:
         robot, _, solution = _solved(camera, options, bag, watch)
         watch("choosing images")
-        found = plan_images(solution.fit, solution.target, count, np.random.default_rng(options.seed))
+        found = plan_images(solution.fit, solution.ready.given.target, count, np.random.default_rng(options.seed))
     rows = "".join(",".join(f"{v:.9f}" for v in q) + "\n" for q in found.q)
     files = {"stations.csv": ",".join(robot.names) + "\n" + rows}
     out = out or Path(f"{source.resolve().stem}_plan")

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import click
 import numpy as np
 
 from modcal_core.errors import BadRobot, BadTable, about
@@ -15,6 +16,8 @@ from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
 from modcal_core.robots import Tree, chain_forward, held_behind, parse, read_chain, rerooted
 from modcal_msgs_py import Topics, read_recording
+from modcal_nodes.cli.console import file_option, option, repeated
+from modcal_nodes.cli.inputs import Decimal
 from modcal_nodes.io import Options, Watch, opened
 
 if TYPE_CHECKING:
@@ -104,17 +107,37 @@ class CameraOptions:
     corners; None for those in a bag.
     """
 
-    images: Path | None = None
-    joints: Path | None = None
-    target: Path | None = None
-    image_topic: str | None = None
-    also_camera: tuple[str, ...] = ()
-    camera_info: tuple[str, ...] = ()
-    intrinsics: str = "tolerance"
-    arm_mm: float | None = None
-    mounting: str | None = None
-    fisheye: bool = False
-    flat_target: bool = False
+    images: Path | None = file_option(
+        "Images of a target, or a CSV of its corners by one camera or several; with --joints, --target, --urdf.",
+        metavar="FOLDER",
+    )
+    joints: Path | None = file_option(
+        "CSV: a column image (or stamp [s], images being named by theirs) and one a joint [rad, m].", metavar="FILE"
+    )
+    target: Path | None = file_option(
+        "target.yaml of modcal target, Kalibr's, or a body's: calibrate from images in BAG, or --images.",
+        metavar="FILE",
+    )
+    image_topic: str | None = option("Images of BAG. Default: the only ones there are.", metavar="TOPIC")
+    also_camera: tuple[str, ...] = repeated(
+        "Images of a further camera in BAG, and the target that it sees, where that is another file.", "TOPIC[=FILE]"
+    )
+    camera_info: tuple[str, ...] = repeated(
+        "Intrinsics, of a camera of several by its name. Default: from the images.", "[CAMERA=]FILE"
+    )
+    intrinsics: str = option(
+        "What becomes of those in --camera-info.",
+        default="tolerance",
+        type=click.Choice(["free", "tolerance", "fixed"]),
+    )
+    arm_mm: float | None = option(
+        "Error of the nominal arm at its tool, RMS, as you know it.",
+        type=Decimal(min=0.0, min_open=True),
+        metavar="MM",
+    )
+    mounting: str | None = option("Where the camera is. Default: found.", type=click.Choice(["tip", "world"]))
+    fisheye: bool = option("The lens is a fisheye, where no camera_info says so.", default=False)
+    flat_target: bool = option("The target is flat: on glass or aluminium.", default=False)
 
     @property
     def on_tip(self) -> bool | None:

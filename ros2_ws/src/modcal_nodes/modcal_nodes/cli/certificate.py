@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -17,6 +17,7 @@ from modcal_nodes.io import read_particulars
 if TYPE_CHECKING:
     from modcal_core.report import Hashes
     from modcal_core.verdict import Tolerance
+    from modcal_nodes.cli.calibrate import CertifiedOptions
 
 UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
 CERTIFICATE = (
@@ -27,20 +28,16 @@ CERTIFICATE = (
 )  # fmt: skip
 
 
-def particulars(options: Mapping[str, Any]) -> Particulars | None:
-    """What is stated for a certificate, before anything is computed; None where none is asked for. Raises BadTable.
-
-    options: certificate, serial, cell_file and tolerance_mm, as they were given.
-    """
-    serial = options["serial"]
-    if not options["certificate"]:
-        if serial is not None:
+def particulars(options: CertifiedOptions) -> Particulars | None:
+    """What is stated for a certificate, before anything is computed; None where none is asked for. Raises BadTable."""
+    if not options.certificate:
+        if options.serial is not None:
             raise BadTable("--serial", "is printed on a certificate only", "add --certificate")
         return None
-    if options["tolerance_mm"] is None:
+    if options.tolerance_mm is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
-    said = read_particulars(options["cell_file"])
-    return said if serial is None else replace(said, serial=serial)
+    said = read_particulars(options.cell_file)
+    return said if options.serial is None else replace(said, serial=options.serial)
 
 
 def exit_code(met: Tolerance | None) -> int:

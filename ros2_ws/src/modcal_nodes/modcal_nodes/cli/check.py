@@ -25,12 +25,12 @@ from modcal_core.report import (
     report_files,
 )
 from modcal_core.robots import is_serial_arm, read_chain
-from modcal_nodes.cli.calibrate import FROZEN, calibration_name, certified, frozen_samples
+from modcal_nodes.cli.calibrate import FROZEN, CertifiedOptions, calibration_name, certified, frozen_samples
 from modcal_nodes.cli.certificate import certified_hashes, exit_code, particulars
 from modcal_nodes.cli.console import Output, speaking, with_options
 from modcal_nodes.cli.inputs import EXISTING
 from modcal_nodes.cli.show import show_blocks
-from modcal_nodes.io import of_cell, read_cell, stated_from
+from modcal_nodes.io import of_cell
 
 
 @click.command("check")
@@ -50,21 +50,22 @@ def check_command(
     Names base, tool, a joint's zero, a gear, a load, heat, or the tracker, says by how much and what to do, and writes
     the model with only that repaired.
     """
-    said = particulars(options)
+    asked = CertifiedOptions(**options)
+    said = particulars(asked)
     frozen = Calibration.load(calibration)
-    asked = {name: options[name] for name in ("seed", "tolerance_mm", "tolerance_of")}
-    cell = read_cell(options["cell_file"], stated=stated_from(options))
+    cell = asked.cell
+    of_core = {name: options[name] for name in ("seed", "tolerance_mm", "tolerance_of")}
     with output.working() as watch:
-        samples = frozen_samples(frozen, bag, options, watch)
+        samples = frozen_samples(frozen, bag, asked, watch)
         watch("checking")
-        with of_cell(options["cell_file"]):
-            found = check(frozen, samples, cell=cell, pattern=_pattern(calibration), **asked)
+        with of_cell(asked.cell_file):
+            found = check(frozen, samples, cell=cell, pattern=_pattern(calibration), **of_core)
         files = check_files(found, calibration, urdf, samples.origin.description)
         if said is not None:
             watch("writing the certificate")
             model: str | Path = files.get("calibration.yaml", calibration)
             hashes = certified_hashes(files.get("calibrated.urdf", samples.origin.description), model)
-            files |= certified(found.report, samples, options, said, hashes, frozen)
+            files |= certified(found.report, samples, asked, said, hashes, frozen)
     name = calibration_name(calibration)
     files["check.html"] = checkup_html(found, f"{name}, checked by {bag.resolve().stem}", list(files))
     out = out or Path(f"{bag.resolve().stem}_check")

@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import field, fields
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +158,49 @@ def speaking(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(*arguments, output=Output(as_json, verbose), **options)
 
     return spoken
+
+
+def option(text: str = "", *names: str, default: Any = None, **more: Any) -> Any:
+    """A field of a verb's options. text: its help. names: how it is given; none: as the field is called.
+
+    default: False makes it a flag, () one that may be repeated. more: as Click takes them.
+    """
+    kind = {"is_flag": True} if default is False else {"multiple": True} if default == () else {}
+    return field(default=default, metadata={"names": names, "help": text or None, **kind, **more})
+
+
+def file_option(text: str, *names: str, metavar: str | None = None) -> Any:
+    """The same of a file or folder that exists."""
+    return option(text, *names, type=click.Path(exists=True, path_type=Path), metavar=metavar)
+
+
+def repeated(text: str, metavar: str, *names: str) -> Any:
+    """The same of texts, any number of them."""
+    return option(text, *names, default=(), metavar=metavar)
+
+
+def click_options(of: type[Any]) -> tuple[Callable[..., Any], ...]:
+    """Click's options of a dataclass whose fields are made by :func:`option`."""
+    made = []
+    for one in fields(of):
+        more = dict(one.metadata)
+        names = more.pop("names") or (f"--{one.name.replace('_', '-')}",)
+        made.append(click.option(one.name, *names, default=one.default, **more))
+    return tuple(made)
+
+
+def given(of: type[Any]) -> Callable[..., Any]:
+    """A decorator that hands a command ``options``: a value of this dataclass, from the command line."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(command)
+        def called(*arguments: Any, **named: Any) -> Any:
+            own = {one.name: named.pop(one.name) for one in fields(of)}
+            return command(*arguments, options=of(**own), **named)
+
+        return with_options(click_options(of))(called)
+
+    return decorate
 
 
 def with_options(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:

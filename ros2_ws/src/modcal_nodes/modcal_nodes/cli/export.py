@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from rich.console import Console
 from modcal_core.calibration import Calibration, from_data
 from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml, to_yaml, write_file
+from modcal_core.geometry import se3
 from modcal_core.robots import (
     CONVENTIONS,
     NO_HASH,
@@ -30,45 +31,52 @@ from modcal_core.robots import (
     lacks_hash,
     loss,
     nearest_dh,
+    parse,
     read_chain,
     read_path,
+    ros2_control_offsets,
     to_csv,
     to_table,
     xacro_origins,
 )
-from modcal_nodes.cli.console import Output, speaking, tell
+from modcal_nodes.cli.console import Output, file_option, given, option, speaking, tell
 from modcal_nodes.cli.inputs import EXISTING, WRITTEN
 from modcal_nodes.io import read_calibration
 
 _MODELS = ("calibrated", "geometric", "nominal")
 _OF_URDF = ("kinematics", "xacro")  # formats of a URDF's joints, each by itself
+_OFFSETS = "ros2_control"
+_MOUNT = "mount"
+_FORMS = (*CONVENTIONS, "urdf", *_OF_URDF, _OFFSETS, _MOUNT)
 
 
 _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can hold
 
 
+@dataclass(frozen=True)
+class ExportOptions:
+    """What is asked of an export. to: one of the formats. which: model of a calibration."""
+
+    to: str = option("Format to write.", type=click.Choice(_FORMS), required=True)
+    which: str = option("Model of a calibration.", default="calibrated", type=click.Choice(_MODELS))
+    tool: bool = option("For a calibration: end at the measured tool, not at the tip link.", default=False)
+    base: str | None = option("For a URDF: link where the arm begins.", metavar="LINK")
+    tip: str | None = option("For a URDF: link where it ends.", metavar="LINK")
+    link: str | None = option("For mount: the camera's link, such as camera_color_optical_frame.", metavar="LINK")
+    largest_offset: float = option("Largest offset in a DH row [m].", default=10.0, type=float)
+    nearest: bool = option(
+        "For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.", default=False
+    )
+    unit: str = option("Of a table that is written as CSV.", default="m rad", type=click.Choice([*UNITS]))
+    factory_kinematics: Path | None = file_option("For kinematics: the maker's own file of this arm.")
+
+
 @click.command("export")
 @click.argument("source", type=EXISTING)
-@click.option(
-    "--to", "form", type=click.Choice([*CONVENTIONS, "urdf", *_OF_URDF]), required=True, help="Format to write."
-)
-@click.option("--which", type=click.Choice(_MODELS), default="calibrated", help="Model of a calibration.")
-@click.option("--tool", is_flag=True, help="For a calibration: end at the measured tool, not at the tip link.")
-@click.option("--base", metavar="LINK", help="For a URDF: link where the arm begins.")
-@click.option("--tip", metavar="LINK", help="For a URDF: link where it ends.")
-@click.option("--largest-offset", type=float, default=10.0, help="Largest offset in a DH row [m].")
-@click.option(
-    "--nearest",
-    is_flag=True,
-    help="For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.",
-)
-@click.option("--unit", type=click.Choice([*UNITS]), default="m rad", help="Of a table that is written as CSV.")
-@click.option(
-    "--factory-kinematics", "factory", type=EXISTING, help="For kinematics: the maker's own file of this arm."
-)
+@given(ExportOptions)
 @click.option("--out", type=WRITTEN, help="File; .csv for CSV. Default: SOURCE_TO.yaml.")
 @speaking
-def export_command(source: Path, form: str, out: Path | None, output: Output, **options: Any) -> None:
+def export_command(source: Path, out: Path | None, output: Output, options: ExportOptions) -> None:
     """Write the kinematics of SOURCE as a table, as a URDF without bodies, or for a maker's description.
 
     SOURCE is a calibration (folder or calibration.yaml), a URDF, or a table (.yaml or .csv) of any convention. Tables
@@ -76,13 +84,21 @@ def export_command(source: Path, form: str, out: Path | None, output: Output, **
 
     kinematics and xacro take the joints' origins of a URDF, or of the calibrated.urdf in the folder of a calibration:
     kinematics as the makers' descriptions (Universal Robots, Franka) or xacro.load_yaml read them, xacro as a property
-    for a description of your own.
+    for a description of your own. ros2_control takes the joint offsets of a calibration: transmissions for the
+    <ros2_control> block of an arm whose controller can take nothing else. mount writes, as xacro does, the origin of
+    the joint by which a camera is mounted, so that its --link is where the calibration found the camera.
     """
-    largest_offset, nearest, unit = options["largest_offset"], options["nearest"], options["unit"]
+    form, largest_offset, nearest, unit = options.to, options.largest_offset, options.nearest, options.unit
     if not (0.0 < largest_offset < 1e9):
         raise BadTable("--largest-offset", f"{largest_offset:g} m is not a valid distance", "give metres, such as 10")
     if form in _OF_URDF:
-        output.result(*_written_origins(source, form, options, out))
+        output.result(*_written_origins(source, options, out))
+        return
+    if form == _OFFSETS:
+        output.result(*_written_offsets(source, out))
+        return
+    if form == _MOUNT:
+        output.result(*_written_mount(source, options.link, out))
         return
     chain, left_out = _read(source, options)
     if form == "urdf":
@@ -150,10 +166,10 @@ def _lost(found: NearestTable) -> str:
 
 
 def _written_origins(
-    source: Path, form: str, options: dict[str, Any], out: Path | None
+    source: Path, options: ExportOptions, out: Path | None
 ) -> tuple[dict[str, Any], Callable[[Console], None]]:
     """Write the origins of a URDF's joints between base and tip, and say so."""
-    base, tip, factory = options["base"], options["tip"], options["factory"]
+    form, base, tip, factory = options.to, options.base, options.tip, options.factory_kinematics
     left_out: tuple[str, ...] = ()
     if source.is_dir():
         calibration = read_calibration(source)
@@ -186,14 +202,58 @@ def _written_origins(
     return told(out, chain, None, left_out)
 
 
-def _read(source: Path, options: dict[str, Any]) -> _Source:
-    which, tool = options["which"], options["tool"]
+def _written_offsets(source: Path, out: Path | None) -> tuple[dict[str, Any], Callable[[Console], None]]:
+    """Write the joint offsets of a calibration for ros2_control, and say so."""
+    from modcal_core.outcome import offsets_of  # the fit's parameters, which tables do without
+
+    calibration = read_calibration(source)
+    found = offsets_of(calibration)
+    if found is None or not found.found:
+        raise BadTable(str(source), "determines no joint offset", "give the calibration of a serial arm")
+    chain, offsets = calibration.nominal.serial, {one.joint: one.value for one in found.found}
+    notes = [
+        f"all but joint offsets, which leave {found.left_mm:.3g} mm RMS of the {found.nominal_mm:.3g} mm corrected",
+    ]
+    if open_ones := [name for name in chain.names if name not in offsets]:
+        notes.append(f"offsets that base or tool take up: {', '.join(open_ones)}")
+    said = ["Add these to offsets that are there already.", *(f"left out: {note}" for note in notes)]
+    out = out or Path(f"{source.resolve().stem}_{_OFFSETS}.xml")
+    write_file(out, ros2_control_offsets(offsets, said))
+    return told(out, chain, None, notes)
+
+
+def _written_mount(
+    source: Path, link: str | None, out: Path | None
+) -> tuple[dict[str, Any], Callable[[Console], None]]:
+    """Write the origin of the joint by which a camera is mounted on the tip, or beside the arm, and say so."""
+    if link is None or not source.is_dir():
+        raise BadTable(f"--to {_MOUNT}", "needs the folder of a calibration and the camera's link", "give --link LINK")
+    model = read_calibration(source).calibrated
+    chain, tree = model.serial, parse((source / "calibrated.urdf").read_text(encoding="utf-8"))
+    above, held = tree.link(link), list[str]()
+    while above in tree.above and above not in (chain.tip, chain.base) and not tree.above[above].moves:
+        held.append(tree.above[above].name)
+        above = tree.above[above].parent
+    if not held or above not in (chain.tip, chain.base):
+        said = f"hangs by fixed joints on neither {chain.tip} nor {chain.base}"
+        raise BadTable(f"--link {link}", said, "give the camera's link, or calibrate with the --tip that carries it")
+    mount, *behind = tree.path(above, link)
+    T = model.T_tip_tool if above == chain.tip else se3.inverse(model.T_frame_base[0])
+    for joint in reversed(behind):
+        T = T @ se3.inverse(joint.T_parent_joint)
+    out = out or Path(f"{source.resolve().stem}_{_MOUNT}.xacro")
+    write_file(out, xacro_origins({mount.name: T}))
+    return told(out, chain)
+
+
+def _read(source: Path, options: ExportOptions) -> _Source:
+    which, tool = options.which, options.tool
     if source.is_dir():
         return _of_calibration(read_calibration(source), which, tool)
     if source.suffix.lower() != ".csv" and source.read_bytes().lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         with about(str(source)):
             text = source.read_text(encoding="utf-8", errors="replace")
-            return read_chain(text, options["base"], options["tip"]), ()
+            return read_chain(text, options.base, options.tip), ()
     table = read_table(source)
     if table is not None:
         with about(str(source)):

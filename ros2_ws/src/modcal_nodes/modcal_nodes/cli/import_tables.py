@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,12 @@ from modcal_core.errors import BadTable, ModcalError, about
 from modcal_core.files import read_yaml, to_json, write_file
 from modcal_core.measurements import IMPORTED, Recording, remedies_of
 from modcal_core.robot import Robot
-from modcal_core.robots import chain_urdf, document, from_table
+from modcal_core.robots import Chain, chain_urdf, document, from_table, from_ur_conf
 from modcal_msgs_py import write_recording
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, json_schema, read_tables
-from modcal_nodes.cli.console import Output, speaking, tell
+from modcal_nodes.cli.console import Output, file_option, given, option, speaking, tell
 from modcal_nodes.cli.export import read_table, told
-from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, described
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, described
 
 _HEAD = 4096  # bytes in which a kinematic table says that it is one
 
@@ -36,23 +36,21 @@ def is_kinematic(path: Path) -> bool:
     return {"a", "d", "alpha"} <= labels or ("name" in labels and bool({"theta", "bx", "alpha"} & labels))
 
 
-def proposed(
-    tables: Sequence[Path], urdf: Path, options: dict[str, Any], out: Path | None, output: Output
-) -> tuple[Proposal, Path]:
-    """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way.
-
-    out: the bag that is made of them at once, where nothing is left to ask.
-    """
-    path = options["mapping"] or Path(f"{tables[0].stem}.yaml")
+def proposed(tables: Sequence[Path], urdf: Path, options: ImportOptions, output: Output) -> tuple[Proposal, Path]:
+    """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way."""
+    out, path = options.out, options.mapping or Path(f"{tables[0].stem}.yaml")
     if path.exists():
         raise BadTable(str(path), "exists already", "give --mapping another name, import it, or remove it")
     folders = {table.resolve().parent for table in tables}
     if len(folders) > 1:
         raise BadTable(str(tables[1]), "is in another folder than the first table", "put them into one folder")
-    robot = Robot.from_urdf(urdf, options["base"], options["tip"])
+    robot = Robot.from_urdf(urdf, options.base, options.tip)
+    ends = {end: name for end, name in (("base", options.base), ("tip", options.tip)) if name is not None}
     with output.working() as watch:
         where = os.path.relpath(urdf.resolve(), path.resolve().parent)
-        made = find(tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), where), watch)
+        made = find(
+            tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), {"urdf": where, **ends}), watch
+        )
     write_file(path, made.text(", ".join(table.name for table in tables)))
     data = "" if folders == {path.resolve().parent} else f" --data {tables[0].parent}"
     again = f"modcal import {path}{data}" + (f" --out {out}" if out else "")
@@ -75,7 +73,7 @@ def _bystanders(robot: Robot) -> dict[str, bool]:
     kinds = {"revolute": True, "continuous": True, "prismatic": False}
     joints = document(robot.description or "").iter("joint")
     found = {str(joint.get("name")): kinds[kind] for joint in joints if (kind := joint.get("type")) in kinds}
-    return {name: turns for name, turns in found.items() if name not in robot.names}
+    return {name: turns for name, turns in found.items() if name not in robot.chain.own_names}
 
 
 _YAML = (".yaml", ".yml")
@@ -87,20 +85,23 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
         context.exit()
 
 
+@dataclass(frozen=True)
+class ImportOptions(ChainOptions):
+    """Where tables are, of which robot, and what is written."""
+
+    data: Path | None = file_option("Folder of the tables. Default: the folder of MAPPING.")
+    urdf: Path | None = file_option("Robot description to put into the bag, and to prove a mapping by.")
+    mapping: Path | None = option(
+        "For tables without a mapping: the mapping to write. Default: FILE.yaml.", type=click.Path(path_type=Path)
+    )
+    out: Path | None = option(
+        "The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none.", type=WRITTEN
+    )
+
+
 @click.command("import")
 @click.argument("sources", type=EXISTING, nargs=-1, required=True, metavar="MAPPING | FILE.csv...")
-@click.option("--data", type=EXISTING, help="Folder of the tables. Default: the folder of MAPPING.")
-@click.option("--urdf", type=EXISTING, help="Robot description to put into the bag, and to prove a mapping by.")
-@BASE
-@TIP
-@click.option(
-    "--mapping",
-    type=click.Path(path_type=Path),
-    help="For tables without a mapping: the mapping to write. Default: FILE.yaml.",
-)
-@click.option(
-    "--out", type=WRITTEN, help="The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none."
-)
+@given(ImportOptions)
 @click.option(
     "--schema",
     is_flag=True,
@@ -110,9 +111,7 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
     help="Print the JSON schema of MAPPING, for editors.",
 )
 @speaking
-def import_command(
-    sources: tuple[Path, ...], data: Path | None, urdf: Path | None, out: Path | None, output: Output, **options: Any
-) -> None:
+def import_command(sources: tuple[Path, ...], output: Output, options: ImportOptions) -> None:
     """Convert CSV tables into a bag, as described by MAPPING (a YAML file).
 
     Without a mapping, FILE.csv and the robot's --urdf are enough: separator, units, columns and conventions are found
@@ -120,15 +119,18 @@ def import_command(
     with exit code 3. Further files are joined by a column that they share.
 
     A kinematic table (.csv, or .yaml that states a convention: dh, mdh or cpc) becomes a URDF, which every other verb
-    takes.
+    takes; so does UR's calibration.conf, beside the --urdf of its model.
     """  # fmt: skip
-    first = sources[0]
+    first, urdf, out = sources[0], options.urdf, options.out
+    if first.suffix.lower() == ".conf":
+        _write_arm(first, _of_conf(first, urdf), out, output)
+        return
     if first.suffix.lower() not in _YAML and urdf is not None and not is_kinematic(first):
-        made, path = proposed(sources, urdf, options, out, output)
+        made, path = proposed(sources, urdf, options, output)
         if made.open:
             raise SystemExit(3)
         if out is not None:
-            _import(path, data or first.parent, urdf, out, output)
+            _import(path, replace(options, data=options.data or first.parent), out, output)
         return
     if len(sources) > 1:
         raise BadTable(str(sources[1]), "stands beside a mapping", "name all files in the mapping, or give tables only")
@@ -136,11 +138,23 @@ def import_command(
     if table is not None:
         with about(str(first)):
             chain = from_table(table)
-        out = out or Path(f"{first.stem}.urdf")
-        write_file(out, chain_urdf(chain))
-        output.result(*told(out, chain))
+        _write_arm(first, chain, out, output)
         return
-    _import(first, data or first.parent, urdf, out or Path(first.stem), output)
+    _import(first, options, out or Path(first.stem), output)
+
+
+def _write_arm(source: Path, chain: Chain, out: Path | None, output: Output) -> None:
+    out = out or Path(f"{source.stem}.urdf")
+    write_file(out, chain_urdf(chain))
+    output.result(*told(out, chain))
+
+
+def _of_conf(path: Path, urdf: Path | None) -> Chain:
+    """The arm of a UR controller's calibration.conf."""
+    if urdf is None:
+        raise BadTable(str(path), "holds only differences from the model's DH numbers", "give --urdf of this UR model")
+    with about(str(path)):
+        return from_ur_conf(path.read_text(encoding="utf-8", errors="replace"), Robot.from_urdf(urdf).chain)
 
 
 def _kinematic_table(path: Path) -> dict[str, Any] | None:
@@ -153,8 +167,8 @@ def _kinematic_table(path: Path) -> dict[str, Any] | None:
         raise BadTable(error.offender, error.limit, f"{remedy}; or {error.remedy}") from error
 
 
-def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: Output) -> None:
-    stated = read_yaml(mapping)
+def _import(mapping: Path, options: ImportOptions, out: Path, output: Output) -> None:
+    stated, folder, urdf = read_yaml(mapping), options.data or mapping.parent, options.urdf
     with output.working() as watch:
         tables = read_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
         recording = tables.recording
@@ -162,9 +176,10 @@ def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: O
         urdf = urdf or _stated_urdf(stated, mapping, folder)
         if urdf is not None:
             recording = replace(recording, robot_description=urdf.read_text(encoding="utf-8"))
+            arm = options.base or stated.get("base"), options.tip or stated.get("tip")
             watch("comparing conventions")
             with remedies_of(recording.warnings):
-                recording = _proved(recording, stated)
+                recording = _proved(recording, stated, arm)
         write_recording(recording, out, partial(watch, f"writing {out.name}"), tables.commanded)
     frames = list(recording.frames)
     stations = sum(len(r.stamps) for r in recording.readings)
@@ -174,17 +189,21 @@ def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: O
     output.result(found, partial(tell, [*left_out, line]))
 
 
-def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:
-    """The recording with a note where its poses are inverse.
+def _proved(recording: Recording, stated: Mapping[str, Any], arm: tuple[str | None, str | None]) -> Recording:
+    """The recording with a note where its poses are inverse, and of the arm where its base or tip is stated.
 
-    Raises BadRecording where another convention than the stated one fits the robot better beyond doubt.
+    Raises BadRobot where these are no links of the robot, and BadRecording where another convention than the stated one
+    fits the robot better beyond doubt.
     """
     from modcal_core.hypotheses import proved  # brings SciPy along, which kinematic tables do without
-    from modcal_core.measurements import cut_stations
+    from modcal_core.measurements import cleaned, cut_stations
 
+    if any(arm):
+        robot = described(recording, None, None, *arm)
+        recording = recording.of_arm(robot.base, robot.tip)
     try:
-        chain = described(recording, None, None, None, None).mechanism
-        samples = cut_stations(recording, chain.names)
+        chain = described(recording, None, None, *arm).mechanism
+        samples = cut_stations(cleaned(recording, chain.names, chain).recording, chain.names)
     except ModcalError:  # of another robot, or with nothing in common: `modcal calibrate` says so where it matters
         return recording
     poses = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,38 +14,44 @@ from rich.console import Console
 from modcal_core.errors import ModcalError
 from modcal_core.measurements import Recording, inspect
 from modcal_core.robot import Robot
-from modcal_msgs_py import Repair, Topics, read_recording, repair_bag
-from modcal_nodes.cli.console import Output, speaking, table, with_options
-from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, chain_line, described
+from modcal_msgs_py import Repair, read_recording, repair_bag
+from modcal_nodes.cli.console import Output, file_option, given, option, speaking, table
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, TopicOptions, chain_line, described
 
 _MAX_SIGNALS = 8  # that are listed
 _MIN_IMAGES = 4  # with the target, that a calibration can be made from
 
 
+@dataclass(frozen=True)
+class InfoOptions(TopicOptions):
+    """Of which robot a bag is, and which target its images show."""
+
+    urdf: Path | None = file_option("Robot description. Default: the one in the bag.")
+    delta: Path | None = file_option("Description of a Delta robot instead.")
+    base: str | None = option(metavar="LINK")
+    tip: str | None = option(metavar="LINK")
+    target: Path | None = file_option("Printed target: say what the images are good for.")
+    image_topic: str | None = option("Images. Default: the only ones there are.", metavar="TOPIC")
+
+
 @click.command("info")
 @click.argument("bag", type=EXISTING)
-@click.option("--urdf", type=EXISTING, help="Robot description. Default: the one in the bag.")
-@click.option("--delta", type=EXISTING, help="Description of a Delta robot instead.")
-@click.option("--base", metavar="LINK")
-@click.option("--tip", metavar="LINK")
-@click.option("--target", type=EXISTING, help="Printed target: say what the images are good for.")
-@click.option("--image-topic", metavar="TOPIC", help="Images. Default: the only ones there are.")
-@with_options(TOPICS)
+@given(InfoOptions)
 @speaking
-def info_command(bag: Path, target: Path | None, image_topic: str | None, output: Output, **options: Any) -> None:
+def info_command(bag: Path, output: Output, options: InfoOptions) -> None:
     """Show what is in BAG, what it can be used for, and what looks wrong."""
-    arm = {name: options[name] for name in ("urdf", "delta", "base", "tip")}
-    recording = read_recording(bag, topics=Topics.of(options["topic"], options["ignore"], options["tf"]))
+    arm = (options.delta, options.urdf, options.base, options.tip)
+    recording = read_recording(bag, topics=options.topics)
     findings: tuple[str, ...] = ()
     try:
-        robot: Robot | None = described(recording, **arm)
+        robot: Robot | None = described(recording, *arm)
     except ModcalError as error:
-        if any(given is not None for given in arm.values()):
+        if any(one is not None for one in arm):
             raise
         robot, findings = None, (f"No robot: {error}.",)
     seen = inspect(recording, None if robot is None else robot.mechanism)
-    images, uses = _images(bag, recording, target, image_topic, () if robot is None else robot.names)
-    findings = (*findings, *images.get("findings", ()))
+    images, uses = _images(bag, recording, options, () if robot is None else robot.names)
+    findings = (*findings, *(() if robot is None else robot.notes), *images.get("findings", ()))
     data = {
         "bag": str(bag),
         "duration_s": recording.duration,
@@ -62,13 +68,13 @@ def info_command(bag: Path, target: Path | None, image_topic: str | None, output
 
 
 def _images(
-    bag: Path, recording: Recording, target: Path | None, topic: str | None, names: Sequence[str]
+    bag: Path, recording: Recording, options: InfoOptions, names: Sequence[str]
 ) -> tuple[dict[str, Any], list[str]]:
     """(what is known of the images, what they can be used for)."""
     from modcal_msgs_py import image_topics
 
     found = image_topics(recording.listed)
-    if target is None:
+    if options.target is None:
         if not found:
             return {}, []
         there = ", ".join(f"{one.count} of {one.topic}" for one in found)
@@ -77,7 +83,7 @@ def _images(
     from modcal_core.camera import read_target
     from modcal_nodes.vision import images_worth, worth_line
 
-    worth = images_worth(bag, recording, read_target(target), topic, names)
+    worth = images_worth(bag, recording, read_target(options.target), options.image_topic, names)
     use = [f"a calibration by camera: {worth_line(worth)}"] if worth.found >= _MIN_IMAGES else []
     return {**worth.data, "line": worth_line(worth)}, use
 

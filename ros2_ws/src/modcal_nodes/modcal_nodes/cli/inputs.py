@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from math import isfinite
 from os import PathLike
 from pathlib import Path
@@ -19,15 +20,36 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
 from modcal_core.robots import Mechanism, delta_from_data, other_tips, read_chain
+from modcal_msgs_py import Topics
+from modcal_nodes.cli.console import option, repeated
 
 _OTHERS = 3  # tips that are named
 
-BASE = click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
-TIP = click.option("--tip", metavar="LINK", help="Link where it ends. Default: the link behind most joints.")
-TOOL = click.option(
-    "--tool", type=float, nargs=3, default=(0.05, 0.0, 0.1), metavar="X Y Z",
-    help="Position of the tracked target in the tip link [m].",
-)  # fmt: skip
+
+@dataclass(frozen=True)
+class ChainOptions:
+    """Where an arm begins and ends."""
+
+    base: str | None = option("Link where the arm begins. Default: the root link.", metavar="LINK")
+    tip: str | None = option("Link where it ends. Default: the link behind most joints.", metavar="LINK")
+
+
+@dataclass(frozen=True)
+class TopicOptions:
+    """What the topics of a bag are."""
+
+    topic: tuple[str, ...] = repeated(
+        "The topic for a role, e.g. tracker/pose=/vrpn/tool/pose. Repeatable.", "ROLE=NAME"
+    )
+    ignore: tuple[str, ...] = repeated("Leave a topic out. Repeatable.", "TOPIC")
+    tf: str | None = option(
+        "The tracker's readings are these frames in /tf, e.g. tracker:tool.", metavar="PARENT:CHILD"
+    )
+
+    @property
+    def topics(self) -> Topics:
+        """The same as readers of bags take it."""
+        return Topics.of(self.topic, self.ignore, self.tf)
 
 
 def chain_line(base: str, tip: str, joints: int, others: Sequence[str] = ()) -> str:
@@ -79,20 +101,10 @@ def described(recording: Recording, delta: Path | None, urdf: Path | None, base:
             recording.source, "holds no robot_description", "give --urdf or --delta FILE, or record the topic"
         )
     recorded = frozenset(name for track in recording.joints for name in track.names)
+    if urdf is None and base is None and tip is None and recording.arm is not None:
+        base, tip = recording.arm
     with about(f"{recording.source}, robot_description" if urdf is None else str(urdf)):
         return Robot.from_urdf(urdf or recording.robot_description or "", base, tip, recorded)
-
-
-TOPICS = (
-    click.option(
-        "--topic", "topic", multiple=True, metavar="ROLE=NAME",
-        help="The topic for a role, e.g. tracker/pose=/vrpn/tool/pose. Repeatable.",
-    ),
-    click.option("--ignore", "ignore", multiple=True, metavar="TOPIC", help="Leave a topic out. Repeatable."),
-    click.option(
-        "--tf", "tf", metavar="PARENT:CHILD", help="The tracker's readings are these frames in /tf, e.g. tracker:tool."
-    ),
-)  # fmt: skip
 
 
 class _Named(click.Path):

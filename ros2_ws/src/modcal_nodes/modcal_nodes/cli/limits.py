@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,18 +18,21 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import Recording, joint_stamps_and, spread_rows
 from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_html
 from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
-from modcal_msgs_py import SUFFIXES, Topics, read_recording
-from modcal_nodes.cli.console import Output, explain, speaking, table, tell, with_options
-from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, Whole, arm_line, described, file_line, numbers_by_joint
+from modcal_msgs_py import SUFFIXES, read_recording
+from modcal_nodes.cli.console import Output, explain, file_option, given, option, repeated, speaking, table, tell
+from modcal_nodes.cli.inputs import (
+    EXISTING,
+    WRITTEN,
+    TopicOptions,
+    Whole,
+    arm_line,
+    described,
+    file_line,
+    numbers_by_joint,
+)
 
 _MAX = 2000  # postures of a bag; of more, evenly chosen ones say the same
 _THOROUGH = 20_000  # for time, with --thorough
-_BY_JOINT = {
-    "torque": "Largest torque of a drive [N m; N], instead of the URDF's effort.",
-    "friction": "Dry friction of a joint [N m; N], instead of the URDF's.",
-    "damping": "Viscous friction of a joint [N m s/rad; N s/m], instead of the URDF's.",
-    "rotor": "Inertia of motor and gear, seen from the joint [kg m²; kg].",
-}
 _COLUMNS = {
     "joint": "",
     "inertia": "moved by the joint's drive [kg m²; kg]",
@@ -38,56 +42,57 @@ _COLUMNS = {
     "constant": "one set of bounds that holds together at every posture",
     "unit": "",
 }
-_CORE = {"friction": "coulomb", "damping": "viscous"}  # what the core calls them
 
 
-_OPTIONS = [
-    click.option(f"--{name}", multiple=True, metavar="JOINT=VALUE", help=f"{text} Repeat for more joints.")
-    for name, text in reversed(_BY_JOINT.items())
-]
+def _by_joint(text: str) -> Any:
+    return option(f"{text} Repeat for more joints.", default=(), metavar="JOINT=VALUE")
+
+
+def _numbers(text: str, *default: float) -> Any:
+    return option(text, default=default, type=float, nargs=len(default), show_default=False)
+
+
+@dataclass(frozen=True)
+class LimitsOptions(TopicOptions):
+    """What is asked of bounds: the arm, what it carries, its postures, and its drives by joint, in SI."""
+
+    urdf: Path | None = file_option("Robot description, for a bag. Default: the one in it.")
+    base: str | None = option("Link where the arm begins. Default: the root link.", metavar="LINK")
+    tip: str | None = option("The link that carries the payload.", metavar="LINK")
+    payload: float = option("Mass that is carried [kg].", default=0.0, type=float)
+    centre: tuple[float, ...] = _numbers("Centre of mass in the tip link [m].", 0.0, 0.0, 0.0)
+    inertia: tuple[float, ...] = _numbers(
+        "Inertia about the centre of mass: ixx iyy izz ixy ixz iyz [kg m²].", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    )
+    at: tuple[str, ...] = repeated("Position of a joint [rad; m]. Default: 0.", "JOINT=VALUE")
+    velocity: tuple[str, ...] = repeated("Velocity of a joint [rad/s; m/s]. Default: 0.", "JOINT=VALUE")
+    workspace: int | None = option("Number of random postures within the limits.", type=Whole(min=1))
+    seed: int = option("Seed of those postures.", default=0, type=Whole(min=0))
+    thorough: bool = option("Of a bag up to 20 000 postures, not 2 000.", default=False)
+    share: float = option("Share of the torque that may be used.", default=1.0, type=float)
+    gravity: tuple[float, ...] = _numbers("Gravity in the base link [m/s²].", 0.0, 0.0, -9.80665)
+    torque: tuple[str, ...] = _by_joint("Largest torque of a drive [N m; N], instead of the URDF's effort.")
+    friction: tuple[str, ...] = _by_joint("Dry friction of a joint [N m; N], instead of the URDF's.")
+    damping: tuple[str, ...] = _by_joint("Viscous friction of a joint [N m s/rad; N s/m], instead of the URDF's.")
+    rotor: tuple[str, ...] = _by_joint("Inertia of motor and gear, seen from the joint [kg m²; kg].")
+
+    def loaded(self, arm: LoadedArm) -> LoadedArm:
+        """The arm with this payload, these drives and this gravity. Raises BadTable."""
+        arm = arm.carrying(Payload.checked(self.payload, self.centre, self.inertia)).using(self.share, self.gravity)
+        return arm.with_drives(
+            torque=numbers_by_joint(self.torque, "--torque"),
+            coulomb=numbers_by_joint(self.friction, "--friction"),
+            viscous=numbers_by_joint(self.damping, "--damping"),
+            rotor=numbers_by_joint(self.rotor, "--rotor"),
+        )
 
 
 @click.command("limits")
 @click.argument("source", type=EXISTING)
-@click.option("--urdf", type=EXISTING, help="Robot description, for a bag. Default: the one in it.")
-@click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
-@click.option("--tip", metavar="LINK", help="The link that carries the payload.")
-@click.option("--payload", type=float, default=0.0, help="Mass that is carried [kg].")
-@click.option(
-    "--centre",
-    type=float,
-    nargs=3,
-    default=(0.0, 0.0, 0.0),
-    show_default=False,
-    help="Centre of mass in the tip link [m].",
-)
-@click.option(
-    "--inertia",
-    type=float,
-    nargs=6,
-    default=(0.0,) * 6,
-    show_default=False,
-    help="Inertia about the centre of mass: ixx iyy izz ixy ixz iyz [kg m²].",
-)
-@click.option("--at", multiple=True, metavar="JOINT=VALUE", help="Position of a joint [rad; m]. Default: 0.")
-@click.option("--velocity", multiple=True, metavar="JOINT=VALUE", help="Velocity of a joint [rad/s; m/s]. Default: 0.")
-@click.option("--workspace", type=Whole(min=1), help="Number of random postures within the limits.")
-@click.option("--seed", type=Whole(min=0), default=0, help="Seed of those postures.")
-@click.option("--thorough", is_flag=True, help="Of a bag up to 20 000 postures, not 2 000.")
-@click.option("--share", type=float, default=1.0, help="Share of the torque that may be used.")
-@click.option(
-    "--gravity",
-    type=float,
-    nargs=3,
-    default=(0.0, 0.0, -9.80665),
-    show_default=False,
-    help="Gravity in the base link [m/s²].",
-)
+@given(LimitsOptions)
 @click.option("--out", type=WRITTEN, help="Folder of limits.json, joint_limits.yaml and report.html.")
-@with_options(TOPICS)
 @speaking
-@with_options(_OPTIONS)
-def limits_command(source: Path, out: Path | None, output: Output, **options: Any) -> None:
+def limits_command(source: Path, out: Path | None, output: Output, options: LimitsOptions) -> None:
     """Compute how fast each joint may accelerate within the torque of its drive.
 
     SOURCE is a URDF, for one posture (--at) or many (--workspace), or a bag, whose joint states are used.
@@ -96,24 +101,21 @@ def limits_command(source: Path, out: Path | None, output: Output, **options: An
     acceleration: by itself (equivalent), with all others within theirs (coupled), and one set for all postures
     (constant).
     """
-    topics = Topics.of(options["topic"], options["ignore"], options["tf"])
-    base, tip = options["base"], options["tip"]
+    base, tip, topics = options.base, options.tip, options.topics
     recording = read_recording(source, topics=topics) if source.is_dir() or source.name.endswith(SUFFIXES) else None
-    if recording is not None and any(options[name] for name in ("at", "velocity", "workspace")):
+    if recording is not None and (options.at or options.velocity or options.workspace):
         raise BadTable("--at, --velocity, --workspace", f"and the postures of {source}", "give a URDF with them")
     if recording is not None:
-        robot = described(recording, None, options["urdf"], base, tip)
+        robot = described(recording, None, options.urdf, base, tip)
         arm = LoadedArm.read(robot.description or "", robot.base, robot.tip)
         said = arm_line(robot)
     else:
         with about(str(source)):
             arm = LoadedArm.read(source.read_text(encoding="utf-8", errors="replace"), base, tip)
         said = file_line(source, arm.chain, tip)
-    load = Payload.checked(options["payload"], options["centre"], options["inertia"])
-    arm = arm.carrying(load).using(options["share"], options["gravity"])
-    arm = arm.with_drives(**{_CORE.get(k, k): numbers_by_joint(options[k], f"--{k}") for k in _BY_JOINT})
+    arm = options.loaded(arm)
     if recording is not None:
-        q, v, notes = _recorded(arm, recording, _THOROUGH if options["thorough"] else _MAX)
+        q, v, notes = _recorded(arm, recording, _THOROUGH if options.thorough else _MAX)
     else:
         q, v = _motion(arm.chain, options)
         notes = ()
@@ -142,14 +144,14 @@ def _show(data: dict[str, Any], arm: str, postures: int, notes: tuple[str, ...],
         click.echo(f"{postures} postures: the tightest of each, and 'constant', the largest that hold at all of them.")
 
 
-def _motion(chain: Chain, options: dict[str, Any]) -> tuple[Array, Array]:
+def _motion(chain: Chain, options: LimitsOptions) -> tuple[Array, Array]:
     """Positions and velocities (N, n) that are asked for."""
-    at, workspace = options["at"], options["workspace"]
-    speeds = _column(chain, options["velocity"], "--velocity", np.zeros(chain.n))
+    at, workspace = options.at, options.workspace
+    speeds = _column(chain, options.velocity, "--velocity", np.zeros(chain.n))
     if workspace is not None:
         if at:
             raise BadTable("--at and --workspace", "are two ways to choose postures", "give one of them")
-        q = random_postures(chain, workspace, np.random.default_rng(options["seed"]))
+        q = random_postures(chain, workspace, np.random.default_rng(options.seed))
         return q, np.tile(speeds, (len(q), 1))
     # a joint that cannot stand at zero stands at the limit next to it
     q = _column(chain, at, "--at", np.clip(0.0, chain.lower, chain.upper))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,8 +37,8 @@ from modcal_core.planning import (
 from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET
-from modcal_nodes.cli.console import Output, speaking, tell, written
-from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, Decimal, Whole, arm_line
+from modcal_nodes.cli.console import Output, file_option, given, option, repeated, speaking, tell, written
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, Decimal, Whole, arm_line
 from modcal_nodes.cli.simulate import parameter
 from modcal_nodes.io import Watch, opened, read_cell
 from modcal_nodes.measuring import (
@@ -57,86 +57,85 @@ _BY_HAND = 4  # stations at once, since whoever fills in a table gives the comma
 _POSITIVE = Decimal(min=0.0, min_open=True)
 
 
+@dataclass(frozen=True)
+class MeasureOptions(ChainOptions):
+    """What is asked of a measurement, by the names of the command's options."""
+
+    goal_mm: float | None = option(
+        "Error at the tool to be proven. Default: as good as can be.", type=_POSITIVE, metavar="MM"
+    )
+    statistic: str = option("Statistic of --goal-mm.", "--of", default="rms", type=click.Choice(["rms", "p95"]))
+    stations: int = option("Most stations.", default=MAX_STATIONS, type=Whole(min=1))
+    minutes: float | None = option("Most time, from the first call on.", type=_POSITIVE)
+    by_hand: Path | None = option(
+        "Ask for stations in DIR/next.csv, and read there what was measured.",
+        type=click.Path(path_type=Path),
+        metavar="DIR",
+    )
+    simulated: bool = option("Measure in the simulated cell (MuJoCo).", default=False)
+    given: tuple[str, ...] = repeated("A parameter of simulated_cell. Repeatable.", "NAME=VALUE", "-p")
+    replay: Path | None = file_option("Choose among the stations of a recording.", metavar="BAG")
+    site: Path | None = file_option(
+        "YAML: tracker, target, spheres of the arm, floor, obstacles, limits, workspace. See docs/planning.md.",
+        metavar="FILE",
+    )
+    reading: str = option("What is read by hand.", default=POINT, type=click.Choice([POINT, POSE]))
+    instrument_mm: float | None = option(
+        "Error of the instrument, RMS over space: it is no error of the tool.", type=_POSITIVE, metavar="MM"
+    )
+    cell_file: Path | None = file_option(
+        "YAML of fixed parameters, and what is stated of arm and instrument.", "--cell"
+    )
+    fixed: tuple[str, ...] = repeated("Fixed parameter, as in modcal calibrate. Repeatable.", "NAME", "--fix")
+    ties: bool = option("Separate explanations that stay open, by up to 12 more stations.", default=False)
+    geometry_only: bool = option("Fit only the geometry; do not look for other effects.", default=False)
+    batch: int | None = option(f"Stations between two fits. Default: {BATCH}, by hand {_BY_HAND}.", type=Whole(1, 100))
+    seed: int = option("Seed of what is drawn at random.", default=0, type=SEED)
+    out: Path | None = option("Folder of session and results; of --by-hand it is DIR.", type=WRITTEN)
+
+    @property
+    def goal(self) -> Goal:
+        """What is to be proven. Raises BadTable for what cannot be asked."""
+        return Goal(
+            accuracy=None if self.goal_mm is None else 1e-3 * self.goal_mm,
+            statistic="p95" if self.statistic == "p95" else "rms",
+            stations=self.stations,
+            seconds=None if self.minutes is None else 60.0 * self.minutes,
+            instrument=1e-3 * (self.instrument_mm or 0.0),
+            ties=self.ties,
+        )
+
+    def simulated_cell(self, robot: Path) -> dict[str, Any]:
+        """Parameters of the simulated cell with this robot."""
+        chosen = {name: p.default for name, p in SIMULATED_CELL.items()}
+        chosen["delta" if robot.suffix in (".yaml", ".yml") else "urdf"] = str(robot)
+        return chosen | {"base": self.base or "", "tip": self.tip or ""} | dict(map(parameter, self.given))
+
+
 @click.command("measure")
 @click.argument("robot", type=EXISTING)
-@BASE
-@TIP
-@click.option(
-    "--goal-mm", type=_POSITIVE, metavar="MM", help="Error at the tool to be proven. Default: as good as can be."
-)
-@click.option("--of", "statistic", type=click.Choice(["rms", "p95"]), default="rms", help="Statistic of --goal-mm.")
-@click.option("--stations", type=Whole(min=1), default=MAX_STATIONS, help="Most stations.")
-@click.option("--minutes", type=_POSITIVE, help="Most time, from the first call on.")
-@click.option(
-    "--by-hand",
-    "folder",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Ask for stations in DIR/next.csv, and read there what was measured.",
-)
-@click.option("--simulated", is_flag=True, help="Measure in the simulated cell (MuJoCo).")
-@click.option("-p", "given", multiple=True, metavar="NAME=VALUE", help="A parameter of simulated_cell. Repeatable.")
-@click.option("--replay", type=EXISTING, metavar="BAG", help="Choose among the stations of a recording.")
-@click.option(
-    "--site",
-    type=EXISTING,
-    metavar="FILE",
-    help="YAML: tracker, target, spheres of the arm, floor, obstacles, limits, workspace. See docs/planning.md.",
-)
-@click.option("--reading", type=click.Choice([POINT, POSE]), default=POINT, help="What is read by hand.")
-@click.option(
-    "--instrument-mm",
-    type=_POSITIVE,
-    metavar="MM",
-    help="Error of the instrument, RMS over space: it is no error of the tool.",
-)
-@click.option(
-    "--cell", "cell_file", type=EXISTING, help="YAML of fixed parameters, and what is stated of arm and instrument."
-)
-@click.option(
-    "--fix", "fixed", multiple=True, metavar="NAME", help="Fixed parameter, as in modcal calibrate. Repeatable."
-)
-@click.option("--ties", is_flag=True, help="Separate explanations that stay open, by up to 12 more stations.")
-@click.option("--geometry-only", is_flag=True, help="Fit only the geometry; do not look for other effects.")
-@click.option("--batch", type=Whole(1, 100), help=f"Stations between two fits. Default: {BATCH}, by hand {_BY_HAND}.")
-@click.option("--seed", type=SEED, default=0, help="Seed of what is drawn at random.")
-@click.option("--out", type=WRITTEN, help="Folder of session and results; of --by-hand it is DIR.")
+@given(MeasureOptions)
 @speaking
-def measure_command(
-    robot: Path,
-    folder: Path | None,
-    replay: Path | None,
-    reading: str,
-    out: Path | None,
-    output: Output,
-    **options: Any,
-) -> int:
+def measure_command(robot: Path, output: Output, options: MeasureOptions) -> int:
     """Measure ROBOT (a URDF), station after station, until an accuracy is proven or cannot be reached.
 
     After every few stations the model is fitted again and the next ones are chosen for what they are worth. The
     claim at the tool proves the result, from random stations too that no fit sees. A session is kept in its folder and
     goes on where it stopped. Exit code 3: ended, and the goal is not proven.
     """
-    simulated, seed = options["simulated"], options["seed"]
-    if sum((folder is not None, simulated, replay is not None)) != 1:
+    folder, replay, reading, seed = options.by_hand, options.replay, options.reading, options.seed
+    if sum((folder is not None, options.simulated, replay is not None)) != 1:
         raise BadTable("modcal measure", "needs one of --by-hand, --simulated and --replay", "say who measures")
-    goal_mm, minutes = options["goal_mm"], options["minutes"]
-    goal = Goal(
-        accuracy=None if goal_mm is None else 1e-3 * goal_mm,
-        seconds=None if minutes is None else 60.0 * minutes,
-        instrument=1e-3 * (options["instrument_mm"] or 0.0),
-        **{name: options[name] for name in ("statistic", "stations", "ties")},
-    )
-    base, tip, site_file = options["base"], options["tip"], options["site"]
-    arm = _read(robot, base, tip)
-    site = Site() if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
+    goal = options.goal
+    arm = _read(robot, options.base, options.tip)
+    site = Site() if options.site is None else site_from_data(read_yaml(options.site), str(options.site))
     if site.carried and folder is None:
-        raise BadTable(str(site_file), "has a camera on the tool", "measure by hand, or with station_runner")
-    cell = read_cell(options["cell_file"], options["fixed"])
+        raise BadTable(str(options.site), "has a camera on the tool", "measure by hand, or with station_runner")
+    cell = read_cell(options.cell_file, options.fixed)
     with output.working() as watch:
         measurer: Measurer | None = None
-        if simulated:
-            chosen = _cell(robot, base, tip, options["given"])
+        if options.simulated:
+            chosen = options.simulated_cell(robot)
             measurer, reading = CellInProcess(chosen), chosen["measurement"]
         elif replay is not None:
             samples = one_a_station(opened(replay, watch).samples(arm, 0.5))
@@ -148,11 +147,11 @@ def measure_command(
             pool = of_recording(measurer.samples.q, rng)
         else:
             pool = of_robot(arm.mechanism, site, reading, rng)
-        place = Folder(folder or out or Path(f"{robot.stem}_measured"), arm)
+        place = Folder(folder or options.out or Path(f"{robot.stem}_measured"), arm)
         began = time.time() if measurer is None else None
         kept = place.begin(StoredSession(Session(arm.names, reading, carried=site.carried), goal, seed, began))
-        lot = options["batch"] or (BATCH if measurer is not None else _BY_HAND)
-        method = Method(seed, batch=lot, effects=not options["geometry_only"])
+        lot = options.batch or (BATCH if measurer is not None else _BY_HAND)
+        method = Method(seed, batch=lot, effects=not options.geometry_only)
         advisor = Advisor(arm.mechanism, pool, goal, method, cell, arm.inertias)
         if measurer is None:
             advice, filled = _by_hand(place, kept, advisor, watch)
@@ -175,16 +174,6 @@ def _read(robot: Path, base: str | None, tip: str | None) -> Robot:
             return Robot.from_delta(robot) if "modcal_delta" in data else Robot.from_table(robot)
     with about(str(robot)):
         return Robot.from_urdf(robot, base, tip)
-
-
-def _cell(robot: Path, base: str | None, tip: str | None, given: tuple[str, ...]) -> dict[str, Any]:
-    chosen = {name: p.default for name, p in SIMULATED_CELL.items()}
-    chosen["delta" if robot.suffix in (".yaml", ".yml") else "urdf"] = str(robot)
-    chosen["base"], chosen["tip"] = base or "", tip or ""
-    for text in given:
-        name, value = parameter(text)
-        chosen[name] = value
-    return chosen
 
 
 def _whole(place: Folder, kept: StoredSession, advisor: Advisor, measurer: Measurer, watch: Watch) -> Advice:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
@@ -30,8 +29,17 @@ from modcal_core.planning import (
 )
 from modcal_core.report import figure, plan_sentences, planning_html, to_csv, to_plan_data, to_trajectory_data
 from modcal_core.robots import Mechanism
-from modcal_nodes.cli.console import Output, console, say, speaking
-from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, Decimal, Whole, file_line, read_robot, read_stations
+from modcal_nodes.cli.console import Output, console, file_option, given, option, repeated, say, speaking
+from modcal_nodes.cli.inputs import (
+    EXISTING,
+    WRITTEN,
+    ChainOptions,
+    Decimal,
+    Whole,
+    file_line,
+    read_robot,
+    read_stations,
+)
 from modcal_nodes.io import Options, read_calibration
 
 
@@ -98,31 +106,58 @@ def _data(calibration: Calibration, proposals: list[DecidingStations]) -> dict[s
     }
 
 
+_NEXT = 10  # images, where no number is asked for
+_DECIDING = 16  # stations, where none are asked for
+_THOROUGH = 6000, 8  # candidates and starts
+
+
 @dataclass(frozen=True)
-class PlanOptions:
+class PlanOptions(ChainOptions):
     """What is asked of a plan, by the names of the command's options."""
 
-    base: str | None
-    tip: str | None
-    site: Path | None
-    stations: int | None
-    accuracy_mm: float | None
-    measure: str
-    criterion: str
-    reading: str
-    fixed: tuple[str, ...]
-    besides: Path | None
-    candidates: int | None
-    starts: int | None
-    thorough: bool
-    speed: float
-    dwell: float
-    report: Path | None
-    returns: int
-    camera: Path | None
-    joints: Path | None
-    target: Path | None
-    seed: int
+    site: Path | None = file_option(
+        "YAML: tracker, target, noise, spheres of the arm, floor, obstacles, limits. See docs/planning.md.",
+        metavar="FILE",
+    )
+    stations: int | None = option(
+        "Number of stations. Default: twice as many as modcal calibrate needs; with --decide: 16.",
+        type=Whole(min=2),
+    )
+    accuracy_mm: float | None = option(
+        "Use as many stations as needed for this error of the calibrated arm.", type=Decimal(min=1e-6)
+    )
+    measure: str = option("Statistic of --accuracy-mm.", default="p95", type=click.Choice(["p95", "rms"]))
+    criterion: str = option("Criterion to optimise.", default=ACCURACY, type=click.Choice(CRITERIA))
+    reading: str = option(default="point", type=click.Choice(["point", "pose"]))
+    fixed: tuple[str, ...] = repeated("Fixed parameter, as in modcal calibrate. Repeatable.", "NAME", "--fix")
+    besides: Path | None = file_option(
+        "plan.yaml or CSV of stations that are already measured and count too.", metavar="STATIONS"
+    )
+    candidates: int | None = option(
+        f"Postures to choose from. Default: {CANDIDATES}, with --thorough {_THOROUGH[0]}.", type=Whole(10, 20_000)
+    )
+    starts: int | None = option(
+        f"Random starts of the exchange. Default: {STARTS}, with --thorough {_THOROUGH[1]}.", type=Whole(1, 100)
+    )
+    thorough: bool = option("Look longer for better stations.", default=False)
+    speed: float = option("Joint speed of trajectory.yaml, rad/s.", default=0.5, type=Decimal(1e-3))
+    dwell: float = option("Standstill at each station, s.", default=2.0, type=Decimal(0.6))
+    report: Path | None = file_option(
+        "Folder or report.json of a calibration whose effects have rivals (same_as): stations that tell them apart.",
+        "--decide",
+        metavar="REPORT",
+    )
+    returns: int = option(
+        "Stations visited twice, so that the noise floor is known. None with fewer than three stations to each.",
+        default=RETURNS,
+        type=Whole(0, 100),
+    )
+    camera: Path | None = file_option(
+        "Bag with images, or folder of them with --joints: which images to take next; with --target.", metavar="IMAGES"
+    )
+    joints: Path | None = file_option("Joints of --camera's images, as in calibrate.", metavar="FILE")
+    target: Path | None = file_option("Printed target of --camera's images.", metavar="FILE")
+    seed: int = option("Seed of candidates and starts.", default=0, type=Whole(min=0))
 
     def request(self, chain: Mechanism) -> PlanRequest:
         """The same for this arm, as the core has it."""
@@ -141,99 +176,43 @@ class PlanOptions:
         )
 
 
-_NEXT = 10  # images, where no number is asked for
-_DECIDING = 16  # stations, where none are asked for
-_THOROUGH = 6000, 8  # candidates and starts
-
-
 @click.command("plan")
 @click.argument("robot", type=EXISTING, required=False)
-@BASE
-@TIP
-@click.option(
-    "--site", type=EXISTING, metavar="FILE",
-    help="YAML: tracker, target, noise, spheres of the arm, floor, obstacles, limits. See docs/planning.md.",
-)  # fmt: skip
-@click.option(
-    "--stations", type=Whole(min=2),
-    help="Number of stations. Default: twice as many as modcal calibrate needs; with --decide: 16.",
-)  # fmt: skip
-@click.option(
-    "--accuracy-mm", type=Decimal(min=1e-6), help="Use as many stations as needed for this error of the calibrated arm."
-)
-@click.option("--measure", type=click.Choice(["p95", "rms"]), default="p95", help="Statistic of --accuracy-mm.")
-@click.option("--criterion", type=click.Choice(CRITERIA), default=ACCURACY, help="Criterion to optimise.")
-@click.option("--reading", type=click.Choice(["point", "pose"]), default="point")
-@click.option(
-    "--fix", "fixed", multiple=True, metavar="NAME", help="Fixed parameter, as in modcal calibrate. Repeatable."
-)
-@click.option(
-    "--besides", type=EXISTING, metavar="STATIONS",
-    help="plan.yaml or CSV of stations that are already measured and count too.",
-)  # fmt: skip
-@click.option(
-    "--candidates", type=Whole(10, 20_000),
-    help=f"Postures to choose from. Default: {CANDIDATES}, with --thorough {_THOROUGH[0]}.",
-)  # fmt: skip
-@click.option(
-    "--starts", type=Whole(1, 100),
-    help=f"Random starts of the exchange. Default: {STARTS}, with --thorough {_THOROUGH[1]}.",
-)  # fmt: skip
-@click.option("--thorough", is_flag=True, help="Look longer for better stations.")
-@click.option("--speed", type=Decimal(1e-3), default=0.5, help="Joint speed of trajectory.yaml, rad/s.")
-@click.option("--dwell", type=Decimal(0.6), default=2.0, help="Standstill at each station, s.")
-@click.option(
-    "--decide", "report", type=EXISTING, metavar="REPORT",
-    help="Folder or report.json of a calibration whose effects have rivals (same_as): stations that tell them apart.",
-)  # fmt: skip
-@click.option(
-    "--returns", type=Whole(0, 100), default=RETURNS,
-    help="Stations visited twice, so that the noise floor is known. None with fewer than three stations to each.",
-)  # fmt: skip
-@click.option(
-    "--camera",
-    type=EXISTING,
-    metavar="IMAGES",
-    help="Bag with images, or folder of them with --joints: which images to take next; with --target.",
-)
-@click.option("--joints", type=EXISTING, metavar="FILE", help="Joints of --camera's images, as in calibrate.")
-@click.option("--target", type=EXISTING, metavar="FILE", help="Printed target of --camera's images.")
-@click.option("--seed", type=Whole(min=0), default=0, help="Seed of candidates and starts.")
+@given(PlanOptions)
 @click.option("--out", type=WRITTEN, help="Folder of plan.yaml.")
 @speaking
-def plan_command(robot: Path | None, out: Path | None, output: Output, **options: Any) -> None:
+def plan_command(robot: Path | None, out: Path | None, output: Output, options: PlanOptions) -> None:
     """Choose the best stations to calibrate ROBOT (a URDF, or a YAML table), or stations that separate explanations."""
-    asked = PlanOptions(**options)
-    if any(one is not None for one in (asked.camera, asked.joints, asked.target)):
-        _by_camera(robot, asked, out, output)
+    if any(one is not None for one in (options.camera, options.joints, options.target)):
+        _by_camera(robot, options, out, output)
         return
-    site = None if asked.site is None else site_from_data(read_yaml(asked.site), str(asked.site))
-    if asked.report is not None:
-        if robot is not None or asked.accuracy_mm is not None:
+    site = None if options.site is None else site_from_data(read_yaml(options.site), str(options.site))
+    if options.report is not None:
+        if robot is not None or options.accuracy_mm is not None:
             raise BadTable(
                 "--decide", "cannot be combined with ROBOT or --accuracy-mm", "give REPORT alone: it holds the robot"
             )
-        decide(asked.report, asked.stations or _DECIDING, asked.seed, out, site)
+        decide(options.report, options.stations or _DECIDING, options.seed, out, site)
         return
     if robot is None:
         raise BadTable("modcal plan", "is given neither a ROBOT nor --decide REPORT", "give one of them")
-    if asked.stations is not None and asked.accuracy_mm is not None:
+    if options.stations is not None and options.accuracy_mm is not None:
         raise BadTable("--stations", "cannot be combined with --accuracy-mm", "give one of them")
-    chain = read_robot(robot, asked.base, asked.tip)
-    request = asked.request(chain)
+    chain = read_robot(robot, options.base, options.tip)
+    request = options.request(chain)
     with output.working() as watch:
         watch("choosing stations")
-        found = plan(chain, site or Site(), request, np.random.default_rng(asked.seed))
+        found = plan(chain, site or Site(), request, np.random.default_rng(options.seed))
         watch("writing the plan")
         data = to_plan_data(found)
         files = {
             "plan.yaml": to_yaml(data),
             "stations.csv": to_csv(found),
-            "trajectory.yaml": to_yaml(to_trajectory_data(found, asked.speed, asked.dwell)),
+            "trajectory.yaml": to_yaml(to_trajectory_data(found, options.speed, options.dwell)),
             "stations.svg": figure(found),
             "report.html": planning_html(found, robot.stem),
         }
-    said = [file_line(robot, chain, asked.tip), *plan_sentences(found)]
+    said = [file_line(robot, chain, options.tip), *plan_sentences(found)]
     out = out or Path(f"{robot.stem}_plan")
     output.saved(data, partial(say, said), out, files, "Stations", "plan.yaml")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,13 +30,11 @@ from modcal_core.planning import (
 )
 from modcal_core.report import pictures, sensitivity_data, sensitivity_html, sensitivity_sentences, single_csv, to_text
 from modcal_core.robots import Mechanism, is_serial_arm, vector
-from modcal_nodes.cli.console import Output, explain, say, speaking, table
+from modcal_nodes.cli.console import Output, explain, file_option, given, option, say, speaking, table
 from modcal_nodes.cli.inputs import (
-    BASE,
     EXISTING,
-    TIP,
-    TOOL,
     WRITTEN,
+    ChainOptions,
     Decimal,
     Whole,
     file_line,
@@ -57,56 +56,72 @@ _COLUMNS = {
 }
 
 
+@dataclass(frozen=True)
+class SensitivityOptions(ChainOptions):
+    """What is asked of a study: lengths [mm], angles [mrad]."""
+
+    tool: tuple[float, float, float] = option(
+        "Position of the tracked target in the tip link [m].",
+        default=(0.05, 0.0, 0.1),
+        type=float,
+        nargs=3,
+        metavar="X Y Z",
+    )
+    parameters: str = option(
+        "The 4 n + 9 of the closed chain, or those that modcal calibrate fits.",
+        default="dh",
+        type=click.Choice(["dh", "calibration"]),
+    )
+    design: str | None = option(
+        "Design of postures for the indices. Default: l25, or sobol for more than six joints.",
+        type=click.Choice(DESIGNS),
+    )
+    levels: int = option("Levels of --design array; a prime.", default=5, type=Whole(2, 31))
+    postures: int | None = option("Postures of --design sobol. Default: 64, with --thorough 512.", type=Whole(4, 4096))
+    thorough: bool = option("Draw four times as many arms for the shares of the variance.", default=False)
+    length_mm: float = option("Errors of lengths.", default=0.5, type=Decimal(0.0))
+    angle_mrad: float = option("Errors of angles.", default=1.0, type=Decimal(0.0))
+    sizes: Path | None = file_option("YAML of other sizes, {NAME or PATTERN: SI}.")
+    base_factor: str | None = option("Parameter that the others are compared with. Default: base/x.", metavar="NAME")
+    bins: int | None = option("Intervals of the multi-point weights.", type=Whole(1, 1000))
+    stations: Path | None = file_option(
+        "plan.yaml of modcal plan, or a CSV of joint positions: do they observe the important parameters? "
+        "Default: the design's.",
+        "--measured",
+        metavar="STATIONS",
+    )
+    reading: str = option(default="point", type=click.Choice(["point", "pose"]))
+    noise_mm: float = option("Noise of positions, per axis.", default=0.05, type=Decimal(1e-6))
+    noise_mrad: float = option("Noise of orientations, per axis.", default=0.05, type=Decimal(1e-6))
+    seed: int = option(default=0, type=Whole(min=0))
+
+    def studied(self, closed: ClosedChain, rng: np.random.Generator) -> Studied:
+        """The study of this chain, as the core has it. Raises BadTable."""
+        chain = closed.chain
+        sizes = sizes_of(closed, 1e-3 * self.length_mm, 1e-3 * self.angle_mrad, _tolerances(self.sizes))
+        kind = self.design or ("l25" if chain.n <= 6 else "sobol")
+        q = design(chain, kind, rng, self.levels, self.postures or (512 if self.thorough else 64))
+        stations = read_stations(self.stations, chain) if self.stations else q
+        measured = Measured(stations, self.reading, 1e-3 * self.noise_mm, 1e-3 * self.noise_mrad)
+        factor = self.base_factor or next(f.name for f in closed.factors if f.is_length)
+        return Studied(kind, q, sizes, factor, measured, self.bins, 4 * ARMS if self.thorough else ARMS)
+
+
 @click.command("sensitivity")
 @click.argument("robot", type=EXISTING)
-@BASE
-@TIP
-@TOOL
-@click.option(
-    "--parameters", type=click.Choice(["dh", "calibration"]), default="dh",
-    help="The 4 n + 9 of the closed chain, or those that modcal calibrate fits.",
-)  # fmt: skip
-@click.option(
-    "--design", "kind", type=click.Choice(DESIGNS),
-    help="Design of postures for the indices. Default: l25, or sobol for more than six joints.",
-)  # fmt: skip
-@click.option("--levels", type=Whole(2, 31), default=5, help="Levels of --design array; a prime.")
-@click.option("--postures", type=Whole(4, 4096), help="Postures of --design sobol. Default: 64, with --thorough 512.")
-@click.option("--thorough", is_flag=True, help="Draw four times as many arms for the shares of the variance.")
-@click.option("--length-mm", type=Decimal(0.0), default=0.5, help="Errors of lengths.")
-@click.option("--angle-mrad", type=Decimal(0.0), default=1.0, help="Errors of angles.")
-@click.option("--sizes", type=EXISTING, help="YAML of other sizes, {NAME or PATTERN: SI}.")
-@click.option("--base-factor", metavar="NAME", help="Parameter that the others are compared with. Default: base/x.")
-@click.option("--bins", type=Whole(1, 1000), help="Intervals of the multi-point weights.")
-@click.option(
-    "--measured", "stations", type=EXISTING, metavar="STATIONS",
-    help="plan.yaml of modcal plan, or a CSV of joint positions: do they observe the important parameters? "
-    "Default: the design's.",
-)  # fmt: skip
-@click.option("--reading", type=click.Choice(["point", "pose"]), default="point")
-@click.option("--noise-mm", type=Decimal(1e-6), default=0.05, help="Noise of positions, per axis.")
-@click.option("--noise-mrad", type=Decimal(1e-6), default=0.05, help="Noise of orientations, per axis.")
-@click.option("--seed", type=Whole(min=0), default=0)
+@given(SensitivityOptions)
 @click.option("--out", type=WRITTEN, help="Folder of the results.")
 @speaking
-def sensitivity_command(robot: Path, out: Path | None, output: Output, **options: Any) -> None:
+def sensitivity_command(robot: Path, out: Path | None, output: Output, options: SensitivityOptions) -> None:
     """Report which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
-    thorough, tip = options["thorough"], options["tip"]
-    chain = read_robot(robot, options["base"], tip)
-    closed = _closed_chain(chain, options["parameters"], options["tool"], options["reading"])
-    scales = 1e-3 * options["length_mm"], 1e-3 * options["angle_mrad"]
-    sizes = sizes_of(closed, *scales, _tolerances(options["sizes"]))
-    rng = np.random.default_rng(options["seed"])
-    kind = options["kind"] or ("l25" if chain.n <= 6 else "sobol")
-    q = design(chain, kind, rng, options["levels"], options["postures"] or (512 if thorough else 64))
-    stations = read_stations(options["stations"], chain) if options["stations"] else q
-    measured = Measured(stations, options["reading"], 1e-3 * options["noise_mm"], 1e-3 * options["noise_mrad"])
-    factor = options["base_factor"] or next(f.name for f in closed.factors if f.is_length)
+    chain = read_robot(robot, options.base, options.tip)
+    closed = _closed_chain(chain, options.parameters, options.tool, options.reading)
+    rng = np.random.default_rng(options.seed)
+    studied = options.studied(closed, rng)
     out = out or Path(f"{robot.stem}_sensitivity")
     with output.working() as watch:
         watch("moving each parameter")
-        arms = 4 * ARMS if thorough else ARMS
-        result = study(closed, Studied(kind, q, sizes, factor, measured, options["bins"], arms), rng)
+        result = study(closed, studied, rng)
         watch("writing the report")
         data = sensitivity_data(result)
         files = {
@@ -116,7 +131,7 @@ def sensitivity_command(robot: Path, out: Path | None, output: Output, **options
             **pictures(result),
             "report.html": sensitivity_html(result, robot.stem),
         }
-    output.saved(data, partial(_show, result, file_line(robot, chain, tip)), out, files)
+    output.saved(data, partial(_show, result, file_line(robot, chain, options.tip)), out, files)
 
 
 def _show(result: Study, arm: str, console: Console) -> None:

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import click
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.console import Console
 from rich.table import Table
 
-from modcal_core.errors import plain
-from modcal_core.files import read_yaml, to_json, to_yaml, write_folder
+from modcal_core.files import read_yaml, to_json, to_yaml
 from modcal_core.modules import (
     Generation,
     Library,
     Synthesis,
-    SynthesisTask,
-    Watch,
     assembly_to_data,
     described,
     picture,
@@ -29,7 +24,7 @@ from modcal_core.modules import (
     to_data,
     to_markdown,
 )
-from modcal_nodes.cli.console import console, explain, table, written
+from modcal_nodes.cli.console import Output, explain, speaking, table
 from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Whole
 from modcal_nodes.io import read_library
 
@@ -52,24 +47,35 @@ _PICTURES = 5  # of the ranking; the best gets one at each target
 @click.option("--workers", type=Whole(min=1, max=256), help="Processes. Default: one per processor.")
 @click.option("--thorough", is_flag=True, help="Search longer for an assembly of lower cost.")
 @click.option("--out", type=WRITTEN, help="Folder of the results.")
+@speaking
 def synthesize_command(
-    task_file: Path, library_file: Path | None, seed: int, workers: int | None, thorough: bool, out: Path | None
+    task_file: Path,
+    library_file: Path | None,
+    seed: int,
+    workers: int | None,
+    thorough: bool,
+    out: Path | None,
+    output: Output,
 ) -> None:
     """Find the assembly of modules with the fewest joints that reaches the poses of TASK and meets its requirements."""
     task = task_from_data(read_yaml(task_file), str(task_file))
     if thorough:
         task = replace(task, settings=task.settings.longer())
     library = read_library(library_file)
-    page = console()
-    with _progress(task) as watch:
-        result = synthesize(task, library, seed, workers or len(os.sched_getaffinity(0)), watch)
-    out = out or Path(f"{task.name}_synthesis")
+    with output.working() as watch:
+
+        def heard(one: Generation) -> None:
+            watch(f"{one.joints} joints", (one.number + 1) / task.settings.generations)
+
+        result = synthesize(task, library, seed, workers or len(os.sched_getaffinity(0)), heard)
     files = synthesis_files(result, library, library_file)
-    write_folder(out, files)
-    page.print(sentence(result))
-    page.print(_table(result, library))
-    explain(_COLUMNS, page)
-    click.echo(plain(written(out, files, "Best", "best.yaml")))
+
+    def show(page: Console) -> None:
+        page.print(sentence(result))
+        page.print(_table(result, library))
+        explain(_COLUMNS, page)
+
+    output.saved(to_data(result, library), show, out or Path(f"{task.name}_synthesis"), files, "Best", "best.yaml")
 
 
 def synthesis_files(result: Synthesis, library: Library, library_file: Path | None = None) -> dict[str, str]:
@@ -92,28 +98,6 @@ def synthesis_files(result: Synthesis, library: Library, library_file: Path | No
         title = f"{candidate.assembly.name} at zero, cost {candidate.cost:.3g}"
         files[f"rank_{i + 1}.svg"] = picture(candidate.assembly, library, title=title)
     return files
-
-
-@contextmanager
-def _progress(task: SynthesisTask) -> Iterator[Watch | None]:
-    """Something to call after every generation; nothing is shown where nobody looks."""
-    error = console(stderr=True)
-    if not error.is_terminal:
-        yield None
-        return
-    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[said]}"), TimeElapsedColumn()
-    with Progress(*columns, console=error, transient=True) as progress:
-        bars: dict[int, object] = {}
-
-        def watch(generation: Generation) -> None:
-            n = generation.joints
-            if n not in bars:
-                bars[n] = progress.add_task(f"{n} joints", total=task.settings.generations, said="")
-            said = f"{generation.judged} judged, {generation.met} meet all"
-            said += f", cost {generation.cost:.3g}" if generation.met else f", nearest {generation.missing:.2g}"
-            progress.update(bars[n], completed=generation.number + 1, said=said)  # type: ignore[arg-type]
-
-        yield watch
 
 
 def _table(result: Synthesis, library: Library) -> Table:

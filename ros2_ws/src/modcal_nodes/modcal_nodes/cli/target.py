@@ -14,7 +14,7 @@ import click
 
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file, write_folder
-from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.console import Output, given, option, speaking, tell, written
 from modcal_nodes.cli.inputs import WRITTEN, Decimal, Whole
 
 _PAPERS = ("A4", "A3", "A2", "letter")
@@ -53,16 +53,21 @@ _LENGTHS = _Pattern(
 class TargetOptions:
     """What is asked of a target, by the names of the command's options: lengths [m], counts across and down."""
 
-    charuco: tuple[int, int] | None
-    chessboard: tuple[int, int] | None
-    aruco_grid: tuple[int, int] | None
-    tag: int | None
-    square: float | None
-    marker: float | None
-    dictionary: str | None
-    paper: str
-    measured: tuple[float, float] | None
-    measured_to_mm: float | None
+    charuco: tuple[int, int] | None = option("ChArUco board of so many squares, across and down.", type=_COUNTS)
+    chessboard: tuple[int, int] | None = option("Chessboard of so many squares.", type=_COUNTS)
+    aruco_grid: tuple[int, int] | None = option("Grid of so many markers.", type=_COUNTS)
+    tag: int | None = option("One marker with this number.", type=Whole(min=0), metavar="ID")
+    square: float | None = option("Side of a square, or of a marker of a grid or a tag.", type=_LENGTH)
+    marker: float | None = option("Side of the markers in a ChArUco board; gap in a grid.", type=_LENGTH)
+    dictionary: str | None = option("Markers, as OpenCV names them.  [default: DICT_5X5_100]", metavar="NAME")
+    paper: str = option("Paper to print on.", default="A4", type=click.Choice(_PAPERS))
+    measured: tuple[float, float] | None = option(
+        "Lengths [mm] of the horizontal and the vertical ruler on the printed sheet, as you measured them.",
+        type=_LENGTHS,
+    )
+    measured_to_mm: float | None = option(
+        "How well you measured them.  [default: 0.3, as with a ruler]", type=Decimal(min=0.001), metavar="MM"
+    )
 
     @property
     def chosen(self) -> list[tuple[str, tuple[int, int]]]:
@@ -73,38 +78,20 @@ class TargetOptions:
 
 
 @click.command("target")
-@click.option("--charuco", type=_COUNTS, help="ChArUco board of so many squares, across and down.")
-@click.option("--chessboard", type=_COUNTS, help="Chessboard of so many squares.")
-@click.option("--aruco-grid", type=_COUNTS, help="Grid of so many markers.")
-@click.option("--tag", type=Whole(min=0), metavar="ID", help="One marker with this number.")
-@click.option("--square", type=_LENGTH, help="Side of a square, or of a marker of a grid or a tag.")
-@click.option("--marker", type=_LENGTH, help="Side of the markers in a ChArUco board; gap in a grid.")
-@click.option("--dictionary", metavar="NAME", help="Markers, as OpenCV names them.  [default: DICT_5X5_100]")
-@click.option("--paper", type=click.Choice(_PAPERS), default="A4", help="Paper to print on.")
-@click.option(
-    "--measured", type=_LENGTHS,
-    help="Lengths [mm] of the horizontal and the vertical ruler on the printed sheet, as you measured them.",
-)  # fmt: skip
-@click.option(
-    "--measured-to-mm",
-    type=Decimal(min=0.001),
-    metavar="MM",
-    help="How well you measured them.  [default: 0.3, as with a ruler]",
-)
+@given(TargetOptions)
 @click.option("--out", type=WRITTEN, default=Path("target"), help="Folder of the results.")
 @speaking
-def target_command(out: Path, output: Output, **options: Any) -> None:
+def target_command(out: Path, output: Output, options: TargetOptions) -> None:
     """Write a target to print, as PDF, and its description for calibrate --target.
 
     Print it at 100 %, glue it to something flat, measure both rulers, and state them: modcal target --measured
     209.5x149.8 puts them into target.yaml.
     """
-    asked = TargetOptions(**options)
-    measured, square = asked.measured, asked.square
-    if not asked.chosen and measured is not None:
-        _measured(out, measured, asked.measured_to_mm, output)
+    measured, square = options.measured, options.square
+    if not options.chosen and measured is not None:
+        _measured(out, measured, options.measured_to_mm, output)
         return
-    if len(asked.chosen) != 1:
+    if len(options.chosen) != 1:
         raise click.UsageError(
             "Give one of --charuco, --chessboard, --aruco-grid and --tag.", click.get_current_context()
         )
@@ -114,21 +101,21 @@ def target_command(out: Path, output: Output, **options: Any) -> None:
     from modcal_core.camera import CHARUCO, CHESSBOARD, TAG, PrintedTarget, target_to_data
     from modcal_nodes.vision import draw_sheet
 
-    ((kind, (columns, rows)),) = asked.chosen
+    ((kind, (columns, rows)),) = options.chosen
     inner = {CHARUCO: _MARKER * square, CHESSBOARD: 0.0, TAG: 0.0}.get(kind, 0.25 * square)
-    if asked.marker is not None:
+    if options.marker is not None:
         if kind in (CHESSBOARD, TAG):
             raise click.UsageError(f"--marker does not work with --{kind}.", click.get_current_context())
-        inner = asked.marker
-    words = "" if kind == CHESSBOARD else asked.dictionary or "DICT_5X5_100"
-    made = PrintedTarget(kind, columns, rows, square, round(inner, 6), words, asked.tag or 0)
-    sheet = draw_sheet(made, asked.paper)
+        inner = options.marker
+    words = "" if kind == CHESSBOARD else options.dictionary or "DICT_5X5_100"
+    made = PrintedTarget(kind, columns, rows, square, round(inner, 6), words, options.tag or 0)
+    sheet = draw_sheet(made, options.paper)
     data = target_to_data(made, sheet.rulers_m)
     files: dict[str, str | bytes] = {"target.pdf": sheet.pdf, "target.yaml": to_yaml(data)}
     write_folder(out, files)
     x, y = (1e3 * length for length in sheet.rulers_m)
     said = [
-        f"{made.label}, to be printed at 100 % on {asked.paper}.",
+        f"{made.label}, to be printed at 100 % on {options.paper}.",
         f"Its rulers should measure {x:.0f} mm (horizontal) and {y:.0f} mm (vertical). What do they measure?",
         f"State what you read, for WIDTH and HEIGHT [mm]: modcal target --measured WIDTHxHEIGHT --out {out}",
     ]
@@ -140,7 +127,7 @@ def target_command(out: Path, output: Output, **options: Any) -> None:
     if measured is None:
         output.result(data, partial(tell, said), written(out, files, "Target", "target.pdf"))
     else:
-        _measured(out, measured, asked.measured_to_mm, output)
+        _measured(out, measured, options.measured_to_mm, output)
 
 
 def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, output: Output) -> None:

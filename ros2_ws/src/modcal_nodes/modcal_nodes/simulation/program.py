@@ -23,6 +23,7 @@ from modcal_core.robots import (
     Mechanism,
     Payload,
     bias_torque,
+    is_serial_arm,
     passable,
     read_drives,
     read_inertias,
@@ -132,22 +133,24 @@ def legs(chain: Mechanism, trajectory: JointTrajectory, start: Array | None = No
     that are none, times that do not rise, points outside the limits, and ways on which a Delta's platform fits no more.
     """
     names = tuple(trajectory.joint_names)
-    if sorted(names) != sorted(chain.names):
-        raise BadCommand(
-            f"joint_trajectory names {', '.join(names)}", f"this arm has {', '.join(chain.names)}", "name these"
-        )
-    order = [names.index(name) for name in chain.names]
+    own = chain.own if is_serial_arm(chain) else np.ones(chain.n, bool)
+    moved = [name for name, moves in zip(chain.names, own, strict=True) if moves]
+    if sorted(names) not in (sorted(chain.names), sorted(moved)):
+        raise BadCommand(f"joint_trajectory names {', '.join(names)}", f"this arm has {', '.join(moved)}", "name these")
+    order = [names.index(name) for name in moved]
     out: list[tuple[float, Array]] = []
     last = 0.0
     for k, point in enumerate(trajectory.points):
         after = seconds(point.time_from_start)
         q = np.array(point.positions, dtype=float)
         offender = f"joint_trajectory: point {k}"
-        if len(q) != len(order) or not np.isfinite(q).all():
-            raise BadCommand(offender, "has wrong positions", f"give {len(order)} finite numbers")
+        if len(q) != len(names) or not np.isfinite(q).all():
+            raise BadCommand(offender, "has wrong positions", f"give {len(names)} finite numbers")
         if after <= last:
             raise BadCommand(offender, "is not later than the one before", "make times increase from above zero")
-        q = q[order]
+        posture = np.zeros(chain.n)
+        posture[own] = q[order]
+        q = chain.followed(posture) if is_serial_arm(chain) else posture
         if (q < chain.lower).any() or (q > chain.upper).any():
             raise BadCommand(offender, "lies outside the joint limits", "stay within them")
         if start is not None and not passable(chain, start, q):

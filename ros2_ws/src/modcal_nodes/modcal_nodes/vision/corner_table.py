@@ -186,9 +186,10 @@ def read_corner_tables(
     out = {}
     for camera in dict.fromkeys(row.camera for row in rows):
         own = [row for row in rows if row.camera == camera]
-        size = (sizes or {}).get(camera_key(camera), (sizes or {}).get(""))
+        size: _Size | None = None
         for row in own:
             size = _same_size(source, row, size)
+        size = size or (sizes or {}).get(camera_key(camera), (sizes or {}).get(""))
         if size is None:
             whose, named = (f" of {camera}", f"{camera}=") if camera else ("", "")
             remedy = f"add columns width and height, or --camera-info {named}FILE"

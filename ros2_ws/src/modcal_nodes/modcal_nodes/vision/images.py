@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 
 from modcal_core.camera import (
-    DISTORTIONS,
     FISHEYE,
     NOTHING_KNOWN,
     PINHOLE,
+    STATED,
     BoardView,
     ImageMoments,
     Lens,
@@ -154,11 +154,11 @@ def lens_from_data(data: Any, source: str) -> Lens:
     usable = bool(np.isfinite(K).all() and np.isfinite(d).all() and K[0, 0] > 0.0 and K[1, 1] > 0.0)
     count, d = len(d), np.trim_zeros(d, "b")
     known = _MODELS.get(model)
-    if known is None or len(d) > DISTORTIONS[known] or not usable:
+    if known is None or len(d) > STATED[known] or not usable:
         said = f"has model {model[:40]} with {count} coefficients"
-        remedy = "give plumb_bob with up to five coefficients, equidistant with four, or leave it to the images"
+        remedy = "give plumb_bob or rational_polynomial with up to eight coefficients, or equidistant with four"
         if known == PINHOLE and usable:
-            remedy += "; images that were rectified have none"
+            remedy += "; leave it to the images where it has more, for thin prisms or tilt: rectified ones have none"
         raise BadTable(source, said, remedy)
     return Lens.of(K, d, size, known)
 

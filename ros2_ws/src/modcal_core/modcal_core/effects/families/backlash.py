@@ -28,6 +28,11 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
                 yield Effect(NAME, name, AXIS, driver, Shape("sign"))
 
 
+def of_tool(joint: str, direction: str) -> Effect:
+    """A loose tool, which rests on one side or the other by what a mass at the tip does to a joint."""
+    return Effect(NAME, "tool", direction, f"payload:{joint}", Shape("sign"))
+
+
 def sizes(effect: Effect, chain: Mechanism) -> Sizes:
     """The whole width; the amplitude is half of it, to either side."""
     size, std, unit = value(effect, 0, 2.0, unit_of(effect, chain))

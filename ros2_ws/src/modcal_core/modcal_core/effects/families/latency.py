@@ -1,4 +1,7 @@
-"""Readings that come late: all joints have moved on by their speed times one delay."""
+"""Readings that come late: all joints have moved on by their speed times a delay, which may grow with time.
+
+Two clocks drift apart by some hundred millionths where nothing disciplines them.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,8 @@ from collections.abc import Iterator
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import JOINTS, Effect
-from modcal_core.effects.family import Family, ReportEntry
-from modcal_core.effects.registry import in_motion
+from modcal_core.effects.family import PLAIN, USUAL, Family, ReportEntry
+from modcal_core.effects.registry import in_motion, span
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, value
 from modcal_core.robots import Mechanism
@@ -16,9 +19,13 @@ NAME = "latency"
 
 
 def candidates(drivers: Drivers) -> Iterator[Effect]:
-    """One, where readings were taken in motion."""
-    if in_motion(drivers):
-        yield late()
+    """A delay, and one that grows, where readings were taken in motion."""
+    within = span(drivers)
+    if not in_motion(drivers):
+        return
+    yield late()
+    if within is not None and drivers.samples.clock:
+        yield Effect(NAME, "tracker", JOINTS, "clock", Shape("ramp", {"since": 0.5 * sum(within)}))
 
 
 def late() -> Effect:
@@ -26,14 +33,24 @@ def late() -> Effect:
     return Effect(NAME, "tracker", JOINTS, "velocity", Shape("linear"))
 
 
+def complexity(effect: Effect) -> int:
+    """A constant delay is plainer than one that grows."""
+    return PLAIN if effect.driver == "velocity" else USUAL
+
+
 def sizes(effect: Effect, _: Mechanism) -> Sizes:
-    """The delay."""
+    """The delay, or how fast it grows."""
+    if effect.driver == "clock":
+        return {"drift": value(effect)}
     return {"delay": value(effect, 0, 1.0, "s")}
 
 
 def sentence(entry: ReportEntry) -> str:
-    """The delay in milliseconds."""
+    """The delay in milliseconds, or the drift in millionths."""
+    if "drift" in entry.sizes:
+        size = entry.sizes["drift"][0]
+        return f"the clock of the readings drifts against that of the joints by {1e6 * size:.0f} ppm"
     return f"readings are {1e3 * entry.sizes['delay'][0]:.2f} ms late"
 
 
-FAMILY = Family(NAME, candidates, sizes=sizes, sentence=sentence)
+FAMILY = Family(NAME, candidates, complexity=complexity, sizes=sizes, sentence=sentence)

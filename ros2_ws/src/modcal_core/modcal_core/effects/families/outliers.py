@@ -1,4 +1,4 @@
-"""Single readings that are plainly wrong. They are found before the scan and left out; no effect stands for them."""
+"""Stations that miss by far more than the others. They are left out before the scan; no effect stands for them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ NAME = "outliers"
 def sentence(entry: ReportEntry) -> str:
     """How many stations."""
     count = round(entry.sizes["stations"][0])
-    stations = "1 station is a gross outlier and was" if count == 1 else f"{count} stations are gross outliers and were"
-    return f"{stations} left out"
+    stations = "1 station misses" if count == 1 else f"{count} stations miss"
+    return f"{stations} by far more than the others and {'was' if count == 1 else 'were'} left out of the fit"
 
 
 FAMILY = Family(NAME, no_candidates, sentence=sentence)

@@ -31,6 +31,11 @@ def moved(place: str, direction: str, time: float) -> Effect:
     return Effect(NAME, place, direction, "time", Shape("until", {"at": time}))
 
 
+def seen_within(place: str, direction: str, time: float) -> Effect:
+    """A place that is elsewhere from a stamp of these samples on, which is no time of a calibration [s]."""
+    return Effect(NAME, place, direction, "stamp", Shape("step", {"at": time}))
+
+
 def same_as(effect: Effect, samples: Samples) -> tuple[str, ...]:
     """Joint errors that may explain a step, where the order of the stations correlates with joint positions."""
     return joints_instead(samples, effect.shape.settings["at"])

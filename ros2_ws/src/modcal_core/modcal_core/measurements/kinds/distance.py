@@ -16,6 +16,7 @@ from modcal_core.geometry import Array, se3
 from modcal_core.measurements.kinds.kind import ORIGIN, Constant, Kind, Scene, Sight, farthest, millimetres
 from modcal_core.measurements.recording import RANGE, ReadingTrack
 
+_MOST = 50  # steps of a trilateration; one that takes more runs away
 _CHANGE = 4.0  # times the reach, by which ranges may change: the arm's diameter, and a tool as long as the arm
 _MAX_OF = (1.0, 99.0)  # %; single readings are left out, not complained of
 
@@ -68,7 +69,11 @@ class DistanceKind(Kind):
         def miss(x: Array) -> Array:
             return np.asarray(np.linalg.norm(q - x[:3], axis=1) + x[3] - d)
 
-        x = least_squares(miss, np.r_[a, z], loss="soft_l1").x
+        def slopes(x: Array) -> Array:
+            away = x[:3] - q
+            return np.c_[away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9), np.ones(len(q))]
+
+        x = least_squares(miss, np.r_[a, z], slopes, loss="soft_l1", max_nfev=_MOST).x
         return se3.transform(p=-(x[:3] + centre)), x[3:]
 
     def implausible(self, values: Array, reach: float) -> np.ndarray:

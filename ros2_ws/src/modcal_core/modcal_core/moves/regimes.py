@@ -2,9 +2,8 @@
 
 They are looked for before anything is rejected and before effects are blamed, for a robust fit takes the stations of a
 regime for wrong readings. Stretches come from :mod:`setups`, with the arm as nominal and then as fitted. What moved
-between two of them, and whether anything did, is decided with the whole geometry fitted beside it, on stations that the
-fit has not seen: a regime must do better there than one base and one tool, and than a base or a tool that drifts or
-settles.
+between two of them, and whether anything did, is decided by the evidence of a fit of the whole geometry beside it: a
+regime must be more probable than one base and one tool, and than a base or a tool that drifts or settles.
 
 A regime's base or tool is a *step* in the model: six values of any size, 0 after the move and its inverse before, so
 that the model's base and tool are those that hold in the end.
@@ -12,20 +11,19 @@ that the model's base and tool are those that hold in the end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from functools import partial
 
 import numpy as np
 
 from modcal_core.calibration import (
+    FINEST,
     Cell,
     Fit,
     Model,
     ModelParameter,
     Move,
-    NoiseModel,
     What,
     choose_parameters,
     errors,
@@ -33,7 +31,6 @@ from modcal_core.calibration import (
     fit_geometry,
     free_cell,
     identify_moved,
-    in_order_of_time,
     independent_unit,
     outlying,
     runs_of,
@@ -46,20 +43,18 @@ from modcal_core.errors import ModcalError
 from modcal_core.geometry import error_values, se3
 from modcal_core.measurements import Samples, explained_by_posture, spread_rows
 from modcal_core.measurements.kinds import is_direct
-from modcal_core.regimes.setups import Setup, SetupReadings, Stretches, stretches
+from modcal_core.moves.setups import Setup, SetupReadings, Stretches, stretches
 from modcal_core.robots import Inertias, Mechanism
 
 _MAX = 3000  # samples; a longer recording is thinned evenly
 _ROUNDS = 3  # of stretches and a fit of the arm
 _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
 _MIN = 4  # stations in a stretch, from which there are two for each half
-_CAP = 100.0  # squared standard scores; no sample may rule alone
-_SURE, _ENOUGH = 4.0, 2.0  # standard errors by which a move must do better on what it was not fitted to
 _ROOM = 0.5  # of what an effect is expected to be; half of a move is what a fit without it has in its spread
-_BEYOND_DOUBT = 50.0  # gain in log-likelihood from which the lesser number is enough
-_BETTER = 0.9  # share of the error of anything that is smooth in time that may be left
+_STRAY = 0.05  # share of the readings that may be anywhere
+_PRICE = 30.0  # nats for anything beside one base and one tool, as over nothing where readings do not agree with an arm
+_HALF_LOG = 1.5 * float(np.log(2.0 * np.pi))
 _SETTLING = 0.12  # time constant to begin from, as a share of the recording
-_ROUGHLY = 1.0  # standard deviations to which rivals are fitted
 _WAVES = 4  # a turn, of a joint that errs with its position
 _ALTERNATING = 8  # rounds of base and tool, each in closed form
 
@@ -145,7 +140,7 @@ class _RegimeSearch:
     parameters: Sequence[ModelParameter]
     cell: Cell
     places: set[str]
-    _fits: dict[tuple[Move, ...], Fit] = field(default_factory=dict)
+    _known: dict[tuple[Move, ...], float] = field(default_factory=dict)
 
     def cuts(self, arms: Sequence[Model]) -> tuple[float, ...]:
         """Times [s] between stretches with a base or tool of their own, as these arms show them, fitted in between."""
@@ -158,7 +153,7 @@ class _RegimeSearch:
         for _ in range(_ROUNDS):
             if not found:
                 return ()
-            fit = self.fit_of([Move(at, "both") for at in found])
+            fit = self.fit(self.start([Move(at, "both") for at in found]), self.samples)
             sights = SetupReadings.of(fit.model, self.samples)
             again = self._times(stretches(sights), sights)
             if again == found or not again:
@@ -216,128 +211,58 @@ class _RegimeSearch:
         """The fit of arm and moves, or of others' effects, to these samples."""
         return identify_moved(start, samples, self.parameters, self.cell.distances, tolerance)
 
-    def fit_of(self, moves: Sequence[Move]) -> Fit:
-        """The fit of arm and moves to all samples, made once."""
-        key = tuple(moves)
-        if key not in self._fits:
-            self._fits[key] = self.fit(self.start(moves), self.samples)
-        return self._fits[key]
-
     def decided(self, moves: list[Move], stated: tuple[Move, ...]) -> list[Move]:
-        """The moves that do better on unseen stations than none, each of what it must be of."""
-        moves = [m for m in moves if not any(self._same(m.at, t.at) for t in stated)]
-        both = tuple(self.places) == ("base", "tool") or len(self.places) == 2
-        if not both:
-            only = _place(next(iter(self.places)))
-            moves = [replace(m, what=only) for m in moves]
-        if not (moves or stated):
-            return []
-        score = _Score(self, sorted([*moves, *stated], key=lambda m: m.at))
-        if moves and (score.needless(moves) or score.has_rival(moves)):
-            if not stated:
-                return []
-            score = _Score(self, list(stated))
-        for move in score.own(stated) if both else ():
-            score.simplify(move)
-        for move in score.own(stated):
-            if score.needless([move]):
-                score.leave_out([move])
-        own = score.own(stated)
-        if own and score.has_rival(own):
-            score.leave_out(own)
-        return list(score.moves)
+        """The most probable moves, each of what it must be of; no others than those stated, where something smooth in
+        time or a joint that errs with its position explains the readings as well.
+        """
+        ways: tuple[What, ...] = ("tool", "base", "both")
+        if len(self.places) == 1:
+            ways = (_place(next(iter(self.places))),)
+        found = [replace(m, what=ways[-1]) for m in moves if not any(self._same(m.at, t.at) for t in stated)]
+        now = sorted([*found, *stated], key=lambda m: m.at)
+        for move in found:
+            others = [m for m in now if m is not move]
+            with_it = [sorted([*others, replace(move, what=what)], key=lambda m: m.at) for what in ways]
+            now = max([*with_it, others], key=self.nats)
+        own = [m for m in now if m not in stated]
+        if own and max(map(self._nats, self._rivals(own)), default=-np.inf) >= self.nats(now):
+            return [m for m in now if m in stated]
+        return now
+
+    def nats(self, moves: Sequence[Move]) -> float:
+        """Log evidence of the readings with these moves, and their price."""
+        key = tuple(moves)
+        if key not in self._known:
+            self._known[key] = self._nats(self.start(moves))
+        return self._known[key]
+
+    def _nats(self, start: Model) -> float:
+        """Log likelihood of the readings by the arm and effects fitted to them, less what these cost; a station counts
+        once, and a reading may be anywhere within reach.
+        """
+        samples, unit = self.samples, independent_unit(self.samples)
+        try:
+            fit = self.fit(start, samples)
+        except (ModcalError, np.linalg.LinAlgError, ValueError):
+            return -np.inf
+        off, scale = errors(fit.model, samples), fit.noise
+        spread = np.log(max(scale.position, FINEST)) + samples.is_pose * np.log(max(scale.rotation, FINEST))
+        near = -3.0 * spread - 0.5 * squared_residuals(off, samples, scale, FINEST) - _HALF_LOG * (1 + samples.is_pose)
+        room = 3.0 * np.log(4.0 * self.arm.chain.reach()) + samples.is_pose * np.log(8.0 * np.pi**2)
+        each = np.logaddexp(np.log1p(-_STRAY) + near, np.log(_STRAY) - room)
+        total = float(np.sum(np.bincount(unit, each) / np.bincount(unit)))
+        values = sum(len(effect.values) for effect in fit.model.effects)
+        return total - _PRICE * len(fit.model.effects) - 0.5 * values * float(np.log(unit.max() + 1.0))
+
+    def _rivals(self, moves: Sequence[Move]) -> Iterator[Model]:
+        joints = {joint for move in moves for joint in explained_by_posture(self.samples, move.at)}
+        for effects in (*_smooth(self.samples, self.places), *_by_posture(sorted(joints))):
+            yield self.arm.with_effects(tuple(e.started(np.zeros(_amplitudes(e))) for e in effects))
 
     def _same(self, a: float, b: float) -> bool:
         """Whether no station lies between two times."""
         stamps = self.samples.stamps
         return not ((stamps > min(a, b)) & (stamps < max(a, b))).any()
-
-
-@dataclass
-class _Score:
-    """Moves, and how well they predict: squared standard scores of every sample by a fit to the other half."""
-
-    search: _RegimeSearch
-    moves: list[Move]
-
-    def __post_init__(self) -> None:
-        self.noise: NoiseModel = self.search.fit_of(self.moves).noise
-        self.unit = independent_unit(self.search.samples)
-        samples = self.search.samples
-        self.half = in_order_of_time(self.unit, samples.stamps) % 2
-        self._known: dict[str, float] = {}
-        self.now = self.of(self.moves)
-
-    def of(self, moves: Sequence[Move]) -> np.ndarray | None:
-        """Capped squared scores out of fold (N,), or None where the halves are too few for a fit."""
-        out = np.empty(len(self.half))
-        for h in (0, 1):
-            one = self._of_half(h, lambda part: self.search.start(moves, part))
-            if one is None:
-                return None
-            out[self.half == h] = one
-        return out
-
-    def _of_half(self, h: int, start: Callable[[Samples], Model], tolerance: float = _TOLERANCE) -> np.ndarray | None:
-        """Capped squared scores of one half of the stations, every other one, by a fit to the rest."""
-        part, rest = (self.search.samples.select(np.flatnonzero(rows)) for rows in (self.half != h, self.half == h))
-        try:
-            model = self.search.fit(start(part), part, tolerance).model
-        except (ModcalError, np.linalg.LinAlgError, ValueError):
-            return None
-        return np.minimum(squared_residuals(errors(model, rest), rest, self.noise), _CAP)
-
-    def simplify(self, move: Move) -> None:
-        """Let only the tool, or only the base, have moved where that does as well."""
-        best: tuple[float, Move, np.ndarray] | None = None
-        for what in ("tool", "base"):
-            simple = replace(move, what=_place(what))
-            other = self.of([simple if m == move else m for m in self.moves])
-            if other is not None and (best is None or other.sum() < best[0]):
-                best = float(other.sum()), simple, other
-        if best is None or (self.now is not None and _surely_less(self.now, best[2], self.unit)):
-            return
-        self.moves = [best[1] if m == move else m for m in self.moves]
-        self.now = best[2]
-
-    def own(self, stated: Sequence[Move]) -> list[Move]:
-        """The moves that were found and not stated."""
-        return [move for move in self.moves if move not in stated]
-
-    def needless(self, moves: Sequence[Move]) -> bool:
-        """Whether it does as well without these moves."""
-        other = self.of([m for m in self.moves if m not in moves])
-        return self.now is None or (other is not None and not _surely_less(self.now, other, self.unit))
-
-    def leave_out(self, moves: Sequence[Move]) -> None:
-        """Take these moves for none."""
-        if moves:
-            self.moves = [m for m in self.moves if m not in moves]
-            self.now = self.of(self.moves)
-
-    def has_rival(self, moves: Sequence[Move]) -> bool:
-        """Whether something that is smooth in time does as well as all of the moves, or, where these go with a posture,
-        a joint that errs with its position.
-        """
-        if self.now is None:
-            return True
-        now = float(self.now[self.half == 0].sum())
-        return any(now > _BETTER * total for total in self._rivals(tuple(m.at for m in moves)))
-
-    def _rivals(self, at: tuple[float, ...]) -> Iterator[float]:
-        samples, arm = self.search.samples, self.search.arm
-        joints = {joint for t in at for joint in explained_by_posture(samples, t)}
-        for effects in (*_smooth(samples, self.search.places), *_by_posture(sorted(joints))):
-            key = str([(e.place, e.direction, e.shape) for e in effects])
-            if key not in self._known:
-                model = arm.with_effects(tuple(e.started(np.zeros(_amplitudes(e))) for e in effects))
-                score = self._of_half(0, partial(_itself, model), _ROUGHLY)
-                self._known[key] = np.inf if score is None else float(score.sum())
-            yield self._known[key]
-
-
-def _itself(model: Model, _: Samples) -> Model:
-    return model
 
 
 def _smooth(samples: Samples, places: set[str]) -> Iterator[tuple[Effect, ...]]:
@@ -358,12 +283,3 @@ def _by_posture(joints: Sequence[str]) -> Iterator[tuple[Effect, ...]]:
 
 def _amplitudes(effect: Effect) -> int:
     return {ALL: 6, SHIFT: 3, ACROSS: 2, AXIS: 1}[effect.direction] * effect.shape.size
-
-
-def _surely_less(a: np.ndarray, b: np.ndarray, unit: np.ndarray) -> bool:
-    """Whether squared scores a (N,) are less than b by more than chance. unit: of each, what shares its noise."""
-    gain = np.bincount(unit, b - a)
-    total, error = float(gain.sum()), float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
-    # few stations that gain much cannot have a high ratio, and need none
-    least = _SURE if total < 2.0 * _BEYOND_DOUBT else _ENOUGH
-    return total > max(least * error, 1e-12)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modcal_core.checking.evidence import ChangeCandidate, ChangeJudge, e_value
-from modcal_core.checking.hypotheses import BASE, NOISE, CellChange
-from modcal_core.checking.noise import NullModel, RowKinds, witnesses
 from modcal_core.measurements.samples import Samples
+from modcal_core.moves.evidence import ChangeCandidate, ChangeJudge, e_value
+from modcal_core.moves.noise import NullModel, RowKinds, witnesses
+from modcal_core.moves.rows import BASE, NOISE, CellChange
 
 
 def null(residual: np.ndarray, factors: tuple[float, ...] = (1.0,)) -> NullModel:

@@ -15,6 +15,7 @@ well (Jensen's inequality), and of neighbours more is asked.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,14 +23,13 @@ from functools import lru_cache
 import numpy as np
 import scipy
 
-from modcal_core.checking.hypotheses import KINDS, NOISE, READING, CellChange
-from modcal_core.checking.noise import NullModel
 from modcal_core.geometry import Array
+from modcal_core.moves.noise import NullModel
+from modcal_core.moves.rows import CHANCES, NOISE, CellChange
 
 SIZES = 2.0 ** np.arange(-1.0, 11.0)  # standard deviations of the noise, RMS over the readings
 _RANK = 1e-10  # of the largest square; directions below it are not seen at these postures
 _NOISIER = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0)  # factors of a spread that grew
-_RARE = 0.25  # prior of a single wrong reading against another change: these are looked for, not expected
 
 
 @dataclass(frozen=True)
@@ -160,12 +160,9 @@ def log_priors(hypotheses: Sequence[CellChange]) -> Array:
 
 @lru_cache(maxsize=64)
 def _log_priors(keys: tuple[tuple[str, str], ...]) -> Array:
-    kinds = [kind for kind in KINDS if any(k == kind for k, _ in keys)]
-    weight = {kind: _RARE if kind == READING else 1.0 for kind in kinds}
-    total = sum(weight.values())
-    places = {kind: sorted({p for k, p in keys if k == kind}) for kind in kinds}
-    variants = {key: keys.count(key) for key in set(keys)}
-    return np.array([np.log(weight[k] / total / len(places[k]) / variants[k, p]) for k, p in keys])
+    places = {kind: len({p for k, p in keys if k == kind}) for kind, _ in keys}
+    total, variants = sum(CHANCES[kind] for kind in places), Counter(keys)
+    return np.array([np.log(CHANCES[k] / total / places[k] / variants[k, p]) for k, p in keys])
 
 
 def e_value(judged: Sequence[JudgedChange], log_prior: Array, weight: float = 1.0) -> float:

@@ -16,8 +16,8 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.regimes.find import Move, find_regimes, is_possible, moves_of
-from modcal_core.regimes.setups import SetupReadings
+from modcal_core.moves.regimes import Move, find_regimes, is_possible, moves_of
+from modcal_core.moves.setups import SetupReadings
 from tests.cells import NOISE_M, NOISE_RAD, record, samples_of, ur10
 
 COUNT = 160
@@ -192,8 +192,9 @@ def test_no_move_is_looked_for_where_it_is_fixed() -> None:
     assert [m.what for m in moves_of(model)] == ["base"]
 
 
-def test_a_move_that_is_told_is_there_however_small() -> None:
-    samples = recorded([(80, (2e-4, 0, 0, 0, 0, 0), NOT)])
+@pytest.mark.parametrize("size", [2e-4, 5e-6])
+def test_a_move_that_is_told_is_there_however_small(size: float) -> None:
+    samples = recorded([(80, (size, 0, 0, 0, 0, 0), NOT)])
     at = float(0.5 * (samples.stamps[79] + samples.stamps[80]))
     model = find_regimes(samples, ur10(), Cell(), stated=(Move(at, "tool"),))
     assert model is not None

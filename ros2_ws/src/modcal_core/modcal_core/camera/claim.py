@@ -1,0 +1,267 @@
+"""The claim of a camera calibration: how far the arm's model is off at the tool, RMS over postures, in millimetres.
+
+What counts is where the model has the flange in the frame of the other half: the target's where the camera is carried,
+the camera's where the target is. True arms near the calibrated one are drawn as for every instrument
+(:mod:`modcal_core.claim`): the equations of the images say what they show, all errors of all links how arms are off,
+those that the fit leaves out as well. The same draws say how far the nominal arm is off, camera and target placed by
+the same images, so that the two can be compared draw by draw. What joints do not repeat is part of both.
+
+A statement in doubt has draws of its own, and the interval holds whether it is right or wrong. In the chance of an arm
+made worse it always counts, by its likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from modcal_core.camera.corners import COMMON, POSE, READOUT
+from modcal_core.camera.equations import Equations, Sizes
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.lens import COUNT as LENS
+from modcal_core.camera.statements import IN_DOUBT, SIZE, DoubtedStatement
+from modcal_core.claim import ANGLE, FREE, LENGTH, ArmEvidence, draw
+from modcal_core.geometry import Array, se3, so3
+
+_ENDS = (0.5, 0.005, 0.955)  # median, and ends of a 95 % interval: about the shortest where errors have a long tail
+_DRAWS = 2000  # for these ends to within a few per cent of themselves
+_OPEN = 1e6  # deviations; a value of which nothing is expected needs no wider prior
+_RESTS = 3.0  # times better is the stated size known than the images show it: they say nothing against it
+AS_STATED = "as stated"
+ALL_BUT_IMAGES = "lens, sheet and clock"
+
+
+@dataclass(frozen=True)
+class DrawnErrors:
+    """RMS errors at the tool over postures [m] in D draws, (D,) each: of the calibrated arm, of its model without what
+    joints do not repeat, and of the nominal arm. chance: of what was drawn from.
+    """
+
+    calibrated: Array
+    model: Array
+    nominal: Array
+    chance: float = 1.0
+
+
+@dataclass(frozen=True)
+class ToolError:
+    """by: errors if all is as stated, and if one statement is wrong, by its name. in_doubt: statements of which the
+    intervals hold either way.
+    """
+
+    by: Mapping[str, DrawnErrors]
+    in_doubt: tuple[str, ...] = ()
+
+    @property
+    def interval(self) -> tuple[float, float, float]:
+        """(median, lower, upper end of the 95 % interval) of the calibrated arm's [m].
+
+        What each image has of its own is joints that do not repeat, no error of the model, or what no parameter
+        describes, which is one: the interval holds either way.
+        """
+        middle, low, high = self._holding("calibrated")
+        return middle, min(low, self._holding("model")[1]), high
+
+    @property
+    def nominal_interval(self) -> tuple[float, float, float]:
+        """The same of the nominal arm."""
+        return self._holding("nominal")
+
+    def _holding(self, arm: str) -> tuple[float, float, float]:
+        """The interval whether the statements in doubt are right or wrong."""
+        every = [self.by[what] for what in (AS_STATED, *self.in_doubt)]
+        middle, low, high = np.transpose([np.quantile(getattr(one, arm), _ENDS) for one in every])
+        likeliest = int(np.argmax([one.chance for one in every]))
+        return float(middle[likeliest]), float(low.min()), float(high.max())
+
+    @property
+    def chance_worse(self) -> float:
+        """Chance that the calibrated arm is no better than the nominal one, every statement wrong by its chance."""
+        return float(sum(one.chance * np.mean(one.calibrated >= one.nominal) for one in self.by.values()))
+
+    def if_wrong(self, what: str) -> float:
+        """Upper end of the 95 % interval of the calibrated arm [m] if this statement is wrong."""
+        return float(np.quantile(self.by[what].calibrated, _ENDS[2]))
+
+    def either_way(self, what: str) -> ToolError:
+        """The same with intervals that hold also if this statement is wrong."""
+        return self if what in self.in_doubt else replace(self, in_doubt=(*self.in_doubt, what))
+
+    @property
+    def as_stated(self) -> ToolError:
+        """The same if all that was stated is right."""
+        return ToolError({AS_STATED: replace(self.by[AS_STATED], chance=1.0)})
+
+
+@dataclass(frozen=True)
+class ArmDraws:
+    """values: what the P parameters of the arm are off by in D draws (D, P), by what they are drawn from, its chance
+    beside it. in_doubt: as of a ToolError.
+    """
+
+    values: Mapping[str, tuple[Array, float]]
+    in_doubt: tuple[str, ...] = ()
+
+
+def arm_draws(fit: CameraFit, rng: np.random.Generator, doubted: Sequence[DoubtedStatement] = ()) -> ArmDraws:
+    """Draws of the true arm by a fit, and by each of the statements being wrong."""
+    out = {AS_STATED: (_drawn(fit, fit.equations, fit.sizes, rng), 1.0 - sum(d.counted for d in doubted))}
+    out |= {d.what: (_drawn(fit, d.equations, d.sizes, rng), d.counted) for d in doubted}
+    return ArmDraws(out, tuple(d.what for d in doubted if d.chance > IN_DOUBT))
+
+
+def _drawn(fit: CameraFit, equations: Equations, sizes: Sizes, rng: np.random.Generator) -> Array:
+    """Draws (D, P) by these equations of the fit, with errors of these sizes.
+
+    Faults of the arm are drawn for all of its links and brought to the parameters that the fit has; where nobody states
+    their size, it is drawn about that of the fit.
+    """
+    solved, faults = equations.solve(sizes), fit.poses.faults
+    of_arm = np.isin(solved.use, equations.arm)
+    order = np.r_[np.flatnonzero(of_arm), np.flatnonzero(~of_arm)]
+    data, known = (part[np.ix_(order, order)] for part in (solved.H - solved.P, solved.P))
+    pull = (equations.prior(sizes) @ equations.offset)[solved.use][order]
+    moves = np.zeros((0, 0)) if faults is None else faults.moves
+    A, E = len(moves), moves.shape[1]
+    to_fit = block_diag(moves, np.eye(len(order) - A))
+    H = to_fit.T @ data @ to_fit
+    stated = block_diag(np.zeros((E, E)), known[A:, A:]), np.r_[np.zeros(E), -pull[A:]]
+    std = _OPEN / np.sqrt(np.diag(H + stated[0]))
+    sort, group, shipped = np.full(len(std), FREE), np.zeros(len(std), int), np.zeros(len(std))
+    if faults is not None:
+        std[:E] = sizes.arm * np.where(faults.turns, 1.0, sizes.lengths)
+        shipped[:E] = std[:E] * np.linalg.lstsq(moves * std[:E], equations.offset[equations.arm], rcond=None)[0]
+        group[:E] = faults.place
+        if faults.stated is None:
+            sort[:E] = np.where(faults.turns, ANGLE, LENGTH)
+    rows = float(sum(POSE * len(one.stop) for one in equations.cameras))
+    shown = float(np.trace(np.linalg.solve(solved.H, solved.H - solved.P)))
+    about = ArmEvidence(
+        shipped=shipped,
+        H=H[None],
+        g=(to_fit.T @ (solved.b[order] + pull))[None],
+        square=np.array([max(rows - shown, 1.0)]),
+        rows=np.array([rows]),
+        stated=stated,
+        usual=np.ones(1),
+        std=std,
+        sort=sort,
+        group=group,
+        main=0,
+        pull=np.zeros(len(std)),
+    )
+    out = np.zeros((_DRAWS, len(equations.offset)))
+    out[:, solved.use[order]] = draw(about, _DRAWS, rng).values[:_DRAWS] @ to_fit.T
+    return out[:, : fit.poses.count]
+
+
+def tool_error(fit: CameraFit, nominal: CameraFit, q: Array, draws: ArmDraws, arm_alone: bool = False) -> ToolError:
+    """The errors over postures q (M, n).
+
+    nominal: of the same images, the arm held nominal. draws: of the fit. arm_alone: what is left once the frame of the
+    other half is put where it suits best, which is the lens's matter and no arm's.
+    """
+    at = fit.poses.at_postures(q)
+    T, motions = at.tool_motions(fit.state.values)
+    placed = se3.apply(T, fit.flange)
+    # the mean square over postures is a form of second order in the parameters, however many postures there are
+    apart = (se3.apply(nominal.poses.at_postures(q).tool_at(nominal.state.values), fit.flange) - placed).reshape(-1)
+    rows = fit.at_flange(T, motions).reshape(len(apart), -1)
+    if arm_alone:
+        basis = frame_basis(placed)
+        rows, apart = rows - basis @ (basis.T @ rows), apart - basis @ (basis.T @ apart)
+    gram, cross, square = rows.T @ rows, rows.T @ apart, float(apart @ apart)
+    throw = fit.at_flange(T, at.joint_motions(fit.state.values, T))
+    scatter = fit.sizes.joint**2 * float((throw**2).sum() / len(q)) + 3.0 * fit.sizes.shift**2
+
+    def errors(values: Array, chance: float) -> DrawnErrors:
+        own = np.maximum(((values @ gram) * values).sum(axis=1), 0.0)
+        other = np.maximum(own - 2.0 * values @ cross + square, 0.0)
+        calibrated, nominal = (np.sqrt(x / len(q) + scatter) for x in (own, other))
+        return DrawnErrors(calibrated, np.sqrt(own / len(q)), nominal, chance)
+
+    return ToolError({what: errors(*drawn) for what, drawn in draws.values.items()}, draws.in_doubt)
+
+
+def frame_basis(at_frame: Array) -> Array:
+    """Orthonormal columns (3 M, 6): how points (M, 3) move with a rigid motion of their frame."""
+    M = len(at_frame)
+    placed = np.concatenate([np.broadcast_to(np.eye(3), (M, 3, 3)), -so3.hat(at_frame)], axis=2)
+    return np.asarray(np.linalg.qr(placed.reshape(3 * M, -1))[0])
+
+
+@dataclass(frozen=True)
+class RestsOn:
+    """What the sheet's stated size is worth. images_std: to what the images by themselves show it, relative.
+    per_unit_m: RMS by which the tool is off per unit that it is wrong. if_wrong_m: upper end of the 95 % interval of
+    the calibrated arm's error, were it wrong by what the images allow.
+    """
+
+    images_std: float
+    per_unit_m: float
+    if_wrong_m: float
+
+    def sentence(self, nominal_m: float, body: bool = False) -> str:
+        """The findings as sentences. nominal_m: error of the nominal arm. body: whether the target is a body."""
+        what, again = ("body", "across it") if body else ("sheet", "a square")
+        return (
+            f"All of this rests on the {what}'s stated size, which these images by themselves show to "
+            f"{100.0 * self.images_std:.1f} % only: each per cent that it is off puts the tool "
+            f"{10.0 * self.per_unit_m:.1f} mm off. Were it wrong, the calibrated arm could be up to "
+            f"{1e3 * self.if_wrong_m:.1f} mm off (95 %), the nominal arm is {1e3 * nominal_m:.1f} mm: measure {again} "
+            "once more."
+        )
+
+
+def rests_on(fit: CameraFit, doubted: Sequence[DoubtedStatement], q: Array, error: ToolError) -> RestsOn | None:
+    """The sheet's stated size, where the images by themselves hardly show it, and what it is worth at the tool over
+    postures q (M, n); None where they show it as well. error: over these postures.
+    """
+    doubt = next(d for d in doubted if d.what == SIZE)
+    P = fit.poses.count
+    x = P + 1 + LENS
+    C = doubt.equations.solve(doubt.sizes).covariance()
+    both = np.array([0.5, 0.5])
+    free = float(np.sqrt(both @ C[x : x + 2, x : x + 2] @ both))
+    held = float(np.sqrt(both @ fit.covariance[x : x + 2, x : x + 2] @ both))
+    if free < _RESTS * held:
+        return None
+    per_unit = C[:P, x : x + 2] @ both / free**2
+    moved = fit.flange_motions(q) @ per_unit
+    return RestsOn(free, float(np.sqrt((moved**2).sum() / len(q))), error.if_wrong(SIZE))
+
+
+def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
+    """For lens, print scale, flatness, clock and places of markers, and for all of these at once: (mean square error at
+    the tool that is known [m²], the same if that thing were known exactly), over postures q (M, n).
+    """
+    J = fit.flange_motions(q)
+    P = J.shape[2]
+    C = fit.covariance
+    lens = np.arange(P + 1, P + 1 + LENS)
+    places = np.arange(P + 1 + COMMON, len(C))
+    groups = {
+        "lens": lens,
+        "print scale": lens[-1] + 1 + np.arange(2),
+        "flatness": lens[-1] + 3 + np.arange(3),
+        "clock": np.array([P]),
+        "readout": np.array([P + 1 + READOUT]),
+        "places of markers": places,
+        ALL_BUT_IMAGES: np.r_[lens, lens[-1] + 1 + np.arange(5), P, P + 1 + READOUT, places],
+    }
+    whole = mean_square(J, C[:P, :P])
+    out = {}
+    for name, rows in groups.items():
+        rows = rows[np.diag(C)[rows] > 0.0]
+        if len(rows):
+            known = C[:P, :P] - C[:P][:, rows] @ np.linalg.pinv(C[np.ix_(rows, rows)], hermitian=True) @ C[rows][:, :P]
+            out[name] = (whole, max(mean_square(J, known), 0.0))
+    return out
+
+
+def mean_square(J: Array, C: Array) -> float:
+    """Mean square of motions J (M, 3, P) of parameters with covariance C (P, P)."""
+    return float(np.einsum("mip,pq,miq->", J, C, J) / len(J))

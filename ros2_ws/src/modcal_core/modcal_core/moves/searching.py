@@ -1,0 +1,436 @@
+"""Which change it was: the most probable row is taken up, what is left is asked again, and no row stands needlessly.
+
+A second change may show that the first was mistaken for it, so each is chosen again beside the others. Scatter looks
+like any cause that was not found, so where it was taken up the search is made once more without it. Who sets a cell up
+again moves the instrument and the target at once: where nothing explains the readings, the search begins with both.
+
+What explains the readings as well is named with what is named, and what people put back by hand is taken first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from modcal_core.calibration import Model
+from modcal_core.effects import AS_LIKELY, put_back_first
+from modcal_core.effects.families import gear_harmonic
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
+from modcal_core.moves.evidence import (
+    SIZES,
+    ChangeCandidate,
+    ChangeJudge,
+    JudgedChange,
+    e_value,
+    is_noise,
+    log_priors,
+    probabilities,
+)
+from modcal_core.moves.noise import FrozenKnowledge, NullModel, parameter_rows
+from modcal_core.moves.rows import BASE, CHANCES, GEAR, NOISE, READING, TOOL, CellChange, curve_root, hypotheses
+from modcal_core.moves.state import CheckState, TakenUp, along_one
+
+FALSE_ALARM = 0.01  # chance that something is named while nothing has changed, over all changes together
+_ASKED_FOR = -float(np.log(FALSE_ALARM))
+_MOST = 2  # changes beside what was moved when the cell was set up again
+_ROUNDS = 2  # in which each change is chosen again beside the others
+_SET_UP = (BASE, TOOL)  # what is moved when a cell is set up again
+_AS_PROBABLE = 3.0  # in log-probability (20 to 1), within which two changes are not told apart
+_SURE = 0.99  # probability that a wave has these cycles, within a cell or two of the scan
+_NEAR = 1.6  # cells of the scan to either side that are one peak
+_FINER = np.linspace(-1.0, 1.0, 81)  # of a cell, to which the cycles of a peak are found
+
+
+@dataclass(frozen=True)
+class FittedChange:
+    """A change as it is named. judged: what speaks for it. sizes: [m, rad, 1], with their covariance. same_as: others
+    that explain the same. probability: that it is this one of all.
+    """
+
+    judged: JudgedChange
+    probability: float
+    same_as: tuple[JudgedChange, ...] = ()
+    sizes: Array = field(default_factory=lambda: np.empty(0))
+    covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    @property
+    def hypothesis(self) -> CellChange:
+        """What changed."""
+        return self.judged.candidate.hypothesis
+
+
+@dataclass(frozen=True)
+class SizeCovariance:
+    """What is known of the sizes of all changes together. covariance: (k, k). cross: with what the calibration does not
+    know of itself, (K, k): the error of a size makes up for a part of that.
+    """
+
+    covariance: Array
+    cross: Array
+
+
+@dataclass(frozen=True)
+class FoundChanges:
+    """What a search found.
+
+    changes: as named. given: those that were not asked for but given, as fitted. sizes: what is known of the sizes of
+    given and changes. log_e: logarithms of the e-values by which each was asked for, and, last, of what is left. aside:
+    samples that were set aside as wrong. start, opened, left: the frozen model beside the others, the same with what
+    was given left open, and with the changes taken up. asked: the changes that were looked for.
+    """
+
+    changes: tuple[FittedChange, ...]
+    given: tuple[FittedChange, ...]
+    sizes: SizeCovariance
+    log_e: tuple[float, ...]
+    aside: tuple[int, ...]
+    stages: tuple[TakenUp, TakenUp, TakenUp]
+    asked: tuple[CellChange, ...]
+
+    @property
+    def start(self) -> ChangeJudge:
+        """What speaks for changes of the frozen model."""
+        return self.stages[0].judge
+
+    @property
+    def opened(self) -> ChangeJudge:
+        """The same with what was given left open."""
+        return self.stages[1].judge
+
+    @property
+    def left(self) -> ChangeJudge:
+        """The same with the changes taken up."""
+        return self.stages[2].judge
+
+    @property
+    def state(self) -> CheckState:
+        """The model with the changes, beside the samples that were not set aside."""
+        return self.stages[2].state
+
+    @property
+    def samples(self) -> Samples:
+        """Those that were not set aside."""
+        return self.state.samples
+
+    @property
+    def more(self) -> bool:
+        """Whether this does not explain all."""
+        return self.log_e[-1] > _ASKED_FOR
+
+
+def search(model: Model, samples: Samples, known: FrozenKnowledge, given: Sequence[CellChange] = ()) -> FoundChanges:
+    """What has changed since the model was frozen, by these samples. given: changes that are known to be the case and
+    whose sizes alone are asked for.
+    """
+    rows = np.arange(len(samples))
+    aside: list[int] = []
+    while True:
+        engine = MoveSearch(CheckState(model, samples.select(rows), known), tuple(given))
+        found = engine.best()
+        wrong = max((c.candidate.hypothesis.sample for c in found.picked), default=-1)
+        if wrong < 0 or len(aside) >= max(1, len(samples) // 10) or len(rows) < 4:
+            return engine.told(found, tuple(aside))
+        aside.append(int(rows[wrong]))
+        rows = np.delete(rows, wrong)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """picked: changes as judged. log_e: as of :class:`FoundChanges`. score: logarithm of the probability of the
+    readings and the names together, over that of none.
+    """
+
+    picked: tuple[JudgedChange, ...]
+    log_e: tuple[float, ...]
+    score: float
+
+    @property
+    def more(self) -> bool:
+        """Whether this does not explain all."""
+        return self.log_e[-1] > _ASKED_FOR
+
+
+class MoveSearch:
+    """One search beside a frozen model. given: changes that are the case. asked: rows to ask of; None: all."""
+
+    def __init__(
+        self, plain: CheckState, given: Sequence[CellChange] = (), asked: Sequence[CellChange] | None = None
+    ) -> None:
+        self.plain = TakenUp(plain, (), ChangeJudge(plain.null))
+        self.given, self.weight = given, plain.null.weight
+        self._taken: dict[tuple[int, ...], tuple[list[JudgedChange], TakenUp]] = {}
+        keys = {h.key for h in given}
+        table = hypotheses(plain.model, plain.samples) if asked is None else asked
+        every = [h for h in table if h.key not in keys]
+        # where each frame stands where nobody knew it to stand, a base cannot move
+        self.asked = [h for h in every if h.kind != BASE] if len(keys) == len(plain.model.frames) else every
+
+    @cached_property
+    def fixed(self) -> list[JudgedChange]:
+        """What is given, of any size."""
+        return [replace(one, size=float(SIZES[-1])) for one in self.plain.judge_all(self.given)[0]]
+
+    def beside(self, picked: Sequence[JudgedChange]) -> TakenUp:
+        """What stands with these changes taken up, on top of what is given."""
+        key = tuple(map(id, picked))
+        if key not in self._taken:
+            self._taken[key] = list(picked), self.plain.with_these([*self.fixed, *picked])
+        return self._taken[key][1]
+
+    def others(self, picked: Sequence[JudgedChange], without: Sequence[str] = ()) -> list[CellChange]:
+        """What is looked for besides these changes."""
+        known = {j.candidate.hypothesis.key for j in picked}
+        return [h for h in self.asked if h.key not in known and h.kind not in without]
+
+    def left(self, picked: Sequence[JudgedChange]) -> float:
+        """The e-value of what is left beside these changes."""
+        return e_value(*self.beside(picked).judge_all(self.others(picked)), self.weight)
+
+    def best(self) -> Explanation:
+        """The most probable explanation, or the first reading that is wrong."""
+        ways = [self.explained()]
+        if any(is_noise(c) for c in ways[0].picked):
+            ways.append(self.explained(without=(NOISE,)))
+        moved = [h for h in self.asked if h.kind in _SET_UP]
+        if all(way.more for way in ways) and moved:
+            ways.append(self.explained(moved))
+        found = max(ways, key=lambda way: (not way.more, way.score))
+        if any(c.candidate.hypothesis.sample >= 0 for c in found.picked):
+            return found
+        picked = self._needed([self._wave(found.picked, i) for i in range(len(found.picked))])
+        outside = list(picked)
+        for i in range(len(picked)):
+            outside[i] = self._outside(outside, i)
+        if any(a is not b for a, b in zip(outside, picked, strict=True)):  # what made up for the wrong name is needless
+            picked = self._needed(outside)
+        asked_for = (*ways[0].log_e[:1], *found.log_e[1 : len(picked)]) if picked else ()  # the first beside nothing
+        return Explanation(tuple(picked), (*asked_for, self.left(picked)), found.score)
+
+    def explained(self, begin: Sequence[CellChange] = (), without: Sequence[str] = ()) -> Explanation:
+        """Changes taken up one after the other, until no more is asked for. begin: that are taken up first."""
+        picked = self.beside([]).judge_all(begin, bent=True)[0]
+        log_e: list[float] = []
+        while True:
+            now = self.beside(picked)
+            judged, prior = now.judge_all(self.others(picked, without), bent=True)
+            log_e.append(e_value(judged, prior, self.weight))
+            if log_e[-1] <= _ASKED_FOR or len(picked) >= len(begin) + _MOST:
+                return Explanation(tuple(picked), tuple(log_e), self._score(picked))
+            one = most_probable(judged, prior, self.weight)
+            if one.candidate.hypothesis.kind == READING:  # it is set aside, and the search begins again
+                return Explanation((*picked, one), tuple(log_e), np.inf)
+            picked = self._chosen_again([*picked, one], len(begin), without)
+
+    def _chosen_again(self, picked: list[JudgedChange], fixed: int, without: Sequence[str]) -> list[JudgedChange]:
+        """Each change but the first ones as it is most probable beside the others."""
+        for _ in range(_ROUNDS if len(picked) > fixed + 1 else 0):
+            before = list(picked)
+            for i in range(fixed, len(picked)):
+                rest = [c for j, c in enumerate(picked) if j != i]
+                judged, prior = self.beside(rest).judge_all(self.others(rest, (READING, *without)), bent=True)
+                best = most_probable(judged, prior, self.weight)
+                if best.candidate.hypothesis.key != picked[i].candidate.hypothesis.key:
+                    picked[i] = best
+            if picked == before:
+                break
+        return picked
+
+    def _score(self, picked: Sequence[JudgedChange]) -> float:
+        order = sorted(picked, key=is_noise)  # scatter has no size that could be left open
+        if not order:
+            return 0.0
+        rest = self.beside(order[:-1])
+        last = rest.judge_all([order[-1].candidate.hypothesis], bent=True)[0][0]
+        price = sum(self._price(c.candidate.hypothesis) for c in order)
+        return self.weight * (rest.judge.log_null - self.beside([]).judge.log_null + last.log_factor) + price
+
+    def _price(self, hypothesis: CellChange) -> float:
+        """Logarithm of the chance of meeting this change."""
+        at = next(i for i, h in enumerate(self.asked) if h.key == hypothesis.key)
+        return float(log_priors(self.asked)[at])
+
+    def _needed(self, picked: list[JudgedChange]) -> list[JudgedChange]:
+        """The changes without those that nothing asks for beside the others."""
+        for one in picked if len(picked) > 1 else []:
+            others = [c for c in picked if c is not one]
+            if self.left(others) <= _ASKED_FOR:
+                return self._needed(others)
+        return picked
+
+    def _outside(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:
+        """One of the changes that were picked, or what outside the arm explains the readings as well."""
+        hypothesis, rest = picked[i].candidate.hypothesis, [c for j, c in enumerate(picked) if j != i]
+        if hypothesis.outside or hypothesis.kind in (NOISE, READING):
+            return picked[i]
+        asked = [h for h in self.others(rest) if h.outside]
+        every = self.beside(rest).judge_all([*asked, hypothesis], bent=True)[0]
+        likely = np.array([j.likelihood for j in every])
+        first = put_back_first(len(asked), [*[True] * len(asked), False], likely, AS_LIKELY / self.weight)
+        if first == len(asked):
+            return picked[i]
+        # beside another change that may only make up for what one size leaves, all sizes are open
+        along = None if rest else along_one(asked[first], hypothesis, self.beside([]).state)
+        alone = [] if along is None else self.beside(rest).judge_all([along])[0]
+        return max([every[first], *alone], key=lambda one: one.log_factor)
+
+    def _wave(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:
+        """One of the changes that were picked; the wave that it is, where it is a curve of any course."""
+        if not picked[i].candidate.free:
+            return picked[i]
+        beside = self.beside([c for j, c in enumerate(picked) if j != i])
+        wave = wave_of(picked[i].candidate.hypothesis.curve, beside)
+        return wave if wave is not None and wave.log_factor > picked[i].log_factor else picked[i]
+
+    def nearest(self) -> FittedChange:
+        """The row that explains most by itself, or what outside the arm explains as much, with its rivals."""
+        judged, prior = self.plain.judge_all(self.asked)
+        return self.with_rivals([self._outside([most_probable(judged, prior)], 0)], 0)
+
+    def told(self, found: Explanation, aside: tuple[int, ...]) -> FoundChanges:
+        """What was found, with what explains the readings as well, and with sizes."""
+        # more readings are wrong than are set aside: the others are not explained
+        picked = [c for c in found.picked if c.candidate.hypothesis.sample < 0]
+        now = self.beside(picked)
+        given = [FittedChange(judged, 1.0) for judged in self.fixed]
+        sizes = SizeCovariance(np.empty((0, 0)), np.empty((len(self.plain.state.known.covariance), 0)))
+        changes = [self.with_rivals(picked, i) for i in range(len(picked))]
+        if given or changes:
+            every, sizes = with_sizes([*given, *changes], now, self.plain.judge.null, now.judge.best)
+            given, changes = every[: len(given)], every[len(given) :]
+        stages = self.plain, self.beside([]), now
+        return FoundChanges(tuple(changes), tuple(given), sizes, found.log_e, aside, stages, tuple(self.asked))
+
+    def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
+        """One of the changes that were picked, with what explains the readings as well."""
+        one, rest = picked[i], [c for j, c in enumerate(picked) if j != i]
+        every, prior = self.beside(rest).judge_all(self.others(rest), bent=True)
+        if not any(h is one.candidate.hypothesis for h in self.asked):  # a wave, or a move along one twist
+            every, prior = [*every, one], np.r_[prior, self._price(one.candidate.hypothesis)]
+        named = by_name(every, prior, self.weight)
+        probability, best = named.pop(one.candidate.hypothesis.key)
+        rivals = []
+        for p, j in named.values():
+            # what has more sizes explains all that has fewer; of what is rarer only the probability counts
+            h, common = j.candidate.hypothesis, CHANCES[best.candidate.hypothesis.kind]
+            contained = bool(h.sizes) and j.likelihood > best.likelihood - AS_LIKELY / self.weight
+            contained &= CHANCES[h.kind] >= common
+            if h.kind != READING and (p > probability * np.exp(-_AS_PROBABLE) or contained):
+                rivals.append((p, j))
+        rivals.sort(key=lambda pair: -pair[0])
+        return FittedChange(best, probability, tuple(j for _, j in rivals))
+
+
+def by_name(
+    judged: Sequence[JudgedChange], prior: Array, weight: float = 1.0
+) -> dict[tuple[str, str], tuple[float, JudgedChange]]:
+    """What can be named: its probability, and its most probable shape."""
+    out: dict[tuple[str, str], tuple[float, JudgedChange]] = {}
+    for j, p in zip(judged, probabilities(judged, prior, weight), strict=True):
+        so_far, top = out.get(j.candidate.hypothesis.key, (0.0, j))
+        out[j.candidate.hypothesis.key] = so_far + float(p), top if top.log_factor > j.log_factor else j
+    return out
+
+
+def most_probable(judged: Sequence[JudgedChange], prior: Array, weight: float = 1.0) -> JudgedChange:
+    """The most probable thing to name, by its most probable shape. weight: of what the stations say."""
+    return max(by_name(judged, prior, weight).values(), key=lambda pair: pair[0])[1]
+
+
+def with_sizes(
+    changes: Sequence[FittedChange], now: TakenUp, begin: NullModel, member: int
+) -> tuple[list[FittedChange], SizeCovariance]:
+    """The changes with their sizes, and what is known of these beside each other.
+
+    member: of the null's grid, that which suits the readings best with the changes in; without them it would be a wider
+    spread, for it would have to explain them.
+    """
+    state, known = now.state, now.state.known
+    for change in changes:
+        if is_noise(change.judged):
+            begin = begin.with_noise(*change.judged.noise)
+    judge, n = ChangeJudge(begin), len(begin.residual)
+    blocks, roots = [], []
+    for change, fit in zip(changes, now.fits, strict=True):
+        if fit.free:
+            A = judge.whitened(fit.columns, member)
+            spread = change.judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300))
+            blocks.append(spread * A)
+            roots.append(spread * curve_root(fit.hypothesis.curve, state.model, state.samples))
+        else:
+            sized = bool(fit.hypothesis.sizes)
+            blocks.append(judge.whitened(state.columns(fit.hypothesis), member) if sized else np.zeros((n, 0)))
+            roots.append(np.empty((0, 0)))
+    J = np.concatenate(blocks, axis=1)
+    prior = np.concatenate([np.full(b.shape[1], float(f.free)) for b, f in zip(blocks, now.fits, strict=True)])
+    covariance = np.linalg.pinv(J.T @ J + np.diag(prior), hermitian=True)
+    mean = covariance @ (J.T @ judge.whitened(state.residual, member))  # of curves; of sizes it is the last step
+    own = parameter_rows(state.model, state.view, state.drivers, known.parameters, known.effects)
+    cross = -known.covariance @ judge.whitened(own.T, member).T @ J @ covariance
+    out: list[FittedChange] = []
+    kept: list[int] = []
+    first = 0
+    for change, fit, block, root in zip(changes, now.fits, blocks, roots, strict=True):
+        rows = slice(first, first + block.shape[1])
+        first += block.shape[1]
+        part = covariance[rows, rows]
+        change = replace(
+            change, judged=replace(change.judged, candidate=replace(change.judged.candidate, hypothesis=fit.hypothesis))
+        )
+        if fit.free:
+            out.append(replace(change, sizes=root @ mean[rows], covariance=root @ part @ root.T))
+        else:
+            out.append(replace(change, sizes=fit.sizes, covariance=part))
+            kept += range(rows.start, rows.stop)
+    return out, SizeCovariance(covariance[np.ix_(kept, kept)], cross[:, kept])
+
+
+def wave_of(joint: int, beside: TakenUp) -> JudgedChange | None:
+    """The wave that one joint's curve is: how many cycles a turn, found by scanning them all at once; None where the
+    readings do not say which.
+
+    A few stations show a curve that varies from one to the next, and say little of its course between them. A wave has
+    three sizes, or five with the second harmonic that strain wave gears have.
+    """
+    state, judge, chain = beside.state, beside.judge, beside.state.model.chain
+    if not chain.revolute[joint]:
+        return None
+    q = state.samples.q[:, joint]
+    unit, angle = state.unit(joint), q[state.row_samples]
+    z = judge.whitened(judge.null.residual, judge.best)
+
+    def factors(cycles: Array, double: bool) -> Array:
+        phase = cycles[:, None] * angle
+        parts = [np.sin(phase), np.cos(phase)] + ([np.sin(2.0 * phase), np.cos(2.0 * phase)] if double else [])
+        A = np.stack([judge.whitened((unit * part).T, judge.best).T for part in parts], axis=1)  # (C, k, n)
+        gram = A @ np.swapaxes(A, 1, 2) + 1e-9 * np.eye(len(parts)) * np.sum(A**2, axis=(1, 2), keepdims=True)
+        along = A @ z
+        gain = np.sum(along * np.linalg.solve(gram, along[..., None])[..., 0], axis=1)
+        k = len(parts)
+        g = SIZES**2 * len(z) / k
+        logs = -0.5 * k * np.log1p(g) + 0.5 * gain[:, None] * g / (1.0 + g)
+        return np.asarray(scipy.special.logsumexp(logs, axis=1) - np.log(len(SIZES)))
+
+    grid = gear_harmonic.cycle_grid(max(float(np.ptp(q)), 0.1))
+    found = []  # evidence, cycles or NaN, double
+    for double in (False, True):
+        cycles = grid[grid <= 0.5 * gear_harmonic.MAX_CYCLES] if double else grid
+        logs = factors(cycles, double)
+        total, top, step = float(scipy.special.logsumexp(logs)), int(np.argmax(logs)), float(cycles[1] - cycles[0])
+        peak = np.abs(cycles - cycles[top]) <= _NEAR * step
+        sure = float(scipy.special.logsumexp(logs[peak])) - total > np.log(_SURE)
+        finer = cycles[top] + step * _FINER
+        at = float(finer[np.argmax(factors(finer, double))]) if sure else np.nan
+        found.append((total - float(np.log(len(cycles))), at, double))
+    evidence, at, double = max(found, key=lambda way: way[0])
+    if np.isnan(at):
+        return None
+    change = CellChange(GEAR, chain.names[joint], effects=(gear_harmonic.wave(chain.names[joint], at, double),))
+    columns = state.columns(change)
+    judged = judge.judged(ChangeCandidate(change, judge.null.residual, columns, np.zeros(columns.shape[1])))
+    own = float(factors(np.array([at]), double)[0])
+    return replace(judged, log_factor=judged.log_factor + evidence - own)

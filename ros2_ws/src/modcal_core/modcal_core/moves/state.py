@@ -1,0 +1,217 @@
+"""A frozen model beside readings: residuals, derivatives, and the same once changes have been taken up.
+
+A change is fitted by Gauss-Newton steps and then left open: its columns join the covariance, so that what is asked next
+is asked beside every size that it may have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from modcal_core.calibration import Model, ModelParameter, RowView
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
+from modcal_core.moves.evidence import ChangeCandidate, ChangeJudge, JudgedChange, is_noise, log_priors
+from modcal_core.moves.noise import FrozenKnowledge, NullModel, null, parameter_rows
+from modcal_core.moves.rows import NOISE, CellChange, composed, curve_root, hypothesis_columns, put_in
+
+_STEPS = 15  # of a fit; of changes that are small one is enough
+_END = 1e-3  # standard deviations, all rows together; the last step of a fit
+_SHARE = 1e-4  # of the residual, of which a step that moves less decides nothing between changes
+_LARGE = 30.0  # squared standard deviations a row, beyond which each change is fitted by itself before it is compared
+_LONGEST = 0.5  # rad; a longer turn is taken in parts
+_WIDE = 4.0  # times its own size: what a change that was taken up may still be off by
+
+
+class CheckState:
+    """A model beside the samples, what its readings scatter by, and its derivatives.
+
+    curves: by joint, angles (S,) at the stations about which a large curve is linearised; it is none of the model's,
+    so the residual is what it would be if readings moved in proportion to it.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        samples: Samples,
+        known: FrozenKnowledge,
+        of: NullModel | None = None,
+        curves: Mapping[int, Array] | None = None,
+    ) -> None:
+        self.model, self.samples, self.known = model, samples, known
+        self.curves = dict(curves or {})
+        self._station = np.unique(samples.station, return_inverse=True)[1]
+        q = samples.q.copy()
+        for joint, angles in self.curves.items():
+            q[:, joint] += angles[self._station]
+        bent = replace(samples, q=q) if self.curves else samples
+        self.drivers = model.drivers(bent)
+        self.view = RowView.of(model, bent, self.drivers)
+        self._of = of
+
+    @cached_property
+    def null(self) -> NullModel:
+        """What its readings scatter by while nothing else has changed."""
+        return null(self.model, self.samples, self.view, self.drivers, self.known) if self._of is None else self._of
+
+    @cached_property
+    def row_samples(self) -> np.ndarray:
+        """The sample of each row, (n,)."""
+        return np.concatenate([np.tile(np.arange(len(self.samples)), 3), np.tile(self.view.pose, 3)]).astype(int)
+
+    def parameter_rows(self, parameters: tuple[ModelParameter, ...]) -> Array:
+        """Derivatives of the predictions by these parameters of the geometry, (P, n)."""
+        return parameter_rows(self.model, self.view, self.drivers, parameters, ())
+
+    @property
+    def residual(self) -> Array:
+        """Residuals of the readings, (n,), in the rows of the linearisation."""
+        out = np.concatenate([self.view.position.ravel(), self.view.rotation.ravel()])
+        for joint, angles in self.curves.items():
+            out = out + self.turned(joint) @ angles
+        return out
+
+    def unit(self, joint: int) -> Array:
+        """What readings move by per unit of a joint's angle or travel, (n,)."""
+        chain = self.model.chain
+        return self.view.unit_column(chain.first_place + joint, 5 if chain.revolute[joint] else 2)
+
+    def turned(self, joint: int) -> Array:
+        """The same for each station by itself, (n, S)."""
+        unit = self.unit(joint)
+        out = np.zeros((len(unit), int(self._station.max()) + 1))
+        out[np.arange(len(unit)), self._station[self.row_samples]] = unit
+        return out
+
+    def columns(self, hypothesis: CellChange) -> Array:
+        """Columns of a change at this model; none for noise, which has no size."""
+        if hypothesis.kind == NOISE:
+            return np.zeros((len(self.residual), 0))
+        if hypothesis.curve >= 0:
+            return self.turned(hypothesis.curve) @ curve_root(hypothesis.curve, self.model, self.samples)
+        return hypothesis_columns(hypothesis, self.model, self.view, self.drivers)
+
+
+def fitted(
+    asked: Sequence[CellChange], state: CheckState, judge: ChangeJudge, bent: bool = False
+) -> tuple[list[ChangeCandidate], CheckState]:
+    """These changes fitted together by Gauss-Newton steps, and the state with them put in.
+
+    Curves that may take any course, noise and wrong readings have no sizes to put in. bent: linearise curves about
+    their angles at the stations.
+    """
+    sized = [h for h in asked if h.sizes]
+    curves = [h.curve for h in asked if h.curve >= 0] if bent else []
+    totals = [np.zeros(h.sizes) for h in sized]
+    model, now = state.model, state
+    member = state.null.reference
+    angles = {j: np.zeros(len(np.unique(state.samples.station))) for j in curves}
+    before = np.inf
+    for _ in range(_STEPS if sized or curves else 0):
+        turned = {j: now.turned(j) for j in curves}
+        z = judge.whitened(now.residual - sum((turned[j] @ angles[j] for j in curves), np.zeros(1)), member)
+        square = float(z @ z)
+        A = judge.whitened(np.concatenate([*(now.columns(h) for h in sized), *turned.values()], axis=1), member)
+        if angles:  # of a station at which the joint moves nothing no angle follows
+            so_far = np.concatenate(list(angles.values()))
+            A = np.concatenate([A, np.eye(len(so_far), A.shape[1], A.shape[1] - len(so_far)) / _LONGEST])
+            z = np.r_[z, -so_far / _LONGEST]
+        scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+        step = np.linalg.lstsq(A / scale, z, rcond=1e-8)[0] / scale
+        gain = float(np.linalg.norm(A @ step))
+        if gain < max(_END, _SHARE * np.sqrt(square)) or square > 4.0 * before:
+            break
+        before = square
+        pieces = np.split(step, np.cumsum([len(t) for t in totals] + [len(a) for a in angles.values()])[:-1])
+        parts = pieces[: len(sized)]
+        for j, turn in zip(curves, pieces[len(sized) :], strict=True):
+            angles[j] = angles[j] + np.clip(turn, -_LONGEST, _LONGEST)
+        shorter = min([1.0, *(_LONGEST / max(float(np.linalg.norm(p[3:])), 1e-9) for p in parts if len(p) == 6)])
+        for i, (h, part) in enumerate(zip(sized, parts, strict=True)):
+            model = put_in(h, model, shorter * part)
+            totals[i] = composed(h, totals[i], shorter * part)
+        now = CheckState(model, state.samples, state.known, state.null, {**state.curves, **angles})
+    sizes = {id(h): t for h, t in zip(sized, totals, strict=True)}
+    residual = now.residual
+    return [ChangeCandidate(h, residual, now.columns(h), sizes.get(id(h), np.empty(0))) for h in asked], now
+
+
+@dataclass
+class TakenUp:
+    """What stands once changes are taken up. fits: these as fitted. judge: of what is left."""
+
+    state: CheckState
+    fits: Sequence[ChangeCandidate]
+    judge: ChangeJudge
+    _judged: dict[tuple[int, bool], tuple[CellChange, JudgedChange]] = field(default_factory=dict)
+
+    @property
+    def bends(self) -> bool:
+        """Whether what is missed is so large that the motions by a change are no longer in proportion to it."""
+        return self.judge.square > _LARGE * len(self.judge.null.residual)
+
+    def judge_all(self, asked: Sequence[CellChange], bent: bool = False) -> tuple[list[JudgedChange], Array]:
+        """What speaks for each, and the logarithms of their prior probabilities. bent: fit each by itself where changes
+        are so large that their motions bend.
+        """
+        large = bent and self.bends
+        return [self._one(h, large and (h.sizes > 0 or h.curve >= 0)) for h in asked], log_priors(asked)
+
+    def _one(self, hypothesis: CellChange, alone: bool) -> JudgedChange:
+        key = id(hypothesis), alone
+        if key not in self._judged:  # kept with its key: the number of an object is another's once it is gone
+            self._judged[key] = hypothesis, self._ask(hypothesis, alone)
+        return self._judged[key][1]
+
+    def _ask(self, hypothesis: CellChange, alone: bool) -> JudgedChange:
+        if hypothesis.kind == NOISE:
+            return self.judge.noisier(hypothesis)
+        if alone:
+            return self.judge.judged(fitted([hypothesis], self.state, self.judge, bent=True)[0][0])
+        columns = self.state.columns(hypothesis)
+        return self.judge.judged(
+            ChangeCandidate(hypothesis, self.state.null.residual, columns, np.zeros(columns.shape[1]))
+        )
+
+    def with_these(self, picked: Sequence[JudgedChange]) -> TakenUp:
+        """The state in which these changes have been taken up, their sizes left open."""
+        if not picked:
+            return self
+        fits, now = fitted([p.candidate.hypothesis for p in picked], self.state, self.judge, self.bends)
+        opened = self.state.null
+        for judged, candidate in zip(picked, fits, strict=True):
+            if is_noise(judged):
+                opened = opened.with_noise(*judged.noise)
+                continue
+            columns, n = candidate.columns, len(opened.residual)
+            L = np.linalg.cholesky(opened.covariances[opened.reference])
+            A = scipy.linalg.solve_triangular(L, columns, lower=True)
+            if candidate.free:
+                scale = judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300))
+            else:
+                _, s, Vt = np.linalg.svd(A, full_matrices=False)
+                keep = s > 1e-9 * max(float(s.max(initial=0.0)), 1e-300)
+                columns = columns @ (Vt[keep].T / s[keep])
+                scale = _WIDE * judged.size * np.sqrt(n / max(int(keep.sum()), 1))
+            opened = opened.with_more(now.residual, columns, scale)
+        opened = replace(opened, residual=now.residual)
+        state = CheckState(now.model, self.state.samples, self.state.known, opened, now.curves)
+        return TakenUp(state, fits, ChangeJudge(opened))
+
+
+def along_one(outside: CellChange, hypothesis: CellChange, state: CheckState) -> CellChange | None:
+    """What outside the arm moves, only as a change of one size moves the readings; None where that has more sizes.
+
+    Few stations show one number better than six.
+    """
+    if hypothesis.sizes != 1 or not outside.motions or outside.together:
+        return None
+    L = np.linalg.cholesky(state.null.covariances[state.null.reference])
+    A, y = (scipy.linalg.solve_triangular(L, state.columns(h), lower=True) for h in (outside, hypothesis))
+    twist = np.linalg.lstsq(A, y[:, 0], rcond=1e-9)[0] @ np.array([m.twist for m in outside.motions])
+    return replace(outside, motions=(replace(outside.motions[0], twist=tuple(twist.tolist())),))
