@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -197,11 +198,18 @@ class World:
     sizes: Array
     joint_noise: float
 
+    @cached_property
+    def most_torque(self) -> float:
+        """The largest torque in the joints' ranges [N m], the same for all that one arm does."""
+        assert isinstance(self.drawn, Serial)
+        q = np.random.default_rng(0).uniform(self.drawn.low, self.drawn.high, (500, len(self.drawn.low)))
+        return max(float(np.abs(self.drawn.torques(q)).max()), 1.0)
+
     def poses(self, q: Array, approach: Array, noise: Array | float = 0.0) -> Array:
         """Poses of the tool in the base, (N, 4, 4), where joints report q (N, n) and last moved so (−1, 1)."""
         real, s, tilt = q + noise, self.sizes, np.zeros((len(q), 3))
         if self.effect == "compliance" and isinstance(self.drawn, Serial):
-            real = real + 1e-3 * s[2] * self.drawn.torques(q) / np.maximum(np.abs(self.drawn.torques(q)).max(), 1.0)
+            real = real + 1e-3 * s[2] * self.drawn.torques(q) / self.most_torque
         elif self.effect == "gear":
             k = int(s[0]) % q.shape[1]
             real[:, k] += 2e-4 * s[2] * np.sin((1 + int(20 * s[1])) * q[:, k] + s[1])
