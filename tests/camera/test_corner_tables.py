@@ -140,7 +140,7 @@ def test_a_csv_of_two_cameras_to_a_calibrated_arm(tmp_path: Path, capsys: pytest
     info = f"camera_2={tmp_path / 'second.yaml'}"
     assert run([*given, "--camera-info", info, "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
-    assert "Also camera_2: camera in the world, target on the tip. body of 20 markers" in said
+    assert "Also camera_2, on the world: body of 20 markers" in said
     assert "are of markers that the target does not have" in said
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["camera"]["decision"] == "apply"
