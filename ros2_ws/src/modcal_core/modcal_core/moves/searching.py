@@ -194,6 +194,8 @@ class MoveSearch:
     def best(self) -> Explanation:
         """The most probable explanation, or the first reading that is wrong."""
         ways = [self.explained()]
+        if ways[0].picked and ways[0].picked[0].candidate.hypothesis.sample >= 0:  # set aside before anything is blamed
+            return ways[0]
         if any(is_noise(c) for c in ways[0].picked):
             ways.append(self.explained(without=(NOISE,)))
         moved = [h for h in self.asked if h.kind in _SET_UP]
