@@ -24,6 +24,7 @@ from modcal_core.claim import Claim, claim_at_tool, settled
 from modcal_core.diagnosis import located
 from modcal_core.measurements import Samples
 from modcal_core.outcome import (
+    Finding,
     Outcome,
     Step,
     description_note,
@@ -42,6 +43,7 @@ from modcal_core.verdict import (
     TOGETHER,
     Applied,
     Grounds,
+    Verdict,
     carried_over,
     contradictions,
     fitted_case,
@@ -51,6 +53,8 @@ from modcal_core.verdict import (
     too_small,
     with_places,
 )
+
+_LOST = 0.1  # of the samples; where more are rejected beside a rest that is predictable, no cause is proved
 
 
 @dataclass(frozen=True)
@@ -84,16 +88,17 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
         *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case),
         *load_findings(fits.loads, final.model, accepted),
     )
-    unproved = tuple(finding for finding in found if not finding.shown)
+    proved = tuple(finding for finding in found if finding.shown and not _hidden(finding, judged, left["final"], wrong))
+    unproved = tuple(finding for finding in found if finding not in proved)
     outcome = Outcome(
         samples=samples,
         sets=sets,
         scored=accepted,
         rejected=int(wrong.sum()),
         errors=left,
-        effects=tuple(finding for finding in found if finding.shown),
+        effects=proved,
         unproved=unproved,
-        left=fits.diagnosis.left or (located(final, samples) if judged.status == "open" else None),
+        left=(fits.diagnosis.left or located(final, samples)) if judged.predicted else None,
         identifiability=identifiability(final),
         parameters=shipped.parameters,
         offsets=offsets_of(shipped),
@@ -122,6 +127,17 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
         claim=claim,
     )
     return outcome, shipped
+
+
+def _hidden(finding: Finding, judged: Verdict, final: Errors, wrong: np.ndarray) -> bool:
+    """Whether what the model lacks may be what an effect stands for: it brings less than what is surely predictable of
+    the rest, or so many stations were rejected that the rest is none of what was looked for.
+    """
+    if not judged.predicted or judged.predictable is None or finding.gain_mm2 is None:
+        return False
+    if any(reason.kind == "rejected" for reason in judged.reasons) and wrong.mean() > _LOST:
+        return True
+    return finding.gain_mm2 < judged.predictable.share * 1e6 * float(np.mean(final.position_norm**2))
 
 
 def _shipped(task: Task, fits: Fits, wrong: np.ndarray) -> tuple[Calibration, Claim, np.ndarray, Applied]:

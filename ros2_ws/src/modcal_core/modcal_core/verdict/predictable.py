@@ -27,11 +27,10 @@ from modcal_core.verdict.case import Case, derivatives
 from modcal_core.verdict.crossfit import FOLDS, Baseline, Layout, Regressor, Ridge, Sparse
 from modcal_core.verdict.drivers import Part, PlaceDrivers
 from modcal_core.verdict.rest import Rest, rows_asked
-from modcal_core.verdict.verdict import Share
+from modcal_core.verdict.verdict import MAX_PREDICTABLE, Share
 
 _MAX = 500  # samples; a longer recording is thinned evenly
 MIN_STATIONS = 15  # three in each fold; with fewer nothing can be said
-MAX_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable: 2.5 % in RMS (sweep)
 _DEALS = 3  # ways of dealing stations to folds
 _FLIPS, _FEW = 24, 6  # trials of noise, to which a Gumbel law is fitted; where too little is gained to be sure of it
 _DRAWS = 400  # bootstrap samples

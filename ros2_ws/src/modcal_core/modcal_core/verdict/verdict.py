@@ -10,6 +10,7 @@ ReasonKind = Literal[
     "not_converged", "rejected", "not_applied", "convention", "contradiction", "predictable", "above_floor", "cut_off"
 ]
 Interval = tuple[float, float]
+MAX_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable: 2.5 % in RMS (sweep)
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,11 @@ class Verdict:
             and (self.floor_deg is not None or self.account_deg2 is None)
             and (self.floor_mm, self.floor_deg) != (None, None)
         )
+
+    @property
+    def predicted(self) -> bool:
+        """Whether a part of the rest is surely predictable."""
+        return self.predictable_both is not None and self.predictable_both.lower99 > MAX_PREDICTABLE
 
     @property
     def open_because(self) -> tuple[str, ...]:

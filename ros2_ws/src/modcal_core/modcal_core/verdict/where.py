@@ -11,7 +11,7 @@ from modcal_core.calibration import Errors
 from modcal_core.hypotheses import disagreement, limits
 from modcal_core.robots import Mechanism, is_serial_arm
 from modcal_core.verdict.case import Case
-from modcal_core.verdict.predictable import MAX_PREDICTABLE, MIN_STATIONS, dependence
+from modcal_core.verdict.predictable import MIN_STATIONS, dependence
 from modcal_core.verdict.rejected import alike, too_many
 from modcal_core.verdict.rest import Rest, rows_asked
 from modcal_core.verdict.scatter import along
@@ -50,7 +50,7 @@ def with_places(
 def _goes_with(judged: Verdict, case: Case) -> Iterator[str]:
     """The place and driver that predict most of the rest; else the joint along which most of it lies."""
     both = judged.predictable_both
-    share = both.share if both is not None and both.lower99 > MAX_PREDICTABLE else 1.0
+    share = both.share if both is not None and judged.predicted else 1.0
     rows = rows_asked(case, _MAX)
     found = dependence(case, rows, float(np.clip(_MOSTLY * share, _MIN_NAMED, _WORTH_NAMING)))
     many = case.samples.select(rows).stations >= MIN_STATIONS
