@@ -18,10 +18,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Package: lines and statements at most.
 CEILINGS: dict[str, tuple[int, int]] = {
-    "bench": (15000, 10870),
+    "bench": (15010, 10880),
     "launch": (90, 50),
     "modcal": (50, 30),
-    "modcal_core": (2140, 1160),
+    "modcal_core": (2160, 1160),
     "modcal_core/articulation": (5140, 3530),
     "modcal_core/calibration": (6960, 4330),
     "modcal_core/camera": (5780, 3800),
@@ -38,15 +38,15 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/online": (1370, 930),
     "modcal_core/planning": (3710, 2390),
     "modcal_core/hypotheses": (3770, 2530),
-    "modcal_core/regimes": (560, 400),
+    "modcal_core/moves": (1880, 1300),
     "modcal_core/report": (4920, 2870),
     "modcal_core/robots": (5090, 3240),
-    "modcal_core/verdict": (3990, 2660),
+    "modcal_core/verdict": (4000, 2660),
     "modcal_msgs_py": (4750, 3250),
     "modcal_msgs_py/tables": (3720, 2640),
     "modcal_nodes": (80, 30),
     "modcal_nodes/calibrating": (1680, 1180),
-    "modcal_nodes/cli": (4600, 2780),
+    "modcal_nodes/cli": (4600, 2760),
     "modcal_nodes/fleet": (200, 130),
     "modcal_nodes/io": (610, 350),
     "modcal_nodes/measuring": (1230, 880),
@@ -61,7 +61,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
 }
 SOURCE = (93700, 61450)
 TEXT = 184400  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
-FORMAT_SKIPS = 104
+FORMAT_SKIPS = 78
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
 
