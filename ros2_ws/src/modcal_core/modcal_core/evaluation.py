@@ -134,5 +134,5 @@ def evaluate(
         grounds=grounds,
         judged=judged,
         claim=claim,
-        left=located(frozen(models["final"], calibration.noise, again), samples) if judged.predicted else None,
+        left=located(frozen(models["final"], calibration.noise, again), samples) if judged.may_depend else None,
     )

@@ -98,7 +98,7 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
         errors=left,
         effects=proved,
         unproved=unproved,
-        left=(fits.diagnosis.left or located(final, samples)) if judged.predicted else None,
+        left=(fits.diagnosis.left or located(final, samples)) if judged.may_depend else None,
         identifiability=identifiability(final),
         parameters=shipped.parameters,
         offsets=offsets_of(shipped),

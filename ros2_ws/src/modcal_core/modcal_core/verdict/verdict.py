@@ -104,6 +104,11 @@ class Verdict:
         return self.predictable_both is not None and self.predictable_both.lower99 > MAX_PREDICTABLE
 
     @property
+    def may_depend(self) -> bool:
+        """Whether an open rest is surely predictable in part, or of too few stations to be asked."""
+        return self.status == "open" and (self.predicted or self.predictable_both is None)
+
+    @property
     def open_because(self) -> tuple[str, ...]:
         """A sentence for each reason; empty unless the status is open."""
         return tuple(reason.sentence for reason in self.reasons)
