@@ -169,7 +169,9 @@ def _judged(report: Outcome) -> Mapping[str, Any]:
 
 
 def _account(rows: tuple[Row, ...] | None) -> list[dict[str, Any]] | None:
-    return None if rows is None else [asdict(row) for row in rows]
+    if rows is None:
+        return None
+    return [{**asdict(row), "ci95": None if row.ci95 is None else list(row.ci95)} for row in rows]
 
 
 def _share(share: Share | None) -> dict[str, Any] | None:
