@@ -189,6 +189,6 @@ def test_two_cameras_on_one_hand_by_the_verb(tmp_path: Path, capsys: pytest.Capt
     assert further["lens"]["fx"]["value"] == pytest.approx(s.lens.values[0], rel=0.01)
     assert TAGS_SAID in report["notes"]
     assert "camera_matrix" in (tmp_path / "out" / "camera_2.yaml").read_text()
-    assert "Also /second/detections: camera on the tip" in capsys.readouterr().out
+    assert "Also /second/detections, on the tip: " in capsys.readouterr().out
     assert run([*call[:-2], "--also-camera", "/second/detections=nowhere.yaml"]) == 2
     assert "names no file" in capsys.readouterr().err

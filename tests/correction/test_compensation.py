@@ -83,7 +83,7 @@ def as_samples(q: Array, at: ArmState) -> Samples:
     )
 
 
-@pytest.mark.parametrize("name", [name for name in EFFECTS if name != "latency"])
+@pytest.mark.parametrize("name", [name for name in EFFECTS if name not in ("latency", "clock")])
 def test_what_a_tracker_would_show_is_what_the_fitted_model_says(name: str, rng: np.random.Generator) -> None:
     model = true_model(started(name))
     correction = Correction(calibration_of(model))
@@ -124,8 +124,9 @@ def test_what_is_computed_together_is_what_is_computed_apart(
     assert np.abs(joints - q).max() > 1e-6
 
 
-def test_a_late_tracker_moves_no_true_pose(rng: np.random.Generator) -> None:
-    model = true_model(started("latency"))
+@pytest.mark.parametrize("name", ["latency", "clock"])
+def test_a_late_tracker_moves_no_true_pose(name: str, rng: np.random.Generator) -> None:
+    model = true_model(started(name))
     q = rng.uniform(-2, 2, 6)
     T = Correction(calibration_of(model)).pose(q, moment(q, rng), "tool", "tracker")
     assert np.abs(T - model.with_effects(()).predict(q[None])[0]).max() < 1e-14

@@ -207,7 +207,8 @@ def test_what_a_topic_says_is_carried_has_one_centre_for_all_joints(rng: np.rand
     assert loads.centre is not None
     assert loads.centre_std is not None
     assert (np.abs(loads.centre - CENTRE) < 4.0 * loads.centre_std).all()
-    assert loads.centre == pytest.approx(CENTRE, abs=0.02)
+    # orientations that are exact count as those of the best instrument, and tell the centre less well
+    assert loads.centre == pytest.approx(CENTRE, abs=0.02 if turning else 0.04)
     sizes = {e.place: e.parameters for e in done.report.effects}
     assert len(sizes) == len(done.report.effects)  # each joint once
     for joint in ("shoulder_lift_joint", "elbow_joint", "wrist_1_joint"):

@@ -129,7 +129,7 @@ def test_the_stated_covariance_is_right() -> None:
         feed(estimator, cell.samples)
         exact = batch(cell.exact, cell.world.nominal)
         truth = identify(fit.start, cell.exact, fit.parameters, robust=False, tolerance=1e-9)
-        assert exact.noise.position < 1e-7
+        assert exact.noise.position < 2e-6  # a tenth of what readings scatter by
         gap = np.linalg.solve(np.linalg.cholesky(estimator.covariance), estimator.values - truth.values)
         squares.append(float(gap @ gap) / len(gap))
     assert 0.8 < np.mean(squares) < 1.25

@@ -46,7 +46,7 @@ def test_every_field_is_documented_and_every_documented_field_exists() -> None:
         distances=(KnownDistance("a to b", 0.05, 5e-5, -1e-6, 0.05, 1e-4),),
     )
     named = tuple(replace(f, same_as=("another",)) for f in report.effects)
-    rivals = replace(report, effects=named)
+    rivals = replace(report, effects=named, unproved=report.effects[:1])
     assert report.claim is not None
     held = replace(report, claim=replace(report.claim, unshown_mm=1e3, ranges={"a": (-1.0, 1.0)}))
     found = set.union(*(paths(to_json_data(r)) for r in (report, open_ended, rivals, held, everything(), delta())))

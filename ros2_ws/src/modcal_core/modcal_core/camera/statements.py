@@ -209,7 +209,7 @@ def _bent(fit: CameraFit, value: Array, std: Array) -> str:
     return f"The sheet is bent by {1e3 * float(off.max()):.2f} ± {1e3 * spread:.2f} mm towards its edge"
 
 
-_SCALED = slice(1 + SCALE.start, 1 + SCALE.stop)
+_SCALED = slice(1 + SCALE.start, 1 + SCALE.stop)  # of the defaults' values, behind the delay
 _DEFAULTS = (
     _Default(CLOCK, slice(0, 1), "all", "velocity", ("delay_s",), "s", _late),
     _Default(CLOCK, slice(1 + READOUT, 2 + READOUT), "all", "line", ("line_s",), "s", _by_line),
