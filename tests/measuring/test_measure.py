@@ -184,9 +184,9 @@ def test_stations_are_chosen_where_the_tracker_sees(whole: Whole) -> None:
     pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0))
     view = outlook(advice.refitted, pool.where, Cell(), np.random.default_rng(0))
     chooser = Chooser(pool, view, advice.refitted)
-    batches = [chooser.best(seen, 12, np.random.default_rng(1)) for seen in (session, advice.session)]
+    batches = [chooser.best(seen, 36, np.random.default_rng(1)) for seen in (session, advice.session)]
     unseen, usual = (np.mean([left(s) for s in stations]) for stations, _ in batches)
-    assert unseen < usual
+    assert unseen < usual - 0.1
 
 
 def test_a_place_that_was_not_seen_is_less_likely_to_be_seen_next_to_it() -> None:
