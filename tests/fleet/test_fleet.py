@@ -152,7 +152,8 @@ def test_a_killed_worker_costs_a_row_at_most(address: str, tmp_path: Path, monke
     assert states.pop("always") == states.pop("fault") == "failed"
     assert set(states.values()) == {"done"}
     assert {row["name"]: row.get("said") for row in done}["fault"] == "ZeroDivisionError: a fault of ours"
-    assert "KilledWorker" in (tmp_path / "out" / "always" / fleet.NOT_CALIBRATED).read_text()
+    said = (tmp_path / "out" / "always" / fleet.NOT_CALIBRATED).read_text()
+    assert "KilledWorker" in said or "no worker is left" in said  # where what restarts the last one gives up
     assert (tmp_path / "out" / "z" / "report.json").exists()
     fleet.write_table(tmp_path / "fleet.parquet", done)
     assert len(rows(tmp_path / "fleet.parquet")) == len(bags)
