@@ -39,9 +39,9 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/planning": (3710, 2390),
     "modcal_core/hypotheses": (3770, 2530),
     "modcal_core/moves": (1880, 1300),
-    "modcal_core/report": (4920, 2870),
+    "modcal_core/report": (4930, 2880),
     "modcal_core/robots": (5090, 3240),
-    "modcal_core/verdict": (4000, 2660),
+    "modcal_core/verdict": (4010, 2670),
     "modcal_msgs_py": (4750, 3250),
     "modcal_msgs_py/tables": (3720, 2640),
     "modcal_nodes": (80, 30),
@@ -57,10 +57,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (2060, 1520),
     "modcal_nodes/watching": (280, 200),
-    "tests": (53990, 37550),
+    "tests": (54040, 37590),
 }
 SOURCE = (93700, 61450)
-TEXT = 184400  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+TEXT = 184500  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 78
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

@@ -75,3 +75,20 @@ def test_a_while_in_which_something_shook(made: Recorded) -> None:
     first, last = (int(k) for k in re.search(r"At stations (\d+) to (\d+) readings scatter", text).groups())
     assert abs(first - 60) < 4
     assert abs(last - 84) < 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("repeats", [True, False])
+def test_what_returns_repeat_is_no_scatter(made: Recorded, repeats: bool) -> None:
+    """A wrist that errs by 0.8 mrad at random, the same at every visit of a posture, or another."""
+    rng = np.random.default_rng(9)
+    visits = np.r_[np.arange(100), rng.permutation(100)[:30]]
+    q, actual = made.samples.q[visits], made.samples.q[visits].copy()
+    off = 8e-4 * rng.standard_normal(130)
+    actual[:, 3] += off[visits] if repeats else off
+    T = made.world.tool_in_tracker(actual)
+    T[:, :3, 3] += 2e-5 * rng.standard_normal((130, 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(2e-5 * rng.standard_normal((130, 3)))
+    text = said(samples_of(ur10(), q, T))
+    assert ("wrist_1_joint scatters by" in text) != repeats, text
+    assert ("the motion of joint wrist_1_joint" in text) or not repeats, text

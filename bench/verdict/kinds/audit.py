@@ -16,7 +16,7 @@ MOVED = (*BASE, STATIONS, *ORDER)
 IN_TURN = ("jump", "mixed", r"\btwo\b", "every (?:other|second)", "altern", "reject")
 
 # memory
-K("joint_creeps", "A joint gives way by the mean of its load over the last stations.", JOINT(1), "scatter")
+K("joint_creeps", "A joint creeps by the mean of its load over the last stations.", JOINT(1), "scatter")
 S(let(i=1), joint(lambda c: 2e-3 * filtered(loaded(c), [0.06], [1.0, -0.94])), 120)
 K("joint_winds_up", "A joint's error grows for a quarter radian after it turns back, and stays.", J, SIDE)
 S(pick(1, -1), joint(lambda c: 2e-3 * (c.x - dragged(c.x, 0.25))), 120)

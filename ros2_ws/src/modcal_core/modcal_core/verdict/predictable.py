@@ -60,7 +60,7 @@ class Predictable:
     @property
     def sure(self) -> bool:
         """Whether a part of the rest is surely predictable."""
-        return self.both is not None and self.both.lower99 > MAX_PREDICTABLE
+        return self.both is not None and self.both.sure
 
 
 @dataclass(frozen=True)

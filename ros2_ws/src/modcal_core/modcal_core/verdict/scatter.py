@@ -200,8 +200,8 @@ def uneven(case: Case) -> str:
 
 
 def along(rest: Rest) -> tuple[str, float] | None:
-    """What moves along one direction as most of a rest does, station by station, and its share; None where nothing
-    does, or base or tool alone. What does so as well is named beside it.
+    """The joint along whose motion most of a rest lies, station by station, with base or tool beside it where these
+    account for as much, and the share. None if there is no such joint.
     """
     if not _asked(rest):
         return None

@@ -70,8 +70,8 @@ class AtTool:
 
 
 def assess(claim: AtTool | None, asked: Asked, verdict: Verdict | None) -> Tolerance:
-    """The result for a claim at the tool. What is open bars a PASS; where that is a dependence or a scatter, only if
-    readings are missed by more than is asked for: it is the arm's as much as the instrument's.
+    """The result for a claim at the tool. A reason to be open bars a PASS. A dependence or a scatter does so only where
+    the readings are missed by more than is asked for, for it may be the arm's.
     """
     if claim is None:
         return Tolerance(asked, None, (None, None), "CANNOT TELL", "Nothing is known of the tool's error.")

@@ -44,6 +44,11 @@ class Share:
     ci95: Interval
     lower99: float
 
+    @property
+    def sure(self) -> bool:
+        """Whether it is surely more than what may be left."""
+        return self.lower99 > MAX_PREDICTABLE
+
 
 @dataclass(frozen=True)
 class NotAsked:
@@ -101,7 +106,7 @@ class Verdict:
     @property
     def predicted(self) -> bool:
         """Whether a part of the rest is surely predictable."""
-        return self.predictable_both is not None and self.predictable_both.lower99 > MAX_PREDICTABLE
+        return self.predictable_both is not None and self.predictable_both.sure
 
     @property
     def may_depend(self) -> bool:

@@ -29,7 +29,7 @@ CERTIFICATE = (
 
 
 def particulars(options: CertifiedOptions) -> Particulars | None:
-    """What is stated for a certificate, before anything is computed; None where none is asked for. Raises BadTable."""
+    """What is stated for a certificate, before anything is computed; None if none was asked for. Raises BadTable."""
     if not options.certificate:
         if options.serial is not None:
             raise BadTable("--serial", "is printed on a certificate only", "add --certificate")
