@@ -39,18 +39,15 @@ else:
 __all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
 __all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain", "Delta"]
 __all__ += ["Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointColumns"]
+__all__ += ["JointPath", "LoadedArm", "Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque"]
 __all__ += [
-    "JointPath",
-    "LoadedArm",
-    "Mechanism",
-    "NearestTable",
-    "Payload",
-    "Tree",
-    "Window",
-    "bias_torque",
     "body_jacobian",
+    "calibrated_urdf",
+    "chain_forward",
+    "chain_gravity_wrench",
+    "chain_urdf",
+    "constant_bounds",
 ]
-__all__ += ["calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds"]
 __all__ += ["delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia", "followers_of"]
 __all__ += ["forward", "frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_conf", "from_ur_kinematics"]
 __all__ += ["gravity_wrench", "held_behind", "inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element"]
