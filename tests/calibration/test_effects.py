@@ -134,6 +134,7 @@ def test_predictions_and_residuals_are_one_model(name: str) -> None:
     assert np.abs(np.linalg.norm(at.position, axis=0) - gap).max() < (1e-6 if name == "scale" else 1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("block", "thinned", "points"), [(30, 100_000, 0), (2000, 1, 3), (2000, 850, 1)])
 def test_normal_equations_are_those_of_the_whole_jacobian(
     block: int, thinned: int, points: int, monkeypatch: pytest.MonkeyPatch

@@ -145,15 +145,10 @@ def test_a_fit_that_is_hopeless_ends_where_that_is_seen() -> None:
     assert np.array_equal(same.values, whole.values)
 
 
-def fitted(samples: Samples) -> Fit:
-    start = fit_cell(ur10(), samples, Cell()).model
-    return identify(start, samples, choose_parameters(start, views_of(samples)).parameters)
-
-
 @pytest.mark.slow
 def test_what_is_left_counts_what_the_parameters_took() -> None:
     # 18 poses give 108 rows for 30 parameters: without their degrees of freedom the spread would come out at 0.85
-    fits = [fitted(record(seed, 18).samples) for seed in range(40)]
+    fits = [fit_all(ur10(), record(seed, 18).samples) for seed in range(40)]
     assert np.mean([f.noise.position for f in fits]) == pytest.approx(NOISE_M, rel=0.06)
     assert np.mean([f.noise.rotation for f in fits]) == pytest.approx(NOISE_RAD, rel=0.06)
 
@@ -164,7 +159,7 @@ def test_the_information_is_that_of_the_data_alone() -> None:
     still[:, 5] = 0.3  # the last joint never moves, so data alone leaves a direction open
     T = made.world.tool_in_tracker(still)
     noise = NOISE_M * np.random.default_rng(2).standard_normal((60, 3))
-    fit = fitted(replace(made.samples, q=still, reading=T[:, :3, 3] + noise))
+    fit = fit_all(ur10(), replace(made.samples, q=still, reading=T[:, :3, 3] + noise))
     prior = np.array([p.prior_std for p in fit.parameters])
     # with the prior added it is the inverse of the covariance; in units of the prior, so that sizes compare
     unit = np.outer(prior, prior)
@@ -190,8 +185,8 @@ def test_an_orientation_that_says_it_scatters_is_believed_less() -> None:
         noise = so3.exp(rough * np.random.default_rng(seed + 50).standard_normal((80, 3)))
         R = np.where(bad[:, None, None], made.samples.R @ noise, made.samples.R)
         told = replace(made.samples, R=R, sigma_rotation=np.where(bad, rough, 0.0))
-        half.append(orientation_error(fitted(made.samples.select(~bad)), made))
-        all_.append(orientation_error(fitted(told), made))
+        half.append(orientation_error(fit_all(ur10(), made.samples.select(~bad)), made))
+        all_.append(orientation_error(fit_all(ur10(), told), made))
     # more readings, so no worse than the good half alone; believed alike, the bad ones would make it many times worse
     assert np.mean(all_) < 1.2 * np.mean(half)
 

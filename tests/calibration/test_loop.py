@@ -149,6 +149,7 @@ def test_equations_are_those_of_different_postures() -> None:
         require_enough(taken(np.repeat(np.arange(8), 6)), 42, share=0.5)
 
 
+@pytest.mark.slow
 def test_the_score_is_what_new_postures_meet() -> None:
     """Points, each read five times, gave a model that had them by heart: 0.09 mm held out, and 1.6 mm off elsewhere.
 
@@ -182,6 +183,7 @@ def test_readings_of_one_stop_share_their_noise_and_those_of_a_later_one_do_not(
     assert (independent_unit(taken(np.tile(np.arange(40), 3))) == np.arange(120)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_a_sound_arm_that_is_read_five_times_at_each_stop_has_no_effects(seed: int) -> None:
     """What the arm does not repeat is the same in all five, and had been taken for gears, steps and drifts."""

@@ -61,6 +61,7 @@ def test_a_frozen_model_is_judged_by_its_own_spread(made: Recorded) -> None:
     assert clean.rejection.stations == 0
 
 
+@pytest.mark.slow
 def test_without_a_stated_deviation_the_usual_one_is_taken(made: Recorded) -> None:
     """Spread is what readings do not scatter by themselves: that must not be missing where a recording is silent."""
     stated = replace(made.samples, sigma_position=np.full(2 * COUNT, 5e-5), sigma_rotation=np.full(2 * COUNT, 5e-5))

@@ -91,6 +91,7 @@ def socketed() -> Fitted:
     return sockets(np.random.default_rng(2), placements=4, error=4.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [1.0, 1.12, 0.9])
 def test_fixed_points_say_nothing_of_scale(socketed: Fitted, stated: float) -> None:
     """By themselves they draw all lengths together by a tenth, which is no evidence against a right distance."""
@@ -111,6 +112,7 @@ def good() -> Fitted:
     return sockets(np.random.default_rng(300), placements=4, error=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [1.0, 1.015])
 def test_how_far_the_lengths_are_off_tells_how_well_the_drawing_knows_the_scale(good: Fitted, stated: float) -> None:
     """Three quarters of a millimetre on fifty, of an arm that is else as it is drawn: its lengths are not 1.5 % off."""

@@ -58,6 +58,7 @@ def test_they_move_as_one_by_one(rng: np.random.Generator) -> None:
     assert np.abs(np.nan_to_num(found[CHAIN.first_place + 1])).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_a_covariance_is_that_of_each_amplitude(rng: np.random.Generator) -> None:
     """By differences: what a unit of each amplitude moves, squared and summed."""
     effects = effects_of(rng)

@@ -249,6 +249,7 @@ def test_a_clock_tells_measurements_that_read_the_same(rng: np.random.Generator)
     assert share_of_known(marks_of(samples), replace(samples, stamps=samples.stamps + 86400.0))[0] == 0.0
 
 
+@pytest.mark.slow
 def test_an_error_on_the_own_recording_is_not_held_out(rng: np.random.Generator) -> None:
     made = record(2, 80)
     shipped = from_data(to_data(calibrate(made.samples, ur10(), rng, look_for_effects=False).calibration))

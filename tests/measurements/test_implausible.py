@@ -132,6 +132,7 @@ def test_up_to_half_of_the_readings_are_left_out_and_more_than_single_ones_doubt
         prepare(changed("readings", "values", 1e16, slice(0, 21))(whole), ur10())
 
 
+@pytest.mark.slow
 def test_what_is_left_out_too_often_makes_the_verdict_open() -> None:
     from modcal_core.loop import calibrate
 
@@ -188,6 +189,7 @@ def set_on_the_way(recording: Recording, seconds: float, share: float = 0.5) -> 
     return with_reading(recording, stamps=np.where(stamps > begin + share * (end - begin), stamps + seconds, stamps))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [HOUR, -DAY])
 @pytest.mark.parametrize("share", [0.3, 0.7])
 def test_a_clock_that_was_set_is_doubted(seconds: float, share: float) -> None:

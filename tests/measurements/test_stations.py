@@ -122,6 +122,7 @@ def test_joints_come_by_name() -> None:
     assert np.array_equal(cut_stations(replace(recording, joints=(other,)), NAMES).q, track.position)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [-0.31, 0.0, 0.045])
 def test_clock_offset_is_found_on_motion(late: float) -> None:
     recording = streams(20, late=late)
@@ -132,6 +133,7 @@ def test_clock_offset_is_found_on_motion(late: float) -> None:
     assert bool(notes) == (late != 0.0)
 
 
+@pytest.mark.slow
 def test_drift_is_found() -> None:
     recording = streams(120, drift=5e-4)
     aligned, notes = align(recording, NAMES, tip)
@@ -183,6 +185,7 @@ def test_the_running_maximum_is_that_of_every_window(m: int, width: int, rng: np
     assert np.array_equal(running_max(x, width), maximum_filter1d(x, width, axis=0, mode="constant", cval=-np.inf))
 
 
+@pytest.mark.slow
 def test_a_drift_beyond_the_limit_says_how_far_it_goes() -> None:
     """What it is in the middle is below the limit of 0.5 s that the sentence states; what exceeds it are the ends."""
     recording = streams(120, late=0.42, drift=5e-4)
