@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 import pytest
-from nodes.test_layouts import SPACES
+from nodes.test_launching import SPACES
 
 from modcal_nodes.cli.main import modcal
 
