@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli.recordings import START, URDF
-from nodes.beside_a_cell import HEARING, MODEL, alive, beside_a_cell, latched, part, stations
+from nodes.beside_a_cell import HEARING, MODEL, alive, beside_a_cell, children, latched, part, stations
 from nodes.cell import PlayedCell, call
 from nodes.processes import SLOWER, Process, fresh_domain, listener, running
 from nodes.talking import LATCHED, Diagnostics
