@@ -159,3 +159,12 @@ def test_a_blow_ends_it_and_is_not_given_way_to_further_than_it_moves_the_tool()
     assert "force" in outs[-1].why
     assert "50 N is the limit" in outs[-1].why
     assert np.linalg.norm(chain_forward(PANDA, still.q)[:3, 3] - before[:3, 3]) < 1e-3
+
+
+def test_a_clock_that_goes_back_ends_it() -> None:
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    still.until("explore")
+    still.tick()
+    still.now -= 5.0
+    still.sensor.reset()
+    assert isinstance(still.tick(), Stop)

@@ -212,3 +212,10 @@ def test_stations_that_were_written_twice_are_stations_and_no_motion() -> None:
     assert not prepared.notes
     assert len(prepared.samples) == 120
     assert not prepared.samples.moving.any()
+
+
+def test_a_clean_recording_has_no_findings() -> None:
+    seen = inspect(streams(12), ur10())
+    assert [f for f in seen.findings if "noise floor" not in f] == []
+    assert seen.uses == ("calibration from poses in 12 dwells",)
+    assert inspect(stations(12), ur10()).uses == ("calibration from 12 finished stations (poses)",)

@@ -187,6 +187,7 @@ FAULTS: list[tuple[dict[str, Any], str]] = [
     (with_row("LP", "", "0,2,0", "0,3,0", "", "", ""), "number from 1 on"),
     (with_row("LP", "", "1,2,0", "", "", "", ""), "LP 1: touches column 2: a link touches two neighbouring columns"),
     (with_row("LP", *[""] * 6), "column 2: no link is behind it"),
+    (with_row("LC", "", "1,2,0", "1,3,0", "", "", ""), "column 2: "),
     (with_row("LP", "", "2,2,0", "2,3,0", "", "", ""), "row LP: has numbers 2: number them 1 to 1"),
     ({**AIM, "sizes": {"LP": [7, 7]}}, "LP 2: is described but not in the matrix"),
     ({**AIM, "sizes": {"LP": [9]}}, "its length code is 9"),

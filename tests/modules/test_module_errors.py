@@ -165,6 +165,21 @@ def test_the_store_keeps_everything(stories: list[tuple[float, float, list[Recor
         with_recording(again, replace(third, assembly=replace(third.assembly, name="one")), LIBRARY)
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"library": "another"}, "are of the library 'another'"),
+        ({"assemblies": {}}, "is not a list"),
+        ({"assemblies": [{"modcal_assembly": 1}]}, "assembly 1: stations: is missing"),
+    ],
+)
+def test_a_store_that_is_none_is_refused(change: dict, words: str) -> None:
+    data = store_to_data(ModuleErrors(), LIBRARY)
+    with pytest.raises(BadTable) as refusal:
+        store_from_data({**data, **change}, LIBRARY, "store.yaml")
+    assert words in str(refusal.value)
+
+
 def test_refusals(stories: list[tuple[float, float, list[RecordingEvidence]]], rng: np.random.Generator) -> None:
     with pytest.raises(BadTable, match="modules: is not a mapping"):
         twists_from_data({"modcal_module_store": 1, "modules": {"J1": 3}}, "store.yaml")

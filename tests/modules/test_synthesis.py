@@ -22,14 +22,14 @@ from modcal_core.modules.evaluation import Effort, Evaluator
 from modcal_core.modules.genetic import Archive, SearchSettings, evolve
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.requirements import REQUIREMENTS
-from modcal_core.modules.synthesis import SynthesisTask, synthesize, to_data, to_markdown
+from modcal_core.modules.synthesis import SynthesisTask, allowed, synthesize, to_data, to_markdown
 from modcal_core.modules.synthesis_data import task_from_data
 from modcal_core.modules.targets import Target
 from modcal_core.robots.kinematics import chain_forward
 
 CODING = Coding(LIBRARY)
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "synthesis" / "two_poses.yaml"
-MASKS = ([1, 1, 1, 1, 1, 1], [1, 1, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1])
+MASKS = ([1, 1, 1, 1, 1, 1], [1, 1, 0, 1, 1, 1], [0, 0, 1, 1, 1, 1], [0, 0, 0, 1, 1, 1])
 
 
 def example(**changes: Any) -> SynthesisTask:
@@ -182,6 +182,14 @@ def test_a_requirement_rejects_and_says_so() -> None:
     with pytest.raises(NotReachable, match="misses a target by") as refusal:
         synthesize(replace(far, settings=SearchSettings(48, 2)), LIBRARY)
     assert 3.0 < refusal.value.position < 5.0
+
+
+def test_only_modules_that_are_allowed() -> None:
+    task = near_task(modules=["JR", "LP", "LR-I"], requirements={"joint_range": {}})
+    for candidate in synthesize(task, LIBRARY).ranking:
+        assert {m.kind for m in candidate.assembly.modules} <= {"B", "JR", "LP", "LR-I", "G"}
+    with pytest.raises(BadTable, match="no joint among them: add one of JR, JP"):
+        allowed(LIBRARY, ("LP",))
 
 
 # the task's file

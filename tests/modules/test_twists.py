@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from modcal_core.calibration.adjoint import identify_twists
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.model import Model, place_model
-from modcal_core.errors import NotRepresentable
+from modcal_core.errors import NotEnoughData, NotRepresentable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -219,3 +219,10 @@ def test_the_same_dh_fit_works_where_no_axes_are_parallel() -> None:
     dh, twists = DhFit(chain, start, samples), identify_twists(start, samples)
     assert dh.condition() < 1e4
     assert dh.newton(6) < 1.05 * mean_error(twists.model, samples)
+
+
+def test_too_few_readings_are_refused() -> None:
+    chain, samples = measured(five_joints(), 0, 12)
+    start = fit_cell(chain, samples, Cell()).model
+    with pytest.raises(NotEnoughData):
+        identify_twists(start, samples.select(np.arange(8)))
