@@ -80,6 +80,7 @@ def whole() -> Whole:
     return measured(advisor(Goal(1e-4)), by), by
 
 
+@pytest.mark.slow
 def test_a_goal_is_proven_and_true(whole: Whole, rng: np.random.Generator) -> None:
     advice, by = whole
     assert advice.outcome is not None
@@ -94,6 +95,7 @@ def test_a_goal_is_proven_and_true(whole: Whole, rng: np.random.Generator) -> No
     assert not proof & {tuple(q) for q in advice.refitted.samples.q}
 
 
+@pytest.mark.slow
 def test_what_is_proven_is_what_is_used() -> None:
     """A gear's wave is learned from twelve stations; those of the proof go beyond them, and so will those who use it."""
     by = cell(seed=7, gear_joint="elbow_joint", gear_amplitude_rad=2e-4, measurement="pose")
@@ -113,6 +115,7 @@ def test_what_is_proven_is_what_is_used() -> None:
     assert (advice.refitted.calibration.seen[1] <= CHAIN.upper + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_goal_below_what_the_arm_repeats_is_refused_with_the_reason(rng: np.random.Generator) -> None:
     by = cell(repeatability_rad=5e-5)
     advice = measured(advisor(Goal(3e-5, stations=100), effects=False), by)
@@ -124,6 +127,7 @@ def test_a_goal_below_what_the_arm_repeats_is_refused_with_the_reason(rng: np.ra
     assert 4e-5 < advice.status.floor < 1.5e-4
 
 
+@pytest.mark.slow
 def test_a_budget_ends_it() -> None:
     advice = measured(advisor(Goal(1e-5, stations=15), effects=False), cell())
     assert advice.outcome is not None
@@ -152,6 +156,7 @@ def test_a_session_goes_on_from_its_file_with_the_same_stations(whole: Whole) ->
     assert all(np.array_equal(a.asked, b.asked) and a.role == b.role for a, b in zip(one, two, strict=True))
 
 
+@pytest.mark.slow
 def test_what_is_not_seen_is_made_up_for_and_not_asked_for_again() -> None:
     """The tracker does not see the tool in front of the arm's left: stations there are given up, and fewer asked for."""
     by = cell()
@@ -171,6 +176,7 @@ def test_what_is_not_seen_is_made_up_for_and_not_asked_for_again() -> None:
     assert len(set(unseen)) == len(unseen)
 
 
+@pytest.mark.slow
 def test_stations_are_chosen_where_the_tracker_sees(whole: Whole) -> None:
     """Of a session whose left half was not seen, the next stations lie in the right half."""
     advice, by = whole
@@ -238,6 +244,7 @@ def test_returns_come_from_another_side(whole: Whole) -> None:
         assert (samples.approach[rows[0]] * samples.approach[rows[1]] < 0.0).any()
 
 
+@pytest.mark.slow
 def test_a_technician_with_a_spreadsheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Files only: the next postures are read from a table, the readings written into it, and the command given again."""
     by, folder = cell(), tmp_path / "hand"
@@ -340,6 +347,7 @@ def test_explanations_that_are_one_motion_are_told_from_those_that_stations_sepa
     assert ["another payload" in s for s in said] == [False, True]
 
 
+@pytest.mark.slow
 def test_a_recording_is_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of the stations in a bag as few are used as prove the goal, and none of them twice."""
     out = tmp_path / "replayed"

@@ -80,6 +80,7 @@ def within(what: str, count: int, ceiling: int) -> list[str]:
     return [f"{what}: {count}, so lower the ceiling of {ceiling}"] if SLACK * count + 20 < ceiling else []
 
 
+@pytest.mark.slow
 def test_every_package_keeps_to_its_ceiling(found: Any) -> None:
     assert set(found.packages) == set(CEILINGS)
     wrong = []

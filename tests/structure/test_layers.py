@@ -200,10 +200,6 @@ def test_no_modules_of_the_core_import_each_other_in_a_circle() -> None:
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
 
 
-def test_no_two_files_are_called_loop() -> None:
-    assert sum(Path(place).stem == "loop" for package in sorted(MODCAL) for place in files(package)) <= 1
-
-
 def test_core_needs_only_numpy_and_scipy() -> None:
     broken = {place: outsiders(place, imports_of("modcal_core", place)) for place in files("modcal_core")}
     assert len(broken) > 100

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import click
-from nodes.test_layouts import SPACES
+from nodes.test_launching import SPACES
 
 from modcal_nodes.cli.main import modcal
 

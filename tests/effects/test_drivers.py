@@ -1,4 +1,4 @@
-"""What was told, such as a payload, holds until it is told otherwise; what a sensor saw is interpolated."""
+"""What effects act on: lagging sensors, signals that hold until the next message, and what is remembered of samples."""
 
 from __future__ import annotations
 
@@ -7,9 +7,39 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cells import record, ur10
+from scipy.integrate import solve_ivp
 
-from modcal_core.effects.drivers import Drivers, NominalArm
+from modcal_core.calibration.model import place_model
+from modcal_core.effects.drivers import _LAST, Drivers, NominalArm, delayed, remembered
 from modcal_core.measurements.recording import SignalTrack, is_told
+
+LAG = 120.0  # s
+
+
+def _warming(t: np.ndarray) -> np.ndarray:
+    """A motor that warms up, and a hall whose doors open now and then."""
+    return np.asarray(22.0 + 15.0 * (1.0 - np.exp(-t / 1500.0)) + 1.5 * np.sin(2.0 * np.pi * t / 900.0))
+
+
+def _sensed(t: np.ndarray) -> np.ndarray:
+    """What a sensor of that lag shows, by integrating its equation."""
+    answer = solve_ivp(
+        lambda now, x: (_warming(np.array(now)) - x) / LAG, (t[0], t[-1]), [22.0], t_eval=t, rtol=1e-8, atol=1e-8
+    )
+    return np.asarray(answer.y[0])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["into the lag", "out of it"])
+def test_a_lag_is_applied_or_undone(sign: float) -> None:
+    t = np.arange(0.0, 3600.0, 1.0)
+    given, wanted = (_warming(t), _sensed(t)) if sign > 0.0 else (_sensed(t), _warming(t))
+    at = t[600:-60]
+    found = delayed(t, given, sign * LAG, at)
+    left = np.abs(found - np.interp(at, t, wanted)).max()
+    as_it_was = np.abs(np.interp(at, t, given) - np.interp(at, t, wanted)).max()
+    assert as_it_was > 1.0
+    assert left < 0.05 * as_it_was
+
 
 KG = "signal:/payload_kg"
 
@@ -68,3 +98,18 @@ def test_a_signal_that_was_told_may_lag() -> None:
 
 def test_what_a_sensor_saw_is_interpolated() -> None:
     assert payload([1000.0, 1500.0], [0.123456789, 1.987654321])[1] == pytest.approx(0.4962962954)
+
+
+def test_drivers_are_remembered_within_the_context_alone() -> None:
+    """Of the same samples and the same arm; other samples of the same numbers are others."""
+    samples = record(0, 20).samples
+    model = place_model(ur10(), samples.frames)
+    with remembered():
+        first = model.drivers(samples)
+        assert model.drivers(samples) is first
+        assert model.drivers(replace(samples)) is not first
+        assert place_model(ur10(), samples.frames).drivers(samples) is not first
+        for _ in range(_LAST):
+            model.drivers(replace(samples))
+        assert model.drivers(samples) is not first  # memory holds but the last few
+    assert model.drivers(samples) is not model.drivers(samples)
