@@ -11,9 +11,7 @@ from planning.sites import HALL, ground, hall
 from planning.studies import Arm
 
 from modcal_core.errors import BadTable, NotEnoughData, NotPlannable
-from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
-from modcal_core.planning.exchange import exchange
 from modcal_core.planning.planner import Planner, PlanRequest, min_stations, plan
 from modcal_core.planning.site import clearance, site_from_data, visible
 
@@ -69,18 +67,6 @@ def test_as_many_stations_as_the_accuracy_needs_and_fewer_with_a_better_tracker(
         assert found.expected.ratios["model_rms"] < found.expected.ratios["total_rms"] < 1.0
         counts.append(len(found.q))
     assert counts[0] < counts[1]
-
-
-@pytest.mark.slow
-def test_refining_never_loses() -> None:
-    planner = Planner(ground().pool, PlanRequest(criterion="d"), np.random.default_rng(4))
-
-    def value(q: Array) -> float:
-        return planner.outlook.beside(planner.outlook.rows(q)).search(planner.outlook.rows(q), "d").value
-
-    rows = planner.outlook.rows(planner.pool.q)
-    start = exchange(planner.outlook.search(rows, "d"), 24, np.random.default_rng(4), 1)
-    assert value(planner.best(24, 1)) > value(planner.pool.q[start])
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 
 from modcal_core.errors import BadRobot, Overloaded
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.acceleration import Drives, Window, largest_box, read_drives, window
+from modcal_core.robots.acceleration import Drives, largest_box, read_drives, window
 from modcal_core.robots.bodies import Payload, with_payload
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.fastest_motion import constant_bounds
@@ -152,26 +152,6 @@ def test_no_box_is_larger() -> None:
         assert -best.fun == pytest.approx(2.0 * w.sum(), rel=1e-6)
 
 
-def test_a_box_does_not_depend_on_units() -> None:
-    """A joint reckoned in millimetres has bounds a thousand times as large, and the others the same."""
-    rng = np.random.default_rng(6)
-    A, h = rng.normal(size=(1, 4, 4)), rng.uniform(1.0, 2.0, (1, 4))
-    scale = np.array([1.0, 1e3, 1.0, 1e-3])
-    low, high = largest_box(A, -h, 2.0 * h)
-    other = largest_box(A / scale, -h, 2.0 * h)
-    assert np.allclose(other[0] / scale, low, rtol=1e-7)
-    assert np.allclose(other[1] / scale, high, rtol=1e-7)
-
-
-def test_many_boxes_at_once_are_those_of_each() -> None:
-    rig = Rig(30)
-    low, high = rig.window.box()
-    for k in range(len(rig.q)):
-        w = rig.window
-        one = Window(w.names, w.matrix[k : k + 1], w.lower[k : k + 1], w.upper[k : k + 1])
-        assert np.allclose(one.box(), (low[k : k + 1], high[k : k + 1]), rtol=1e-6)
-
-
 def test_constant_bounds_hold_at_every_posture() -> None:
     rig = Rig(31)
     low, high = constant_bounds(rig.window)
@@ -194,16 +174,6 @@ def test_the_coupled_box_is_within_the_equivalent_bounds() -> None:
     assert (high <= own_high * (1.0 + 1e-9)).all()
     assert (low >= own_low * (1.0 + 1e-9)).all()
     assert (high < 0.9 * own_high).any(axis=1).all()  # and truly tighter somewhere at every posture
-
-
-def test_a_rotor_adds_to_its_own_joint() -> None:
-    rig = Rig(32)
-    heavier = rig.drives.with_values("rotor", {"joint_2": 0.7})
-    w = window(rig.chain, rig.inertias, heavier, rig.q, rig.v)
-    extra = w.matrix - rig.window.matrix
-    assert np.allclose(extra[:, 2, 2], 0.7)
-    extra[:, 2, 2] = 0.0
-    assert not extra.any()
 
 
 def test_part_of_the_torque() -> None:

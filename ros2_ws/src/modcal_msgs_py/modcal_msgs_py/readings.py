@@ -1,9 +1,8 @@
-"""The numbers of a reading, in messages and in layouts; what an instrument says of its own error."""
+"""The numbers of a reading in messages; what an instrument says of its own error."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array
 from modcal_core.measurements import SignalTrack
 from modcal_core.measurements.kinds import kinds
-from modcal_msgs_py.layout import MessageLayout
+from modcal_msgs_py.layout import Messages, OneMessage
 from modcal_msgs_py.topics import POSES
 
 _WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry")
@@ -28,54 +27,25 @@ _PATHS = {
 }
 
 
-def _parts(message: Any) -> tuple[Any, Any]:
-    if hasattr(message, "transform"):
-        return message.transform.translation, message.transform.rotation
-    pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-    return pose.position, pose.orientation
-
-
-def _pose(message: Any) -> tuple[float, ...]:
-    p, q = _parts(message)
-    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
-
-
-def _point(message: Any) -> tuple[float, ...]:
-    p = message.point if hasattr(message, "point") else _parts(message)[0]
-    return (p.x, p.y, p.z)
-
-
-_NUMBERS: dict[str, Callable[[Any], tuple[float, ...]]] = {
-    "geometry_msgs/msg/PoseStamped": _pose,
-    "geometry_msgs/msg/PointStamped": _point,
-    "geometry_msgs/msg/Vector3Stamped": lambda m: (m.vector.x, m.vector.y, m.vector.z),
-    "sensor_msgs/msg/Range": lambda m: (m.range,),
-}
-READING = {name: _NUMBERS[kind.message] for name, kind in kinds().items()}
-
-
-def columns_of(kind: str, type_name: str, layout: MessageLayout, column: Callable[[str], Array]) -> list[Array]:
+def columns_of(kind: str, type_name: str, said: Messages) -> list[Array]:
     """The columns, (n, 1) each, of readings of a kind, out of messages of this type."""
     if type_name not in _PARTS:
-        return [column(path) for path in _PATHS[type_name]]
+        return [said.column(path) for path in _PATHS[type_name]]
     p, q = _PARTS[type_name]
     paths = [f"{p}/{a}" for a in "xyz"]
     if kinds()[kind].message in POSES:
         paths += [f"{q}/{a}" for a in "xyzw"]
-    return [column(path) for path in paths]
+    return [said.column(path) for path in paths]
 
 
-def stated_by(message: Any) -> Array:
-    """What a message says of its own error, as :func:`deviations`, (2,)."""
-    covariance = getattr(getattr(message, "pose", None), "covariance", None)
-    if covariance is None or len(covariance) != 36:
-        return np.full(2, np.nan)
-    return deviations(np.asarray(covariance, dtype=float)[None])[0]
+def reading_of(kind: str, message: Any) -> Array:
+    """The numbers (k,) of a reading of a kind, out of a message of the kind's own type."""
+    return np.hstack(columns_of(kind, kinds()[kind].message, OneMessage(message)))[0]
 
 
-def stated_in(type_name: str, n: int, column: Callable[[str], Array]) -> Array:
-    """The same of messages of this type, (n, 2)."""
-    return deviations(column("pose/covariance")) if type_name in _WITH_COVARIANCE else np.full((n, 2), np.nan)
+def stated_in(type_name: str, n: int, said: Messages) -> Array:
+    """What messages of this type say of their own error, as :func:`deviations`, (n, 2)."""
+    return deviations(said.column("pose/covariance")) if type_name in _WITH_COVARIANCE else np.full((n, 2), np.nan)
 
 
 def deviations(covariance: Array) -> Array:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.dh import from_dh, plain, read_rows, to_dh, vector
     from modcal_core.robots.fastest_motion import JointPath, constant_bounds, motion, within_bounds, within_torque
     from modcal_core.robots.inverse_kinematics import inverse, inverse_batch
-    from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames, place_jacobian
+    from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames
     from modcal_core.robots.kinematics import pose_and_jacobian, spatial_jacobian
     from modcal_core.robots.loaded_arm import LoadedArm, require_method
     from modcal_core.robots.makers import NO_HASH, from_ur_kinematics, kinematics_yaml_data, lacks_hash
@@ -45,7 +45,7 @@ __all__ += ["frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_
 __all__ += ["gravity_wrench", "held_behind", "inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element"]
 __all__ += ["joint_origins", "kinematics_yaml_data", "lacks_hash", "loss", "mass_matrix", "motion", "moved_centres"]
 __all__ += ["nearest_dh", "number", "offset_wrench", "origin_element", "other_tips", "parse", "passable"]
-__all__ += ["payload_wrench", "place_jacobian", "plain", "pose_and_jacobian", "position_jacobians", "random_postures"]
+__all__ += ["payload_wrench", "plain", "pose_and_jacobian", "position_jacobians", "random_postures"]
 __all__ += ["reachable", "read_chain", "read_drives", "read_inertias", "read_path", "read_rows", "require_method"]
 __all__ += ["rerooted", "ros2_control_offsets", "spatial_jacobian", "takes", "to_cpc", "to_csv", "to_dh", "to_table"]
 __all__ += ["tool_frames", "tool_pose", "tool_positions", "torque", "urdf_text", "vector", "weightless"]

@@ -45,7 +45,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dposv
 
 from modcal_core.errors import BadRobot, Overloaded
 from modcal_core.geometry import Array, so3
@@ -212,8 +211,7 @@ def largest_box(
     alone = 1.0 / B.max(axis=-2)
     w = np.ones(n) if weights is None else np.asarray(weights, dtype=float)
     assert (w > 0.0).all()
-    largest = _largest_of_one if len(B) == 1 else _largest
-    z = largest(B * alone[..., None, :], np.tile(w / w.mean(), 2)) * alone
+    z = _largest(B * alone[..., None, :], np.tile(w / w.mean(), 2)) * alone
     z /= (B @ z[..., None]).max(axis=(-2, -1))[..., None]  # rounding must not leave it outside
     return -z[..., n:], z[..., :n]
 
@@ -244,37 +242,6 @@ def _largest(B: Array, w: Array) -> Array:
         z, s = z * (1.0 + step * d), s + step * ds
         y = y + np.where(open_, _reach(dy / y), 0.0) * dy
     return z
-
-
-def _largest_of_one(B: Array, w: Array) -> Array:
-    """The same of one, B (1, m, k), step by step: what a node asks for many times a second, in half the time."""
-    B = B[0]
-    m, k = B.shape
-    z = np.full(k, 0.5 / float(B.sum(axis=1).max()))
-    s = 1.0 - B @ z
-    y = (1.0 / m) / s
-    for _ in range(_MAX_STEPS):
-        gap = float(y @ s)
-        scaled = B * z
-        missing = w - y @ scaled
-        if gap <= _GAP and float(np.abs(missing).max()) <= _GAP:
-            break
-        inverse = 1.0 / s
-        aim, slope = (_CENTRING * gap / m) * inverse, y * inverse
-        matrix = scaled.T @ (scaled * slope[:, None])
-        matrix.flat[:: k + 1] += w
-        d = dposv(matrix, w - aim @ scaled, overwrite_a=1)[1]
-        ds = -(scaled @ d)
-        dy = aim - y - slope * ds
-        step = min(_reach_of_one(d), _reach_of_one(ds * inverse))
-        z, s = z * (1.0 + step * d), s + step * ds
-        y = y + _reach_of_one(dy / y) * dy
-    return z[None]
-
-
-def _reach_of_one(change: Array) -> float:
-    worst = -float(change.min())
-    return _TO_THE_WALL / worst if worst > _TO_THE_WALL else 1.0
 
 
 def _reach(change: Array) -> Array:
