@@ -16,7 +16,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.outcome.notes import readmitted_note
-from modcal_core.planning.refit import refit
+from modcal_core.planning.outlook import refit
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.words import sentence
 

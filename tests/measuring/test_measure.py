@@ -20,8 +20,7 @@ from modcal_core.planning.advice import Advice, Advisor, Method, _not_by_posture
 from modcal_core.planning.next_stations import one_motion, return_stations
 from modcal_core.planning.outlook import chance_seen
 from modcal_core.planning.pool import of_robot
-from modcal_core.planning.proof import Goal
-from modcal_core.planning.session import MEASURED, PROOF, UNSEEN, Session, Station, from_data, to_data
+from modcal_core.planning.session import MEASURED, PROOF, UNSEEN, Goal, Session, Station, from_data, to_data
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.motion import TimedMotion, free_way, is_free, timed
+from modcal_core.planning.route import TimedMotion, free_way, is_free, timed
 from modcal_core.planning.session import MEASURED, UNSEEN, Station
 from modcal_nodes.measuring.runner import HELD, IDLE, Done, Hold, JointReport, Rules, Runner
 

@@ -13,7 +13,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.advice import Advance, Advice
-from modcal_core.planning.refit import refit
+from modcal_core.planning.outlook import refit
 from modcal_core.planning.session import MEASURED, Session, Station
 from modcal_core.planning.typed_table import FilledTable, require_likely, text_of, to_table, with_table
 from modcal_nodes.cli.measure import left_out

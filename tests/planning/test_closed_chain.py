@@ -21,7 +21,7 @@ from modcal_core.planning.closed_chain import (
     one_frame_model,
     sizes_of,
 )
-from modcal_core.planning.designs import sobol_postures
+from modcal_core.planning.sensitivity_study import sobol_postures
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
 

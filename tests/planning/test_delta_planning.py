@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from deltas import FILE, nominal
 
-from modcal_core.planning.designs import array_postures, sobol_postures
 from modcal_core.planning.planner import PlanRequest, plan
+from modcal_core.planning.sensitivity_study import array_postures, sobol_postures
 from modcal_core.planning.site import Site
 from modcal_core.robots.mechanism import takes
 from modcal_nodes.cli.main import run

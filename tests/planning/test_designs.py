@@ -10,7 +10,7 @@ from cells import slider_arm, ur10
 from planning.arms import irb1410
 
 from modcal_core.errors import BadTable
-from modcal_core.planning.designs import array_postures, design, orthogonal_array, sobol_postures
+from modcal_core.planning.sensitivity_study import array_postures, design, orthogonal_array, sobol_postures
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,9 @@ import pytest
 import yaml
 from cells import ur10
 
-from modcal_core.planning.criteria import CRITERIA
-from modcal_core.planning.designs import DESIGNS
+from modcal_core.planning.exchange import CRITERIA
 from modcal_core.planning.pool import with_limits
+from modcal_core.planning.sensitivity_study import DESIGNS
 from modcal_core.planning.site import site_from_data, spheres_of
 
 

@@ -12,8 +12,7 @@ from planning.sites import ground, hall
 
 from modcal_core.calibration.equations import normal_equations
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.criteria import CRITERIA, Criterion, observability
-from modcal_core.planning.exchange import Search, exchange, grown, information
+from modcal_core.planning.exchange import CRITERIA, Criterion, Search, exchange, grown, information, observability
 
 
 def small(rng: np.random.Generator, N: int = 12, c: int = 3, P: int = 5) -> Array:

@@ -11,8 +11,8 @@ from scipy.stats import chi
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.closed_chain import ClosedChain, dh_closed_chain, sizes_of
-from modcal_core.planning.designs import design, sobol_postures
 from modcal_core.planning.sensitivity_study import (
+    design,
     gains,
     interval_probabilities,
     joint_use,
@@ -20,6 +20,7 @@ from modcal_core.planning.sensitivity_study import (
     of_distance,
     of_vector,
     sensitivity,
+    sobol_postures,
 )
 
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from modcal_msgs_py.mcap_repair import Repair, repair_bag
     from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
     from modcal_msgs_py.messages import RecordingBuilder, why_left_out
-    from modcal_msgs_py.objects import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_expected
-    from modcal_msgs_py.objects import fill_markers, fill_object_state, fill_picture, seen, status_values
+    from modcal_msgs_py.commands import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_expected
+    from modcal_msgs_py.commands import fill_markers, fill_object_state, fill_picture, seen, status_values
     from modcal_msgs_py.readings import SignalsHeard, reading_of, seconds, set_seconds
     from modcal_msgs_py.recording_write import write_recording
     from modcal_msgs_py.topics import JOINT_COMMANDS, JOINT_STATES, READINGS, TYPES, AddedTopic, Joints, Signal, Topics

@@ -20,7 +20,7 @@ from modcal_core.measurements.kinds import kinds
 from modcal_msgs_py.descriptions import Descriptions, is_link
 from modcal_msgs_py.layout import Messages, OneMessage
 from modcal_msgs_py.mcap_walk import Block
-from modcal_msgs_py.readings import columns_of, stated_in
+from modcal_msgs_py.readings import Transforms, columns_of, stated_in
 from modcal_msgs_py.topics import (
     ADDED,
     COMMANDS,
@@ -41,7 +41,6 @@ from modcal_msgs_py.topics import (
     role_of,
 )
 from modcal_msgs_py.track_rows import Commands, TrackRows, joint_track, reading_track, signal_track
-from modcal_msgs_py.transforms import Transforms
 
 Key = TypeVar("Key", bound=tuple[Any, ...])  # of a track; the topic comes first
 NO_POSITIONS = "it holds names without positions"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.inverse_kinematics import inverse, inverse_batch
     from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames
     from modcal_core.robots.kinematics import pose_and_jacobian, spatial_jacobian
-    from modcal_core.robots.loaded_arm import LoadedArm, require_method
+    from modcal_core.robots.acceleration import LoadedArm, require_method
     from modcal_core.robots.makers import NO_HASH, from_ur_kinematics, kinematics_yaml_data, lacks_hash
     from modcal_core.robots.mechanism import Mechanism, forward, gravity_wrench, is_delta, is_serial_arm, offset_wrench
     from modcal_core.robots.mechanism import passable, payload_wrench, random_postures, takes, tool_frames
