@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
+from msgs import bag_forms as forms
 
 from modcal_core.measurements.recording import Recording
 from modcal_msgs_py import layout as fields
-from modcal_msgs_py.layout import MessageLayout, definition, jazzy, message_class
+from modcal_msgs_py.layout import MessageLayout, jazzy, message_class
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_walk import McapFile
 from modcal_msgs_py.messages import RecordingBuilder
@@ -63,20 +64,10 @@ def filled(type_name: str, rng: np.random.Generator, n: int, frame: str) -> Any:
     return message_class(type_name)(**{name: value(what) for name, what in described})
 
 
-def written(path: Path, messages: list[Message], little_endian: bool = True, **how: Any) -> Path:
-    """An MCAP file with these messages (topic, type, message)."""
-    with path.open("wb") as stream:
-        writer = Writer(stream, **{"chunk_size": 4096, **how})
-        writer.start("ros2")
-        channels: dict[str, int] = {}
-        for i, (topic, type_name, message) in enumerate(messages):
-            if topic not in channels:
-                schema = writer.register_schema(type_name, "ros2msg", definition(type_name)[0].encode())
-                channels[topic] = writer.register_channel(topic, "cdr", schema)
-            cdr = bytes(jazzy().serialize_cdr(message, type_name, little_endian=little_endian))
-            writer.add_message(channels[topic], 10**18 + i * 10**6, cdr, 10**18 + i * 10**6)
-        writer.finish()
-    return path
+def written(path: Path, messages: list[Message], **how: Any) -> Path:
+    """An MCAP file with these messages (topic, type, message), a millisecond apart."""
+    timed = [(*message, 10**18 + i * 10**6) for i, message in enumerate(messages)]
+    return forms.mcap_file(path, timed, **{"chunk_size": 4096, **how})
 
 
 def one_by_one(messages: list[Message]) -> Recording:
@@ -220,16 +211,9 @@ def test_rows_that_fit_at_one_look_fit_byte_by_byte(kind: str, frame: str) -> No
 
 def test_a_message_that_is_cut_costs_itself(tmp_path: Path, rng: np.random.Generator) -> None:
     kind = TYPES["/joint_states"]
-    path = tmp_path / "bad.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        schema = writer.register_schema(kind, "ros2msg", definition(kind)[0].encode())
-        channel = writer.register_channel("/joint_states", "cdr", schema)
-        for i in range(20):
-            cdr = bytes(jazzy().serialize_cdr(filled(kind, rng, 3, "f"), kind))
-            writer.add_message(channel, i, cdr if i != 12 else cdr[:-30], i)
-        writer.finish()
+    said = [bytes(jazzy().serialize_cdr(filled(kind, rng, 3, "f"), kind)) for _ in range(20)]
+    said[12] = said[12][:-30]
+    path = written(tmp_path / "bad.mcap", [("/joint_states", kind, cdr) for cdr in said])
     recording = read_recording(path)
     assert sum(len(track.stamps) for track in recording.joints) == 19
     said = "1 messages on /joint_states were left out: they are not of type sensor_msgs/msg/JointState."

@@ -91,14 +91,6 @@ def test_a_label_that_contradicts_the_motion_is_asked(tmp_path: Path, rng: np.ra
     assert any("the joints' own motion says deg/s" in question for question in made.open)
 
 
-def test_speeds_of_a_standing_arm_without_a_unit_are_not_used(tmp_path: Path, rng: np.random.Generator) -> None:
-    q = postures(rng)
-    speeds = named("qd1 qd2 qd3 qd4 qd5 qd6", 1e-3 * rng.standard_normal(q.shape))
-    made, entry = proposed(tmp_path, {**joints(q), **points(seen(q, rng)), **speeds})
-    assert "velocity" not in entry["joints"]
-    assert any("neither labels nor the motion tell their unit" in said for said in made.assumed)
-
-
 def test_commanded_joints_in_another_unit(tmp_path: Path, rng: np.random.Generator) -> None:
     q = postures(rng)
     wanted = q + 1e-3 * rng.standard_normal(q.shape)

@@ -6,7 +6,6 @@ bench/imports has a hundred exports drawn by a generator that knows nothing of m
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -196,8 +195,16 @@ def test_a_table_of_something_else_is_refused(tmp_path: Path, rng: np.random.Gen
         find([tmp_path / "prose.txt"], CHAIN)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "latin-1"])
-@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", ","), ("\t", ","), (" ", "."), ("|", ".")])
+@pytest.mark.parametrize(
+    ("encoding", "separator", "decimal"),
+    [
+        ("utf-8", ",", "."),
+        ("utf-8-sig", ";", ","),
+        ("utf-16", "\t", ","),
+        ("utf-16-le", " ", "."),
+        ("latin-1", "|", "."),
+    ],
+)
 def test_how_a_file_is_written(encoding: str, separator: str, decimal: str, tmp_path: Path) -> None:
     rows = [[f"{i + k + 0.25:.2f}".replace(".", decimal) for k in range(4)] for i in range(5)]
     rows[2][1] = "nan"
@@ -245,17 +252,3 @@ def test_labels_of_orientations() -> None:
     assert grouped(labelled(*(f"Rot[{k}]" for k in range(9))), "matrix") == [tuple(range(9))]
     whole = labelled(*(f"T{i}{j}" for i in "123" for j in "1234"))
     assert grouped(whole, "homogeneous") == [(3, 7, 11, 0, 1, 2, 4, 5, 6, 8, 9, 10)]
-
-
-@pytest.mark.parametrize(
-    ("text", "role"),
-    [
-        ("actual_q_1", "measured"),
-        ("target_q_1", "commanded"),
-        ("qd 3", "velocity"),
-        ("Torque J1", "effort"),
-        ("Temp1", "other"),
-    ],
-)
-def test_labels_of_what_joints_do(text: str, role: Any) -> None:
-    assert Label.of(text).role == role

@@ -59,6 +59,8 @@ def test_angles_are_not_and_differ_from_pose_to_pose(abb: ClosedChain, l25: Arra
 def test_interval_weights_by_hand() -> None:
     values = np.array([1.0, 1.0, 1.0, 3.0])
     assert np.array_equal(interval_probabilities(values, 2), [0.75, 0.75, 0.75, 0.25])
+    # the last interval is closed: the largest value is in it
+    assert interval_probabilities(np.arange(5.0), 2) == pytest.approx([0.4, 0.4, 0.6, 0.6, 0.6])
     # weighted: (3 · 0.75 + 3 · 0.25) / (3 · 0.75 + 0.25) = 1.2, nearer to what is usual than the mean, 1.5
     closed = dh_closed_chain(irb1410(), point=POINT)
     q = np.zeros((4, 6))

@@ -43,7 +43,7 @@ def desired_pose(message: Any, farthest: float) -> Array:
 
 
 def _pose_numbers(pose: Any, what: str, off: float) -> Array:
-    """x y z qx qy qz qw of a Pose. Raises BadCommand, naming ``what``, for one that is not finite or no unit quaternion.
+    """x y z qx qy qz qw of a Pose. Raises BadCommand, naming ``what``, for what is not finite or no unit quaternion.
 
     off: how far from one the length of the quaternion may be.
     """
