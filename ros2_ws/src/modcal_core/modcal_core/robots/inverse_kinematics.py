@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import NotReachable
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, crossed_rows, se3, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames, tip_motions
 
@@ -168,7 +168,7 @@ def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     v, w = tip_motions(chain, f)
     e = se3.error(f.transform(-1), goal)
     J = np.empty((len(q), 6, chain.n))
-    J[:, :3] = np.swapaxes(v - np.cross(e[:, None, :3], w), 1, 2)
+    J[:, :3] = np.swapaxes(v - crossed_rows(e[:, None, :3], w), 1, 2)
     J[:, 3:] = so3.left_jacobian_inverse(e[:, 3:]) @ np.swapaxes(w, 1, 2)
     return e, chain.by_leaders(J)
 

@@ -230,7 +230,7 @@ def tip_motions(chain: Chain, f: Frames) -> tuple[Array, Array]:
     R, p = f.rotation(-1), f.p[-1].T
     axis, at = f.axes[:-1, 2].transpose(2, 0, 1), f.p[:-1].transpose(2, 0, 1)  # (N, n, 3)
     turning = chain.revolute[:, None]
-    v = np.where(turning, np.cross(axis, p[:, None] - at), axis) @ R
+    v = np.where(turning, crossed_rows(axis, p[:, None] - at), axis) @ R
     return v, np.where(turning, axis, 0.0) @ R
 
 
