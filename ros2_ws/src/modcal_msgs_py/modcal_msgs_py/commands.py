@@ -15,13 +15,8 @@ import numpy as np
 
 from modcal_core.articulation import JOINT
 from modcal_core.errors import BadCommand, ModcalError
-<<<<<<< HEAD
 from modcal_core.geometry import Array, se3, so3
-=======
-from modcal_core.geometry import Array, se3
-from modcal_core.impedance import ArmSetpoint
 from modcal_core.robots import Follower, JointColumns
->>>>>>> 288f628fe6d284b932e8891375443cf857ce5246
 from modcal_msgs_py.readings import seconds, set_seconds
 
 if TYPE_CHECKING:
