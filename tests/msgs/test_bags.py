@@ -161,6 +161,8 @@ _KILLED = """
 import os, signal, sys
 from pathlib import Path
 from modcal_msgs_py.mcap_write import BagWriter
+from modcal_core.measurements import ReadingTrack, Recording
+from modcal_msgs_py.images import read_messages
 from modcal_msgs_py.layout import message_class, serialise
 bag = BagWriter(Path(sys.argv[1]))
 bag.add_topic("/robot_description", "std_msgs/msg/String")
@@ -182,3 +184,12 @@ def test_a_killed_recorder_loses_at_most_the_last_chunk(tmp_path: Path) -> None:
     assert len(list(file.messages())) == 60
     assert file.cut == "it ends without an index"
     assert "no metadata.yaml" in read_recording(tmp_path / "bag").warnings[0]
+
+
+def test_a_message_of_a_point_has_no_turn_of_a_pose_before(tmp_path: Path) -> None:
+    t, stated = np.array([1.0, 2.0]), np.full((2, 2), 1e-3)
+    pose = ReadingTrack("pose", "t", t, np.tile([1.0, 2.0, 3.0, 0.6, 0.0, 0.8, 0.0], (2, 1)), t, "", stated)
+    point = ReadingTrack("point", "t", t, np.tile([1.0, 2.0, 3.0], (2, 1)), t, "", stated)
+    write_recording(Recording((), (pose, point), (), None, "made", ()), tmp_path / "bag")
+    turns = [message.pose.pose.orientation for _, message in read_messages(tmp_path / "bag", "/tracker/point")]
+    assert [(q.x, q.y, q.z, q.w) for q in turns] == 2 * [(0.0, 0.0, 0.0, 1.0)]

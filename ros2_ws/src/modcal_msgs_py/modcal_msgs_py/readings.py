@@ -30,15 +30,18 @@ _PATHS = {
 }
 
 
+def paths_of(kind: str, type_name: str) -> list[str]:
+    """Where the numbers of a reading of a kind stand in messages of this type."""
+    if type_name not in _PARTS:
+        return _PATHS[type_name]
+    p, q = _PARTS[type_name]
+    turn = [f"{q}/{a}" for a in "xyzw"] if kinds()[kind].message in POSES else []
+    return [*(f"{p}/{a}" for a in "xyz"), *turn]
+
+
 def columns_of(kind: str, type_name: str, said: Messages) -> list[Array]:
     """The columns, (n, 1) each, of readings of a kind, out of messages of this type."""
-    if type_name not in _PARTS:
-        return [said.column(path) for path in _PATHS[type_name]]
-    p, q = _PARTS[type_name]
-    paths = [f"{p}/{a}" for a in "xyz"]
-    if kinds()[kind].message in POSES:
-        paths += [f"{q}/{a}" for a in "xyzw"]
-    return [said.column(path) for path in paths]
+    return [said.column(path) for path in paths_of(kind, type_name)]
 
 
 def reading_of(kind: str, message: Any) -> Array:
