@@ -19,6 +19,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from modcal_core.errors import BadRecording
+from modcal_core.measurements import ReadingTrack, Recording
+from modcal_msgs_py.images import read_messages
 from modcal_msgs_py.layout import serialise
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_walk import McapFile
