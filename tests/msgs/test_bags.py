@@ -163,8 +163,6 @@ _KILLED = """
 import os, signal, sys
 from pathlib import Path
 from modcal_msgs_py.mcap_write import BagWriter
-from modcal_core.measurements import ReadingTrack, Recording
-from modcal_msgs_py.images import read_messages
 from modcal_msgs_py.layout import message_class, serialise
 bag = BagWriter(Path(sys.argv[1]))
 bag.add_topic("/robot_description", "std_msgs/msg/String")

@@ -169,20 +169,6 @@ def test_bytes_that_are_no_such_message_have_no_layout(rng: np.random.Generator)
         MessageLayout.of(described, good[:at] + b"\xff\xff\xff\xff" + good[at + 4 :])
 
 
-@pytest.mark.parametrize("frame", ["", "a", "four", "longer"])
-def test_nothing_is_left_free_before_an_empty_sequence(frame: str) -> None:
-    """Numbers begin at a multiple of their size, but where there are none the next count follows at once."""
-    kind = "sensor_msgs/msg/JointState"
-    message = filled(kind, np.random.default_rng(0), 2, frame)
-    message.velocity = np.empty(0)
-    said = bytes(jazzy().serialize_cdr(message, kind))
-    layout = MessageLayout.of(fields.KNOWN[kind], said)
-    assert layout is not None
-    rows = layout.rows(np.frombuffer(bytes(8) + said + bytes(layout.width), np.uint8), np.array([8]))
-    assert layout.fits(rows).all()
-    assert layout.numbers(rows, "effort").tolist() == [message.effort.tolist()]
-
-
 @pytest.mark.parametrize("kind", sorted(set(TYPES.values())))
 @pytest.mark.parametrize("frame", ["", "four", "longer"])
 def test_rows_that_fit_at_one_look_fit_byte_by_byte(kind: str, frame: str) -> None:

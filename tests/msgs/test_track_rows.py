@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -39,12 +38,6 @@ def test_rows_are_those_that_were_added(steps: list[tuple[str, int]], expected: 
     assert values.shape == (len(truth), WIDTH)
     seen.append((np.column_stack([stamps, received, values]), truth))
     assert all(np.array_equal(there, then) for there, then in seen)
-
-
-def test_too_few_numbers_are_no_row() -> None:
-    rows = TrackRows(WIDTH)
-    with pytest.raises(AssertionError):
-        rows.extend(np.zeros(2), np.zeros(2), np.zeros((2, WIDTH - 1)))
 
 
 def test_a_number_that_was_wrongly_expected_takes_no_memory() -> None:

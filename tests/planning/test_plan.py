@@ -12,7 +12,7 @@ from planning.studies import Arm
 
 from modcal_core.errors import BadTable, NotEnoughData, NotPlannable
 from modcal_core.loop import calibrate
-from modcal_core.planning.planner import Planner, PlanRequest, min_stations, plan
+from modcal_core.planning.planner import PlanRequest, min_stations, plan
 from modcal_core.planning.site import clearance, site_from_data, visible
 
 _ARMS = 12
@@ -39,20 +39,6 @@ def test_what_is_promised_comes_true_and_beats_random_postures(reading: str) -> 
     assert 0.75 < rms(planned) / there.left(there.outlook.rows(chosen)) < 1.25
     assert 0.75 < rms(drawn) / rms(promised) < 1.25
     assert rms(planned) < rms(drawn)
-
-
-@pytest.mark.slow
-def test_what_is_chosen_lowers_the_claim() -> None:
-    """The score of a set is the claim's: less is claimed of what it chooses than of what geometry alone would."""
-    accuracy = ground()
-    determinant = Planner(accuracy.pool, PlanRequest(criterion="d"), np.random.default_rng(1))
-    random = accuracy.pool.q[np.random.default_rng(2).choice(300, 30, replace=False)]
-    sets = accuracy.best(30, 1), determinant.best(30, 1), random
-    errors = [accuracy.outlook.beside(accuracy.outlook.rows(q)).error() for q in sets]
-    claims = [accuracy.claim(q).mm["rms"].ci95[1] for q in sets]
-    assert errors[0] < errors[1] < errors[2]
-    assert claims[0] < claims[2]
-    assert np.argsort(claims).tolist() == np.argsort(errors).tolist()
 
 
 @pytest.mark.slow
@@ -99,14 +85,6 @@ def test_as_few_stations_as_calibrate_takes(reading: str) -> None:
 def test_without_a_number_twice_as_many_as_the_fewest() -> None:
     made = plan(ur10(), hall(), PlanRequest(candidates=60, starts=1, returns=0), np.random.default_rng(5))
     assert made.distinct == 2 * min_stations(len(made.parameters), "point")
-
-
-@pytest.mark.slow
-def test_fixed_parameters_are_not_planned_for() -> None:
-    request = PlanRequest(stations=24, candidates=60, starts=1, fixed=("tool", "wrist_*"))
-    names = plan(ur10(), hall(), request, np.random.default_rng(5)).parameters
-    assert names
-    assert not [name for name in names if name.startswith(("tool/", "wrist_"))]
 
 
 @pytest.mark.parametrize(

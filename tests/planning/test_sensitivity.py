@@ -8,7 +8,6 @@ from planning.arms import POINT, dh_point, irb1410, irb1410_table
 from scipy.integrate import quad
 from scipy.stats import chi
 
-from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.closed_chain import ClosedChain, dh_closed_chain, sizes_of
 from modcal_core.planning.sensitivity_study import (
@@ -73,14 +72,6 @@ def test_interval_weights_by_hand() -> None:
 def test_rounding_does_not_make_intervals() -> None:
     values = 5e-4 + 1e-19 * np.arange(20)
     assert np.array_equal(interval_probabilities(values, 6), np.ones(20))
-
-
-def test_a_base_factor_that_moves_nothing_is_refused(l25: Array) -> None:
-    closed = dh_closed_chain(irb1410())
-    with pytest.raises(BadTable, match="moves nothing at some posture"):
-        sensitivity(closed, l25, sizes_of(closed, 1e-3, 1e-3), "joint_6/theta")
-    with pytest.raises(BadTable, match="is not one of the chain's"):
-        sensitivity(closed, l25, sizes_of(closed, 1e-3, 1e-3), "joint_7/theta")
 
 
 def test_the_shares_of_a_linear_error_are_those_of_arms_drawn_at_random(abb: ClosedChain) -> None:
@@ -166,13 +157,3 @@ def test_what_matters_and_is_not_seen_is_said(abb: ClosedChain) -> None:
     still[:, 3:] = [0.2, 0.4, -0.3]  # the wrist never moves, so it is one piece with the point
     assert named(still) >= {"joint_4/a", "joint_5/d", "point/x"}
     assert not {"joint_2/a", "joint_2/theta", "base/x"} & named(still)
-
-
-def test_pairs_that_act_as_one_have_no_gain_left(abb: ClosedChain, l25: Array) -> None:
-    """The base's height and joint_1/d are one motion: neither is known, and neither is missed."""
-    sizes = sizes_of(abb, 5e-4, 1e-3)
-    J = abb.jacobian(l25)[:, :3].reshape(-1, 33)
-    joint = joint_use(abb.jacobian(l25)[:, :3], sizes, J, np.full(len(J), 5e-5))
-    pair = [abb.index("base/z"), abb.index("joint_1/d")]
-    assert np.allclose(joint.seen[pair], 0.5, atol=0.01)
-    assert (joint.after.of_each[pair] < 0.01 * joint.before.of_each[pair]).all()

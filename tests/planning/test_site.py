@@ -122,14 +122,6 @@ def test_what_a_camera_on_the_tool_sees_of_a_board(
     assert visible(spheres_of(one_joint(), here), here, np.array([[angle]]))[0] == seen
 
 
-def test_a_camera_on_the_tool_reads_poses() -> None:
-    here = site(tracker=CAMERA, target=BOARD)
-    with pytest.raises(BadTable, match="does not come from a camera on the tool"):
-        survey(one_joint(), here, np.random.default_rng(0), "point")
-    with pytest.raises(BadTable, match="on_tool"):
-        site(tracker={**CAMERA, "on_tool": "yes"})
-
-
 def test_what_stands_in_between_hides_the_target() -> None:
     chain = one_joint()
     behind = {"tracker": {"position_m": [-3, 0, 0]}, "target": {"position_m": [0.0, 0.0, 0.0]}}
