@@ -63,11 +63,6 @@ def _transform(values: Array) -> Any:
     return message_class("geometry_msgs/msg/Transform")(vector(*values[:3]), quaternion(*values[3:]))
 
 
-def covariance_of(sigma_m: float, sigma_rad: float) -> Array:
-    """A covariance with this RMS over space in position and angle."""
-    return np.diag([sigma_m**2 / 3.0] * 3 + [sigma_rad**2 / 3.0] * 3).ravel()
-
-
 def reading(kind: str, ns: int, values: Array, frame: str = "tracker", covariance: Array | None = None) -> Any:
     """A reading of a pose as a message of this type."""
     if kind == POINT:

@@ -208,3 +208,11 @@ def test_an_arm_without_masses_is_refused() -> None:
     chain, inertias, drives = arm(text)
     with pytest.raises(BadRobot, match="joint shoulder_pan_joint: moves nothing that has a mass"):
         window(chain, inertias, drives, np.zeros((1, 6)))
+
+
+@pytest.mark.parametrize(("of_y", "of_x"), [(-6.1, None), (-6.0, (-5.0, 10.0)), (8.0, (-5.0, 10.0)), (8.1, None)])
+def test_a_joint_that_is_given_too_much_leaves_the_other_nothing(of_y: float, of_x: tuple[float, float] | None) -> None:
+    """A gantry of two slides, whose drives do not feel each other: 2 kg and 5 kg, −10 … 20 N and −30 … 40 N."""
+    gantry = Window(("x", "y"), np.diag([2.0, 5.0])[None], np.array([[-10.0, -30.0]]), np.array([[20.0, 40.0]]))
+    lower, upper = gantry.given([0.0, of_y])
+    assert [lower[0, 0], upper[0, 0]] == ([*of_x] if of_x else pytest.approx([np.nan] * 2, nan_ok=True))
