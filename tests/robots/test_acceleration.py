@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 
 from modcal_core.errors import BadRobot, Overloaded
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.acceleration import Drives, largest_box, read_drives, window
+from modcal_core.robots.acceleration import Drives, Window, largest_box, read_drives, window
 from modcal_core.robots.bodies import Payload, with_payload
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.fastest_motion import constant_bounds
