@@ -13,20 +13,15 @@ import numpy as np
 import pytest
 from nodes.processes import ROOT
 
-from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.noise import errors
 from modcal_core.effects.registry import candidates
-from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.planning.advice import Advice, Advisor, Method, _not_by_posture
-from modcal_core.planning.next_stations import Chooser, one_motion, return_stations
-from modcal_core.planning.outlook import chance_seen, outlook
+from modcal_core.planning.next_stations import one_motion, return_stations
+from modcal_core.planning.outlook import chance_seen
 from modcal_core.planning.pool import of_robot
-from modcal_core.planning.proof import Goal
-from modcal_core.planning.session import MEASURED, PROOF, UNSEEN, Session, Station, from_data, to_data
+from modcal_core.planning.session import MEASURED, PROOF, UNSEEN, Goal, Session, Station, from_data, to_data
 from modcal_core.planning.site import Site, site_from_data
-from modcal_core.planning.typed_table import to_table, with_table
 from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
@@ -176,25 +171,6 @@ def test_what_is_not_seen_is_made_up_for_and_not_asked_for_again() -> None:
     assert len(set(unseen)) == len(unseen)
 
 
-@pytest.mark.slow
-def test_stations_are_chosen_where_the_tracker_sees(whole: Whole) -> None:
-    """Of a session whose left half was not seen, the next stations lie in the right half."""
-    advice, by = whole
-
-    def left(station: Station) -> bool:
-        return bool(by.plant.world.tool_in_base(station.asked)[1, 3] > 0.1)
-
-    stations = tuple(replace(s, state=UNSEEN) if left(s) else s for s in advice.session.stations)
-    session = replace(advice.session, stations=stations)
-    assert advice.refitted is not None
-    pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0))
-    view = outlook(advice.refitted, pool.where, Cell(), np.random.default_rng(0))
-    chooser = Chooser(pool, view, advice.refitted)
-    batches = [chooser.best(seen, 36, np.random.default_rng(1)) for seen in (session, advice.session)]
-    unseen, usual = (np.mean([left(s) for s in stations]) for stations, _ in batches)
-    assert unseen < usual - 0.1
-
-
 def test_a_place_that_was_not_seen_is_less_likely_to_be_seen_next_to_it() -> None:
     p, z = np.zeros((3, 3)), np.tile([0.0, 0.0, 1.0], (3, 1))
     p[:, 0] = 0.0, 0.3, 2.0
@@ -277,26 +253,6 @@ def test_a_technician_with_a_spreadsheet(tmp_path: Path, capsys: pytest.CaptureF
     assert sum(s["state"] == MEASURED for s in session["stations"]) == result["stations"]["measured"]
 
 
-def test_what_a_table_cannot_say_is_refused_with_its_row() -> None:
-    session = Session(("a", "b"), stations=(Station(np.array([0.1, 0.2])), Station(np.array([0.3, 0.4]))))
-    turns = np.array([True, True])
-    text = to_table(session, session.pending, turns)
-    lines = text.splitlines()
-    for line, said in (
-        (lines[1].replace(",,,,", ",1,2,,"), "'' is not a number"),
-        (lines[1].replace(",,,,", ",1,2,x,"), "'x' is not a number"),
-        (lines[1].replace("5.72958", "8.0").replace(",,,,", ",1,2,3,"), "2.27° from where it was asked to be"),
-        (lines[1].replace("1,fit", "9,fit").replace(",,,,", ",1,2,3,"), "station 9 is not asked for"),
-    ):
-        with pytest.raises(BadTable, match="t, row 2") as refused:
-            with_table(session, "\n".join([lines[0], line]), turns, "t")
-        assert said in str(refused.value)
-    with pytest.raises(BadTable, match="keep the head"):
-        with_table(session, "station,x_mm\n1,2", turns, "t")
-    later = with_table(session, text, turns, "t").session
-    assert later.pending == (0, 1)
-
-
 def test_a_folder_of_another_goal_or_robot_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = str(tmp_path / "hand")
     assert run(["measure", str(URDF), "--goal-mm", "0.1", "--by-hand", folder]) == 0
@@ -305,19 +261,6 @@ def test_a_folder_of_another_goal_or_robot_is_refused(tmp_path: Path, capsys: py
     other = ROOT / "examples" / "robots" / "xarm7.urdf"
     assert run(["measure", str(other), "--goal-mm", "0.1", "--by-hand", folder]) == 2
     assert "is of robot" in capsys.readouterr().err
-
-
-def test_one_way_of_measuring_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["measure", str(URDF), "--goal-mm", "0.1"]) == 2
-    assert "needs one of --by-hand, --simulated and --replay" in capsys.readouterr().err
-
-
-def test_the_proofs_errors_are_those_of_the_model_that_is_written(whole: Whole) -> None:
-    advice, _ = whole
-    rows = advice.session.rows(PROOF)
-    assert advice.refitted is not None
-    e = errors(advice.refitted.calibration.calibrated, advice.session.samples(rows)).position_norm
-    assert advice.status.seen == pytest.approx(float(np.sqrt(np.mean(e**2))))
 
 
 def test_explanations_that_are_one_motion_are_told_from_those_that_stations_separate(whole: Whole) -> None:

@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 
 from modcal_core.errors import BadCommand, BadRobot
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.motion import TimedMotion
+from modcal_core.planning.route import TimedMotion
 from modcal_core.planning.session import MEASURED, PLANNED, UNSEEN
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.measuring.sequence import Place, StationSequence

@@ -52,14 +52,6 @@ def test_tables_and_pictures_of_the_irb_1410(tmp_path: Path, capfd: pytest.Captu
     assert (out / "by_pose.svg").read_text().startswith("<svg")
 
 
-def test_an_arm_of_seven_joints_in_the_parameters_of_a_calibration(tmp_path: Path) -> None:
-    arguments = ["--parameters", "calibration", "--postures", "16", "--out", str(tmp_path / "out")]
-    assert run(["sensitivity", str(ROBOTS / "iiwa14.urdf"), *arguments]) == 0
-    data = json.loads((tmp_path / "out" / "sensitivity.json").read_text())
-    assert data["design"] == {"name": "sobol", "postures": 16}
-    assert len(data["parameters"]) == 31
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
