@@ -12,8 +12,8 @@ from camera.scenes import PANDA, CameraScene, scene
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.arm_poses import ImageMoments
+from modcal_core.camera.claim import APPLY, CANNOT_TELL
 from modcal_core.camera.corners import CornerTable, common_prior
-from modcal_core.camera.decision import APPLY, CANNOT_TELL
 from modcal_core.camera.fit import fit_camera
 from modcal_core.camera.other_readings import ReadingsBeside, beside
 from modcal_core.camera.solve import CameraSolution

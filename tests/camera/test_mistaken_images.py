@@ -10,8 +10,8 @@ from camera.boards import views
 from camera.fits import MEASURED, images, solved
 from camera.scenes import scene
 
+from modcal_core.camera.claim import DO_NOT_APPLY
 from modcal_core.camera.corners import FIXED, TOLERANCE
-from modcal_core.camera.decision import DO_NOT_APPLY
 from modcal_core.camera.lens import Lens
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3

@@ -12,11 +12,10 @@ from camera.scenes import BOARD_ON_TIP, CAMERA_IN_WORLD, CameraScene, scene
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import PrintedTarget
-from modcal_core.camera.decision import APPLY
+from modcal_core.camera.claim import APPLY
 from modcal_core.camera.fit import equations_at
-from modcal_core.camera.images import CameraImages
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.prepared import prepare_images
+from modcal_core.camera.prepared import CameraImages, prepare_images
 from modcal_core.camera.solve import CameraProblem, CameraSolution, further_of, solve_camera
 from modcal_core.camera.views import postures_in_view
 from modcal_core.errors import BadRecording

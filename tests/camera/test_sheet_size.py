@@ -12,7 +12,7 @@ from camera.fits import AS_DRAWN, MEASURED, solved, true_error
 from camera.scenes import scene
 
 from modcal_core.camera.bundle import PrintedTarget
-from modcal_core.camera.decision import APPLY, CANNOT_TELL, DO_NOT_APPLY
+from modcal_core.camera.claim import APPLY, CANNOT_TELL, DO_NOT_APPLY
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
 from modcal_core.camera.views import postures_in_view
 from modcal_core.geometry import se3

@@ -15,6 +15,7 @@ from camera.by_tracker import missed_by_tracker
 from camera.scenes import BOARD_ON_TIP, HOME, PANDA
 from camera.test_image_bags import START, header
 
+from modcal_core.calibration import Model
 from modcal_core.calibration.store_parts import arm_to_data, inertias_from_data
 from modcal_core.camera.arm_poses import ImageMoments
 from modcal_core.camera.bundle import BoardView
@@ -214,4 +215,5 @@ def test_both_arms_from_a_bag_of_corners_with_a_spring_in_each(
 
 def samples_of(chain: Chain, q: np.ndarray) -> Samples:
     """These postures, nothing being read."""
-    return ImageMoments().samples(q, np.zeros_like(q), chain.names, ("camera",))
+    model = Model(chain, ("camera",), np.eye(4)[None], np.eye(4))
+    return ImageMoments().samples(model, q, np.zeros_like(q))

@@ -30,6 +30,7 @@ from modcal_core.calibration import (
     View,
     choose_parameters,
     drop_fixed,
+    exact_samples,
     general_samples,
     linearise,
     model_at,
@@ -37,11 +38,11 @@ from modcal_core.calibration import (
 )
 from modcal_core.camera.corners import CLOCK_S, CameraState, CommonPrior, CornerTable
 from modcal_core.camera.other_readings import BesideRows, ReadingsBeside
-from modcal_core.effects import Drivers, Effect, NominalArm, prior_stds
+from modcal_core.effects import Drivers, Effect, prior_stds
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POSE, Samples, SignalTrack
 from modcal_core.measurements.kinds import KIND_NAMES
-from modcal_core.robots import Chain, Inertias, body_jacobian
+from modcal_core.robots import body_jacobian
 
 
 @dataclass(frozen=True)
@@ -109,29 +110,14 @@ class ImageMoments:
         stamps, approach, effort, stop = (a[rows] if len(a) else a for a in each)
         return ImageMoments(stamps, approach, effort, self.signals, stop)
 
-    def samples(self, q: Array, velocity: Array, names: tuple[str, ...], frames: tuple[str, ...]) -> Samples:
-        """Pose samples (N) at these moments, whose readings say nothing: for drivers and derivatives."""
+    def samples(self, model: Model, q: Array, velocity: Array) -> Samples:
+        """Pose samples (N) of a model at these moments: for drivers and derivatives."""
         N = len(q)
+        known = {name: value for name in ("approach", "effort") if len(value := getattr(self, name)) == N}
         timed = len(self.stamps) == N and N > 0
-        return Samples(
-            names=names,
-            frames=frames,
-            q=q,
-            stamps=self.stamps if timed else np.arange(N, dtype=float),
-            station=np.arange(N),
-            frame=np.zeros(N, int),
-            kind=np.full(N, POSE, dtype=KIND_NAMES),
-            reading=np.zeros((N, 3)),
-            R=np.broadcast_to(np.eye(3), (N, 3, 3)),
-            sigma_position=np.full(N, np.nan),
-            sigma_rotation=np.full(N, np.nan),
-            velocity=velocity,
-            moving=np.zeros(N, bool),
-            approach=self.approach if len(self.approach) == N else np.empty((0, 0)),
-            effort=self.effort if len(self.effort) == N else np.empty((0, 0)),
-            signals=self.signals,
-            clock=timed,
-        )
+        known |= {"stamps": self.stamps if timed else np.arange(N, dtype=float), "velocity": velocity}
+        exact = exact_samples(model, q, np.zeros(N, int), np.full(N, POSE, dtype=KIND_NAMES))
+        return replace(exact, signals=self.signals, clock=timed, **known)
 
 
 NOTHING_KNOWN = ImageMoments()
@@ -236,8 +222,7 @@ class ArmPoses:
     def drivers(self, offset_s: float = 0.0) -> Drivers:
         """What effects depend on, at the images."""
         q = self.q + offset_s * self.velocity
-        samples = self.moments.samples(q, self.velocity, self.model.chain.names, self.model.frames)
-        return Drivers(samples, self.model.arm or NominalArm(self.model.chain))
+        return self.model.drivers(self.moments.samples(self.model, q, self.velocity))
 
     def further_at(self, state: CameraState) -> list[tuple[FurtherCamera, np.ndarray, CameraState]]:
         """(further camera, where each of its parameters stands among all, −1 for one that is not fitted, its state) of
@@ -301,19 +286,16 @@ class ArmPoses:
         by_world = np.block([[eye, -so3.hat(p)], [zero, eye]])
         return self.as_twists(T, by_world), self.as_twists(T, np.block([[R, zero], [zero, R]]))
 
-    def joint_motions(self, values: Array, T: Array) -> Array:
-        """Motion of the tool per unit of each joint, (N, 6, n), as in :meth:`tool_motions`. T: T_frame_tool."""
-        now = self.model_at(values)
-        at_tip = body_jacobian(now.serial, self.q)
-        at_tool = se3.adjoint(se3.inverse(now.T_tip_tool)) @ at_tip
-        R = T[:, :3, :3]
-        return np.concatenate([R @ at_tool[:, :3], R @ at_tool[:, 3:]], axis=1)
-
-    def shifts(self, values: Array) -> Array:
-        """Motions of the tool along the axes of the arm's root, which all cameras share, (N, 6, 3)."""
-        out = np.zeros((len(self.q), 6, 3))
-        out[:, :3] = self.R_frame_root(self.model_at(values))
-        return out
+    def own_motions(self, values: Array, T: Array) -> Array:
+        """Motion of the tool, as in :meth:`tool_motions`, per unit of each joint, and per shift along the axes of the
+        arm's root, which all cameras share, (N, 6, n + 3). T: T_frame_tool.
+        """
+        now, R = self.model_at(values), T[:, None, :3, :3]
+        at_tool = se3.adjoint(se3.inverse(now.T_tip_tool)) @ body_jacobian(now.serial, self.q)
+        joints = (R @ at_tool.reshape(len(R), 2, 3, -1)).reshape(at_tool.shape)
+        shifts = np.zeros((len(R), 6, 3))
+        shifts[:, :3] = self.R_frame_root(now)
+        return np.concatenate([joints, shifts], axis=2)
 
     def seen(self, T: Array) -> Array:
         """T_camera_target of T_frame_tool, (N, 4, 4)."""
@@ -328,34 +310,16 @@ class ArmPoses:
         return np.concatenate([shift + so3.hat(T[:, :3, 3]) @ turn, turn], axis=1)
 
 
-def arm_poses(
-    chain: Chain,
-    q: Array,
-    velocity: Array,
-    T_frame_base: Array,
-    T_tip_tool: Array,
-    camera_on_tip: bool,
-    fixed: Sequence[str] = (),
-    moments: ImageMoments = NOTHING_KNOWN,
-    inertias: Inertias | None = None,
-) -> ArmPoses:
-    """The nominal arm, base and tool where they were found first, with the parameters that a fit may change.
-
-    fixed: names, places or patterns that stay as they are. moments, inertias: for effects.
-    """
-    frame = "target" if camera_on_tip else "camera"
-    arm_drawn = NominalArm(chain, inertias)
-    model = Model(chain, (frame,), np.asarray(T_frame_base)[None], np.asarray(T_tip_tool), arm=arm_drawn)
-    views = (View(POSE, 0),)
+def with_parameters(poses: ArmPoses, fixed: Sequence[str] = ()) -> ArmPoses:
+    """The poses of an arm with the parameters that a fit may change. fixed: names, places or patterns that stay."""
+    model, views = poses.model, (View(POSE, 0),)
     # All of base and tool, and beside them all of the arm, though some of it is the same motion: a shift along the
     # first joint is base or arm. Were it the arm's alone, its prior would hold the base where it was found first.
     placed = choose_parameters(model, views, fixed, among=lambda p: not p.of_arm).parameters
     arm = choose_parameters(model, views, fixed, among=lambda p: p.of_arm).parameters
     parameters = sorted((*placed, *arm), key=lambda p: (p.place, p.direction))
     faults = arm_faults(model, [p for p in parameters if p.of_arm], views, fixed) if arm else None
-    return ArmPoses(
-        *(model, tuple(parameters), np.asarray(q), np.asarray(velocity), camera_on_tip, moments), faults=faults
-    )
+    return replace(poses, parameters=tuple(parameters), faults=faults)
 
 
 def with_stated(poses: ArmPoses, error_m: float | None) -> ArmPoses:

@@ -22,6 +22,7 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3, so3, view
@@ -155,16 +156,29 @@ _RANK = 1e-9  # of the largest; a motion below it moves no marker, as a turn abo
 
 @dataclass(frozen=True)
 class PlacePrior:
-    """apart, held: information of the markers' places (Z, Z) [1/m², 1/rad²], at the stated tolerance: of what they are
-    off apart from each other, and of what they are off together.
+    """What is expected of the places of K markers, v values each. white: takes offsets of each to units of its
+    tolerances, (K, v, v). motion: of each by the six motions of them all as one body, (K, v, 6).
     """
 
-    apart: Array
-    held: Array
+    white: Array
+    motion: Array
+
+    @cached_property
+    def held(self) -> Array:
+        """Information about what all are off together, at the stated tolerances, (Z, Z) [1/m², 1/rad²]."""
+        K, values, _ = self.motion.shape
+        U, singular, _ = np.linalg.svd((self.white @ self.motion).reshape(-1, 6), full_matrices=False)
+        U = (self.white @ U[:, singular > _RANK * singular[0]].reshape(K, values, -1)).reshape(K * values, -1)
+        return np.asarray(U @ U.T)
+
+    @cached_property
+    def apart(self) -> Array:
+        """The same about what they are off apart from each other."""
+        return np.asarray(block_diag(*(self.white @ self.white)) - self.held)
 
     def information(self, size: float) -> Array:
         """Information matrix of the marker places, (Z, Z). size: scale of the offsets in units of the tolerances."""
-        return np.asarray(self.apart / size**2 + self.held)
+        return np.asarray(self.apart / size**2 + _HELD * self.held)
 
 
 @dataclass(frozen=True)
@@ -346,23 +360,16 @@ class MarkerBundle:
     def place_prior(self) -> PlacePrior:
         """What is expected of the places of its K markers."""
         K, values = len(self.markers), self.values_of_place
-        white = np.zeros((K, values, values))  # offsets of each to units of its tolerances, symmetric
+        white, motion = np.zeros((K, values, values)), np.zeros((K, values, 6))
         for k, one in enumerate(self.markers):
             R = one.T_body_marker[:3, :3]
             off_face = self.place_m if self.normal_m is None or not one.size else self.normal_m
             white[k, :3, :3] = R / np.array([self.place_m, self.place_m, off_face]) @ R.T
             white[k, 3:, 3:] = np.eye(values - 3) / self.turn_rad
-        body = np.zeros((K, values, 6))
-        body[:, :3, :3] = np.eye(3)
-        body[:, :3, 3:] = -so3.hat(self.middles - self.middles.mean(axis=0))
-        if values > 3:
-            body[:, 3:, 3:] = np.eye(3)
-        U, singular, _ = np.linalg.svd((white @ body).reshape(-1, 6), full_matrices=False)
-        U = (white @ U[:, singular > _RANK * singular[0]].reshape(K, values, -1)).reshape(K * values, -1)
-        together = U @ U.T
-        every = np.zeros((K, values, K, values))
-        every[np.arange(K), :, np.arange(K)] = white @ white
-        return PlacePrior(every.reshape(len(U), len(U)) - together, _HELD * together)
+        motion[:, :3, :3] = np.eye(3)
+        motion[:, :3, 3:] = -so3.hat(self.middles - self.middles.mean(axis=0))
+        motion[:, 3:, 3:] = np.eye(3)[: values - 3]
+        return PlacePrior(white, motion)
 
     def of_points(self, ids: np.ndarray) -> MarkerBundle:
         """The body with those of its markers only that have some of these points, turning where corners are among them.

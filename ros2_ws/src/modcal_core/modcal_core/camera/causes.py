@@ -257,7 +257,7 @@ def hidden_springs(fit: CameraFit) -> tuple[HiddenSpring, ...]:
     if not scanner.enough(asked):  # type: ignore[arg-type]
         return ()
     T = fit.poses.tool_at(fit.state.values)
-    joints = fit.at_flange(T, fit.poses.joint_motions(fit.state.values, T))
+    joints = fit.at_flange(T, fit.poses.own_motions(fit.state.values, T))
     out = []
     for effect in effects:
         information = scanner.information(asked, effect)

@@ -7,7 +7,9 @@ those that the fit leaves out as well. The same draws say how far the nominal ar
 the same images, so that the two can be compared draw by draw. What joints do not repeat is part of both.
 
 A statement in doubt has draws of its own, and the interval holds whether it is right or wrong. In the chance of an arm
-made worse it always counts, by its likelihood.
+made worse it always counts, by its likelihood. The advice compares the arms draw by draw, not interval by interval:
+what is open of lens, sheet and the camera's place moves both alike, so that one may be the better beyond doubt where
+their intervals overlap. What the user states of the nominal arm is no draw, and there the interval has to be below it.
 """
 
 from __future__ import annotations
@@ -168,13 +170,13 @@ def tool_error(fit: CameraFit, nominal: CameraFit, q: Array, draws: ArmDraws, ar
     T, motions = at.tool_motions(fit.state.values)
     placed = se3.apply(T, fit.flange)
     # the mean square over postures is a form of second order in the parameters, however many postures there are
-    apart = (se3.apply(nominal.poses.at_postures(q).tool_at(nominal.state.values), fit.flange) - placed).reshape(-1)
+    apart = (se3.apply(nominal.tool_at(q), fit.flange) - placed).reshape(-1)
     rows = fit.at_flange(T, motions).reshape(len(apart), -1)
     if arm_alone:
         basis = frame_basis(placed)
         rows, apart = rows - basis @ (basis.T @ rows), apart - basis @ (basis.T @ apart)
     gram, cross, square = rows.T @ rows, rows.T @ apart, float(apart @ apart)
-    throw = fit.at_flange(T, at.joint_motions(fit.state.values, T))
+    throw = fit.at_flange(T, at.own_motions(fit.state.values, T))[:, :, :-3]
     scatter = fit.sizes.joint**2 * float((throw**2).sum() / len(q)) + 3.0 * fit.sizes.shift**2
 
     def errors(values: Array, chance: float) -> DrawnErrors:
@@ -265,3 +267,77 @@ def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
 def mean_square(J: Array, C: Array) -> float:
     """Mean square of motions J (M, 3, P) of parameters with covariance C (P, P)."""
     return float(np.einsum("mip,pq,miq->", J, C, J) / len(J))
+
+
+APPLY, DO_NOT_APPLY, CANNOT_TELL = "apply", "do not apply", "cannot tell"
+# Chance of an arm made worse that may be taken. Few calibrations come near it: with 1 %, the chances of a hundred of
+# them add up to 0.05 arms that are made worse (38 simulated cells), with 2 % to 0.1, with 5 % to 0.4.
+_WORSE = 0.01
+_WHAT_TELLS = (
+    "measure the two rulers on the sheet (modcal target --measured), state the arm's accuracy (--arm-mm), "
+    "or add a second target at another distance, two scale marks, a ball in a socket or a few tracker points"
+)
+
+_BODY_TELLS = (
+    "state how well the body's size is known (size_tolerance in the target file: a calliper across it tells), state "
+    "the arm's accuracy (--arm-mm), or add a few tracker points"
+)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """word: one of apply, do not apply, cannot tell. because: sentences. chance_worse: of an arm worse than drawn.
+    problems: those sentences that say what contradicts the fit.
+    """
+
+    word: str
+    because: tuple[str, ...]
+    chance_worse: float
+    problems: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DecisionGrounds:
+    """What a decision is made from beside the errors at the tool.
+
+    metric: whether anything states a length beyond the arm's own drawing. problems: what contradicts the fit. stated_m:
+    RMS error of the nominal arm, as the user states it [m]. doubtful: statements in doubt, in sentences. size: what to
+    do about the sheet's size, where it is what keeps the arm from being clearly better; nothing where it is not. body:
+    whether the target is a body with markers, and the error that of the arm by itself.
+    """
+
+    metric: bool = True
+    problems: tuple[str, ...] = ()
+    stated_m: float | None = None
+    doubtful: tuple[str, ...] = ()
+    size: str = ""
+    body: bool = False
+
+
+def decide(error: ToolError, on: DecisionGrounds) -> Decision:
+    """The decision over the postures that were asked for."""
+    worse = error.chance_worse
+    middle, _, high = error.interval
+    drawn, drawn_low, _ = error.nominal_interval
+    if on.problems:
+        return Decision(DO_NOT_APPLY, on.problems, worse, on.problems)
+    if not on.metric:
+        said = "Nothing in these images has a length that somebody measured: "
+        return Decision(CANNOT_TELL, (said + (_BODY_TELLS if on.body else _WHAT_TELLS) + ".",), worse)
+    whose = "By itself, wherever camera and body stand, the" if on.body else "The"
+    compared = (
+        f"{whose} calibrated arm is off by {1e3 * middle:.2f} mm RMS at the tool (95 %: up to {1e3 * high:.2f} mm), "
+        f"the nominal arm by {1e3 * drawn:.2f} mm (95 %: at least {1e3 * drawn_low:.2f} mm)"
+    )
+    if worse > _WORSE or (on.stated_m is not None and high >= on.stated_m):
+        if on.size:
+            return Decision(CANNOT_TELL, (f"{compared}. {on.size}", *on.doubtful), worse)
+        stated = "" if on.stated_m is None else f", and {1e3 * on.stated_m:.2f} mm is stated of it"
+        return Decision(DO_NOT_APPLY, (f"{compared}{stated}: that is not clearly better.", *on.doubtful), worse)
+    alike = ""
+    if high >= drawn:
+        alike = (
+            " What is open of lens, sheet and places moves both alike; the chance that the calibrated arm is no better "
+            f"is {max(100.0 * worse, 0.1):.1f} %."
+        )
+    return Decision(APPLY, (f"{compared}.{alike}", *on.doubtful), worse)

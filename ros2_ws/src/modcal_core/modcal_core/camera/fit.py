@@ -145,6 +145,14 @@ class CameraFit:
         """T_frame_tool at every image, (N, 4, 4)."""
         return self.poses.tool_motions(self.state.values, self.state.offset_s)[0]
 
+    def tool_at(self, q: Array) -> Array:
+        """T_frame_tool at postures q (M, n), the arm standing, (M, 4, 4)."""
+        return self.poses.at_postures(q).tool_at(self.state.values)
+
+    def seen_at(self, q: Array) -> Array:
+        """T_camera_target at postures q (M, n), the arm standing, (M, 4, 4)."""
+        return self.poses.seen(self.tool_at(q))
+
     @property
     def flange(self) -> Array:
         """The flange in the frame of whatever the arm carries, (3,) [m]."""
@@ -192,6 +200,9 @@ class CameraFit:
         return solved, misfit_of(solved) + usual(sizes)
 
 
+_Place = tuple[CameraState, SolvedEquations]
+
+
 def fit_camera(
     table: CornerTable,
     poses: ArmPoses,
@@ -209,20 +220,23 @@ def fit_camera(
     if poses.faults is not None and poses.faults.stated is not None:
         sizes = replace(sizes, arm=poses.faults.stated)
 
-    def stepped(here: _At, damping: float) -> _At | None:
-        there = here.state.moved(here.solved.step(damping))
-        if not _possible(poses, there):
-            return None
-        return _At(there, equations_at(table, poses, prior, there).solve(sizes))
+    def at(state: CameraState) -> tuple[_Place, float]:
+        solved = equations_at(table, poses, prior, state).solve(sizes)
+        return (state, solved), solved.cost
 
-    equations, converged, settled = equations_at(table, poses, prior, state), False, fixed_sizes
+    def stepped(here: _Place, damping: float) -> tuple[_Place, float] | None:
+        there = here[0].moved(here[1].step(damping))
+        every = [there, *(own for *_, own in poses.further_at(there))]
+        possible = all((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all() for s in every)
+        return at(there) if possible else None
+
+    settled = fixed_sizes
     for k in range(_ROUNDS + 1):
-        met, converged = damped(_At(state, equations.solve(sizes)), stepped, _FIT_MET, 1e-6 * _FIT_MET, _STEPS)
-        state, equations = met.state, met.solved.equations
+        (state, solved), converged = damped(at(state), stepped, _FIT_MET, 1e-6 * _FIT_MET, _STEPS)
+        equations = solved.equations
         if settled or k == _ROUNDS:
             break
-        new = likeliest(equations, sizes, afar=afar)
-        afar = False
+        new, afar = likeliest(equations, sizes, afar=afar), False
         settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
         sizes = new
     covariance = equations.solve(sizes).covariance()
@@ -251,16 +265,15 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
 def camera_rows(table: CornerTable, poses: ArmPoses, state: CameraState, columns: np.ndarray) -> CameraRows:
     """The factors of one camera. columns: where its parameters stand among those of all."""
     T, motions = poses.tool_motions(state.values, state.offset_s)
-    joints = poses.joint_motions(state.values, T)
-    by_clock = np.einsum("nij,nj->ni", joints, poses.velocity)[:, :, None]
+    own = poses.own_motions(state.values, T)
+    by_clock = own[:, :, :-3] @ poses.velocity[:, :, None]
     moved = poses.as_twists(T, np.concatenate([motions, by_clock], axis=2))
     sweep = moved[:, :, -1] if poses.moves else None
     rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
     return CameraRows(
         grams(table, rows),
         moved,
-        poses.as_twists(T, joints),
-        poses.as_twists(T, poses.shifts(state.values)),
+        poses.as_twists(T, own),
         columns,
         int((table.weight > 0.0).sum()),
         poses.moments.stop if len(poses.moments.stop) else np.full(len(T), ALONE),
@@ -271,24 +284,6 @@ def camera_rows(table: CornerTable, poses: ArmPoses, state: CameraState, columns
 def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Array:
     """By how much corners (M, 2) are elsewhere than the model has them [px]."""
     return camera_rows(table, poses, state, np.empty(0, int)).pixels
-
-
-def _possible(poses: ArmPoses, state: CameraState) -> bool:
-    """Whether all lenses have a focal length."""
-    every = [state, *(there for *_, there in poses.further_at(state))]
-    return all(bool((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all()) for s in every)
-
-
-@dataclass(frozen=True)
-class _At:
-    """A state, and its equations with the sizes of a fit."""
-
-    state: CameraState
-    solved: SolvedEquations
-
-    @property
-    def cost(self) -> float:
-        return self.solved.cost
 
 
 def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:

@@ -161,7 +161,7 @@ class CameraWatch:
                 carried = (half == TIP) == watched.poses.camera_on_tip  # it is the camera
                 halves.setdefault((half, self._camera(camera) if carried else "target"), {})[len(rows)] = twists
             rows.append(replace(here, stop=np.array([one.stop for one in own])))
-            joints.append(here.joints)
+            joints.append(here.own)
             tools.append(T[:, :3, 3])
         solved = replace(self._known, cameras=tuple(rows)).solve(self._fit.sizes)
         order = np.arange(len({one.stop for one in seen}))

@@ -14,10 +14,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.special import erf
 
-from modcal_core.camera import CHARUCO, PrintedTarget, homography
+from modcal_core.camera import CHARUCO, PrintedTarget
 from modcal_core.geometry import Array
 
 _PERSPECTIVE = 6  # corners, of which two are left to say that a perspective through four of them is none
@@ -58,7 +59,7 @@ def _per_metre(points: Array, pixels: Array) -> Array:
     ones = np.ones(len(points))
     flat = np.linalg.lstsq(np.c_[points, ones], pixels, rcond=None)[0][:2].T  # as if seen from far away
     if len(points) >= _PERSPECTIVE:
-        H = homography(points, pixels)
+        H, _ = cv2.findHomography(points, pixels)
         at = np.c_[points, ones] @ H.T
         ahead = at[:, 2] * np.sign(at[:, 2].sum())
         if ahead.min() > _NEARLY_FLAT * ahead.max():  # else four of few corners are on one line

@@ -1,25 +1,21 @@
-"""What speaks against a camera fit, and whether to apply it: apply, do not apply, cannot tell, each with its reasons.
-
-The calibrated and the nominal arm are compared draw by draw, not interval by interval: what is open of lens, sheet and
-the camera's place moves both alike, so that one may be the better beyond doubt where their intervals overlap. What the
-user states of the nominal arm is no draw, and there the interval has to be below it.
-"""
+"""A camera fit in sentences: what contradicts it, what is in doubt, and what the images leave open."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.camera.bundle import CalibrationTarget, PrintedTarget, PrintScale
+from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle, PrintedTarget, PrintScale
 from modcal_core.camera.changes import FoundChange
-from modcal_core.camera.claim import ToolError
+from modcal_core.camera.claim import APPLY, DecisionGrounds, ToolError, decide
 from modcal_core.camera.corners import BOW as BENT
-from modcal_core.camera.corners import SCALE
+from modcal_core.camera.corners import SCALE, CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
+from modcal_core.camera.mounting import Mounting
 from modcal_core.camera.other_readings import ReadingsBeside
+from modcal_core.camera.prepared import MOSTLY
 from modcal_core.camera.statements import (
     BOW,
     IN_DOUBT,
@@ -30,81 +26,8 @@ from modcal_core.camera.statements import (
     arm_contradicted,
     contradicted,
 )
+from modcal_core.camera.views import covered, tilt_and_distance
 from modcal_core.geometry import Array
-
-APPLY, DO_NOT_APPLY, CANNOT_TELL = "apply", "do not apply", "cannot tell"
-# Chance of an arm made worse that may be taken. Few calibrations come near it: with 1 %, the chances of a hundred of
-# them add up to 0.05 arms that are made worse (38 simulated cells), with 2 % to 0.1, with 5 % to 0.4.
-_WORSE = 0.01
-_WHAT_TELLS = (
-    "measure the two rulers on the sheet (modcal target --measured), state the arm's accuracy (--arm-mm), "
-    "or add a second target at another distance, two scale marks, a ball in a socket or a few tracker points"
-)
-
-_BODY_TELLS = (
-    "state how well the body's size is known (size_tolerance in the target file: a calliper across it tells), state "
-    "the arm's accuracy (--arm-mm), or add a few tracker points"
-)
-
-
-@dataclass(frozen=True)
-class Decision:
-    """word: one of apply, do not apply, cannot tell. because: sentences. chance_worse: of an arm worse than drawn.
-    problems: those sentences that say what contradicts the fit.
-    """
-
-    word: str
-    because: tuple[str, ...]
-    chance_worse: float
-    problems: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class DecisionGrounds:
-    """What a decision is made from beside the errors at the tool.
-
-    metric: whether anything states a length beyond the arm's own drawing. problems: what contradicts the fit. stated_m:
-    RMS error of the nominal arm, as the user states it [m]. doubtful: statements in doubt, in sentences. size: what to
-    do about the sheet's size, where it is what keeps the arm from being clearly better; nothing where it is not. body:
-    whether the target is a body with markers, and the error that of the arm by itself.
-    """
-
-    metric: bool = True
-    problems: tuple[str, ...] = ()
-    stated_m: float | None = None
-    doubtful: tuple[str, ...] = ()
-    size: str = ""
-    body: bool = False
-
-
-def decide(error: ToolError, on: DecisionGrounds) -> Decision:
-    """The decision over the postures that were asked for."""
-    worse = error.chance_worse
-    middle, _, high = error.interval
-    drawn, drawn_low, _ = error.nominal_interval
-    if on.problems:
-        return Decision(DO_NOT_APPLY, on.problems, worse, on.problems)
-    if not on.metric:
-        said = "Nothing in these images has a length that somebody measured: "
-        return Decision(CANNOT_TELL, (said + (_BODY_TELLS if on.body else _WHAT_TELLS) + ".",), worse)
-    whose = "By itself, wherever camera and body stand, the" if on.body else "The"
-    compared = (
-        f"{whose} calibrated arm is off by {1e3 * middle:.2f} mm RMS at the tool (95 %: up to {1e3 * high:.2f} mm), "
-        f"the nominal arm by {1e3 * drawn:.2f} mm (95 %: at least {1e3 * drawn_low:.2f} mm)"
-    )
-    if worse > _WORSE or (on.stated_m is not None and high >= on.stated_m):
-        if on.size:
-            return Decision(CANNOT_TELL, (f"{compared}. {on.size}", *on.doubtful), worse)
-        stated = "" if on.stated_m is None else f", and {1e3 * on.stated_m:.2f} mm is stated of it"
-        return Decision(DO_NOT_APPLY, (f"{compared}{stated}: that is not clearly better.", *on.doubtful), worse)
-    alike = ""
-    if high >= drawn:
-        alike = (
-            " What is open of lens, sheet and places moves both alike; the chance that the calibrated arm is no better "
-            f"is {max(100.0 * worse, 0.1):.1f} %."
-        )
-    return Decision(APPLY, (f"{compared}.{alike}", *on.doubtful), worse)
-
 
 _MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (verdict.md)
 _CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
@@ -248,3 +171,90 @@ def _percent(fit: CameraFit, common: Array, scale: PrintScale) -> str:
     x, y = common[SCALE] + 1.0
     along_x = f"{100.0 * (x / scale.x - 1.0):+.1f} %"
     return along_x if fit.table.places else f"{along_x} (x) and {100.0 * (y / scale.y - 1.0):+.1f} % (y)"
+
+
+_SIGHTINGS = 8  # images of a marker, for most of them to say something of the marker
+_PASSED = 0.05  # share of points left out that a verdict passes over (verdict.md)
+# Share beyond which what is left is no majority to rely on: where a fifth of markers is misread, every second image
+# that shows three has a misread one among them.
+_TOO_MANY = 0.2
+_NAMED = 3  # markers in a sentence
+
+
+def left_out_points(
+    cameras: Sequence[tuple[str, CornerTable]], target: MarkerBundle
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """(what speaks against the fit, what a verdict may not pass over though the fit stands) of points of a body that
+    were left out. A marker most of whose points are out speaks against it only where that is more than others outvote.
+
+    cameras: (what a sentence calls it, corners, weight 0 where they are left out), of each that sees this body.
+    """
+    against, open_ = [], []
+    for name, table in cameras:
+        out = table.weight == 0.0
+        strange = []  # markers most of whose points are out, in images enough to say so
+        for k in range(table.markers):
+            own = table.marker == k
+            if len(np.unique(table.view[own])) >= _SIGHTINGS and float(out[own].mean()) > MOSTLY:
+                strange.append(k)
+        if strange:
+            named = ", ".join(target.markers[k].label for k in strange[:_NAMED])
+            more = f" and {len(strange) - _NAMED} more" if len(strange) > _NAMED else ""
+            open_.append(
+                f"Most points of {named}{more}{name} are nowhere near their place, and are left out: check number, "
+                "place and corner_order in the target file, and whether it came loose."
+            )
+        rest = ~np.isin(table.marker, strange)
+        share = float(out[rest].mean()) if rest.any() else 0.0
+        if max(share, len(strange) / max(table.markers, 1)) > _TOO_MANY:
+            against.append(f"{100.0 * float(out.mean()):.0f} % of all points{name} fit no body of the stated form.")
+        elif share > _PASSED:
+            open_.append(
+                f"{100.0 * share:.0f} % of the points{name} are misread, spread over markers and images, and left out."
+            )
+    return tuple(against), tuple(open_)
+
+
+_TILT = np.radians(20.0)  # below, the focal length is told by perspective of second order only
+_DISTANCES = 1.3  # farthest over nearest
+_COVERED = 0.4  # of the image, in a grid of eight by eight
+_JOINT, _SLIDE = np.radians(20.0), 0.05  # range of a joint that shows what its axis does, rad and m
+
+
+def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
+    """What these images leave open, each with what to do, in sentences."""
+    out = []
+    T, _ = fit.poses.tool_motions(fit.state.values, fit.state.offset_s)
+    seen = fit.poses.seen(T)
+    centre = fit.table.points.mean(axis=0)
+    tilts, away = tilt_and_distance(seen, centre)
+    tilt = float(tilts.max())
+    if tilt < _TILT and not fit.table.places:
+        out.append(
+            f"The target was never tilted by more than {np.degrees(tilt):.0f}°: focal length and distance cannot be "
+            "told apart. Take images with 20° to 45° of tilt."
+        )
+    if away.max() < _DISTANCES * away.min():
+        out.append(
+            f"All images are from {away.min():.2f} to {away.max():.2f} m: the distance and the lens go together. "
+            "Take some from half as far, or twice as far."
+        )
+    if (share := covered(fit.table, fit.state.lens.size)) < _COVERED:
+        out.append(
+            f"Corners cover {100.0 * share:.0f} % of the image: the lens is not known at its edges. "
+            "Bring the target into every corner of the image."
+        )
+    if mounting.one_axis:
+        turns = np.degrees(mounting.turns)
+        out.append(
+            f"The arm turned its tip about one axis only (RMS {turns[0]:.0f}°, across it {turns[1]:.1f}°): where "
+            "camera and target are along this axis is open. Turn the wrist about a second axis."
+        )
+    chain = fit.poses.model.serial
+    for name, low, high, turning in zip(
+        chain.names, fit.poses.q.min(0), fit.poses.q.max(0), chain.revolute, strict=True
+    ):
+        if high - low < (_JOINT if turning else _SLIDE):
+            moved = f"{np.degrees(high - low):.0f}°" if turning else f"{1e3 * (high - low):.0f} mm"
+            out.append(f"Joint {name} moved by {moved} only: its axis is known from the drawing.")
+    return tuple(out)
