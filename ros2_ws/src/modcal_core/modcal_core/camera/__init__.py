@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
     from modcal_core.camera.target_file import read_any_target, read_target, target_from_data, target_to_data
     from modcal_core.camera.views import covered, plan_images, tilt_and_distance
-    from modcal_core.camera.watching import CameraWatch, Moved
+    from modcal_core.camera.changes import CameraWatch, Moved
 else:
     from modcal_core.lazy import lazy_face
 

@@ -20,8 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from modcal_core.camera.corners import COMMON, POSE, READOUT
-from modcal_core.camera.equations import Equations, Sizes
+from modcal_core.camera.corners import BOW as BENT
+from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE
+from modcal_core.camera.equations import SolvedEquations
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.statements import IN_DOUBT, SIZE, DoubtedStatement
@@ -39,23 +40,21 @@ ALL_BUT_IMAGES = "lens, sheet and clock"
 @dataclass(frozen=True)
 class DrawnErrors:
     """RMS errors at the tool over postures [m] in D draws, (D,) each: of the calibrated arm, of its model without what
-    joints do not repeat, and of the nominal arm. chance: of what was drawn from.
+    joints do not repeat, and of the nominal arm. chance: of what was drawn from. holds: whether intervals hold with it.
     """
 
     calibrated: Array
     model: Array
     nominal: Array
     chance: float = 1.0
+    holds: bool = True
 
 
 @dataclass(frozen=True)
 class ToolError:
-    """by: errors if all is as stated, and if one statement is wrong, by its name. in_doubt: statements of which the
-    intervals hold either way.
-    """
+    """by: errors if all is as stated, and if one statement is wrong, by its name."""
 
     by: Mapping[str, DrawnErrors]
-    in_doubt: tuple[str, ...] = ()
 
     @property
     def interval(self) -> tuple[float, float, float]:
@@ -74,7 +73,7 @@ class ToolError:
 
     def _holding(self, arm: str) -> tuple[float, float, float]:
         """The interval whether the statements in doubt are right or wrong."""
-        every = [self.by[what] for what in (AS_STATED, *self.in_doubt)]
+        every = [one for one in self.by.values() if one.holds]
         middle, low, high = np.transpose([np.quantile(getattr(one, arm), _ENDS) for one in every])
         likeliest = int(np.argmax([one.chance for one in every]))
         return float(middle[likeliest]), float(low.min()), float(high.max())
@@ -90,7 +89,7 @@ class ToolError:
 
     def either_way(self, what: str) -> ToolError:
         """The same with intervals that hold also if this statement is wrong."""
-        return self if what in self.in_doubt else replace(self, in_doubt=(*self.in_doubt, what))
+        return ToolError({**self.by, what: replace(self.by[what], holds=True)})
 
     @property
     def as_stated(self) -> ToolError:
@@ -98,30 +97,25 @@ class ToolError:
         return ToolError({AS_STATED: replace(self.by[AS_STATED], chance=1.0)})
 
 
-@dataclass(frozen=True)
-class ArmDraws:
-    """values: what the P parameters of the arm are off by in D draws (D, P), by what they are drawn from, its chance
-    beside it. in_doubt: as of a ToolError.
-    """
-
-    values: Mapping[str, tuple[Array, float]]
-    in_doubt: tuple[str, ...] = ()
+ArmDraws = dict[str, tuple[Array, float, bool]]
 
 
 def arm_draws(fit: CameraFit, rng: np.random.Generator, doubted: Sequence[DoubtedStatement] = ()) -> ArmDraws:
-    """Draws of the true arm by a fit, and by each of the statements being wrong."""
-    out = {AS_STATED: (_drawn(fit, fit.equations, fit.sizes, rng), 1.0 - sum(d.counted for d in doubted))}
-    out |= {d.what: (_drawn(fit, d.equations, d.sizes, rng), d.counted) for d in doubted}
-    return ArmDraws(out, tuple(d.what for d in doubted if d.chance > IN_DOUBT))
+    """What the P parameters of the true arm are off by in D draws (D, P), the chance of what they are drawn from, and
+    whether intervals hold with it: by the fit, and by each of the statements being wrong.
+    """
+    stated = 1.0 - sum(d.counted for d in doubted)
+    out = {AS_STATED: (_drawn(fit, fit.equations.solve(fit.sizes), rng), stated, True)}
+    return out | {d.what: (_drawn(fit, d.solved, rng), d.counted, d.chance > IN_DOUBT) for d in doubted}
 
 
-def _drawn(fit: CameraFit, equations: Equations, sizes: Sizes, rng: np.random.Generator) -> Array:
-    """Draws (D, P) by these equations of the fit, with errors of these sizes.
+def _drawn(fit: CameraFit, solved: SolvedEquations, rng: np.random.Generator) -> Array:
+    """Draws (D, P) by these equations of the fit.
 
     Faults of the arm are drawn for all of its links and brought to the parameters that the fit has; where nobody states
     their size, it is drawn about that of the fit.
     """
-    solved, faults = equations.solve(sizes), fit.poses.faults
+    equations, sizes, faults = solved.equations, solved.sizes, fit.poses.faults
     of_arm = np.isin(solved.use, equations.arm)
     order = np.r_[np.flatnonzero(of_arm), np.flatnonzero(~of_arm)]
     data, known = (part[np.ix_(order, order)] for part in (solved.H - solved.P, solved.P))
@@ -179,13 +173,13 @@ def tool_error(fit: CameraFit, nominal: CameraFit, q: Array, draws: ArmDraws, ar
     throw = fit.at_flange(T, at.own_motions(fit.state.values, T))[:, :, :-3]
     scatter = fit.sizes.joint**2 * float((throw**2).sum() / len(q)) + 3.0 * fit.sizes.shift**2
 
-    def errors(values: Array, chance: float) -> DrawnErrors:
+    def errors(values: Array, chance: float, holds: bool) -> DrawnErrors:
         own = np.maximum(((values @ gram) * values).sum(axis=1), 0.0)
         other = np.maximum(own - 2.0 * values @ cross + square, 0.0)
         calibrated, nominal = (np.sqrt(x / len(q) + scatter) for x in (own, other))
-        return DrawnErrors(calibrated, np.sqrt(own / len(q)), nominal, chance)
+        return DrawnErrors(calibrated, np.sqrt(own / len(q)), nominal, chance, holds)
 
-    return ToolError({what: errors(*drawn) for what, drawn in draws.values.items()}, draws.in_doubt)
+    return ToolError({what: errors(*drawn) for what, drawn in draws.items()})
 
 
 def frame_basis(at_frame: Array) -> Array:
@@ -222,16 +216,13 @@ def rests_on(fit: CameraFit, doubted: Sequence[DoubtedStatement], q: Array, erro
     """The sheet's stated size, where the images by themselves hardly show it, and what it is worth at the tool over
     postures q (M, n); None where they show it as well. error: over these postures.
     """
-    doubt = next(d for d in doubted if d.what == SIZE)
     P = fit.poses.count
-    x = P + 1 + LENS
-    C = doubt.equations.solve(doubt.sizes).covariance()
-    both = np.array([0.5, 0.5])
-    free = float(np.sqrt(both @ C[x : x + 2, x : x + 2] @ both))
-    held = float(np.sqrt(both @ fit.covariance[x : x + 2, x : x + 2] @ both))
+    size = slice(P + 1 + SCALE.start, P + 1 + SCALE.stop)
+    C = next(d for d in doubted if d.what == SIZE).solved.covariance()
+    free, held = (float(np.sqrt(known[size, size].mean())) for known in (C, fit.covariance))
     if free < _RESTS * held:
         return None
-    per_unit = C[:P, x : x + 2] @ both / free**2
+    per_unit = C[:P, size].mean(axis=1) / free**2
     moved = fit.flange_motions(q) @ per_unit
     return RestsOn(free, float(np.sqrt((moved**2).sum() / len(q))), error.if_wrong(SIZE))
 
@@ -240,20 +231,11 @@ def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
     """For lens, print scale, flatness, clock and places of markers, and for all of these at once: (mean square error at
     the tool that is known [m²], the same if that thing were known exactly), over postures q (M, n).
     """
-    J = fit.flange_motions(q)
+    J, C = fit.flange_motions(q), fit.covariance
     P = J.shape[2]
-    C = fit.covariance
-    lens = np.arange(P + 1, P + 1 + LENS)
-    places = np.arange(P + 1 + COMMON, len(C))
-    groups = {
-        "lens": lens,
-        "print scale": lens[-1] + 1 + np.arange(2),
-        "flatness": lens[-1] + 3 + np.arange(3),
-        "clock": np.array([P]),
-        "readout": np.array([P + 1 + READOUT]),
-        "places of markers": places,
-        ALL_BUT_IMAGES: np.r_[lens, lens[-1] + 1 + np.arange(5), P, P + 1 + READOUT, places],
-    }
+    common = np.arange(P + 1, len(C))
+    groups = {"lens": common[:LENS], "print scale": common[SCALE], "flatness": common[BENT], "clock": np.array([P])}
+    groups |= {"readout": common[[READOUT]], "places of markers": common[COMMON:], ALL_BUT_IMAGES: np.arange(P, len(C))}
     whole = mean_square(J, C[:P, :P])
     out = {}
     for name, rows in groups.items():

@@ -20,7 +20,7 @@ those that make the data likeliest, the parameters integrated out (evidence, typ
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -219,6 +219,15 @@ class Equations:
             first = len(out) - len(self.places.apart)
             out[first:, first:] = self.places.information(sizes.places)
         return out
+
+    def with_block(
+        self, rows: np.ndarray, information: Array, offset: Array, free: np.ndarray | bool = True
+    ) -> Equations:
+        """The equations with another prior of these parameters, which the state has off its mean by so much."""
+        every, off, use = self.information.copy(), self.offset.copy(), self.free.copy()
+        every[rows], every[:, rows] = 0.0, 0.0
+        every[np.ix_(rows, rows)], off[rows], use[rows] = information, offset, free
+        return replace(self, information=every, offset=off, free=use)
 
     def _inner(self, sizes: Sizes) -> tuple[Array, Array]:
         """(standard deviations of what joints and tool are off by at a stop, (m,); M of each stop, (S, m, m))."""
