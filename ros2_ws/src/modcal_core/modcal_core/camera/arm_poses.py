@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -57,18 +58,14 @@ class ArmFaults:
     stated: float | None = None
 
     @cached_property
-    def lengths(self) -> Array:
-        """Covariance of the parameters by faults of lengths, (A, A)."""
-        return np.asarray(self.moves[:, ~self.turns] @ self.moves[:, ~self.turns].T)
-
-    @cached_property
-    def angles(self) -> Array:
-        """Covariance of the parameters by faults of angles, (A, A)."""
-        return np.asarray(self.moves[:, self.turns] @ self.moves[:, self.turns].T)
+    def _each(self) -> tuple[Array, Array]:
+        """Covariances of the parameters by faults of lengths, and of angles, (A, A)."""
+        lengths, angles = self.moves[:, ~self.turns], self.moves[:, self.turns]
+        return lengths @ lengths.T, angles @ angles.T
 
     def covariance(self, ratio: float = 1.0) -> Array:
         """Prior covariance of the parameters, (A, A). ratio: scale of length faults over that of angle faults."""
-        return ratio**2 * self.lengths + self.angles
+        return np.asarray(ratio**2 * self._each[0] + self._each[1])
 
     def information(self, size: float, ratio: float) -> Array:
         """Its inverse, for faults of this size."""
@@ -126,18 +123,12 @@ FREE_M, FREE_RAD = 10.0, 10.0  # standard deviations of what nothing is known of
 _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
-@dataclass(frozen=True)
-class ValuePrior:
+class ValuePrior(NamedTuple):
     """start: of values, in a fit (V,). mean, information: of their prior, (V,) and (V, V)."""
 
     start: Array
     mean: Array
     information: Array
-
-    @classmethod
-    def of(cls, std: Array) -> ValuePrior:
-        """Deviations of which nothing is known but how large they usually are."""
-        return cls(np.zeros(len(std)), np.zeros(len(std)), np.diag(std**-2))
 
 
 @dataclass(frozen=True)
@@ -175,6 +166,11 @@ class ArmPoses:
         return replace(self, model=self.model.with_effects(tuple(effects)))
 
     @property
+    def arm_stated(self) -> float | None:
+        """The size of the arm's faults, where it is stated."""
+        return self.faults.stated if self.faults is not None else None
+
+    @property
     def placed(self) -> tuple[ModelParameter, ...]:
         """Parameters of base and tool alone."""
         return tuple(p for p in self.parameters if not p.of_arm)
@@ -182,11 +178,12 @@ class ArmPoses:
     @property
     def count(self) -> int:
         """P."""
-        return self.of_model + self._of_beside + sum(len(c.own) for c in self.further)
+        return self._of_first + sum(len(c.own) for c in self.further)
 
     @property
-    def _of_beside(self) -> int:
-        return len(self.beside.own) if self.beside else 0
+    def _of_first(self) -> int:
+        """How many of the values are not those of further cameras."""
+        return self.of_model + (len(self.beside.own) if self.beside else 0)
 
     @property
     def of_model(self) -> int:
@@ -196,16 +193,16 @@ class ArmPoses:
     @cached_property
     def values(self) -> ValuePrior:
         """What is expected of the P values. Base and tool are free; ``faults`` refines what is expected of the arm."""
-        own = [p.prior_std if p.of_arm else (FREE_RAD if p.turns else FREE_M) for p in self.parameters]
-        parts = [ValuePrior.of(np.array(own, dtype=float))]
+        own = np.array([p.prior_std if p.of_arm else (FREE_RAD if p.turns else FREE_M) for p in self.parameters])
+        first: list[tuple[Array, Array, Array]] = [(np.zeros(len(own)), np.zeros(len(own)), own)]
         for effect in self.model.effects:  # settings are expected to be as they were found
             settings = np.where(np.arange(len(effect.values)) < len(effect.amplitudes), 0.0, effect.values)
-            parts.append(replace(ValuePrior.of(prior_stds(effect, self.drivers())), start=effect.values, mean=settings))
-        if self.beside is not None:
-            parts.append(ValuePrior.of(self.beside.prior_std))
-        parts += [one.values for one in self.further]
-        start, mean = (np.concatenate(each) for each in zip(*((p.start, p.mean) for p in parts), strict=True))
-        return ValuePrior(start, mean, block_diag(*(p.information for p in parts)))
+            first.append((effect.values, settings, prior_stds(effect, self.drivers())))
+        if (beside := self.beside) is not None:
+            first.append((np.zeros(len(beside.own)), np.zeros(len(beside.own)), beside.prior_std))
+        parts = [(start, mean, np.diag(std**-2.0)) for start, mean, std in first] + [one.values for one in self.further]
+        starts, means, known = zip(*parts, strict=True)
+        return ValuePrior(np.concatenate(starts), np.concatenate(means), block_diag(*known))
 
     @property
     def moves(self) -> bool:
@@ -228,7 +225,7 @@ class ArmPoses:
         """(further camera, where each of its parameters stands among all, −1 for one that is not fitted, its state) of
         each, at a state of all.
         """
-        out, first = [], self.of_model + self._of_beside
+        out, first = [], self._of_first
         for one in self.further:
             own = replace(one, poses=one.poses.with_effects(self.model.effects))
             out.append((own, *one.at(self, state, first)))
@@ -244,7 +241,7 @@ class ArmPoses:
         if self.beside is None:
             return None
         arm = np.flatnonzero([p.of_arm for p in self.parameters])
-        columns = np.r_[arm, np.arange(len(self.parameters), self.of_model + self._of_beside)]
+        columns = np.r_[arm, np.arange(len(self.parameters), self._of_first)]
         among = [self.parameters[i] for i in arm]
         return self.beside.rows(among, values[columns], self.model.effects, columns, count)
 
@@ -263,9 +260,8 @@ class ArmPoses:
 
     def of_root(self, now: Model, motions: Array) -> Array:
         """Motions (K, 6, N) of the tool, position and turn as seen from the root, along the frame, (N, 6, K)."""
-        turn = self.R_frame_root(now)
-        parts = (turn @ part.transpose(2, 1, 0) for part in (motions[:, :3], motions[:, 3:]))
-        return np.concatenate(list(parts), axis=1)
+        K, _, N = motions.shape
+        return np.asarray(self.R_frame_root(now) @ motions.transpose(2, 1, 0).reshape(N, 2, 3, K)).reshape(N, 6, K)
 
     @staticmethod
     def R_frame_root(now: Model) -> Array:
@@ -305,8 +301,8 @@ class ArmPoses:
         """Twists (N, 6, K) of the target seen from the camera, for motions of the tool (N, 6, K) at T_frame_tool."""
         shift, turn = motions[:, :3], motions[:, 3:]
         if self.camera_on_tip:
-            Rt = np.swapaxes(T[:, :3, :3], 1, 2)
-            return np.concatenate([-Rt @ shift, -Rt @ turn], axis=1)
+            back = -np.swapaxes(T[:, :3, :3], 1, 2)
+            return np.concatenate([back @ shift, back @ turn], axis=1)
         return np.concatenate([shift + so3.hat(T[:, :3, 3]) @ turn, turn], axis=1)
 
 

@@ -23,8 +23,7 @@ from scipy.linalg import solve_triangular
 
 from modcal_core.calibration import Model, RowView
 from modcal_core.camera.corners import POSE, CornerTable
-from modcal_core.camera.fit import CameraFit, equations_at, fit_camera, missed_pixels
-from modcal_core.camera.mounting import MIN_VIEWS
+from modcal_core.camera.fit import CameraFit, camera_rows, equations_at, fit_camera
 from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, NumberBank, Scanner, Space, choose
 from modcal_core.effects import AXIS, Drivers, Effect, candidates
 from modcal_core.geometry import Array
@@ -114,7 +113,7 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
 _MAX = 6  # effects, for time
 _REFUSED = 2  # choices that did not hold, before the search ends
 _GAIN = 6.0  # of −2 log likelihood, the price of the amplitudes taken off: odds of 20 : 1
-_PARTS = 4  # each of which is predicted from the others
+_PARTS, _ENOUGH = 4, 6  # each of which is predicted from the others; images, of which enough for a mounting are left
 _NOT_HERE = ("tracker", "base", "tool")  # lens and sheet have parameters; moves are looked for on their own
 
 
@@ -191,19 +190,15 @@ def _with(fit: CameraFit, effect: Effect) -> CameraFit:
 def _unseen(fit: CameraFit, part: int) -> tuple[np.ndarray, CornerTable, Array]:
     """(every fourth image, mask (N,); its corners; how far these are from where a fit of the others has them [px])."""
     held = np.arange(fit.table.views) % _PARTS == part
-    table = fit.table.select(held)
-    return held, table, missed_pixels(table, fit.poses.select(held), fit.of_part(~held).state)
-
-
-def _parted(fit: CameraFit) -> bool:
-    """Whether enough images are left without every fourth."""
-    N = fit.table.views
-    return N >= _PARTS and N - -(-N // _PARTS) >= MIN_VIEWS
+    table, poses = fit.table.select(held), fit.poses.select(held)
+    others = fit.table.select(~held), fit.poses.select(~held)
+    state = fit_camera(*others, fit.prior, fit.state, fit.sizes, fixed_sizes=True).state
+    return held, table, camera_rows(table, poses, state, np.empty(0, int)).pixels
 
 
 def held_out(*fits: CameraFit) -> tuple[float, ...]:
     """RMS of each fit on every fourth image, fitted to the others at the same sizes [px]; NaN for too few images."""
-    if not _parted(fits[0]):
+    if fits[0].table.views < _ENOUGH:
         return (float("nan"),) * len(fits)
     return tuple(table.rms(gap) for _, table, gap in (_unseen(fit, _PARTS - 1) for fit in fits))
 
@@ -213,7 +208,7 @@ def predicted(fit: CameraFit) -> float:
 
     Each image counts by no more than a few times the median, so that none rules alone. NaN for too few images.
     """
-    if not _parted(fit):
+    if fit.table.views < _ENOUGH:
         return float("nan")
     square = np.empty(fit.table.views)
     for part in range(_PARTS):

@@ -21,7 +21,7 @@ import numpy as np
 
 from modcal_core.camera.bundle import BoardView, CalibrationTarget, PlacePrior, PrintScale, whitening
 from modcal_core.camera.lens import COUNT as LENS
-from modcal_core.camera.lens import FISHEYE, Lens
+from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
 from modcal_core.geometry import Array, so3
 
 POSE = 6  # values of a pose
@@ -245,10 +245,14 @@ def shape_of(common: Array) -> Array:
 
 
 FREE, TOLERANCE, FIXED = "free", "tolerance", "fixed"  # what becomes of stated intrinsics
-_FOCAL, _CENTRE = 0.5, 0.1  # of the focal length and of the image's width: nothing is known of them
-_RADIAL, _TANGENTIAL = (0.5, 0.5, 0.3), 0.01  # k1 k2 k3, p1 and p2 of lenses that are no fisheyes
-_FISHEYE = 0.1  # k1 … k4 of fisheyes, of which most are within 0.05
-_STATED_FOCAL, _STATED_CENTRE, _STATED_RADIAL, _STATED_TANGENTIAL = 0.005, 0.005, 0.02, 0.001  # of a usual calibration
+# Standard deviations of a lens's values: fx and fy of the focal length, cx and cy of the image's width, distortion. Of
+# those that nothing is known of (most fisheyes are within half of that), and of those that a usual calibration states.
+_LENS_STD = {
+    (PINHOLE, False): np.array([0.5, 0.5, 0.1, 0.1, 0.5, 0.5, 0.01, 0.01, 0.3]),
+    (FISHEYE, False): np.array([0.5, 0.5, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1]),
+    (PINHOLE, True): np.array([0.005, 0.005, 0.005, 0.005, 0.02, 0.02, 0.001, 0.001, 0.02]),
+    (FISHEYE, True): np.array([0.005, 0.005, 0.005, 0.005, 0.02, 0.02, 0.02, 0.02, 0.02]),
+}
 BOW_M = 3e-4  # of a sheet glued to a board, at its corner; 0.5 mm is common
 READOUT_S = 0.02  # of a rolling shutter: an image's rows fill most of the 16 to 33 ms between two; none of a global one
 CLOCK_S = 0.05  # of stamps of a camera that nothing synchronises
@@ -293,22 +297,11 @@ def common_prior(lens: Lens, scale: PrintScale, stated: str | None = None, flat:
     stated: what becomes of the lens's values; None: they are a start, no statement. flat: whether the sheet is known to
     be flat (glass, aluminium).
     """
-    width = float(lens.size[0])
+    width, f = float(lens.size[0]), float(lens.values[:2].mean())
     mean = np.r_[lens.values, scale.x - 1.0, scale.y - 1.0, np.zeros(COMMON - SCALE.stop)]
-    std = np.empty(LENS)
-    f = lens.values[:2].mean()
-    if stated == TOLERANCE:
-        std[:4] = [_STATED_FOCAL * f] * 2 + [_STATED_CENTRE * width] * 2
-        std[4:] = [_STATED_RADIAL] * 2 + [_STATED_TANGENTIAL] * 2 + [_STATED_RADIAL]
-        if lens.model == FISHEYE:
-            std[4:] = _STATED_RADIAL
-    else:
-        std[:4] = [_FOCAL * f] * 2 + [_CENTRE * width] * 2
-        std[4:] = [_RADIAL[0], _RADIAL[1], _TANGENTIAL, _TANGENTIAL, _RADIAL[2]]
-        if lens.model == FISHEYE:
-            std[4:] = _FISHEYE
-        if stated != FIXED:
-            mean[2:LENS] = [0.5 * (width - 1.0), 0.5 * (lens.size[1] - 1.0), 0.0, 0.0, 0.0, 0.0, 0.0]
+    if stated not in (TOLERANCE, FIXED):
+        mean[2:LENS] = [0.5 * (width - 1.0), 0.5 * (lens.size[1] - 1.0), 0.0, 0.0, 0.0, 0.0, 0.0]
+    std = _LENS_STD[lens.model, stated == TOLERANCE] * np.r_[f, f, width, width, np.ones(LENS - 4)]
     information = np.zeros((COMMON, COMMON))
     information[:LENS, :LENS] = np.diag(std**-2)
     information[SCALE, SCALE] = np.linalg.inv(scale.covariance)

@@ -161,12 +161,10 @@ def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequenc
     Images are of one stop where their joints are the same and they were taken at nearly the same time; without times,
     where they have one name, or no other images of these cameras have these joints.
     """
-    cameras = np.concatenate([np.full(len(one), k) for k, one in enumerate(q)])
-    joints = np.concatenate(list(q))
+    cameras, joints = np.repeat(np.arange(len(q)), [len(one) for one in q]), np.concatenate(list(q))
     called = np.array([name for one in names for name in one], dtype=object)
     at = np.concatenate([t if len(t) else np.full(len(one), np.nan) for t, one in zip(stamps, q, strict=True)])
     stop = np.full(len(joints), ALONE)
-    count = 0
     for i in range(len(joints)):
         if stop[i] != ALONE:
             continue
@@ -181,8 +179,7 @@ def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequenc
         near = near[(cameras[near] != cameras[i]) | (near == i)]
         first = near[np.unique(cameras[near], return_index=True)[1]]
         if len(first) > 1:
-            stop[first] = count
-            count += 1
+            stop[first] = stop.max() + 1
     return np.split(stop, np.cumsum([len(one) for one in q])[:-1])
 
 

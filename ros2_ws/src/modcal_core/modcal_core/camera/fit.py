@@ -42,7 +42,6 @@ _USUAL_LOGS = START.logs  # asked for with every step of the search
 _FACTOR = np.log([10.0, 10.0, 10.0, 10.0, 10.0, 2.0, 10.0])
 _MIN = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
 _MAX = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
-_ARM, _OTHER, _LENGTHS, _PLACES = 3, 4, 5, 6
 _EVALUATIONS = 400  # many times what a search takes
 _NO_SIZES = 1e12  # of −2 log likelihood
 _DOWNHILL: Any = {"ftol": 1e-7, "gtol": 0.02, "eps": 1e-4}  # −2 log likelihood moves by 1 at a standard deviation
@@ -68,15 +67,9 @@ def likeliest(
     """
     faults = equations.faults
     begin = start if faults is None or faults.stated is None else replace(start, arm=faults.stated)
-    unknown = [0, 1, 2]
-    if faults is not None and faults.stated is None:
-        unknown += [_ARM, _LENGTHS]
-    if equations.beside is not None:
-        unknown.append(_OTHER)
-    if equations.places is not None:
-        unknown.append(_PLACES)
-
-    known = begin.logs
+    free = faults is not None and faults.stated is None
+    asked = [True] * 3 + [free, equations.beside is not None, free, equations.places is not None]  # as Sizes has them
+    unknown, known = np.flatnonzero(asked), begin.logs
 
     def inside(logs: Array) -> Array:
         full = known.copy()
@@ -85,12 +78,11 @@ def likeliest(
 
     def misfit(logs: Array) -> float:
         full = inside(logs)
-        sizes = Sizes.of_logs(full)
         try:
-            found = misfit_of(equations.solve(sizes))
+            found = misfit_of(equations.solve(Sizes.of_logs(full)))
         except np.linalg.LinAlgError:  # far beyond what errors are, rounding is all that is left of an equation
             found = _NO_SIZES
-        return found + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
+        return found + usual(Sizes.of_logs(full)) + float(np.abs(logs - full[unknown]).sum())
 
     first = known[unknown]
     around = np.vstack([first, first + np.eye(len(first))])
@@ -167,16 +159,6 @@ class CameraFit:
         """Motion of the flange at postures q (M, n) per parameter of arm, effects and other instruments, (M, 3, P)."""
         return self.at_flange(*self.poses.at_postures(q).tool_motions(self.state.values))
 
-    @property
-    def arm_stated(self) -> bool:
-        """Whether the size of the arm's faults is stated."""
-        return self.poses.faults is not None and self.poses.faults.stated is not None
-
-    def of_part(self, rows: np.ndarray) -> CameraFit:
-        """A fit of these images only (mask (N,)), with the same sizes of errors."""
-        some = self.table.select(rows), self.poses.select(rows)
-        return fit_camera(*some, self.prior, self.state, self.sizes, fixed_sizes=True)
-
     def of_further(self) -> list[tuple[CameraState, Array, float]]:
         """(state; standard deviations of lens, shape, readout and places, (15 + Z,), those of the first camera as in
         this fit; RMS of its corners [px]) of each further camera.
@@ -217,8 +199,8 @@ def fit_camera(
     """
     state = CameraState(poses.values.start, 0.0, begin, prior.shape) if isinstance(begin, Lens) else begin
     afar = sizes == START
-    if poses.faults is not None and poses.faults.stated is not None:
-        sizes = replace(sizes, arm=poses.faults.stated)
+    if poses.arm_stated is not None:
+        sizes = replace(sizes, arm=poses.arm_stated)
 
     def at(state: CameraState) -> tuple[_Place, float]:
         solved = equations_at(table, poses, prior, state).solve(sizes)
@@ -279,11 +261,6 @@ def camera_rows(table: CornerTable, poses: ArmPoses, state: CameraState, columns
         poses.moments.stop if len(poses.moments.stop) else np.full(len(T), ALONE),
         rows.pixels,
     )
-
-
-def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Array:
-    """By how much corners (M, 2) are elsewhere than the model has them [px]."""
-    return camera_rows(table, poses, state, np.empty(0, int)).pixels
 
 
 def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:

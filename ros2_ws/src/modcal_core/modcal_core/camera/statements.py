@@ -123,7 +123,7 @@ def contradicted(fit: CameraFit, doubted: Sequence[DoubtedStatement]) -> dict[st
 
 def arm_contradicted(fit: CameraFit) -> float | None:
     """How many times as far off as stated the arm is, None where the images do not say so, or nobody states it."""
-    if not fit.arm_stated or fit.poses.faults is None:
+    if fit.poses.faults is None or fit.poses.arm_stated is None:
         return None
     solved, misfit = fit.weighed(replace(fit.equations, faults=replace(fit.poses.faults, stated=None)))
     larger = solved.sizes.arm > fit.sizes.arm and misfit < fit.misfit - GAIN
