@@ -139,7 +139,8 @@ def test_a_fisheye_is_found_from_images_alone(rng: np.random.Generator) -> None:
     table = CornerTable.of([v for v in views(rng, T, lens=WIDE) if len(v) >= 12], BOARD)
     fit = fit_lens(table, first_lens(table, SIZE, FISHEYE))
     assert fit.cost < 1.2 * 2.0 * len(table)
-    assert np.abs(fit.lens.values - WIDE.values)[4:8].max() < 0.01
+    found, true = (np.arctan(np.linalg.norm(lens.rays(table.pixels), axis=1)) for lens in (fit.lens, WIDE))
+    assert np.abs(found - true).max() < 3e-3  # rad, out to 44° off the axis
     assert fit.lens.values[0] == pytest.approx(340.0, rel=0.01)
 
 

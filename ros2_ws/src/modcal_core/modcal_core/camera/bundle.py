@@ -173,20 +173,20 @@ class PlacePrior:
 
     @cached_property
     def held(self) -> Array:
-        """Information about what all are off together, at the stated tolerances, (Z, Z) [1/m², 1/rad²]."""
+        """Information about what all are off together, whatever their offsets, (Z, Z) [1/m², 1/rad²]."""
         K, values, _ = self.motion.shape
         U, singular, _ = np.linalg.svd((self.white @ self.motion).reshape(-1, 6), full_matrices=False)
         U = (self.white @ U[:, singular > _RANK * singular[0]].reshape(K, values, -1)).reshape(K * values, -1)
-        return np.asarray(U @ U.T)
+        return np.asarray(_HELD * U @ U.T)
 
     @cached_property
     def apart(self) -> Array:
-        """The same about what they are off apart from each other."""
-        return np.asarray(block_diag(*(self.white @ self.white)) - self.held)
+        """The same about what they are off apart from each other, at the stated tolerances."""
+        return np.asarray(block_diag(*(self.white @ self.white)) - self.held / _HELD)
 
     def information(self, size: float) -> Array:
         """Information matrix of the marker places, (Z, Z). size: scale of the offsets in units of the tolerances."""
-        return np.asarray(self.apart / size**2 + _HELD * self.held)
+        return np.asarray(self.apart / size**2 + self.held)
 
 
 @dataclass(frozen=True)

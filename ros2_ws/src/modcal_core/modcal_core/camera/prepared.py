@@ -341,8 +341,10 @@ def far_markers(fit: CameraFit) -> np.ndarray:
     out = np.zeros(K, bool)
     if len(used) < _MIN_MARKERS:
         return out
-    off = (prior.white @ fit.state.shape[SHAPE:].reshape(K, -1, 1))[:, :, 0]
-    moved = prior.white @ prior.motion
+    own, values = np.arange(K), table.places
+    white = np.swapaxes(np.linalg.cholesky(prior.apart.reshape(K, values, K, values)[own, :, own]), 1, 2)
+    off = (white @ fit.state.shape[SHAPE:].reshape(K, values, 1))[:, :, 0]
+    moved = white @ prior.motion
     for k in used:
         others = used[used != k]
         by = np.linalg.lstsq(moved[others].reshape(-1, 6), off[others].reshape(-1), rcond=None)[0]
