@@ -33,14 +33,18 @@ _MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (ver
 _CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
 _UNSTEADY = 2e-3  # rad (or m) a joint that an image differs from the fit: ten times what gears and springs do
 _MOSTLY = 0.5  # of the mean square error at the tool
+_UNMEASURED = {
+    "sheet": "measured: measure its rulers (modcal target --measured)",
+    "body": "stated: measure across it with a calliper and state size_tolerance",
+}
+_UNSAID = "read both rulers again, and state how well (--measured-to-mm)"
+_NOMINAL = (
+    "both rulers are stated at their nominal lengths, as by somebody who has not measured them: measure them, and "
+    "state how well (--measured-to-mm)"
+)
 
 
-def problems(
-    fit: CameraFit,
-    nominal: CameraFit,
-    change: FoundChange | None,
-    wrong: tuple[str, ...],
-) -> tuple[str, ...]:
+def problems(fit: CameraFit, nominal: CameraFit, change: FoundChange | None, wrong: Sequence[str]) -> tuple[str, ...]:
     """What contradicts the fit, in sentences. wrong: statements that images contradict."""
     out = [] if fit.converged and nominal.converged else ["The fit did not reach its minimum."]
     if change is not None:
@@ -51,18 +55,16 @@ def problems(
             f"Images are {1e3 * fit.sizes.joint:.1f} mrad a joint off any arm of this form, each by itself: check that "
             "the arm stood still, that joints and images are of the same moment, and that nothing is loose."
         )
-    if fit.table.places:  # of a body points are misread, and the places of its markers say what is wrong of its size
-        return tuple(out)
-    if fit.table.left_out > _CORNERS_OUT:
+    # of a body points are misread, and the places of its markers say what is wrong of its size
+    if not fit.table.places and fit.table.left_out > _CORNERS_OUT:
         out.append(f"{100.0 * fit.table.left_out:.0f} % of all corners fit no flat target of the stated form.")
     return tuple(out)
 
 
 def left_out_images(left_out: Collection[str], count: int, whose: str = "") -> tuple[str, ...]:
     """Sentence that more images than a verdict passes over were left out of so many; nothing where that is not so."""
-    if len(left_out) <= _MANY_OUT * count:
-        return ()
-    return (f"{len(left_out)} of {count} images{whose} were left out.",)
+    said = f"{len(left_out)} of {count} images{whose} were left out."
+    return (said,) if len(left_out) > _MANY_OUT * count else ()
 
 
 def metric_of(target: CalibrationTarget, arm_m: float | None, beside: ReadingsBeside | None) -> tuple[str, ...]:
@@ -82,30 +84,21 @@ def size_open(
     arm_m: float | None,
 ) -> str:
     """What to do about the sheet's size where it is what keeps the arm from being clearly better, else nothing."""
-    if target.scale.measured:
-        what = "sheet" if isinstance(target, PrintedTarget) else "body"
-        likeliest_doubt = max(doubted, key=lambda d: d.counted).what == SIZE
-        if likeliest_doubt and decide(error.as_stated, DecisionGrounds(stated_m=arm_m)).word == APPLY:
-            again = f"measure the {what} again"
-            if target.scale.unsaid:
-                again = "read both rulers again, and state how well (--measured-to-mm)"
-            if target.scale.nominal:
-                again = (
-                    "both rulers are stated at their nominal lengths, as by somebody who has not measured them: "
-                    "measure them, and state how well (--measured-to-mm)"
-                )
-            return (
-                f"If the {what} has the size that is stated, it is clearly better; these images leave that open: "
-                f"{again}, or add a length of another kind, such as a few tracker points."
-            )
+    what, scale = "sheet" if isinstance(target, PrintedTarget) else "body", target.scale
+    if not scale.measured:
+        whole, known = shared.get("print scale", (0.0, 0.0))
+        rest = f"; with it, {1e3 * known**0.5:.2f} mm are left."
+        said = f"Most of that is the {what}'s size, which nobody has {_UNMEASURED[what]}{rest}"
+        return said if known < _MOSTLY * whole else ""
+    if max(doubted, key=lambda d: d.counted).what != SIZE:
         return ""
-    whole, known = shared.get("print scale", (0.0, 0.0))
-    if known >= _MOSTLY * whole:
+    if decide(error.as_stated, DecisionGrounds(stated_m=arm_m)).word != APPLY:
         return ""
-    said = "sheet's size, which nobody has measured: measure its rulers (modcal target --measured)"
-    if not isinstance(target, PrintedTarget):
-        said = "body's size, which nobody has stated: measure across it with a calliper and state size_tolerance"
-    return f"Most of that is the {said}; with it, {1e3 * known**0.5:.2f} mm are left."
+    again = _NOMINAL if scale.nominal else _UNSAID if scale.unsaid else f"measure the {what} again"
+    return (
+        f"If the {what} has the size that is stated, it is clearly better; these images leave that open: "
+        f"{again}, or add a length of another kind, such as a few tracker points."
+    )
 
 
 _PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
@@ -192,11 +185,9 @@ def left_out_points(
     against, open_ = [], []
     for name, table in cameras:
         out = table.weight == 0.0
-        strange = []  # markers most of whose points are out, in images enough to say so
-        for k in range(table.markers):
-            own = table.marker == k
-            if len(np.unique(table.view[own])) >= _SIGHTINGS and float(out[own].mean()) > MOSTLY:
-                strange.append(k)
+        every = [table.marker == k for k in range(table.markers)]
+        seen = [k for k, own in enumerate(every) if len(np.unique(table.view[own])) >= _SIGHTINGS]
+        strange = [k for k in seen if float(out[every[k]].mean()) > MOSTLY]  # in images enough to say so
         if strange:
             named = ", ".join(target.markers[k].label for k in strange[:_NAMED])
             more = f" and {len(strange) - _NAMED} more" if len(strange) > _NAMED else ""
@@ -224,10 +215,7 @@ _JOINT, _SLIDE = np.radians(20.0), 0.05  # range of a joint that shows what its 
 def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
     """What these images leave open, each with what to do, in sentences."""
     out = []
-    T, _ = fit.poses.tool_motions(fit.state.values, fit.state.offset_s)
-    seen = fit.poses.seen(T)
-    centre = fit.table.points.mean(axis=0)
-    tilts, away = tilt_and_distance(seen, centre)
+    tilts, away = tilt_and_distance(fit.poses.seen(fit.tool), fit.table.points.mean(axis=0))
     tilt = float(tilts.max())
     if tilt < _TILT and not fit.table.places:
         out.append(
@@ -251,10 +239,8 @@ def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
             "camera and target are along this axis is open. Turn the wrist about a second axis."
         )
     chain = fit.poses.model.serial
-    for name, low, high, turning in zip(
-        chain.names, fit.poses.q.min(0), fit.poses.q.max(0), chain.revolute, strict=True
-    ):
-        if high - low < (_JOINT if turning else _SLIDE):
-            moved = f"{np.degrees(high - low):.0f}°" if turning else f"{1e3 * (high - low):.0f} mm"
+    for name, span, turning in zip(chain.names, np.ptp(fit.poses.q, axis=0), chain.revolute, strict=True):
+        if span < (_JOINT if turning else _SLIDE):
+            moved = f"{np.degrees(span):.0f}°" if turning else f"{1e3 * span:.0f} mm"
             out.append(f"Joint {name} moved by {moved} only: its axis is known from the drawing.")
     return tuple(out)
