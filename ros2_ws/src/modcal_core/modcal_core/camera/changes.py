@@ -226,8 +226,8 @@ class CameraWatch:
             self._cameras[one.name] = one.poses, state, columns
         known, information = fit.equations.solve(fit.sizes), np.zeros_like(fit.covariance)
         information[np.ix_(known.use, known.use)] = known.H
-        prior = {"offset": np.zeros(len(information)), "information": information}
-        self._known = replace(fit.equations, beside=None, faults=None, places=None, **prior)
+        known_only = replace(fit.equations, beside=None, faults=None, places=None)
+        self._known = replace(known_only, offset=np.zeros(len(information)), information=information)
         self._seen: deque[_Seen] = deque(maxlen=_WINDOW * len(self._cameras))
         self._count = self._stop = 0
 
