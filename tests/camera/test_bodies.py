@@ -197,7 +197,7 @@ def test_derivatives_by_places_and_size(turning: bool) -> None:
     ids = np.sort(rng.permutation(len(body.points))[:12])
     views = [BoardView(f"{i}", ids, np.zeros((12, 2)), np.tile(np.eye(2), (12, 1, 1))) for i in range(3)]
     table = CornerTable.of(views, body)
-    shape = 1e-3 * rng.normal(size=len(table.unshaped))
+    shape = 1e-3 * rng.normal(size=SHAPE + table.places * table.markers)
     rows = corner_rows(table, LENS, shape, T)
     columns = np.r_[9 : 9 + SHAPE, COMMON : rows.by_common.shape[2]]
 

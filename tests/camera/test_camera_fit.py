@@ -112,7 +112,7 @@ def test_likelihood_is_that_of_the_whole_normal_distribution() -> None:
     table = CornerTable.of(few, s.board)
     arm = start(s)[1].select(np.arange(2))
     prior = common_prior(LENS, s.board.scale)
-    state = CameraState(np.zeros(len(arm.parameters)), 0.0, LENS, FLAT)
+    state = CameraState(np.zeros(len(arm.parameters)), 0.0, np.r_[LENS.values, FLAT, 0.0], LENS)
     eq = equations_at(table, arm, prior, state)
     # base and tool are known to some centimetres here, so that the covariance written out has digits left
     eq = replace(eq, information=eq.information + 1e3 * np.diag(np.diag(eq.information) < 1.0))

@@ -170,7 +170,7 @@ def test_springs_that_images_do_not_show_are_said() -> None:
     one = next(h for h in r.evidence.hidden if h.place == "panda_joint4")
     spring = Effect("compliance", one.place, "axis", f"load:{one.place}", Shape("linear")).started(np.zeros(1))
     fit, poses = r.fit, r.fit.poses.with_effects((spring,))
-    begin = fit.state.with_values(np.insert(fit.state.values, fit.poses.of_model, 0.0))
+    begin = replace(fit.state, values=np.insert(fit.state.values, fit.poses.of_model, 0.0))
     there = fit_camera(fit.table, poses, fit.prior, begin, fit.sizes, fixed_sizes=True)
     std = np.sqrt(there.covariance[fit.poses.of_model, fit.poses.of_model])
     assert one.least == pytest.approx(4.0 * std, rel=0.05)

@@ -30,7 +30,7 @@ def table(rng: np.random.Generator) -> CornerTable:
 
 
 def without(corners: CornerTable, out: Array) -> CornerTable:
-    return corners.with_weight(np.where(out, 0.0, 1.0))
+    return replace(corners, weight=np.where(out, 0.0, 1.0))
 
 
 def test_misread_points_are_said_beyond_what_a_verdict_passes_over(rng: np.random.Generator) -> None:

@@ -378,8 +378,8 @@ class FurtherCamera:
         columns[self.own] = place + np.arange(len(self.own))
         x = np.where(columns >= 0, np.r_[state.values, state.offset_s, state.common][columns], _vector(self.begin))
         effects = np.arange(len(first.parameters), first.of_model)
-        there = replace(self.begin, values=np.r_[x[:P], state.values[effects]], offset_s=float(x[P]))
-        return np.insert(columns, P, effects), there.with_common(x[P + 1 :])
+        there = CameraState(np.r_[x[:P], state.values[effects]], float(x[P]), x[P + 1 :], self.begin.kind)
+        return np.insert(columns, P, effects), there
 
 
 def _vector(state: CameraState) -> Array:

@@ -216,11 +216,6 @@ class BoardView:
         return BoardView(self.name, self.ids[rows], self.pixels[rows], self.cov[rows], self.sharpness, self.stamp)
 
 
-def whitening(cov: Array) -> Array:
-    """Matrices L (m, 2, 2) that make errors of these covariances (m, 2, 2) white: L cov Lᵀ = 1."""
-    return np.linalg.inv(np.linalg.cholesky(cov))
-
-
 BUNDLE = "bundle"
 _CORNERS = {"ul": (-1.0, 1.0), "ur": (1.0, 1.0), "lr": (1.0, -1.0), "ll": (-1.0, -1.0)}  # of a marker, x and y
 ARUCO_ORDER, APRILTAG_ORDER = ("ul", "ur", "lr", "ll"), ("ll", "lr", "ur", "ul")  # as their detectors number them

@@ -85,7 +85,7 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
         poses = fit.poses.with_effects(asked.model.effects)
         parameters, own = np.split(fit.state.values, [len(poses.parameters)])[0], fit.state.values[fit.poses.of_model :]
         values = np.concatenate([parameters, *(e.values for e in asked.model.effects), own])
-        state = fit.state.with_values(values)
+        state = replace(fit.state, values=values)
         fit = replace(fit, poses=poses, state=state, equations=equations_at(fit.table, poses, fit.prior, state))
     solved = fit.equations.solve(fit.sizes)
     moved = fit.equations.cameras[0].moved
@@ -183,7 +183,7 @@ def _valued(fit: CameraFit) -> tuple[Effect, ...]:
 def _with(fit: CameraFit, effect: Effect) -> CameraFit:
     """Everything fitted again, with one more effect."""
     poses = fit.poses.with_effects((*_valued(fit), effect))
-    begin = fit.state.with_values(np.insert(fit.state.values, fit.poses.of_model, effect.values))
+    begin = replace(fit.state, values=np.insert(fit.state.values, fit.poses.of_model, effect.values))
     return fit_camera(fit.table, poses, fit.prior, begin, fit.sizes)
 
 

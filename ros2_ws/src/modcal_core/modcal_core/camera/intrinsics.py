@@ -11,7 +11,7 @@ flat, or nearly, look much the same tilted the other way about the line of sight
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -43,7 +43,6 @@ def board_poses(table: CornerTable, lens: Lens, shape: Array = _FLAT) -> BoardPo
     """Both poses of the target in every image, which must show four corners at least. shape: (5,)."""
     import cv2
 
-    table = replace(table, places=0, markers=0)  # all in their places, whose derivatives take time
     start = np.empty((2, table.views, 4, 4))
     for i in range(table.views):
         rows = np.flatnonzero((table.view == i) & (table.weight > 0.0))

@@ -28,7 +28,7 @@ import numpy as np
 
 from modcal_core.calibration import hand_eye, procrustes
 from modcal_core.camera.bundle import MARKER_CORNERS, MarkerBundle
-from modcal_core.camera.corners import CornerTable, corner_rows
+from modcal_core.camera.corners import SHAPE, CornerTable, corner_rows
 from modcal_core.camera.intrinsics import BoardPose, board_poses
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
 from modcal_core.errors import BadRecording, BadTable, ModcalError, NotEnoughData
@@ -334,7 +334,7 @@ class BodyStart:
 
     def off(self, table: CornerTable) -> Array:
         """How far corners are from where they should be, (M, 2) [px]."""
-        return corner_rows(table, self.lens, table.unshaped, self.mounting.T_camera_target).pixels
+        return corner_rows(table, self.lens, np.zeros(SHAPE), self.mounting.T_camera_target).pixels
 
 
 def start_of_body(table: CornerTable, A: Array, lens: Lens | None, usual: Lens, on_tip: bool | None) -> BodyStart:
@@ -371,7 +371,7 @@ def require_order(table: CornerTable, lens: Lens, target: MarkerBundle) -> None:
     for k in range(MARKER_CORNERS):
         for names in (np.roll(target.corners, k), np.roll(target.corners[::-1], k)):
             order = tuple(str(name) for name in names)
-            there = replace(some, points=replace(target, corners=order).points[some.ids])
+            there = replace(some, target=replace(target, corners=order))
             miss[order] = float(np.median(board_poses(there, lens).rms))
     best = min(miss, key=lambda order: miss[order])
     if miss[best] * _CLEAR < miss[target.corners]:

@@ -187,7 +187,7 @@ def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
             weight = np.where(agreeing(table, rows.residual, rows.pixels), table.weight, 0.0)
             if (weight == table.weight).all():
                 break
-            table = table.with_weight(weight)
+            table = replace(table, weight=weight)
             fit = fit_lens(table, lens, prior.free[:LENS], prior.information[:LENS, :LENS])
         poses = board_poses(table, fit.lens, prior.shape)
         kept = replace(kept, table=table)
@@ -226,7 +226,7 @@ def _of_body(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
         raise explained(error, chain, q[whole], table.select(whole), usual, images.camera_on_tip) from error
     prior = common_prior(begin.lens, target.scale, images.stated if lens is not None else None)
     far = gross(begin.off(table))
-    kept = replace(kept, table=table.with_weight(np.where(far, 0.0, 1.0)))
+    kept = replace(kept, table=replace(table, weight=np.where(far, 0.0, 1.0)))
     kept = kept.without(np.where(mostly_out(table, far), ELSEWHERE, ""))
     return kept, begin.lens, prior.with_places(target.place_prior()), begin.mounting
 
@@ -398,4 +398,4 @@ def _without(ready: PreparedImages, out: np.ndarray, fit: CameraFit | None = Non
             return None
     if (~strange).sum() < MIN_VIEWS:
         return None
-    return replace(ready, table=ready.table.with_weight(weight)).without(strange, ELSEWHERE)
+    return replace(ready, table=replace(ready.table, weight=weight)).without(strange, ELSEWHERE)
