@@ -102,7 +102,9 @@ def test_the_arms_faults_are_those_of_all_its_bodies() -> None:
     for ratio in (1.0, 3.0):
         std = np.array([p.prior_std * (1.0 if p.turns else ratio) for p in every])
         assert J @ arm.faults.covariance(ratio) @ J.T == pytest.approx((whole * std**2) @ whole.T, abs=1e-9)
-    assert np.sqrt(np.diag(arm.faults.lengths)).max() > 1.3 * max(p.prior_std for p in every if not p.turns)
+    assert np.sqrt(np.diag(arm.faults.covariance() - arm.faults.covariance(0.0))).max() > 1.3 * max(
+        p.prior_std for p in every if not p.turns
+    )
 
 
 def test_likelihood_is_that_of_the_whole_normal_distribution() -> None:
@@ -231,7 +233,7 @@ def test_an_arm_behind_a_fisheye() -> None:
 def test_draws_of_an_arm_of_stated_faults_are_those_of_the_fit() -> None:
     """There the law is normal, with the covariance of all faults brought to the parameters of the fit."""
     fit = solved(images(True), arm_m=5e-3, look_for_effects=False).fit
-    values, chance = arm_draws(fit, np.random.default_rng(0)).values[AS_STATED]
+    values, chance, _ = arm_draws(fit, np.random.default_rng(0))[AS_STATED]
     assert chance == 1.0
     P = fit.poses.count
     std = np.sqrt(np.diag(fit.covariance)[:P])
