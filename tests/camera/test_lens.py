@@ -92,6 +92,17 @@ def test_a_board_far_away_has_a_twin(rng: np.random.Generator) -> None:
     assert (off.min(axis=1) < 0.05).all()
 
 
+def test_corners_that_show_no_pose_leave_the_other_images_as_they_are(rng: np.random.Generator) -> None:
+    """An image with corners of one row only, and one of which none is in use."""
+    found = views(rng, facing(rng, 6))
+    found[2] = found[2].select(found[2].ids < 6)
+    table = CornerTable.of(found, BOARD)
+    some = replace(table, weight=np.where(table.view == 4, 0.0, 1.0))
+    T, every = board_poses(some, LENS).T[:, 0], board_poses(table, LENS).T[:, 0]
+    assert np.isfinite(T).all()
+    assert T[[0, 1, 3, 5]] == pytest.approx(every[[0, 1, 3, 5]], abs=1e-9)
+
+
 def test_intrinsics_meet_opencv_s_minimum(rng: np.random.Generator) -> None:
     sheet = PrintedTarget(CHARUCO, 7, 5, 0.03125, 0.022)  # a square that single precision holds exactly
     found = views(rng, facing(rng, 12), board=sheet)

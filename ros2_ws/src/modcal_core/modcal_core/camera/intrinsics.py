@@ -11,6 +11,7 @@ flat, or nearly, look much the same tilted the other way about the line of sight
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -45,12 +46,12 @@ def board_poses(table: CornerTable, lens: Lens, shape: Array = _FLAT) -> BoardPo
 
     start = np.empty((2, table.views, 4, 4))
     for i in range(table.views):
-        rows = np.flatnonzero((table.view == i) & (table.weight > 0.0))
+        rows = table.of_view(i)
         points, rays = table.points[rows], lens.rays(table.pixels[rows])[:, None]
-        _, turn, place, _ = cv2.solvePnPGeneric(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
         first = se3.exp(np.r_[0.0, 0.0, 1.0, np.zeros(3)])
-        if len(turn):
-            first = se3.transform(so3.exp(turn[0].ravel()), place[0].ravel())
+        with suppress(cv2.error):  # of points on one line
+            _, turn, place, _ = cv2.solvePnPGeneric(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+            first = se3.transform(so3.exp(turn[0].ravel()), place[0].ravel()) if len(turn) else first
         start[0, i], start[1, i] = first, _twin(first, points)
     T, cost = (np.stack(part, axis=1) for part in zip(*(_refined(table, lens, shape, s) for s in start), strict=True))
     order = np.argsort(cost, axis=1)
@@ -158,6 +159,8 @@ def first_lens(table: CornerTable, size: tuple[int, int], model: str = PINHOLE) 
     for i in many if len(many) >= _MIN else range(table.views):
         rows = table.of_view(int(i))
         H, _ = cv2.findHomography(table.points[rows, :2], pixels[rows])
+        if H is None:  # corners on one line
+            continue
         a, b = (H[:, :2] / np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))).T
         left += [a[:2] @ b[:2], 0.5 * (a + b)[:2] @ (a - b)[:2]]
         right += [-a[2] * b[2], -0.5 * (a + b)[2] * (a - b)[2]]

@@ -39,7 +39,7 @@ from modcal_core.camera import (
 )
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3, so3
-from modcal_nodes.vision.saddle import fit_board
+from modcal_nodes.vision.saddle import fit_board, homography
 
 _MIN_PX, _MAX_PX = 0.02, 2.0  # standard deviation of a corner: what interpolation alone leaves, and a useless one
 _PRINT_PX = 0.02  # standard deviation of what printer, paper and the lens's finer form leave beside the noise
@@ -225,7 +225,7 @@ def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: A
     """The saddles of a board's corners to a fraction of a pixel, those at the image's edge left out."""
     half = _MIN_WINDOW
     if enough_corners(target.points[ids]):
-        H, _ = cv2.findHomography(target.points[ids, :2], pixels)
+        H = homography(target.points[ids, :2], pixels)
         middle = np.r_[target.points[ids, :2].mean(axis=0), 1.0]
         steps = [middle + np.r_[target.square, 0.0, 0.0], middle + np.r_[0.0, target.square, 0.0]]
         at = [(H @ p)[:2] / (H @ p)[2] for p in (middle, *steps)]
@@ -260,7 +260,7 @@ def _turned_right(grey: np.ndarray, pixels: Array, shape: tuple[int, int]) -> Ar
 
 def _no_such_board(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> Detection | None:
     """Why a grid of corners is no chessboard of so many squares: its own do not alternate, or those beyond it do."""
-    H, _ = cv2.findHomography(target.points[ids, :2], pixels)
+    H = homography(target.points[ids, :2], pixels)
     c, r = target.columns, target.rows
     own = [(i, j) for i in range(c) for j in range(r)]
     inside, black = _greys(grey, H, target, own), np.array([(i + j) % 2 == 0 for i, j in own])
@@ -293,7 +293,7 @@ def _misfit(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> float:
     if len(ids) < 5:
         return 0.0
     points = target.points[ids, :2]
-    H, _ = cv2.findHomography(points, pixels)
+    H = homography(points, pixels)
     q = np.c_[points, np.ones(len(points))] @ H.T
     return float(np.linalg.norm(q[:, :2] / q[:, 2:] - pixels, axis=1).max())
 

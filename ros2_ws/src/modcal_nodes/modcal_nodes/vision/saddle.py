@@ -54,12 +54,18 @@ def fit_board(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: 
     return fit_saddles(grey, pixels, target.square * _per_metre(target.points[ids, :2], pixels), margin)
 
 
+def homography(points: Array, pixels: Array) -> Array:
+    """H (3, 3) that takes points (m, 2) of a plane to pixels (m, 2), NaN where either are on one line."""
+    H, _ = cv2.findHomography(points, pixels)
+    return np.full((3, 3), np.nan) if H is None else np.asarray(H)
+
+
 def _per_metre(points: Array, pixels: Array) -> Array:
     """Derivatives (m, 2, 2) of pixels (m, 2) by places on the sheet (m, 2) [m], by what all of them say."""
     ones = np.ones(len(points))
     flat = np.linalg.lstsq(np.c_[points, ones], pixels, rcond=None)[0][:2].T  # as if seen from far away
     if len(points) >= _PERSPECTIVE:
-        H, _ = cv2.findHomography(points, pixels)
+        H = homography(points, pixels)
         at = np.c_[points, ones] @ H.T
         ahead = at[:, 2] * np.sign(at[:, 2].sum())
         if ahead.min() > _NEARLY_FLAT * ahead.max():  # else four of few corners are on one line
