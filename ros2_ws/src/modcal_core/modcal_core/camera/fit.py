@@ -197,9 +197,9 @@ def fit_camera(
 
     sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
-    state = begin
     if isinstance(begin, Lens):
-        state = CameraState(poses.values.start, 0.0, np.r_[begin.values, prior.mean[len(begin.values) :]], begin)
+        begin = CameraState(poses.values.start, 0.0, np.r_[begin.values, prior.mean[len(begin.values) :]], begin)
+    state = begin
     afar = sizes == START
     if poses.arm_stated is not None:
         sizes = replace(sizes, arm=poses.arm_stated)

@@ -168,11 +168,12 @@ def prepare_images(
 
 def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     """The lens from the images alone, and the mounting by the poses that they show."""
-    target, stated, first = images.target, images.lens, dict[bytes, BoardView]()
+    target, stated, first = images.target, images.lens, dict[bytes, int]()
     whys = []
-    for v in images.views:
-        same = first.setdefault(v.ids.tobytes() + v.pixels.tobytes(), v)  # the very corners, noise and all
-        whys.append("" if same is v else f"the same picture as {same.name}: the camera hung, or it was copied")
+    for i, v in enumerate(images.views):
+        same = first.setdefault(v.ids.tobytes() + v.pixels.tobytes(), i)  # the very corners, noise and all
+        said = f"the same picture as {images.views[same].name}: the camera hung, or it was copied"
+        whys.append("" if same == i else said)
         if not enough_corners(target.points[v.ids]):
             whys[-1] = "too few corners of the target"
     kept = kept.without(whys)
