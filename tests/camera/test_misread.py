@@ -9,7 +9,7 @@ import pytest
 from camera.bodies import Faults, body_scene, icosahedron, measured
 
 from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.corners import SHAPE, CornerTable
+from modcal_core.camera.corners import COMMON, CornerTable
 from modcal_core.camera.outlook import left_out_points
 from modcal_core.camera.prepared import far_markers, prepare_images, together
 from modcal_core.geometry import so3
@@ -58,7 +58,7 @@ def test_a_marker_most_of_whose_points_are_out_is_named(rng: np.random.Generator
     rare = corners.select(
         np.array([6 in corners.marker[corners.of_view(i)] for i in range(IMAGES)]) | (np.arange(60) < 9)
     )
-    seldom = replace(rare, marker=np.where((rare.marker == 6) & (rare.view > 5), 7, rare.marker))
+    seldom = replace(rare, ids=np.where((rare.marker == 6) & (rare.view > 5), rare.ids + 5, rare.ids))
     assert left_out_points([("", without(seldom, seldom.marker == 6))], BODY)[1] == ()
 
 
@@ -84,5 +84,6 @@ def test_a_marker_far_from_where_the_others_have_it(corners: bool) -> None:
         motion[:, :3, 3:] = -so3.hat(middles)
         motion[:, 3:, 3:] = np.eye(3)[: values - 3]
         by = np.linalg.lstsq(motion.reshape(-1, 6), there.ravel(), rcond=None)[0]
-        moved = replace(fit.state, shape=np.r_[fit.state.shape[:SHAPE], (there.ravel() - motion.reshape(-1, 6) @ by)])
+        common = np.r_[fit.state.common[:COMMON], there.ravel() - motion.reshape(-1, 6) @ by]
+        moved = replace(fit.state, common=common)
         assert list(np.flatnonzero(far_markers(replace(fit, state=moved)))) == far

@@ -119,7 +119,7 @@ class ImageMoments:
 
 NOTHING_KNOWN = ImageMoments()
 
-FREE_M, FREE_RAD = 10.0, 10.0  # standard deviations of what nothing is known of
+_FREE = 10.0  # m, rad; standard deviation of what nothing is known of
 _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
@@ -193,7 +193,7 @@ class ArmPoses:
     @cached_property
     def values(self) -> ValuePrior:
         """What is expected of the P values. Base and tool are free; ``faults`` refines what is expected of the arm."""
-        own = np.array([p.prior_std if p.of_arm else (FREE_RAD if p.turns else FREE_M) for p in self.parameters])
+        own = np.array([p.prior_std if p.of_arm else _FREE for p in self.parameters])
         first: list[tuple[Array, Array, Array]] = [(np.zeros(len(own)), np.zeros(len(own)), own)]
         for effect in self.model.effects:  # settings are expected to be as they were found
             settings = np.where(np.arange(len(effect.values)) < len(effect.amplitudes), 0.0, effect.values)

@@ -16,7 +16,7 @@ a link's length. What is left of it, beside all that is fitted, has to stand out
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -41,20 +41,15 @@ class WithModel:
 
 @dataclass(frozen=True)
 class CameraSpace(Space):
-    """Rows of images: of each six, whitened. now: the model. T: T_frame_tool, (N, 4, 4). white: (N, 6, 6)."""
+    """Rows of images, six of each. whitened: of a motion of the tool, seen from the root (6, N), that of the target in
+    the image, white, (6, N).
+    """
 
-    fit: CameraFit | None = None
-    now: Model | None = None
-    T: Array = field(default_factory=lambda: np.empty((0, 4, 4)))
-    white: Array = field(default_factory=lambda: np.empty((0, 6, 6)))
+    whitened: Callable[[Array], Array] = np.asarray
 
     def column(self, place: int, direction: int) -> Array:
         """Motion of the target in the image per unit of a direction at a place, whitened, (6, N)."""
-        assert self.fit is not None
-        assert self.now is not None
-        N = len(self.T)
-        motion = self.fit.poses.of_root(self.now, self.view.unit_column(place, direction).reshape(1, 6, N))
-        return np.asarray((self.white @ self.fit.poses.as_twists(self.T, motion))[:, :, 0].T)
+        return self.whitened(self.view.unit_column(place, direction).reshape(6, -1))
 
 
 class CameraScanner(Scanner):
@@ -107,7 +102,11 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
     T = now.predict_samples(drivers.samples)
     view = RowView.of(now, drivers.samples, drivers)
     freedom = round(POSE * N - float(np.sum(Q**2)))
-    return CameraSpace(view, np.ones((POSE, N)), residual, Q, freedom, fit=fit, now=now, T=T, white=white)
+
+    def whitened(motion: Array) -> Array:
+        return np.asarray((white @ fit.poses.as_twists(T, fit.poses.of_root(now, motion[None])))[:, :, 0].T)
+
+    return CameraSpace(view, np.ones((POSE, N)), residual, Q, freedom, whitened=whitened)
 
 
 _MAX = 6  # effects, for time
