@@ -55,6 +55,7 @@ OUTSIDE = {"robots/urdf": _PARSERS, "articulation/urdf": _PARSERS}
 # ... and what only inside a function, so that importing the core stays quick and needs no plotting.
 OUTSIDE_WHEN_CALLED = {
     "files": {"yaml"},
+    "camera/": {"cv2"},
     "report/": {"jinja2", "yaml"},
     "modules/": {"matplotlib", "yaml"},
 }

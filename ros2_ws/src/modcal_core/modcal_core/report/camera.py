@@ -432,7 +432,7 @@ def _throw(solution: CameraSolution) -> float:
     """RMS distance at the flange per radian (or metre) that each joint is off by itself [m]."""
     poses, values = solution.fit.poses, solution.fit.state.values
     T = poses.tool_at(values)
-    moved = solution.fit.at_flange(T, poses.joint_motions(values, T))
+    moved = solution.fit.at_flange(T, poses.own_motions(values, T)[:, :, :-3])
     return float(np.sqrt((moved**2).sum() / len(T)))
 
 
