@@ -13,7 +13,8 @@ from report.judged import everything
 from robots.test_urdf import robot, serial
 
 from modcal_core.errors import BadRobot, BadTable, about
-from modcal_core.report.terminal import SummaryLine, SummaryTable, summary
+from modcal_core.report.blocks import SummaryLine, SummaryTable
+from modcal_core.report.terminal import summary
 from modcal_nodes.cli.main import run
 
 ROBOTS = Path(__file__).resolve().parents[2] / "examples" / "robots"

@@ -11,14 +11,16 @@ from report.reports import points
 from rich.console import Console
 
 from modcal_core.outcome.contents import Outcome
+from modcal_core.report.terminal import summary
 from modcal_core.report.words import sentence
 from modcal_core.verdict.verdict import Row, Verdict
-from modcal_nodes.cli.show import show_report
+from modcal_nodes.cli.console import show
 
 
 def shown(report: Outcome, colours: bool = False) -> str:
     text = io.StringIO()
-    show_report(report, Console(file=text, width=300, force_terminal=colours, color_system="standard", emoji=False))
+    plain = Console(file=text, width=300, force_terminal=colours, color_system="standard", markup=False, highlight=False)
+    show(summary(report), plain)
     return text.getvalue()
 
 

@@ -16,8 +16,9 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, counted
+from modcal_core.report.blocks import Block, Facts, Figures, Listing, PageTable, Paragraph, Section, Signatures
 from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
-from modcal_core.report.page import Block, Facts, Figures, Listing, Page, PageTable, Paragraph, Section, Signatures
+from modcal_core.report.page import Page
 from modcal_core.report.particulars import Particulars
 from modcal_core.verdict import PoseTest, Tolerance, pose_test
 

@@ -11,9 +11,9 @@ import numpy as np
 from modcal_core.checking import NamedChange, Series, SizeFound
 from modcal_core.checkup import Checked
 from modcal_core.report.as_json import claim_data, finite, tolerance_data
+from modcal_core.report.blocks import Figures, Listing, PageTable, Section, Summary, SummaryLine, SummaryTable, Tone
 from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel
-from modcal_core.report.page import Figures, Listing, Page, PageTable, Section, files_section
-from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone
+from modcal_core.report.page import Page, files_section
 
 _HEADINGS = {
     "unchanged": ("Nothing has changed", "good"),
@@ -72,9 +72,9 @@ def _change(c: NamedChange) -> dict[str, Any]:
     }
 
 
-def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
+def checkup_summary(found: Checked) -> tuple[Summary, ...]:
     """What a terminal shows: errors, changes, what would have been noticed, the answer, and what to do."""
-    out: list[SummaryTable | SummaryLine] = []
+    out: list[Summary] = []
     out.append(SummaryTable(_errors_header(found), _errors(found)))
     for change in found.changes:
         if lines := tuple(_row(change, s) for s in change.sizes):
@@ -247,9 +247,9 @@ def _series(s: Series) -> dict[str, Any]:
     return {"name": s.name, "unit": s.unit, "points": points, "trend": trend}
 
 
-def history_summary(found: Sequence[History]) -> tuple[SummaryTable | SummaryLine, ...]:
+def history_summary(found: Sequence[History]) -> tuple[Summary, ...]:
     """What a terminal shows."""
-    out: list[SummaryTable | SummaryLine] = []
+    out: list[Summary] = []
     for h in found:
         rows = tuple((e.name, e.what, (e.date or "")[:10], _short(e.said)) for e in h.entries)
         out.append(SummaryTable((f"robot {h.robot}", "what", "date", "verdict"), rows, words=4))

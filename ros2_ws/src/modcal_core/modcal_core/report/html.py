@@ -13,29 +13,26 @@ from modcal_core.effects import remembered
 from modcal_core.measurements.kinds import indirect_rows
 from modcal_core.outcome import STAGES, Outcome
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.figures import (
-    effect_shapes,
-    error_histogram,
-    residual_charts,
-    timeline,
-)
-from modcal_core.report.page import (
+from modcal_core.report.blocks import (
     Block,
     Figures,
     File,
     Fold,
     HeatTable,
     Listing,
-    Page,
     PageTable,
     Paragraph,
     Section,
     SideBySide,
     Tiles,
-    files_section,
-    parameter_tables,
-    size_tables,
 )
+from modcal_core.report.figures import (
+    effect_shapes,
+    error_histogram,
+    residual_charts,
+    timeline,
+)
+from modcal_core.report.page import Page, files_section, parameter_tables, size_tables
 from modcal_core.report.scene import scene
 from modcal_core.report.terminal import Account, accounts
 from modcal_core.report.words import STATUS_WORDS, sentence

@@ -10,7 +10,8 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.outcome import counted
-from modcal_core.report.page import Listing, Page, PageTable, Section, files_section
+from modcal_core.report.blocks import Listing, PageTable, Section
+from modcal_core.report.page import Page, files_section
 from modcal_core.report.scene import ShownPostures
 from modcal_core.report.words import percent
 from modcal_core.robots import LoadedArm, Window, constant_bounds

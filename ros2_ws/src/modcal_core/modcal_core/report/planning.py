@@ -11,8 +11,9 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.planning import Plan
 from modcal_core.report.as_json import claim_data
+from modcal_core.report.blocks import Figures, Listing, Section
 from modcal_core.report.charts import AFTER, BAD, BEFORE, INK, SMALL, Chart, Panel, as_file
-from modcal_core.report.page import Figures, Listing, Page, Section, files_section
+from modcal_core.report.page import Page, files_section
 from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_paths
 from modcal_core.report.words import percent
 from modcal_core.robots import is_serial_arm, plain

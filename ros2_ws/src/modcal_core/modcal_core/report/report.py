@@ -15,7 +15,8 @@ from modcal_core.files import to_json, to_yaml, write_folder
 from modcal_core.geometry import so3
 from modcal_core.outcome import Outcome
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.terminal import summary, text
+from modcal_core.report.blocks import text
+from modcal_core.report.terminal import summary
 from modcal_core.report.words import sentence
 from modcal_core.robots import Chain, Delta, delta_to_data
 

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from modcal_core.planning import NAMED, Study
+from modcal_core.report.blocks import Block, Figures, Fold, Listing, PageTable, Scene3D, Section
 from modcal_core.report.charts import AFTER, GOOD, INK, LARGE, WARN, Axis, Chart, Panel, as_file
-from modcal_core.report.page import Block, Figures, Fold, Listing, Page, PageTable, Section, files_section
-from modcal_core.report.scene import Scene3D, ShownPostures
+from modcal_core.report.page import Page, files_section
+from modcal_core.report.scene import ShownPostures
 from modcal_core.report.words import percent
 
 _SAME = 1e-6  # share of an index within which it is the same at every posture

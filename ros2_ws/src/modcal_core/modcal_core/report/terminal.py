@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from modcal_core.outcome import STAGES, Outcome
+from modcal_core.report.blocks import Summary, SummaryLine, SummaryTable, Tone, legend
 from modcal_core.report.words import MAX_REASONS, sentence
 from modcal_core.verdict import Row, Status, Verdict
 
@@ -73,7 +73,6 @@ def _line(row: Row, total: float, known: bool) -> Line:
     return Line(words, value, value / max(total, 1e-300), rms, row.ci95, known, effect)
 
 
-Tone = Literal["plain", "legend", "doubt", "good", "bad", "undecided", "reason"]
 TONES: dict[Status, Tone] = {"at_floor": "good", "open": "bad", "cannot_tell": "undecided"}
 # What stands in the tables, below them
 _STAGES = {
@@ -94,36 +93,12 @@ _TOGETHER = f"{{}} effects of less than {_SMALL:.0%} each, in report.json"
 _RESULTS: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
 
 
-@dataclass(frozen=True)
-class SummaryLine:
-    """A sentence. tone: what it means to the reader."""
-
-    text: str
-    tone: Tone = "plain"
-
-
-@dataclass(frozen=True)
-class SummaryTable:
-    """A table. words: how many columns, from the left, hold words; the others hold numbers."""
-
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    words: int = 1
-
-
-def summary(report: Outcome) -> tuple[SummaryTable | SummaryLine, ...]:
+def summary(report: Outcome) -> tuple[Summary, ...]:
     """Before and after, what the data could not tell, the effects, the account, and the verdict."""
     return tuple(_blocks(report))
 
 
-def text(blocks: Sequence[SummaryTable | SummaryLine]) -> str:
-    """The same as plain text, a line for each row and sentence."""
-    return "\n".join(
-        line for block in blocks for line in ([block.text] if isinstance(block, SummaryLine) else _laid_out(block))
-    )
-
-
-def _blocks(report: Outcome) -> Iterator[SummaryTable | SummaryLine]:
+def _blocks(report: Outcome) -> Iterator[Summary]:
     rows = []
     for stage in STAGES:
         size, angle = report.size_mm(stage), report.size_deg(stage)
@@ -158,11 +133,6 @@ def _blocks(report: Outcome) -> Iterator[SummaryTable | SummaryLine]:
         yield SummaryLine(f"{met.result}: {met.because}", _RESULTS.get(met.result, "undecided"))
 
 
-def legend(meanings: Mapping[str, str]) -> SummaryLine:
-    """What the columns of the table above mean."""
-    return SummaryLine("  " + "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items()), "legend")
-
-
 def _account(one: Account) -> SummaryTable:
     """Contributions to the squared error of the nominal model, many small ones of effects as one row."""
     small = [line for line in one.lines if line.effect and abs(line.share) < _SMALL]
@@ -186,14 +156,3 @@ def _effects(report: Outcome) -> SummaryTable:
         for f in report.effects
     )
     return SummaryTable(("effect", "place", "direction", "driver", "p", "RMS mm before", "after"), rows, words=4)
-
-
-def _laid_out(grid: SummaryTable) -> list[str]:
-    wide = [max(map(len, column)) for column in zip(grid.header, *grid.rows, strict=True)]
-    return [
-        "  ".join(
-            cell.ljust(width) if i < grid.words else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, wide, strict=True))
-        ).rstrip()
-        for row in (grid.header, *grid.rows)
-    ]
