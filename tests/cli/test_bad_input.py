@@ -218,11 +218,6 @@ def test_a_small_clock_offset_is_corrected_and_said(tmp_path: Path, capfd: pytes
     assert "off the joint states' clock" in " ".join(capfd.readouterr().out.split())
 
 
-def test_usage_errors_are_one_line(capfd: pytest.CaptureFixture[str]) -> None:
-    refused(["calibrate"], "Missing argument 'BAG'", capfd)
-    refused(["calibrat"], "No such command", capfd)
-
-
 @pytest.mark.parametrize(
     ("option", "given", "said"),
     [

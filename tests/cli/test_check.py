@@ -88,22 +88,6 @@ def test_stations_to_add_are_a_table(calibration: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out" / "calibration.yaml").exists()
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--certificate"], "--certificate: has no tolerance"),
-        (["--tolerance-mm", "0"], "0.0 is not in the range"),
-    ],
-)
-def test_what_cannot_be_is_refused_and_nothing_written(
-    calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
-) -> None:
-    bag = later(tmp_path / "bag", BUMP)
-    assert run(["check", str(calibration), str(bag), *options, "--out", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 def test_another_unit_is_refused(calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = later(tmp_path / "bag", np.eye(4), scale=1e-3)
     assert run(["check", str(calibration), str(bag), "--out", str(tmp_path / "out")]) == 2

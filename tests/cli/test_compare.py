@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -64,19 +63,6 @@ def test_what_a_certificate_needs(
 ) -> None:
     assert run(["calibrate", str(folder / "bag"), *options, "--out", str(tmp_path / "out")]) == 2
     assert said in capfd.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_wrong_convention_gets_no_certificate(
-    folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    recording = stations(60)
-    poses = recording.readings[0]
-    turned = replace(poses, values=poses.values[:, [0, 1, 2, 6, 3, 4, 5]])
-    write_recording(replace(recording, readings=(turned,)), tmp_path / "wxyz")
-    arguments = ["evaluate", str(folder / "a"), str(tmp_path / "wxyz"), "--out", str(tmp_path / "out")]
-    assert run([*arguments, "--tolerance-mm", "5", "--certificate"]) == 2
-    assert "w x y z" in capfd.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

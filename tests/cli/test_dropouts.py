@@ -93,17 +93,6 @@ def test_roles_are_stated_by_option_or_cell_file(c: Cell, tmp_path: Path) -> Non
     assert run(arguments) == 0
 
 
-@pytest.mark.parametrize("text", ["topics: 3", "topics: {tracker/pose: 3}", "topics: {tool: /a}", "tf: 3", "tf: a", "ignore: /a",
-                                  "ignore: [3]", "topics: [a]", "topics: {tracker/pose: {a: b}}"])  # fmt: skip
-def test_a_cell_file_that_states_nothing_sensible(
-    text: str, c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "cell.yaml").write_text(text)
-    bag = forms.write(tmp_path / "bag", plain(c))
-    assert run(["calibrate", str(bag), "--cell", str(tmp_path / "cell.yaml"), "--out", str(tmp_path / "out")]) == 2
-    assert capfd.readouterr().err.count("\n") == 1
-
-
 @pytest.mark.slow
 def test_a_pose_that_was_computed_is_never_taken_by_its_type(
     c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
-from cli.recordings import URDF, stations
+from cli.recordings import stations
 
 from modcal_core.calibration.store import from_data
 from modcal_core.errors import BadTable
@@ -135,15 +135,6 @@ def test_times_that_cannot_be(cell: str, tmp_path: Path, capfd: pytest.CaptureFi
     (tmp_path / "rows.csv").write_text(ROWS.replace("\n3;", f"\n{cell};"))
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(MAPPING))
     assert "line 4, column t" in refused(["import", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "bag")], capfd)
-
-
-@pytest.mark.parametrize("verb", ["calibrate", "evaluate", "limits", "articulate"])
-def test_a_seed_below_zero(verb: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    write_recording(stations(10), tmp_path / "bag")
-    source = {"limits": [str(URDF)], "evaluate": [str(tmp_path), str(tmp_path / "bag")]}.get(
-        verb, [str(tmp_path / "bag")]
-    )
-    assert "--seed" in refused([verb, *source, "--seed", "-1"], capfd)
 
 
 def mappings_of(data: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:

@@ -19,7 +19,9 @@ from modcal_nodes.cli.console import show
 
 def shown(report: Outcome, colours: bool = False) -> str:
     text = io.StringIO()
-    plain = Console(file=text, width=300, force_terminal=colours, color_system="standard", markup=False, highlight=False)
+    plain = Console(
+        file=text, width=300, force_terminal=colours, color_system="standard", markup=False, highlight=False
+    )
     show(summary(report), plain)
     return text.getvalue()
 
@@ -48,7 +50,7 @@ def test_small_rows_of_the_account_stand_together() -> None:
     assert "compliance elbow_joint" in said
     assert "gear_harmonic" not in said
     (together,) = [line.split() for line in said.splitlines() if "5 effects of less than 1%" in line]
-    assert together[-3] == "0.05"
+    assert together[-4] == "0.05"
     few = shown(replace(points(), judged=replace(OPEN, account_mm2=rows[:4])))
     assert "gear_harmonic joint_1" in few
     assert "effects of less than" not in few

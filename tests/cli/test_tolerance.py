@@ -30,7 +30,7 @@ def report(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("of", ["mean", "rms", "p95", "max"])
+@pytest.mark.parametrize("of", ["mean", "max"])
 def test_a_tolerance_that_is_not_met_ends_with_3(folder: Path, tmp_path: Path, of: str) -> None:
     """Readings scatter by 20 µm along each axis, so no model is within 1 µm of them."""
     arguments = [str(folder / "frozen"), str(folder / "bag"), "--out", str(tmp_path / "out")]

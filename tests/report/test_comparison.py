@@ -16,8 +16,8 @@ from modcal_core.files import to_json
 from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.outcome.contents import Outcome
-from modcal_core.report.blocks import text
 from modcal_core.report.as_json import to_json_data
+from modcal_core.report.blocks import text
 from modcal_core.report.comparison import Side, compare, comparison_data, comparison_summary
 from modcal_nodes.simulation.world import World
 

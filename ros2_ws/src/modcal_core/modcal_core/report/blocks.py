@@ -102,6 +102,12 @@ class PageTable:
     strong: int = -1
     heading: bool = False
 
+    @property
+    def summary(self) -> SummaryTable:
+        """The same for a terminal, its title in the place of the first name where it stands over the table."""
+        first = self.title if self.heading else self.header[0]
+        return SummaryTable((first, *self.header[1:]), self.rows, self.words)
+
 
 @dataclass(frozen=True)
 class SideBySide:

@@ -109,7 +109,6 @@ FILES = (
     File("stations.csv", "Joint positions of the stations to measure, one a row."),
     File("trajectory.yaml", "The way through the stations as a JointTrajectory."),
     File("sensitivity.json", "All numbers, for programs."),
-    File("sensitivity.md", "Every parameter in a table."),
     File("single_point.csv", "Single-point indices, one row a posture."),
 )
 

@@ -13,7 +13,7 @@ from modcal_core.errors import BadRecording, BadTable, about
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import Recording, joint_stamps_and, spread_rows
-from modcal_core.report import LimitsFound, Summary, explained, joint_limits, limits_data, limits_html
+from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_html, limits_summary
 from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
 from modcal_msgs_py import SUFFIXES, read_recording
 from modcal_nodes.cli.console import Output, speaking
@@ -23,15 +23,6 @@ from modcal_nodes.io import ChainOptions, TopicOptions, option, repeated
 
 _MAX = 2000  # postures of a bag; of more, evenly chosen ones say the same
 _THOROUGH = 20_000  # for time, with --thorough
-_COLUMNS = {
-    "joint": "",
-    "inertia": "moved by the joint's drive [kg m²; kg]",
-    "taken": "share of the drive's torque that gravity, friction and speed need; above 100 % it cannot be held",
-    "equivalent": "acceleration that the rest of the torque allows, lower … upper, the other joints not accelerating",
-    "coupled": "the same with every other joint anywhere within its own bounds",
-    "constant": "one set of bounds that holds together at every posture",
-    "unit": "",
-}
 
 
 def _by_joint(text: str) -> Any:
@@ -111,9 +102,7 @@ def limits_command(source: Path, out: Path | None, output: Output, options: Limi
     with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
         data = {**limits_data(found), "notes": list(notes)}
-    show = [said, *_table(data), *notes]
-    if len(q) > 1:
-        show.append(f"{len(q)} postures: the tightest of each, and 'constant', the largest that hold at all of them.")
+    show = [said, *limits_summary(found, tuple(notes))]
     if out is None:
         output.result(data, show)
     else:
@@ -189,14 +178,3 @@ def _column(chain: Chain, said: tuple[str, ...], option: str, otherwise: Array) 
             raise BadTable(f"{option} {name}", "is not a joint of this arm", f"name one of {', '.join(chain.names)}")
         out[chain.names.index(name)] = value
     return out
-
-
-def _table(data: dict[str, Any]) -> list[Summary]:
-    rows = []
-    for joint in data["joints"]:
-        least, most = (f"{joint['inertia'][end]:.3g}" for end in ("least", "most"))
-        spans = [f"{joint[k]['lower']:.3g} … {joint[k]['upper']:.3g}" for k in ("equivalent", "coupled", "constant")]
-        inertia = least if least == most else f"{least} … {most}"
-        load, unit = f"{100.0 * joint['load_share']:.0f} %", joint["unit"].replace("s2", "s²")
-        rows.append((joint["name"], inertia, load, *spans, unit))
-    return explained(_COLUMNS, rows)

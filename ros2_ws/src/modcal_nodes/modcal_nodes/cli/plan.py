@@ -28,7 +28,6 @@ from modcal_core.planning import (
 )
 from modcal_core.report import (
     SummaryLine,
-    figure,
     plan_sentences,
     planning_html,
     to_csv,
@@ -207,7 +206,6 @@ def plan_command(robot: Path | None, out: Path | None, output: Output, options: 
             "plan.yaml": to_yaml(data),
             "stations.csv": to_csv(found),
             "trajectory.yaml": to_yaml(to_trajectory_data(found, options.speed, options.dwell)),
-            "stations.svg": figure(found),
             "report.html": planning_html(found, robot.stem),
         }
     said = [file_line(robot, chain, options.tip), *plan_sentences(found)]

@@ -18,42 +18,18 @@ from modcal_core.planning import (
     ClosedChain,
     Measured,
     Studied,
-    Study,
     calibration_chain,
     design,
     dh_closed_chain,
     sizes_of,
     study,
 )
-from modcal_core.report import (
-    Summary,
-    SummaryLine,
-    explained,
-    pictures,
-    sensitivity_data,
-    sensitivity_html,
-    sensitivity_sentences,
-    single_csv,
-    to_text,
-)
+from modcal_core.report import sensitivity_data, sensitivity_html, sensitivity_summary, single_csv
 from modcal_core.robots import Mechanism, is_serial_arm, vector
 from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.inputs import file_line, read_robot, read_stations
 from modcal_nodes.cli.options import EXISTING, WRITTEN, given
 from modcal_nodes.io import ChainOptions, option
-
-_SHOWN = 12  # parameters in the terminal
-_COLUMNS = {
-    "parameter": "",
-    "SFCDPE mm": "by how much an error of this parameter moves the point, weighted over the postures",
-    "RSFCDPE": "the same, divided by that of the base factor",
-    "share": "of the mean square error of the point, all parameters in error",
-    "S": "share of the variance that this parameter causes alone (Sobol, first order)",
-    "S_T": "share of the variance that goes when all others are known (Sobol, total)",
-    "gain mm": "by how much the RMS error falls once this parameter is known",
-    "seen": "how much of this parameter's variance the stations remove; 100 % is determined",
-    "left mm": "the gain that these stations leave",
-}
 
 
 @dataclass(frozen=True)
@@ -126,13 +102,10 @@ def sensitivity_command(robot: Path, out: Path | None, output: Output, options: 
         data = sensitivity_data(result)
         files = {
             "sensitivity.json": to_json(data),
-            "sensitivity.md": to_text(result),
             "single_point.csv": single_csv(result),
-            **pictures(result),
             "report.html": sensitivity_html(result, robot.stem),
         }
-    arm, said = file_line(robot, chain, options.tip), sensitivity_sentences(result)
-    output.saved(data, [arm, *_table(result), *map(SummaryLine, said)], out, files)
+    output.saved(data, [file_line(robot, chain, options.tip), *sensitivity_summary(result)], out, files)
 
 
 def _closed_chain(chain: Mechanism, parameters: str, tool: tuple[float, float, float], reading: str) -> ClosedChain:
@@ -151,21 +124,3 @@ def _tolerances(path: Path | None) -> dict[str, float]:
     if not isinstance(data, dict):
         raise BadTable(str(path), "is not a mapping", "give {NAME or PATTERN: metres or radians}")
     return {str(name): float(vector([size], 1, f"{path}, {name}")[0]) for name, size in data.items()}
-
-
-def _table(result: Study) -> list[Summary]:
-    rows = []
-    joint, at, vector = result.joint, result.indices, result.variance["vector"]
-    for k in np.argsort(-joint.before.share, kind="stable")[:_SHOWN]:
-        numbers = (
-            f"{1e3 * at.multi[k]:.3f}",
-            f"{at.relative_multi[k]:.3f}",
-            f"{joint.before.share[k]:.1%}",
-            f"{vector.first[k]:.3f}",
-            f"{vector.total[k]:.3f}",
-            f"{1e3 * joint.before.rms_gain[k]:.4f}",
-            f"{joint.seen[k]:.0%}",
-            f"{1e3 * joint.after.rms_gain[k]:.4f}",
-        )
-        rows.append((at.names[k], *numbers))
-    return explained(_COLUMNS, rows)
