@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from articulation.objects import Seen, ideal, noisy
+from cli.conftest import Refused
 from cli.recordings import URDF
 
 from modcal_core.articulation.urdf import frames, read
@@ -171,27 +173,18 @@ def test_an_arm_alone_and_a_tracker_see_the_same_object(tmp_path: Path) -> None:
         ("0 0 0 0 0 0 3\n" * 9, "unit quaternions"),
     ],
 )
-def test_unusable_text_is_refused_in_one_line(
-    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unusable_text_is_refused_in_one_line(text: str, words: str, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "track.txt").write_text(text)
-    assert run(["articulate", str(tmp_path / "track.txt"), "--out", str(tmp_path / "out")]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert words in lines[0]
-    assert not (tmp_path / "out").exists()
+    refused(["articulate", str(tmp_path / "track.txt"), "--out", str(tmp_path / "out")], re.escape(words))
 
 
-def test_quaternions_in_another_order_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quaternions_in_another_order_are_refused_by_name(tmp_path: Path, refused: Refused) -> None:
     """Of a plain door, and of the same door where they are as they should be."""
     seen = poses(door())
     for name, order in (("wxyz", [0, 1, 2, 6, 3, 4, 5]), ("xyzw", list(range(7)))):
         np.savetxt(tmp_path / f"{name}.txt", seen[:, order])
-    assert run(["articulate", str(tmp_path / "wxyz.txt"), "--out", str(tmp_path / "out")]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert "read as w x y z a revolute one: give x y z w" in lines[0]
-    assert not (tmp_path / "out").exists()
+    arguments = ["articulate", str(tmp_path / "wxyz.txt"), "--out", str(tmp_path / "out")]
+    refused(arguments, "read as w x y z a revolute one: give x y z w")
     assert run(["articulate", str(tmp_path / "xyzw.txt"), "--out", str(tmp_path / "out")]) == 0
     assert told(tmp_path / "out")["kind"] == "revolute"
 
@@ -205,13 +198,12 @@ def test_rotations_that_follow_nothing_are_said(tmp_path: Path, capsys: pytest.C
     assert told(tmp_path / "out")["kind"] == "revolute"
 
 
-def test_a_topic_that_is_not_there_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_topic_that_is_not_there_is_refused(tmp_path: Path, refused: Refused) -> None:
     stamps = 1.7e9 + 0.05 * np.arange(80)
     write_recording(
         Recording(readings=(ReadingTrack("pose", "camera", stamps, poses(door()), stamps),)), tmp_path / "bag"
     )
-    assert run(["articulate", str(tmp_path / "bag"), "--topic", "handle"]) == 2
-    assert "use /tracker/pose" in capsys.readouterr().err
+    refused(["articulate", str(tmp_path / "bag"), "--topic", "handle"], "use /tracker/pose")
 
 
 def test_nothing_moved_is_an_answer(tmp_path: Path) -> None:
