@@ -93,8 +93,8 @@ class KnownArm:
         if self.stream is None or self.chain is None:
             return
         if names not in self._told:
-            told = JointColumns.of(self.chain.names, followers_of(self.chain), names)
-            self._told[names] = told if len(told.joints) == self.chain.n else None
+            columns = JointColumns.of(self.chain.names, followers_of(self.chain), names)
+            self._told[names] = columns if len(columns.joints) == self.chain.n else None
         told = self._told[names]
         if told is not None:
             effort = told.efforts(np.frombuffer(message.effort)) if len(message.effort) == len(names) else None

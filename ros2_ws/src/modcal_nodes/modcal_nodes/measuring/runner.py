@@ -208,8 +208,8 @@ class Runner:
 
 
 class JointReports:
-    """The newest report of all joints. limits: the lowest and the highest positions (n,) [rad, m]. clock: seconds of the
-    node's own time, in which messages are stamped.
+    """The newest report of all joints. limits: lowest and highest positions (n,) [rad, m]. clock: seconds of the node's
+    own time, in which messages are stamped.
     """
 
     def __init__(self, robot: Mechanism, limits: tuple[Array, Array], clock: Callable[[], float]) -> None:
