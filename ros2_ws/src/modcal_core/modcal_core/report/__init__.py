@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from modcal_core.report.particulars import Particulars
     from modcal_core.report.planning import plan_sentences, planning_html, to_csv, to_plan_data
     from modcal_core.report.planning import to_trajectory_data
-    from modcal_core.report.report import Report, calibration_files, delta_files, report_files
+    from modcal_core.report.report import Report, calibration_files, delta_files, kinematics_text, report_files
     from modcal_core.report.sensitivity import sensitivity_data, sensitivity_html, sensitivity_summary, single_csv
     from modcal_core.report.words import REMEDY, STATUS_WORDS, sentence, short_status
     from modcal_core.report.terminal import summary
@@ -32,7 +32,15 @@ __all__ += ["Particulars", "Report", "Side", "Summary", "SummaryLine", "SummaryT
 __all__ += ["articulation_html", "calibration_files", "camera_certificate", "camera_files", "camera_report"]
 __all__ += ["camera_sentences", "camera_tolerance", "certificate", "certificate_html", "checkup_data"]
 __all__ += ["checkup_html", "checkup_summary", "compare", "comparison_data", "comparison_summary", "delta_files"]
-__all__ += ["explained", "history_data", "history_summary", "is_made_from", "joint_limits", "limits_data"]
+__all__ += [
+    "explained",
+    "history_data",
+    "history_summary",
+    "is_made_from",
+    "joint_limits",
+    "kinematics_text",
+    "limits_data",
+]
 __all__ += ["limits_html", "limits_summary", "plan_sentences", "planning_html", "report_files", "sensitivity_data"]
 __all__ += ["sensitivity_html", "sensitivity_summary", "sentence", "short_status", "single_csv", "summary"]
 __all__ += ["to_csv", "to_json_data", "to_plan_data", "to_trajectory_data"]

@@ -17,7 +17,7 @@ from modcal_core.robots import chain_forward
 from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
 from modcal_msgs_py.tables import read_track
 from modcal_nodes.cli.console import Output, speaking, written
-from modcal_nodes.cli.inputs import arm_line, chain_line, described
+from modcal_nodes.cli.inputs import arm_line, chain_line, described, whole_rows
 from modcal_nodes.cli.options import EXISTING, WRITTEN, given
 from modcal_nodes.io import ChainOptions, option, read_calibration, repeated, write_articulation
 
@@ -133,12 +133,7 @@ def _of_bag(recording: Recording, topic: str | None, options: ArticulateOptions)
         robot = described(recording, None, urdf, options.base, options.tip)
         chain, arm = robot.chain, arm_line(robot)
     stamps, q = joint_stamps_and_positions(recording, chain.names)
-    good = np.isfinite(q).all(axis=1)
-    if not good.any():
-        missing = [name for j, name in enumerate(chain.names) if not np.isfinite(q[:, j]).any()]
-        raise BadRecording(
-            f"{recording.source}, joint_states", f"do not contain {', '.join(missing)}", "give another --tip"
-        )
+    good = whole_rows(recording, chain.names, q)
     return _Read(se3.to_pose(chain_forward(chain, q[good])), stamps[good], chain.base, arm)
 
 

@@ -15,9 +15,9 @@ from modcal_core.calibration import Calibration, from_data
 from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml, to_yaml, write_file
 from modcal_core.geometry import se3
+from modcal_core.report import kinematics_text
 from modcal_core.robots import (
     CONVENTIONS,
-    NO_HASH,
     UNITS,
     Chain,
     NearestTable,
@@ -25,8 +25,6 @@ from modcal_core.robots import (
     from_csv,
     from_table,
     joint_origins,
-    kinematics_yaml_data,
-    lacks_hash,
     loss,
     nearest_dh,
     parse,
@@ -182,8 +180,7 @@ def _written_origins(source: Path, options: ExportOptions, out: Path | None) -> 
         raise BadTable(str(source), f"is not a URDF, which {form} is made from", "give calibrated.urdf or its folder")
     chain, origins = read_chain(text, base, tip), joint_origins(text)
     if form == "kinematics":
-        data = kinematics_yaml_data(chain, origins, None if factory is None else read_yaml(factory))
-        written = (NO_HASH if lacks_hash(data) else "") + to_yaml(data)
+        written = kinematics_text(chain, origins, None if factory is None else read_yaml(factory))
     else:
         way = [name for segment in read_path(text, chain.base, chain.tip) for name in segment]
         notes = [f"left out: {note}" for note in left_out]

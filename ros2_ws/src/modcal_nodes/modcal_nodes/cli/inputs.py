@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modcal_core.errors import BadRobot, BadTable, about
+from modcal_core.errors import BadRecording, BadRobot, BadTable, about
 from modcal_core.files import read_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import Recording
@@ -71,6 +71,16 @@ def described(recording: Recording, delta: Path | None, urdf: Path | None, base:
         base, tip = recording.arm
     with about(f"{recording.source}, robot_description" if urdf is None else str(urdf)):
         return Robot.from_urdf(urdf or recording.robot_description or "", base, tip, recorded)
+
+
+def whole_rows(recording: Recording, names: Sequence[str], q: Array) -> np.ndarray:
+    """Rows of joint positions (N, n) in which every joint has one, (N,). Raises BadRecording where there is none."""
+    whole = np.isfinite(q).all(axis=1)
+    if not whole.any():
+        missing = [name for name, x in zip(names, q.T, strict=True) if not np.isfinite(x).any()] or ["all at once"]
+        where = f"{recording.source}, joint_states"
+        raise BadRecording(where, f"do not contain {', '.join(missing)}", "give another --tip")
+    return np.asarray(whole)
 
 
 def numbers_by_joint(said: Iterable[str], option: str) -> dict[str, float]:

@@ -17,7 +17,7 @@ from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_ht
 from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
 from modcal_msgs_py import SUFFIXES, read_recording
 from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.inputs import arm_line, described, file_line, numbers_by_joint
+from modcal_nodes.cli.inputs import arm_line, described, file_line, numbers_by_joint, whole_rows
 from modcal_nodes.cli.options import EXISTING, WRITTEN, given
 from modcal_nodes.io import ChainOptions, TopicOptions, option, repeated
 
@@ -137,12 +137,7 @@ def _recorded(arm: LoadedArm, recording: Recording, most: int) -> tuple[Array, A
     chain = arm.chain
     _, q = joint_stamps_and(recording, chain.names, "position")
     _, v = joint_stamps_and(recording, chain.names, "velocity")
-    whole = np.isfinite(q).all(axis=1)
-    if not whole.any():
-        missing = [name for j, name in enumerate(chain.names) if not np.isfinite(q[:, j]).any()] or ["all at once"]
-        raise BadRecording(
-            f"{recording.source}, joint_states", f"do not contain {', '.join(missing)}", "give another --tip"
-        )
+    whole = whole_rows(recording, chain.names, q)
     notes = list(recording.warnings)
     if not whole.all():
         count = f"{int((~whole).sum())} of {len(q)}"
