@@ -32,7 +32,7 @@ def test_a_table_of_a_verb_is_followed_by_its_headings(tmp_path: Path, capfd: py
     assert run(["limits", str(ROBOTS / "ur10.urdf"), "--out", str(tmp_path / "out")]) == 0
     said = capfd.readouterr().out
     for heading in ("Alone", "Together", "For all postures"):
-        assert f"{heading}: " in " ".join(said.split())
+        assert f"{heading} (" in " ".join(said.split())
     assert said.endswith(
         f"Limits: {tmp_path}/out/limits.json\nAlso in {tmp_path}/out: joint_limits.yaml, report.html\n"
     )

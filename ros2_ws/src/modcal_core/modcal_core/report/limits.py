@@ -138,8 +138,9 @@ def answer(found: LimitsFound) -> str:
 
 
 _MEANINGS = (
-    "Alone: the bound of a joint while all others stand or move evenly. Together: every joint within its own bounds at "
-    "once, at the tightest posture. For all postures: bounds that hold at each of them, as joint_limits.yaml has them."
+    "Alone (equivalent): the bound of a joint while all others stand or move evenly. Together (coupled): every joint "
+    "within its own bounds at once, at the tightest posture. For all postures (constant): bounds that hold at each of "
+    "them, as joint_limits.yaml has them."
 )
 
 
