@@ -18,8 +18,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.samples import Samples
 from modcal_core.public import calibrate, check
+from modcal_core.report.blocks import SummaryLine
 from modcal_core.report.checkup import checkup_data, checkup_summary
-from modcal_core.report.terminal import SummaryLine
 from modcal_core.robot import Robot
 from modcal_core.robots.kinematics import spatial_jacobian
 from modcal_nodes.simulation.world import World
