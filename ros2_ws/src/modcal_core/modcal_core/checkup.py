@@ -36,7 +36,7 @@ from modcal_core.evaluation import evaluate
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import recognised
 from modcal_core.measurements import Samples
-from modcal_core.moves import CheckState, FoundChanges, search
+from modcal_core.moves import FoundChanges, search
 from modcal_core.outcome import Outcome, unseen_note
 from modcal_core.verdict import Applied, applicable, own_rows
 
@@ -155,7 +155,7 @@ def checkup(
         ) from None
     require_one_setting(found)
     if known.doubt is not None:
-        require_accounted(found, known.doubt)
+        require_accounted(found, known.doubt, begin.model)
     fixed = None if found.more else repaired(calibration, found, begin.index)
     alike = [alike_everywhere(c, calibration, begin.model, found.samples) for c in found.changes]
     N = len(found.samples)
@@ -179,7 +179,7 @@ def checkup(
         expected=_expected(found),
         stations=part.stations,
         aside=tuple(int(part.station[i]) + 1 for i in found.aside),
-        noticed=noticed(found.opened, CheckState(begin.model, found.samples, begin.known), found.asked),
+        noticed=noticed(found),
         advice=advise(found, calibration, begin, alike, untried),
         repaired=fixed,
         report=report,
@@ -196,7 +196,7 @@ def checkup(
             errors(begin.model, found.samples).position_norm,
             errors(found.state.model, found.samples).position_norm,
         ),
-        far_apart=found.start.null.weight * part.stations,
+        far_apart=found.null.weight * part.stations,
         placed=new,
         beyond=beyond,
     )
@@ -257,7 +257,7 @@ def _size(e: Errors) -> tuple[float | None, float | None]:
 
 def _expected(found: FoundChanges) -> tuple[float | None, float | None]:
     """RMS that the frozen model should show while nothing has changed."""
-    null = found.start.null
+    null = found.null
     variance = np.diag(null.covariances[null.reference])
     turned = null.rows.component >= 3
     position = 1e3 * float(np.sqrt(3.0 * variance[~turned].mean()))
@@ -271,8 +271,8 @@ def _each_by_the_others(report: Outcome, found: FoundChanges, begin: FrozenCalib
     if not sized:
         return report
     A = np.concatenate([state.columns(h) for h in sized], axis=1)
-    V = found.start.null.covariances[found.left.best]
-    residual, rows = state.residual, found.start.null.rows
+    V = found.null.covariances[found.stages[2].judge.best]
+    residual, rows = state.residual, found.null.rows
     station = found.samples.station[rows.sample]
     left = residual.copy()
     for one in np.unique(station):
@@ -299,7 +299,7 @@ def _notes(
         out.append(f"{gone} of {samples.stations} stations were left out: learned curves have not been seen there.")
     if part.stations < inside.stations:
         out.append(f"{part.stations} of {inside.stations} stations, spread over time and postures, were looked at.")
-    if 2.0 * (far := found.start.null.weight * part.stations) < part.stations:
+    if 2.0 * (far := found.null.weight * part.stations) < part.stations:
         out.append(
             f"These {part.stations} stations stand close together and say as much as {far:.1f} far apart: only larger "
             "changes are named. Spread them over the ranges of all joints."

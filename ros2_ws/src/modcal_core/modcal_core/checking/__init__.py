@@ -12,13 +12,14 @@ if TYPE_CHECKING:
         FrozenCalibration,
         beyond_ranges,
         frozen,
+        new_frames,
         pattern_of,
+        placed_anew,
         spread_out,
+        with_new_frames,
     )
-    from modcal_core.checking.naming import named
-    from modcal_core.checking.outcome import NamedChange, Noticed, Recommendation, SizeFound, Status
+    from modcal_core.checking.naming import NamedChange, Noticed, Recommendation, SizeFound, Status, named
     from modcal_core.checking.own_rows import require_accounted, require_one_setting, require_own_rows
-    from modcal_core.checking.placed import new_frames, placed_anew, with_new_frames
     from modcal_core.checking.repair import repaired
 else:
     from modcal_core.lazy import lazy_face

@@ -2,6 +2,10 @@
 
 Its covariance says how well its parameters are known, not how well an arm of those parameters is the arm. Within the
 ranges it was made from that has been tried; beyond, what it does not have may be as large as what it has corrected.
+
+Where a frame stands that the calibration does not know (an instrument set up again under another name, a new socket) is
+found from the readings of the check, and stays open while changes are looked for. That the base moved cannot be told
+there; what the arm and the tool did can.
 """
 
 from __future__ import annotations
@@ -10,10 +14,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import INSTRUMENT, Calibration, Model, with_frames
+from modcal_core.calibration import (
+    INSTRUMENT,
+    Calibration,
+    Cell,
+    Model,
+    ModelParameter,
+    Uncertainty,
+    direction_names,
+    refit_cell,
+    with_frames,
+)
+from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
-from modcal_core.moves import FrozenKnowledge
+from modcal_core.measurements.kinds import is_direct
+from modcal_core.moves import FRAME, CellChange, FrozenKnowledge, towards
 
 PATTERN = 0.25  # share of the variance that is taken to be common to neighbouring postures where no report says it
 _MIN_PATTERN = 0.1  # the same where a report saw none: of 160 stations it sees no less than some ten per cent
@@ -85,6 +101,71 @@ def frozen(calibration: Calibration, applied: Model, samples: Samples, pattern: 
         FrozenKnowledge(tuple(parameters), own.covariance[np.ix_(at, at)], tuple(effects), calibration.noise, pattern),
         True,
         at,
+    )
+
+
+def new_frames(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
+    """Frames of the samples that the calibration does not know. Raises BadTable where readings do not place one."""
+    new = tuple(name for name in samples.frames if name not in calibration.frames)
+    for name in new:
+        rows = samples.frame == samples.frames.index(name)
+        if not is_direct(np.unique(samples.kind[rows]).tolist()):
+            raise BadTable(
+                f"frame '{name}' of the recording",
+                f"the calibration knows only {', '.join(calibration.frames)}, and such readings do not place it",
+                "give the frame its name of then, or calibrate again with this instrument",
+            )
+    return new
+
+
+def with_new_frames(calibration: Calibration, applied: Model, samples: Samples, new: tuple[str, ...]) -> Calibration:
+    """The calibration with these frames where its arm and tool put them. Raises NotEnoughData for too few readings.
+
+    applied: its model with the effects that these samples allow. Its covariance has the new frames' six numbers, taken
+    for exact: what is not known of them is in the sizes of what is given.
+    """
+    numbers = [samples.frames.index(name) for name in new]
+    part = samples.select(np.flatnonzero(np.isin(samples.frame, numbers)))
+    part = replace(part, frames=new, frame=np.array([numbers.index(f) for f in part.frame.tolist()], dtype=int))
+    models = [
+        _added(model, refit_cell(by, part, Cell(), base=True, tool=False).model.T_frame_base, new)
+        for model, by in (
+            (calibration.nominal, calibration.nominal),
+            (calibration.calibrated, applied),
+            (calibration.geometric, calibration.geometric),
+        )
+    ]
+    known, nominal = calibration.uncertainty, models[0]
+    if known is not None:
+        first, P = len(calibration.frames), len(known.parameters)
+        words = direction_names(nominal.chain.joint_basis[0])
+        added = [
+            ModelParameter(f"frame {name}/{words[d]}", 0, d, first + i)
+            for i, name in enumerate(new)
+            for d in _directions(samples, name)
+        ]
+        covariance = np.insert(np.insert(known.covariance, [P] * len(added), 0.0, 0), [P] * len(added), 0.0, 1)
+        known = Uncertainty((*known.parameters, *added), covariance)
+    return replace(calibration, nominal=nominal, calibrated=models[1], geometric=models[2], uncertainty=known)
+
+
+def placed_anew(samples: Samples, new: tuple[str, ...]) -> tuple[CellChange, ...]:
+    """What is given of these frames: each stands elsewhere than at its first guess."""
+    return tuple(
+        CellChange(FRAME, name, towards(0, _directions(samples, name), samples.frames.index(name))) for name in new
+    )
+
+
+def _directions(samples: Samples, name: str) -> range:
+    """A socket shows one point, which has no orientation."""
+    return range(3) if samples.is_same_point(samples.frames.index(name)) else range(6)
+
+
+def _added(model: Model, poses: Array, new: tuple[str, ...]) -> Model:
+    """The model with these frames behind its own."""
+    leaders = (*model.leaders, *range(len(model.frames), len(model.frames) + len(new))) if model.leaders else ()
+    return replace(
+        model, frames=(*model.frames, *new), T_frame_base=np.concatenate([model.T_frame_base, poses]), leaders=leaders
     )
 
 

@@ -185,7 +185,7 @@ def find_change(detector: ChangeDetector, since: float) -> ChangeHypothesis:
     shift, turn = np.split(columns @ values, [3 * len(samples)])
     place, direction, driver = _words(found.hypothesis, columns, state)
     names = (f"{name} {direction} by {driver}" for name in found.hypothesis.names)
-    rivals = (j.candidate.hypothesis for j in found.same_as)
+    rivals = (j.hypothesis for j in found.same_as)
     same = (*names, *(" ".join("{} {} by {}".format(*_words(h, state.columns(h), state)).split()) for h in rivals))
     size = float(np.sqrt(np.sum(shift**2) / len(samples)))
     turned = float(np.sqrt(3.0 * np.mean(turn**2))) if len(turn) else np.nan
