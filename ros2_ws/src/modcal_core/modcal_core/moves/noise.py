@@ -124,10 +124,10 @@ class NullModel:
     weight: float = 1.0
     widest: int = -1
 
-    def with_more(self, residual: Array, columns: Array, scale: float) -> NullModel:
-        """The same after a change was taken up: another residual, and a size along these columns (n, k) left open."""
+    def with_more(self, columns: Array, scale: float) -> NullModel:
+        """The same with a size along these columns (n, k) left open."""
         more = (scale * columns) @ (scale * columns).T
-        return replace(self, residual=residual, covariances=tuple(V + more for V in self.covariances))
+        return replace(self, covariances=tuple(V + more for V in self.covariances))
 
     def with_noise(self, position: float, rotation: float) -> NullModel:
         """The same with a spread that is larger by these factors."""

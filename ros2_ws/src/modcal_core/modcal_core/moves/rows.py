@@ -24,7 +24,7 @@ from modcal_core.robots import is_serial_arm
 
 BASE, FRAME, TOOL, ZERO, LENGTH = "base", "frame", "tool", "joint_zero", "heat"
 GEAR, LOAD, SCALE, NOISE, READING = "gear", "load", "tracker_scale", "tracker_noise", "reading"
-LINK, PLAY, STEP, PAYLOAD = "link", "tool_play", "step", "payload"
+LINK, PLAY, STEP, DRIFT, PAYLOAD = "link", "tool_play", "step", "drift", "payload"
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,7 @@ KINDS = {
     STEP: ChangeKind(
         "{place} during the recording", "The {place} moved between two stations of the recording{moved}", chance=_RARE
     ),
+    DRIFT: ChangeKind("drift of {place}", "The {place} drifts{moved}"),
 }
 _MEAN = 0.1  # share of a curve's square that is one number everywhere: few stations see the mean of a wave as well
 _WRIST = 3  # joints whose load turns a tool about

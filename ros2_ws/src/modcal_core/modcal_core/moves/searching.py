@@ -48,7 +48,6 @@ from modcal_core.moves.state import CheckState, TakenUp, along_one
 
 FALSE_ALARM = 0.01  # chance that something is named while nothing has changed, over all changes together
 _ASKED_FOR = -float(np.log(FALSE_ALARM))
-_MOST = 2  # changes beside what was moved when the cell was set up again
 _ROUNDS = 2  # in which each change is chosen again beside the others
 _SET_UP = (BASE, TOOL)  # what is moved when a cell is set up again
 _AS_PROBABLE = 3.0  # in log-probability (20 to 1), within which two changes are not told apart
@@ -157,13 +156,22 @@ class Explanation:
 
 
 class MoveSearch:
-    """One search beside a frozen model. given: changes that are the case. asked: rows to ask of; None: all."""
+    """One search beside a frozen model.
+
+    given: changes that are the case. asked: rows to ask of; None: all. asked_for: log e-value [nats] above which one
+    more is taken up. most: changes beside what was moved when the cell was set up again.
+    """
 
     def __init__(
-        self, plain: CheckState, given: Sequence[CellChange] = (), asked: Sequence[CellChange] | None = None
+        self,
+        plain: CheckState,
+        given: Sequence[CellChange] = (),
+        asked: Sequence[CellChange] | None = None,
+        asked_for: float = _ASKED_FOR,
+        most: int = 2,
     ) -> None:
         self.plain = TakenUp(plain, (), ChangeJudge(plain.null))
-        self.given, self.weight = given, plain.null.weight
+        self.given, self.weight, self.asked_for, self.most = given, plain.null.weight, asked_for, most
         self._taken: dict[tuple[int, ...], tuple[list[JudgedChange], TakenUp]] = {}
         keys = {h.key for h in given}
         table = hypotheses(plain.model, plain.samples) if asked is None else asked
@@ -205,12 +213,12 @@ class MoveSearch:
         found = max(ways, key=lambda way: (not way.more, way.score))
         if any(c.hypothesis.sample >= 0 for c in found.picked):
             return found
-        picked = self._needed([self._wave(found.picked, i) for i in range(len(found.picked))])
+        picked = self.needed([self._wave(found.picked, i) for i in range(len(found.picked))])
         outside = list(picked)
         for i in range(len(picked)):
             outside[i] = self._outside(outside, i)
         if any(a is not b for a, b in zip(outside, picked, strict=True)):  # what made up for the wrong name is needless
-            picked = self._needed(outside)
+            picked = self.needed(outside)
         asked_for = (*ways[0].log_e[:1], *found.log_e[1 : len(picked)]) if picked else ()  # the first beside nothing
         return Explanation(tuple(picked), (*asked_for, self.left(picked)), found.score)
 
@@ -222,7 +230,7 @@ class MoveSearch:
             now = self.beside(picked)
             judged, prior = now.judge_all(self.others(picked, without), bent=True)
             log_e.append(e_value(judged, prior, self.weight))
-            if log_e[-1] <= _ASKED_FOR or len(picked) >= len(begin) + _MOST:
+            if log_e[-1] <= self.asked_for or len(picked) >= len(begin) + self.most:
                 return Explanation(tuple(picked), tuple(log_e), self._score(picked))
             one = most_probable(judged, prior, self.weight)
             if one.hypothesis.kind == READING:  # it is set aside, and the search begins again
@@ -257,12 +265,12 @@ class MoveSearch:
         at = next(i for i, h in enumerate(self.asked) if h.key == hypothesis.key)
         return float(log_priors(self.asked)[at])
 
-    def _needed(self, picked: list[JudgedChange]) -> list[JudgedChange]:
+    def needed(self, picked: list[JudgedChange]) -> list[JudgedChange]:
         """The changes without those that nothing asks for beside the others."""
         for one in picked if len(picked) > 1 else []:
             others = [c for c in picked if c is not one]
-            if self.left(others) <= _ASKED_FOR:
-                return self._needed(others)
+            if self.left(others) <= self.asked_for:
+                return self.needed(others)
         return picked
 
     def _outside(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:

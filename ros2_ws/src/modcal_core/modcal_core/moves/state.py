@@ -31,8 +31,9 @@ _WIDE = 4.0  # times its own size: what a change that was taken up may still be 
 class CheckState:
     """A model beside the samples, what its readings scatter by, and its derivatives.
 
-    curves: by joint, angles (S,) at the stations about which a large curve is linearised; it is none of the model's,
-    so the residual is what it would be if readings moved in proportion to it.
+    of: the null, where it is known already. curves: by joint, angles (S,) at the stations about which a large curve is
+    linearised; it is none of the model's, so the residual is what it would be if readings moved in proportion to it.
+    linear: whether changes are taken up in proportion, since the model has them already and the null's residual not.
     """
 
     def __init__(
@@ -42,8 +43,9 @@ class CheckState:
         known: FrozenKnowledge,
         of: NullModel | None = None,
         curves: Mapping[int, Array] | None = None,
+        linear: bool = False,
     ) -> None:
-        self.model, self.samples, self.known = model, samples, known
+        self.model, self.samples, self.known, self.linear = model, samples, known, linear
         self.curves = dict(curves or {})
         self._station = np.unique(samples.station, return_inverse=True)[1]
         q = samples.q.copy()
@@ -112,6 +114,10 @@ def fitted(
     """
     sized = [h for h in asked if h.sizes]
     model, now, member = state.model, state, state.null.reference
+    if state.linear:
+        A, r = np.concatenate([state.columns(h) for h in asked], axis=1), state.null.residual
+        left = r - A @ np.linalg.lstsq(judge.whitened(A, member), judge.whitened(r, member), rcond=1e-8)[0]
+        return [ChangeCandidate(h, left, state.columns(h)) for h in asked], state
     totals = [np.zeros(h.sizes) for h in sized]
     angles = {h.curve: np.zeros(len(np.unique(state.samples.station))) for h in asked if h.free and bent}
     before = np.inf
@@ -156,7 +162,7 @@ class TakenUp:
     @property
     def bends(self) -> bool:
         """Whether what is missed is so large that the motions by a change are no longer in proportion to it."""
-        return self.judge.square > _LARGE * len(self.judge.null.residual)
+        return not self.state.linear and self.judge.square > _LARGE * len(self.judge.null.residual)
 
     def judge_all(self, asked: Sequence[CellChange], bent: bool = False) -> tuple[list[JudgedChange], Array]:
         """What speaks for each, and the logarithms of their prior probabilities. bent: fit each by itself where changes
@@ -198,9 +204,9 @@ class TakenUp:
                 keep = s > 1e-9 * max(float(s.max(initial=0.0)), 1e-300)
                 columns = columns @ (Vt[keep].T / s[keep])
                 scale = _WIDE * judged.size * np.sqrt(n / max(int(keep.sum()), 1))
-            opened = opened.with_more(now.residual, columns, scale)
-        opened = replace(opened, residual=now.residual)
-        state = CheckState(now.model, self.state.samples, self.state.known, opened, now.curves)
+            opened = opened.with_more(columns, scale)
+        opened = replace(opened, residual=fits[0].residual)
+        state = CheckState(now.model, now.samples, now.known, opened, now.curves, now.linear)
         return TakenUp(state, fits, ChangeJudge(opened))
 
 
