@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import BLEND, Calibration, Cell, Errors, curved_joints, errors, with_frames, with_sockets
+from modcal_core.calibration import BLEND, Calibration, Cell, Errors, curved_joints, errors, with_sockets
 from modcal_core.checking import (
     PATTERN,
     UNTRIED,
@@ -20,6 +20,7 @@ from modcal_core.checking import (
     alike_everywhere,
     beyond_ranges,
     frozen,
+    in_known_frames,
     named,
     new_frames,
     noticed,
@@ -137,11 +138,12 @@ def checkup(
         raise NotEnoughData(f"{samples.stations} stations{again}", said, remedy)
     new = new_frames(calibration, samples)
     placed = _placed(calibration, samples, new)
-    known = recognised(with_frames(placed[1].model, samples.frames), samples, calibration.noise)
+    samples = in_known_frames(samples, placed[0])
+    known = recognised(placed[1].model, samples, calibration.noise)
     if new and known.undone is not None:  # they were placed by what was undone
         placed = _placed(calibration, known.samples, new)
     samples, (calibration, applied) = known.samples, placed
-    begin = frozen(calibration, applied.model, samples, pattern)
+    begin = frozen(calibration, applied.model, pattern)
     inside = _where_curves_are_known(calibration, samples)
     part = calibration.with_scatter(spread_out(inside, MAX))
     require_own_rows(begin.model, part)

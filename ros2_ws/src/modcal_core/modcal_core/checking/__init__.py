@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         FrozenCalibration,
         beyond_ranges,
         frozen,
+        in_known_frames,
         new_frames,
         pattern_of,
         placed_anew,
@@ -28,6 +29,16 @@ else:
 
 __all__ = ["PATTERN", "UNTRIED", "BeyondRanges", "FrozenCalibration", "NamedChange"]
 __all__ += ["Noticed", "Recommendation", "Series", "SizeFound", "Status", "Values", "advise", "alike_everywhere"]
-__all__ += ["beyond_ranges", "frozen", "named", "new_frames", "noticed", "pattern_of", "placed_anew", "repaired"]
+__all__ += [
+    "beyond_ranges",
+    "frozen",
+    "in_known_frames",
+    "named",
+    "new_frames",
+    "noticed",
+    "pattern_of",
+    "placed_anew",
+    "repaired",
+]
 __all__ += ["require_accounted", "require_one_setting", "require_own_rows", "series_of", "spread_out"]
 __all__ += ["values_of", "with_new_frames"]

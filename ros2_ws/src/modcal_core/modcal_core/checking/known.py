@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import (
-    INSTRUMENT,
     Calibration,
     Cell,
     Model,
@@ -23,7 +22,6 @@ from modcal_core.calibration import (
     Uncertainty,
     direction_names,
     refit_cell,
-    with_frames,
 )
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
@@ -41,8 +39,8 @@ _ASKED = 10  # stations of the calibration's own that are proposed: as many as a
 
 @dataclass(frozen=True)
 class FrozenCalibration:
-    """model: for these samples. known: what it knows of itself. kept: whether the calibration keeps a covariance.
-    index: of the covariance's rows, those that these samples have.
+    """model: with what applies of it. known: what it knows of itself. kept: whether the calibration keeps a covariance.
+    index: of the covariance's rows, those that are known of the model.
     """
 
     model: Model
@@ -58,50 +56,33 @@ def pattern_of(predictable: float | None) -> float:
     return PATTERN if predictable is None else float(np.clip(predictable, _MIN_PATTERN, 1.0))
 
 
-def frozen(calibration: Calibration, applied: Model, samples: Samples, pattern: float) -> FrozenCalibration:
-    """The calibration beside these samples.
+def frozen(calibration: Calibration, applied: Model, pattern: float) -> FrozenCalibration:
+    """The calibration as it stands.
 
-    applied: its model with the effects that these samples allow. pattern: share of its noise that postures have in
-    common. Raises BadTable for a frame that it does not know.
+    applied: its model with the effects that the samples allow. pattern: share of its noise that postures have in
+    common.
     """
-    model = with_frames(applied, samples.frames)
     own = calibration.uncertainty
     if own is None:
-        return FrozenCalibration(
-            model, FrozenKnowledge((), np.zeros((0, 0)), (), calibration.noise, pattern), False, np.empty(0, int)
-        )
-    # parameters of frames and instruments that these samples have, by their numbers there
-    of_frame = {calibration.calibrated.frames.index(name): f for f, name in enumerate(samples.frames)}
-    kept_instruments = [i for i, one in enumerate(calibration.calibrated.instruments) if one.frame in samples.frames]
-    of_instrument = {i: k for k, i in enumerate(kept_instruments)}
-    leaders = calibration.calibrated.leaders
-    parameters, index = [], []
-    for i, p in enumerate(own.parameters):
-        if p.place == INSTRUMENT:
-            if p.instrument not in of_instrument:
-                continue
-            p = replace(p, instrument=of_instrument[p.instrument], frame=of_frame.get(p.frame, -1))
-        elif p.place == 0 and p.frame >= 0:
-            led = [f for f in of_frame if (leaders[f] if leaders else f) == p.frame]
-            if len(led) != 1:  # of frames that shared an error none stands for the others here
-                continue
-            p = replace(p, frame=of_frame[led[0]])
-        parameters.append(p)
-        index.append(i)
-    effects, first = [], len(own.parameters)
+        known = FrozenKnowledge((), np.zeros((0, 0)), (), calibration.noise, pattern)
+        return FrozenCalibration(applied, known, False, np.empty(0, int))
+    effects, index = [], [*range(len(own.parameters))]
+    first = len(index)
     for effect in calibration.calibrated.effects:
         count = len(effect.values)
-        if any(effect is e or (effect.key == e.key and len(e.values) == count) for e in model.effects):
+        if any(effect is e or (effect.key == e.key and len(e.values) == count) for e in applied.effects):
             effects.append(effect)
             index += range(first, first + count)
         first += count
     at = np.array(index, dtype=int)
-    return FrozenCalibration(
-        model,
-        FrozenKnowledge(tuple(parameters), own.covariance[np.ix_(at, at)], tuple(effects), calibration.noise, pattern),
-        True,
-        at,
-    )
+    known = FrozenKnowledge(own.parameters, own.covariance[np.ix_(at, at)], tuple(effects), calibration.noise, pattern)
+    return FrozenCalibration(applied, known, True, at)
+
+
+def in_known_frames(samples: Samples, calibration: Calibration) -> Samples:
+    """The samples with the calibration's frames, by their numbers there."""
+    number = np.array([calibration.frames.index(name) for name in samples.frames])
+    return replace(samples, frames=calibration.frames, frame=number[samples.frame])
 
 
 def new_frames(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
@@ -196,8 +177,7 @@ def beyond_ranges(calibration: Calibration, model: Model, samples: Samples) -> B
     first = np.unique(samples.station, return_index=True)[1]
     q = samples.q[first]
     out = ((q < low - margin) | (q > high + margin)).any(axis=1)
-    frames = [calibration.nominal.frames.index(samples.frames[f]) for f in samples.frame[first].tolist()]
-    nominal = calibration.nominal.predict(q, np.array(frames, dtype=int))[:, :3, 3]
+    nominal = calibration.nominal.predict(q, samples.frame[first])[:, :3, 3]
     moved = model.predict_samples(samples.select(first))[:, :3, 3] - nominal
     return BeyondRanges(int(out.sum()), len(first), float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))))
 

@@ -26,8 +26,8 @@ def _case(model: Model, samples: Samples) -> HandEye | None:
     return None if case is None else replace(case, station=case.station + 1)  # as people count them
 
 
-def _refusal(answer: Answer, of: int) -> BadRecording:
-    why = f"{answer.stations} of {of} stations are concerned, and agree with the calibrated arm once that is undone"
+def _refusal(answer: Answer, of: int, seen: str = "") -> BadRecording:
+    why = f"{seen}{answer.stations} of {of} stations are concerned, and agree with the arm once that is undone"
     return BadRecording(answer.what, why, f"{answer.remedy}, and check again")
 
 
@@ -70,8 +70,9 @@ def require_accounted(found: FoundChanges, doubt: BadRecording, model: Model) ->
     explained = not found.more and all(c.hypothesis.kind in _CHANGES for c in found.changes)
     if not found.changes or not explained or len(curves) > 1:
         case = _case(model, found.samples)
-        answer = None if case is None else explain(case)
-        raise doubt if case is None or answer is None or not answer.said else _refusal(answer, len(case))
+        if case is None or not np.ptp(case.q, axis=0).all() or not (answer := explain(case)).said:
+            raise doubt  # of joints that stand it is said already
+        raise _refusal(answer, len(case), f"{doubt.limit}; ")
     for curve in curves:
         rms = float(np.sqrt(np.mean(curve.sizes**2)))
         if rms > OF_A_GEAR:

@@ -23,7 +23,6 @@ from modcal_core.moves import (
     CheckState,
     FoundChanges,
     FrozenKnowledge,
-    GeometryMotion,
     put_in,
 )
 
@@ -47,7 +46,7 @@ def repaired(calibration: Calibration, found: FoundChanges, index: np.ndarray) -
             others = {k: position * v for k, v in out.noise.others.items()}
             out = replace(out, noise=NoiseModel(position * out.noise.position, rotation * out.noise.rotation, others))
             continue
-        own = _of_calibration(h, calibration, found.samples.frames)
+        own = replace(h, replaces=_number(h.effect, calibration)) if h.replaces >= 0 else h
         sized.append(own)
         calibrated = put_in(own, out.calibrated, change.sizes)
         geometric = put_in(own, out.geometric, change.sizes) if h.motions else out.geometric
@@ -63,18 +62,6 @@ def repaired(calibration: Calibration, found: FoundChanges, index: np.ndarray) -
             typical=(*(out.typical_of(i) for i in before), *[None] * added),
         )
     return replace(out, uncertainty=_known_then(out, sized, found, index))
-
-
-def _of_calibration(h: CellChange, calibration: Calibration, frames: tuple[str, ...]) -> CellChange:
-    """The hypothesis with frames and effects by the calibration's numbers."""
-    motions = tuple(
-        m if m.frame < 0 else GeometryMotion(m.place, m.twist, calibration.calibrated.frames.index(frames[m.frame]))
-        for m in h.motions
-    )
-    at = -1
-    if h.replaces >= 0:
-        at = _number(h.effect, calibration)
-    return replace(h, motions=motions, replaces=at)
 
 
 def _number(effect: Effect, calibration: Calibration) -> int:

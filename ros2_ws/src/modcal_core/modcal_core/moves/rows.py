@@ -161,10 +161,10 @@ class CellChange:
 
 def hypotheses(model: Model, samples: Samples) -> list[CellChange]:
     """All changes that these samples of this model can be asked about."""
-    several, turns = len(model.frames) > 1, 6 if samples.is_pose.any() else 3
+    seen, turns = np.unique(samples.frame), 6 if samples.is_pose.any() else 3
+    several = len(seen) > 1
     out = [CellChange(BASE, "base", towards(0, range(6)), names=() if several else one_motion(BASE))]
-    for f, name in enumerate(model.frames) if several else ():
-        out.append(CellChange(FRAME, name, towards(0, range(6), f)))
+    out += [CellChange(FRAME, model.frames[f], towards(0, range(6), int(f))) for f in (seen if several else ())]
     out.append(CellChange(TOOL, "tool", towards(model.chain.tool_place, range(turns)), names=one_motion(TOOL)))
     drivers = model.drivers(samples)
     out += _of_joints(model, samples, drivers)
@@ -172,7 +172,7 @@ def hypotheses(model: Model, samples: Samples) -> list[CellChange]:
     out.append(CellChange(NOISE, "tracker"))
     out += _play(model, drivers, turns)
     times = np.unique(samples.stamps)
-    if is_serial_arm(model.chain) and len(samples.frames) == 1 and not samples.sockets and len(times) >= _FEWEST:
+    if is_serial_arm(model.chain) and not several and not samples.sockets and len(times) >= _FEWEST:
         out += steps(0.5 * (times[_PART - 1 : -_PART] + times[_PART : len(times) - _PART + 1]), turns)
     return out + [CellChange(READING, str(i + 1), sample=i) for i in range(len(samples))]
 

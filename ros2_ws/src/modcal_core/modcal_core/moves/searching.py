@@ -177,7 +177,7 @@ class MoveSearch:
         table = hypotheses(plain.model, plain.samples) if asked is None else asked
         every = [h for h in table if h.key not in keys]
         # where each frame stands where nobody knew it to stand, a base cannot move
-        self.asked = [h for h in every if h.kind != BASE] if len(keys) == len(plain.model.frames) else every
+        self.asked = [h for h in every if h.kind != BASE] if len(keys) == len(np.unique(plain.samples.frame)) else every
 
     @cached_property
     def fixed(self) -> list[JudgedChange]:
