@@ -183,7 +183,7 @@ class _RegimeSearch:
         base = np.r_[0, np.cumsum([move.what != "tool" for move in moves])].astype(int)
         tool = np.r_[0, np.cumsum([move.what != "base" for move in moves])].astype(int)
         largest = int(np.argmax(np.bincount(part)))
-        first = sights.both(np.flatnonzero(part == largest), sights.setup)
+        first = sights.both(np.flatnonzero(part == largest))
         if "base" not in self.places:
             first = Setup(np.eye(4), sights.tool(np.flatnonzero(part == largest), np.eye(4)))
         D = np.tile(first.D, (base[-1] + 1, 1, 1))
