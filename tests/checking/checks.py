@@ -17,7 +17,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.public import check
 
 FLOOR = np.sqrt(3.0) * NOISE_M
-FRESH = np.random.default_rng(78).uniform(-2.5, 2.5, (100, 6))  # postures that no check has seen
+FRESH = np.random.default_rng(79).uniform(-2.5, 2.5, (100, 6))  # postures that no check has seen
 
 Cell = tuple[Recorded, Calibration]
 Poses = Callable[[Array], Array]
@@ -36,13 +36,14 @@ def readings(
 
 
 def postures(seed: int, count: int = 10) -> Array:
-    """Random ones."""
+    """Those of :func:`checked`."""
     return np.random.default_rng([seed, 11]).uniform(-2.5, 2.5, (count, 6))
 
 
 def checked(cell: Cell, seen: Seen, seed: int = 0, count: int = 10, kind: str = "pose", **of: float | str) -> Checked:
     """A check by stations at random postures. of: noise and frame of the readings."""
-    rng, q = np.random.default_rng([seed, 12]), postures(seed, count)
+    rng = np.random.default_rng([seed, 11])
+    q = rng.uniform(-2.5, 2.5, (count, 6))
     T = seen(q, cell[0].world.tool_in_tracker)
     return check(cell[1], readings(q, T, rng, kind=kind, **of))  # type: ignore[arg-type]
 

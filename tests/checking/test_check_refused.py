@@ -25,7 +25,7 @@ STEP = se3.exp(np.array([4e-3, -3e-3, 2e-3, 1e-3, 2e-3, -1e-3]))
 @pytest.mark.parametrize(
     ("wrong", "kind", "words"),
     [
-        ("mm", "pose", "mm"),
+        ("mm", "pose", "it looks like millimetres"),
         ("quaternion", "pose", "quaternions look like"),
         ("degrees", "pose", "degrees"),
         ("joints swapped", "pose", "shoulder_pan_joint"),

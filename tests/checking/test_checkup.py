@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from cells import record, ur10
-from checking.checks import FLOOR, Cell, Poses, Seen, about, checked, missed, names, twist
+from checking.checks import FLOOR, FRESH, Cell, Poses, Seen, about, checked, missed, names, twist
 
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.checking.repair import nearest_covariance
@@ -117,6 +117,18 @@ def test_a_change_is_named_and_repaired(cell: Cell, name: str, kind: str) -> Non
         assert left < 0.6 * before or name == "target turned"  # which moves no point
 
 
+def test_a_cell_that_was_set_up_anywhere_is_base_and_tool(cell: Cell) -> None:
+    rng = np.random.default_rng(7)
+    for seed in range(6):
+        turns = rng.normal(size=(2, 3))
+        turns *= rng.uniform(1.0, 3.1, (2, 1)) / np.linalg.norm(turns, axis=1, keepdims=True)
+        base, tool = se3.exp(np.r_[rng.uniform(-2.0, 2.0, 3), turns[0]]), se3.exp(np.r_[0.1, -0.1, 0.2, turns[1]])
+        found = checked(cell, lambda q, world, b=base, t=tool: b @ world(q) @ t, seed)  # type: ignore[misc]
+        assert names(found) == {BASE, TOOL}, found.sentence
+        assert found.after[0] is not None
+        assert found.after[0] < 2e3 * FLOOR
+
+
 def test_nothing_is_named_while_nothing_has_changed(cell: Cell) -> None:
     for seed in range(6):
         found = checked(cell, lambda q, world: world(q), seed)
@@ -134,17 +146,17 @@ def test_noise_is_not_taken_for_a_move(cell: Cell) -> None:
 
 
 def test_sizes_lie_in_their_intervals_and_claims_cover_what_a_repair_misses_by(cell: Cell) -> None:
-    inside, ratios = 0, []
+    inside, ratios, move = 0, [], twist(2e-4, (1, -1, 1, 0.5, 1, -0.5))
     for seed in range(8):
         found = checked(cell, zero(1, 6e-4), seed)
         (size,) = found.changes[0].sizes
         assert size.unit == "mrad"
         inside += size.low <= 0.6 <= size.high
-        found = checked(cell, CHANGES["base"].seen, seed)
+        found = checked(cell, lambda q, world: move @ world(q), seed)
         assert found.report.claim is not None
         assert found.repaired is not None
-        truth = CHANGES["base"].seen(found.repaired.postures, cell[0].world.tool_in_tracker)
-        gap = np.linalg.norm(found.repaired.predict(found.repaired.postures)[:, :3, 3] - truth[:, :3, 3], axis=1)
+        truth = move @ cell[0].world.tool_in_tracker(FRESH)
+        gap = np.linalg.norm(found.repaired.predict(FRESH)[:, :3, 3] - truth[:, :3, 3], axis=1)
         ratios.append(found.report.claim.mm["p95"].ci95[1] / (1e3 * np.percentile(gap, 95)))
     assert inside >= 6  # of eight intervals of 95 %, fewer once in two hundred times
     assert np.sum(np.array(ratios) >= 1.0) >= 7

@@ -93,8 +93,9 @@ def nearest_covariance(C: Array) -> Array:
     """The nearest covariance in units of its own deviations: of changes as large as another tool the cross terms are of
     another posture of its lever than the sizes' own covariance, so that some direction may come out below nothing.
     """
-    scale = np.sqrt(np.maximum(np.diag(C), 1e-300))
-    values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
+    scale = np.sqrt(np.maximum(np.diag(C), 0.0))
+    unit = np.where(scale > 0.0, scale, 1.0)  # what is known exactly stays so
+    values, vectors = np.linalg.eigh(C / np.outer(unit, unit))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(scale, scale))
 
 

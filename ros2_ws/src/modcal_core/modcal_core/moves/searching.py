@@ -202,14 +202,15 @@ class MoveSearch:
 
     def best(self) -> Explanation:
         """The most probable explanation, or the first reading that is wrong."""
-        ways = [self.explained()]
-        if ways[0].picked and ways[0].picked[0].hypothesis.sample >= 0:  # set aside before anything is blamed
+        ways = self._weighed()
+        if ways and ways[0].picked and ways[0].picked[0].hypothesis.sample >= 0:  # set aside before anything is blamed
             return ways[0]
-        if any(is_noise(c) for c in ways[0].picked):
-            ways.append(self.explained(without=(NOISE,)))
-        moved = [h for h in self.asked if h.kind in _SET_UP]
-        if all(way.more for way in ways) and moved:
-            ways.append(self.explained(moved))
+        if not ways or any(is_noise(c) for c in ways[0].picked):
+            ways += self._weighed(without=(NOISE,))
+        if all(way.more for way in ways) and (moved := [h for h in self.asked if h.kind in _SET_UP]):
+            ways += self._weighed(moved)
+        if not ways:
+            raise np.linalg.LinAlgError("the readings are too far away to weigh what explains them")
         found = max(ways, key=lambda way: (not way.more, way.score))
         if any(c.hypothesis.sample >= 0 for c in found.picked):
             return found
@@ -221,6 +222,13 @@ class MoveSearch:
             picked = self.needed(outside)
         asked_for = (*ways[0].log_e[:1], *found.log_e[1 : len(picked)]) if picked else ()  # the first beside nothing
         return Explanation(tuple(picked), (*asked_for, self.left(picked)), found.score)
+
+    def _weighed(self, begin: Sequence[CellChange] = (), without: Sequence[str] = ()) -> list[Explanation]:
+        """The explanation; none where changes are so far off that they cannot be weighed."""
+        try:
+            return [self.explained(begin, without)]
+        except np.linalg.LinAlgError:
+            return []
 
     def explained(self, begin: Sequence[CellChange] = (), without: Sequence[str] = ()) -> Explanation:
         """Changes taken up one after the other, until no more is asked for. begin: that are taken up first."""

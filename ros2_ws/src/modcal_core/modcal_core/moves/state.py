@@ -14,11 +14,23 @@ import numpy as np
 import scipy
 
 from modcal_core.calibration import Model, ModelParameter, RowView
-from modcal_core.geometry import Array
+from modcal_core.geometry import Array, error_values, se3
 from modcal_core.measurements import Samples
+from modcal_core.measurements.kinds import is_direct
 from modcal_core.moves.evidence import ChangeCandidate, ChangeJudge, JudgedChange, is_noise
 from modcal_core.moves.noise import FrozenKnowledge, NullModel, RowKinds, null, parameter_rows
-from modcal_core.moves.rows import NOISE, CellChange, composed, curve_root, hypothesis_columns, log_priors, put_in
+from modcal_core.moves.rows import (
+    BASE,
+    NOISE,
+    TOOL,
+    CellChange,
+    composed,
+    curve_root,
+    hypothesis_columns,
+    log_priors,
+    put_in,
+)
+from modcal_core.moves.setups import SetupReadings
 
 _STEPS = 15  # of a fit; of changes that are small one is enough
 _END = 1e-3  # standard deviations, all rows together; the last step of a fit
@@ -118,7 +130,12 @@ def fitted(
         A, r = np.concatenate([state.columns(h) for h in asked], axis=1), state.null.residual
         left = r - A @ np.linalg.lstsq(judge.whitened(A, member), judge.whitened(r, member), rcond=1e-8)[0]
         return [ChangeCandidate(h, left, state.columns(h)) for h in asked], state
-    totals = [np.zeros(h.sizes) for h in sized]
+    totals = _set_up(sized, state) if bent else [np.zeros(h.sizes) for h in sized]
+    for h, total in zip(sized, totals, strict=True):
+        if total.any():
+            model = put_in(h, model, total)
+    if model is not state.model:
+        now = CheckState(model, state.samples, state.known, state.null, state.curves)
     angles = {h.curve: np.zeros(len(np.unique(state.samples.station))) for h in asked if h.free and bent}
     before = np.inf
     for _ in range(_STEPS if sized or angles else 0):
@@ -148,6 +165,24 @@ def fitted(
     found, residual = iter(totals), now.residual
     none = np.empty(0)
     return [ChangeCandidate(h, residual, now.columns(h), next(found) if h.sizes else none) for h in asked], now
+
+
+def _set_up(asked: Sequence[CellChange], state: CheckState) -> list[Array]:
+    """Sizes to begin from: of base and tool that moved at once those that readings show in closed form, from anywhere,
+    unless these leave more than none do.
+    """
+    still, seen = [np.zeros(h.sizes) for h in asked], np.unique(state.samples.frame)
+    samples = state.samples
+    if not {BASE, TOOL} <= {h.kind for h in asked} or len(seen) > 1 or not is_direct(samples.kinds):
+        return still
+    sights, every = SetupReadings.of(state.model, samples), np.arange(len(samples))
+    setup = sights.both(every)
+    if np.sum(sights.residual(setup) ** 2) > np.sum(sights.residual(sights.setup) ** 2):
+        return still
+    far = {BASE: setup.D, TOOL: se3.inverse(state.model.T_tip_tool) @ setup.X}
+    return [
+        error_values(far[h.kind])[: h.sizes] if h.kind in far else none for h, none in zip(asked, still, strict=True)
+    ]
 
 
 @dataclass
