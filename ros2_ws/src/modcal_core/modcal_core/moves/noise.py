@@ -143,7 +143,8 @@ def null(model: Model, samples: Samples, view: RowView, drivers: Drivers, known:
     own = J.T @ known.covariance[: len(J), : len(J)] @ J if len(J) else np.zeros((n, n))
     turning = [(j, view.unit_column(chain.first_place + j, 5)) for j in range(chain.n) if chain.revolute[j]]
     same = (samples.station[at][:, None] == samples.station[at]).astype(float)
-    joints, share = rows.scaled(sum((np.outer(g, g) * same for _, g in turning), np.zeros((n, n))))
+    each = (rows.scaled(np.outer(g, g) * same)[0] for _, g in turning)  # with equal shares of the spread
+    joints, share = rows.scaled(sum(each, np.zeros((n, n))))
     alike = _alike(samples.q)[np.ix_(at, at)] * (rows.component[:, None] == rows.component)
     pattern = alike * np.sqrt(np.outer(rows.variance, rows.variance))
     count, shared = witnesses(samples), known.pattern
