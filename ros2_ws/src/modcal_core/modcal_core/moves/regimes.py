@@ -32,11 +32,13 @@ from modcal_core.calibration import (
     identify_moved,
     outlying,
     runs_of,
+    usual_miss,
     views_of,
 )
 from modcal_core.effects import ALL, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, Shape, is_move
 from modcal_core.effects.families import axis_wobble, drift, gear_harmonic, step
 from modcal_core.geometry import error_values, se3
+from modcal_core.hypotheses import LIMIT_OF_REACH
 from modcal_core.measurements import Samples, explained_by_posture, spread_rows
 from modcal_core.measurements.kinds import is_direct
 from modcal_core.moves.noise import FrozenKnowledge
@@ -228,6 +230,8 @@ class _RegimeSearch:
             return list(stated)
         moves = sorted([*stated, *new], key=lambda m: m.at)
         fit = self.fit(self.start(moves), self.samples)
+        if usual_miss(fit.model, self.samples) > LIMIT_OF_REACH * fit.model.chain.reach():
+            return list(stated)  # whatever moved, these are no readings of this arm
         known = {move.at for move in stated}
         rows = [_step_row(effect) for effect in fit.model.effects if is_move(effect)]
         given = [h for h in rows if _at(h) in known]
