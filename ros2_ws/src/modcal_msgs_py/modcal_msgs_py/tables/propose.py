@@ -219,7 +219,9 @@ class _Search:
                 out.append(fitted)
         return out
 
-    def _fitted(self, body: Body, joints: Sequence[LabelledJoints], counted: Sequence[JointChoice] = ()) -> Fitted | None:
+    def _fitted(
+        self, body: Body, joints: Sequence[LabelledJoints], counted: Sequence[JointChoice] = ()
+    ) -> Fitted | None:
         values = self._numbers.values
         used = [*body.columns, *(k for j in joints for k in j.columns)]
         rows = np.flatnonzero(np.isfinite(values[:, used]).all(axis=1))
