@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.articulation import JOINT
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots import Follower, JointColumns
@@ -325,6 +324,8 @@ def fill_object_state(message: Any, frame: str, stamp: float, configuration: flo
     """A JointState of the object's one joint [rad or m]."""
     message.header.frame_id = frame
     set_seconds(message.header.stamp, stamp)
+    from modcal_core.articulation import JOINT  # loads SciPy, which a corrector does without
+
     message.name, message.position = [JOINT], [float(configuration)]
     return message
 

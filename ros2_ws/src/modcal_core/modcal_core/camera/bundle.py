@@ -23,7 +23,6 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3, so3, view
@@ -182,6 +181,8 @@ class PlacePrior:
     @cached_property
     def apart(self) -> Array:
         """The same about what they are off apart from each other, at the stated tolerances."""
+        from scipy.linalg import block_diag  # where a bag is only looked into, nothing loads SciPy
+
         return np.asarray(block_diag(*(self.white @ self.white)) - self.held / _HELD)
 
     def information(self, size: float) -> Array:

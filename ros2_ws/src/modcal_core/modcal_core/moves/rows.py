@@ -42,7 +42,7 @@ class ChangeKind:
     outside: bool = False
 
 
-_RARE = 0.25
+_RARE = 0.25  # chance of what hardly ever changes in a cell, beside 1 for what is moved now and then
 COMPLIANCE = ("compliance", 1e6, "urad/(N m)")
 KINDS = {
     BASE: ChangeKind("{place}", "The {who} has moved{moved}", outside=True),
