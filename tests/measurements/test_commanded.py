@@ -14,7 +14,7 @@ from modcal_core.calibration.store import from_data, to_data
 from modcal_core.errors import BadRecording
 from modcal_core.evaluation import evaluate
 from modcal_core.loop import calibrate
-from modcal_core.measurements import cleaned
+from modcal_core.measurements import UNREAD, cleaned, require_usable
 from modcal_core.measurements.recording import JointTrack, Recording, SignalTrack, commanded_at, following
 from modcal_core.measurements.samples import (
     Samples,
@@ -133,6 +133,16 @@ def test_what_was_recorded_is_kept() -> None:
     (track,) = cleaned(whole, CHAIN.names, CHAIN).recording.joints
     assert track.names == ("a", "b", "rod", "c")
     assert np.array_equal(track.position, whole.joints[0].position[: len(track.stamps)])
+
+
+def test_a_recording_without_readings_says_what_could_not_be_read() -> None:
+    """Joint states of ROS 2 beside a tracker in another encoding: the tracker is not silent."""
+    whole = recorded("a", "b", "rod", "c")
+    what = "7 messages in the encoding json on /tracker/pose, which is not read: write them as a table"
+    with pytest.raises(BadRecording, match=what):
+        require_usable(replace(whole, warnings=(f"{UNREAD}{what}.",)), CHAIN)
+    with pytest.raises(BadRecording, match="check that the tracker runs"):
+        require_usable(whole, CHAIN)
 
 
 def test_joints_that_move_and_are_not_of_the_arm_are_signals() -> None:

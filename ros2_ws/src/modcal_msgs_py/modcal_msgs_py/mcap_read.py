@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.errors import BadRecording
-from modcal_core.measurements import Listed, Recording, Stretch, elsewhen
+from modcal_core.measurements import UNREAD, Listed, Recording, Stretch, elsewhen
 from modcal_msgs_py.bag_files import bag_files
 from modcal_msgs_py.bag_open import BagFile, bag_file, message_unpacked, topics_of, unpacked
 from modcal_msgs_py.layout import Bytes, Fields, MessageLayout, MessageRows, Messages, OneMessage, fields_of, store_with
@@ -101,7 +101,7 @@ def read_pieces(
             what, remedy = _unread(unread)
             if total == 0:
                 raise BadRecording(str(path), f"holds {what}", remedy)
-            warnings.append(f"It holds {what}: {remedy}.")
+            warnings.append(f"{UNREAD}{what}: {remedy}.")
         if total == 0:
             why = f" ({file.cut})" if file.cut else ""
             remedy = "check that the topics were published while recording"
