@@ -7,7 +7,6 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle, PrintedTarget, PrintScale
-from modcal_core.camera.changes import FoundChange
 from modcal_core.camera.claim import APPLY, DecisionGrounds, ToolError, decide
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import SCALE, CornerTable
@@ -44,11 +43,9 @@ _NOMINAL = (
 )
 
 
-def problems(fit: CameraFit, nominal: CameraFit, change: FoundChange | None, wrong: Sequence[str]) -> tuple[str, ...]:
-    """What contradicts the fit, in sentences. wrong: statements that images contradict."""
+def problems(fit: CameraFit, nominal: CameraFit, wrong: Sequence[str]) -> tuple[str, ...]:
+    """What contradicts the fit, in sentences. wrong: moves among the images, and statements that these contradict."""
     out = [] if fit.converged and nominal.converged else ["The fit did not reach its minimum."]
-    if change is not None:
-        out.append(change.sentence(fit))
     out += wrong
     if fit.sizes.joint > _UNSTEADY:
         out.append(
@@ -120,7 +117,7 @@ def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintSc
     out = []
     for doubt in doubted:
         if doubt.chance > IN_DOUBT:
-            common = fit.state.common + doubt.solved.step()[fit.poses.count + 1 :]
+            common = fit.state.common + doubt.solved.step()[fit.common]
             what = {
                 SIZE: f"a {_sized(fit)} {_percent(fit, common, scale)} off its stated size",
                 BOW: f"a sheet bent by {1e3 * float(np.abs(common[BENT]).max()):.1f} mm",
@@ -136,7 +133,7 @@ def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintSc
 
 def _contradiction(what: str, other: CameraFit, stated: StatedCamera) -> str:
     """The sentence for a wrong statement. other: the fit with its tolerance widened."""
-    std = np.sqrt(np.diag(other.covariance))[other.poses.count + 1 :]
+    std = other.std[0][other.poses.count + 1 :]
     if what == SIZE:
         return (
             f"The {_sized(other)} is {_percent(other, other.state.common, stated.scale)} off its stated size, ± "

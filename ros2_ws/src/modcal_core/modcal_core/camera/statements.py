@@ -23,7 +23,7 @@ from modcal_core.camera.bundle import PrintScale
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import READOUT, SCALE, SHAPE, CommonPrior, common_prior
 from modcal_core.camera.equations import SolvedEquations
-from modcal_core.camera.fit import CameraFit, fit_camera, usual
+from modcal_core.camera.fit import CameraFit, fit_cameras, usual
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
 from modcal_core.effects import ReportEntry
@@ -75,10 +75,9 @@ class DoubtedStatement:
 def doubts(fit: CameraFit, stated: StatedCamera) -> tuple[DoubtedStatement, ...]:
     """Each of the statements relaxed, and the chance that it is wrong."""
     scale = stated.scale
-    common = fit.poses.count + 1 + np.arange(len(fit.prior.mean))
     relaxed = []
     for what, prior in _wider(fit.prior, stated).items():
-        there = fit.equations.with_block(common, prior.information, fit.state.common - prior.mean, prior.free)
+        there = fit.equations.with_block(fit.common, prior.information, fit.state.common - prior.mean, prior.free)
         relaxed.append((what, prior, *fit.weighed(there)))
     backed = 2.0 + (scale.measured and not scale.unsaid) - scale.nominal
     price = _BACKED * np.array([backed if what == SIZE else 2.0 for what, *_ in relaxed])
@@ -115,7 +114,8 @@ def contradicted(fit: CameraFit, doubted: Sequence[DoubtedStatement]) -> dict[st
     out = {}
     for doubt in doubted:
         if doubt.misfit < fit.misfit - _SCREEN:
-            other = fit_camera(fit.table, fit.poses, doubt.prior, fit.state.lens, fit.sizes)
+            first = replace(fit.cameras.first, prior=doubt.prior)
+            other = fit_cameras(fit.cameras.with_first(first), fit.x, fit.sizes)
             if other.converged and other.misfit < fit.misfit - GAIN:
                 out[doubt.what] = other
     return out
