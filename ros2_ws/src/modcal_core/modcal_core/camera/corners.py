@@ -274,12 +274,6 @@ class CommonPrior:
         """Prior mean of shape and marker places, (5 + Z,)."""
         return shape_of(self.mean)
 
-    def with_block(self, rows: slice, information: Array) -> CommonPrior:
-        """The same with other information about these values, which are fitted."""
-        every, free = self.information.copy(), self.free.copy()
-        every[rows, rows], free[rows] = information, True
-        return replace(self, information=every, free=free)
-
     def with_places(self, places: PlacePrior) -> CommonPrior:
         """The same with markers whose places are expected so, of a body, which has no bow."""
         Z = len(places.apart)

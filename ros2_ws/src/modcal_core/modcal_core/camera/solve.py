@@ -33,8 +33,6 @@ from modcal_core.camera.corners import FREE
 from modcal_core.camera.fit import CameraFit, fit_cameras
 from modcal_core.camera.other_readings import MIN, ReadingsBeside
 from modcal_core.camera.outlook import (
-    contradictions,
-    in_doubt,
     left_out_images,
     left_out_points,
     metric_of,
@@ -43,7 +41,16 @@ from modcal_core.camera.outlook import (
     weak_directions,
 )
 from modcal_core.camera.prepared import CameraImages, PreparedImages, first_fit, prepare_images, together
-from modcal_core.camera.statements import SIZE, CameraFinding, DoubtedStatement, StatedCamera, doubts, findings
+from modcal_core.camera.statements import (
+    SIZE,
+    CameraFinding,
+    DoubtedStatement,
+    StatedCamera,
+    contradictions,
+    doubts,
+    findings,
+    in_doubt,
+)
 from modcal_core.camera.views import postures_anywhere, postures_in_view
 from modcal_core.diagnosis import EffectChoice
 from modcal_core.errors import BadRecording
