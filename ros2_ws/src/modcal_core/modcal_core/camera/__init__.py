@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from modcal_core.camera.prepared import MIN_CORNERS, CameraImages, PreparedImages, enough_corners, view_distances
     from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
     from modcal_core.camera.target_file import read_any_target, read_target, target_from_data, target_to_data
-    from modcal_core.camera.views import covered, plan_images, tilt_and_distance
+    from modcal_core.camera.views import ViewSpread, plan_images
     from modcal_core.camera.changes import CameraWatch, Moved
 else:
     from modcal_core.lazy import lazy_face
@@ -32,7 +32,7 @@ __all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEW
 __all__ += ["POSE", "READOUT", "SCALE", "SHAPE", "SHAPE_NAMES", "STATED", "TAG", "BoardView", "BundleMarker"]
 __all__ += ["CameraCause", "CameraFit", "CameraImages", "CameraProblem", "CameraSolution", "CameraState"]
 __all__ += ["CameraWatch", "CornerTable", "ImageMoments", "Lens", "MarkerBundle", "Moved", "PreparedImages"]
-__all__ += ["PrintedTarget", "ReadingsBeside", "ToolError", "beside", "board_poses", "corner_rows", "covered"]
+__all__ += ["PrintedTarget", "ReadingsBeside", "ToolError", "beside", "board_poses", "corner_rows"]
 __all__ += ["enough_corners", "first_lens", "fit_lens", "grams", "plan_images"]
 __all__ += ["read_any_target", "read_target", "solve_camera", "target_from_data", "target_to_data"]
-__all__ += ["tilt_and_distance", "uncertainty_about", "view_distances"]
+__all__ += ["ViewSpread", "uncertainty_about", "view_distances"]

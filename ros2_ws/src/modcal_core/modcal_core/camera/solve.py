@@ -51,11 +51,11 @@ from modcal_core.camera.statements import (
     findings,
     in_doubt,
 )
-from modcal_core.camera.views import postures_anywhere, postures_in_view
+from modcal_core.camera.views import POSTURES, postures_in_view
 from modcal_core.diagnosis import EffectChoice
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
-from modcal_core.robots import Chain, Inertias
+from modcal_core.robots import Chain, Inertias, random_postures
 
 _CLEANED = 3  # times that other instruments' readings are looked through for those far off
 
@@ -203,7 +203,7 @@ def solve_camera(
     draws = arm_draws(fit, rng, doubted)
     errors = (
         tool_error(fit, nominal, near, draws),
-        tool_error(fit, nominal, postures_anywhere(problem.chain, rng), draws),
+        tool_error(fit, nominal, random_postures(problem.chain, POSTURES, rng), draws),
         tool_error(fit, nominal, near, draws, arm_alone=True),
     )
     claim = _claim(problem, errors, fit, near, doubted, evidence.problems)

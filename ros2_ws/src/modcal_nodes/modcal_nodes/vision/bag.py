@@ -28,7 +28,7 @@ from modcal_core.camera import (
     MarkerBundle,
     PrintedTarget,
 )
-from modcal_core.errors import BadRecording, BadTable, NotEnoughData
+from modcal_core.errors import BadRecording, BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Approach, Listed, Recording, spread_rows
 from modcal_msgs_py import (
@@ -49,7 +49,7 @@ from modcal_msgs_py import (
 )
 from modcal_nodes.vision.detection import Detection, body_corners, in_order, off_flat, too_few
 from modcal_nodes.vision.grey import grey_of
-from modcal_nodes.vision.images import ImageFolder, lens_from_data, look_for, of_one_size
+from modcal_nodes.vision.images import FoundTargets, ImageFolder, lens_from_data, look_for
 
 _MAX = 200  # images that are looked at
 _STANDING = 0.01  # rad/s or m/s, below which a joint stands; a millimetre in a tenth of a second at a metre
@@ -94,12 +94,7 @@ def read_bag_images(
     if not len(wanted):
         said = f"none of {len(stamps)} images has joint states around it"
         raise BadRecording(source, said, "record both on one clock")
-    views: list[BoardView] = []
-    sizes: list[tuple[int, int]] = []
-    left_out: dict[str, str] = {}
-    notes: dict[str, None] = {}
-    keep = set(wanted.tolist())
-    done = 0
+    targets, keep = FoundTargets(), set(wanted.tolist())
     if of_tags:
         looked_at = _messages(bag, topic, partial(_tags, target, size or (0, 0)))
     elif topic.type_name == CLOUD:
@@ -110,29 +105,23 @@ def read_bag_images(
         if stamp not in keep:
             continue
         keep.discard(stamp)
-        done += 1
-        progress("finding the target", done / len(wanted))
+        progress("finding the target", 1.0 - len(keep) / len(wanted))
         name = f"{stamp:.6f}"
         found, own_size, note = look(name)
-        if found.view is None:
-            left_out[name] = f"{found.reason}: {found.remedy}"
-            continue
-        notes |= dict.fromkeys([note] if note else ())
-        views.append(replace(found.view, stamp=stamp))
-        sizes.append(own_size)
-    if not views:
-        name, why = next(iter(left_out.items()))
-        reason, _, remedy = why.partition(": ")
-        raise NotEnoughData(source, f"none of {len(wanted)} images can be used; the one at {name} s {reason}", remedy)
-    size, same = of_one_size(views, sizes, left_out)
-    views = [view for view, keep in zip(views, same, strict=True) if keep]
-    at = np.array([view.stamp for view in views])
+        if found.view is not None:
+            found = replace(found, view=replace(found.view, stamp=stamp))
+        targets.take(found, name, own_size, note)
+    size, _ = targets.of_one_size(source, len(wanted))
+    at = np.array([view.stamp for view in targets.views])
     q, velocity = log.at(at)
     moments = ImageMoments(at, log.approach(at), log.effort(at), recording.signals)
     velocity = velocity if moving else np.zeros_like(q)
     # what finds tags mostly looks at images that are rectified already, of which camera_info says something else
     lens, lens_of = (None, "") if of_tags else _lens(bag, recording, topic)
-    return ImageFolder(tuple(views), q, velocity, size, left_out, lens, lens_of, moments, tuple(notes))
+    return ImageFolder(
+        *(tuple(targets.views), q, velocity, size, targets.left_out, lens, lens_of, moments),
+        notes=tuple(targets.notes),
+    )
 
 
 @dataclass(frozen=True)
