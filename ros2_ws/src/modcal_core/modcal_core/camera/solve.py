@@ -29,7 +29,6 @@ from modcal_core.camera.claim import (
     shares,
     tool_error,
 )
-from modcal_core.camera.corners import FREE
 from modcal_core.camera.fit import CameraFit, fit_cameras
 from modcal_core.camera.other_readings import MIN, ReadingsBeside
 from modcal_core.camera.outlook import (
@@ -45,7 +44,6 @@ from modcal_core.camera.statements import (
     SIZE,
     CameraFinding,
     DoubtedStatement,
-    StatedCamera,
     contradictions,
     doubts,
     findings,
@@ -172,16 +170,14 @@ def solve_camera(
     progress("verdict")
     images = ready.given
     near, _ = postures_in_view(fit, rng)
-    became = images.stated if images.lens is not None and images.stated != FREE else None
-    stated = StatedCamera(images.lens or ready.camera.begin.lens, became, images.target.scale)
-    doubted = doubts(fit, stated)
+    doubted = doubts(fit, images)
     change, of_others = find_change(fit), tuple[str, ...]()
     for k, (one, camera) in enumerate(zip(prepared, fit.cameras.every, strict=True)):
         whose = f" of {camera.name}" if k else ""
         found = find_change(fit, k) if k else change
         of_others += () if found is None else (found.sentence(camera, whose),)
         of_others += left_out_images(one.left_out, len(one.given.views), whose)
-    against = problems(fit, nominal, (*of_others, *contradictions(fit, doubted, stated)))
+    against = problems(fit, nominal, (*of_others, *contradictions(fit, doubted, images)))
     open_points: tuple[str, ...] = ()
     if isinstance(images.target, MarkerBundle):
         same = [one for one in fit.cameras.every if one.table.target == images.target]
@@ -192,7 +188,7 @@ def solve_camera(
     other_length = problem.arm_m is not None or (problem.beside is not None and problem.beside.metric)
     evidence = CameraEvidence(
         None if change is None or change.each else change,
-        findings(fit, stated.scale, other_length, near),
+        findings(fit, images.target.scale, other_length, near),
         causes,
         left,
         hidden,
