@@ -192,7 +192,7 @@ def bodies(task: harness.Task) -> harness.Result:
         [c.effect.label for c in r.evidence.causes],
         [f"{f.family} {f.entry.direction}" for f in r.evidence.findings],
     )
-    return {**out, "out": len(r.ready.left_out), "corners_out": r.fit.table.left_out}
+    return {**out, "out": len(r.camera.left_out), "corners_out": r.fit.table.left_out}
 
 
 def of_body(s: BodyScene, fit: CameraFit, point: Array, q: Array) -> dict[str, float]:

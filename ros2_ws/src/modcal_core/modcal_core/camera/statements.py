@@ -22,12 +22,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.camera.bundle import PrintScale
+from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import FREE, READOUT, SCALE, SHAPE, common_prior
 from modcal_core.camera.equations import SolvedEquations
 from modcal_core.camera.fit import CameraFit, usual
 from modcal_core.camera.lens import COUNT as LENS
-from modcal_core.camera.prepared import CameraImages
 from modcal_core.effects import ReportEntry
 from modcal_core.geometry import Array
 
