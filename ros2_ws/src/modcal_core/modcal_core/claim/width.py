@@ -12,7 +12,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Cell, Fit, Model, ModelParameter, fit_geometry, model_at
+from modcal_core.calibration import (
+    Calibration,
+    Cell,
+    Fit,
+    Model,
+    ModelParameter,
+    enough_for_effects,
+    fit_geometry,
+    model_at,
+)
 from modcal_core.claim.evidence import draw, widths_of_links
 from modcal_core.claim.neighbourhood import ANGLE_RAD, LENGTH_M, arms_near, shows_base
 from modcal_core.measurements import RANGE, RAY, Samples
@@ -41,7 +50,7 @@ def fit_held(start: Model, samples: Samples, parameters: Sequence[ModelParameter
 
     start: the nominal arm, with base and tool where it has them.
     """
-    if _shows_scale(samples, cell):
+    if _shows_scale(samples, cell) and enough_for_effects(samples, len(parameters), len(cell.distances)):
         return fit_geometry(start, samples, parameters, cell)
     fit = fit_geometry(start, samples, held(parameters), cell)
     widths = widths_of_links(arms_near(fit.model, start.chain, samples, cell, functions=False))
@@ -59,18 +68,29 @@ def settled(calibration: Calibration, samples: Samples, cell: Cell) -> Calibrati
     if _shows_scale(samples, cell):
         return calibration
     nominal, geometric = calibration.nominal.chain, calibration.geometric
-    moved = _settled(calibration.calibrated, nominal, samples, cell)
-    alone = moved if geometric is calibration.calibrated else _settled(geometric, nominal, samples, cell)
-    return replace(calibration, calibrated=moved, geometric=alone)
+    moved, values = _settled(calibration.calibrated, nominal, samples, cell)
+    alone = moved if geometric is calibration.calibrated else _settled(geometric, nominal, samples, cell)[0]
+    own = {name: value for name, value, *_ in calibration.parameters}
+    table = tuple((name, value + own.get(name, 0.0) * (not arm), std, unit) for name, value, std, unit, arm in values)
+    return replace(calibration, calibrated=moved, geometric=alone, parameters=table)
 
 
-def _settled(model: Model, nominal: Mechanism, samples: Samples, cell: Cell) -> Model:
-    std = np.concatenate([np.zeros(0), *(effect.std for effect in model.effects)])
+def _settled(
+    model: Model, nominal: Mechanism, samples: Samples, cell: Cell
+) -> tuple[Model, tuple[tuple[str, float, float, str, bool], ...]]:
+    """The model, and of every value of its geometry name, size, deviation, unit and whether it is of the arm: those of
+    the arm from the nominal one, others from where they were.
+    """
+    std, moved = np.concatenate([np.zeros(0), *(effect.std for effect in model.effects)]), 0.0
     for _ in range(_STEPS):
         about = arms_near(model, nominal, samples, cell, functions=False)
-        middle = about.values + draw(about, _DRAWS, np.random.default_rng(0)).values.mean(axis=0)
-        model = model_at(about.model, about.parameters, middle, std)
-    return model
+        drawn = draw(about, _DRAWS, np.random.default_rng(0)).values
+        step = drawn.mean(axis=0)
+        moved = moved + step
+        model = model_at(about.model, about.parameters, about.values + step, std)
+    value, spread = np.where(about.place >= 0, about.shipped + step, moved), drawn.std(axis=0)
+    each = zip(about.parameters, value.tolist(), spread.tolist(), strict=False)
+    return model, tuple((p.name, x, s, p.unit, p.of_arm) for p, x, s in each)
 
 
 def _shows_scale(samples: Samples, cell: Cell) -> bool:
