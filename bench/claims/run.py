@@ -130,7 +130,10 @@ def by_tables(what: dict[str, object], site: Site, recording: Recording) -> harn
     worse["within"] = report.get("apply_within") is not None
     claim = report.get("claim_mm")
     most = report["tolerance"]["ci95"][1] if claim is None else claim["p95"]["ci95"][1]
-    return {**judged(what, report, true, nominal, most), "apply": report.get("apply"), **worse, "claim": claim}
+    held = report.get("unshown_mm") or 0.0
+    said = "most is held by what arms are like" if held > 0.5 * most else "most is shown"
+    found = {"apply": report.get("apply"), **worse, "claim": claim, "said": said}
+    return {**judged(what, report, true, nominal, most), **found}
 
 
 def by_camera(what: dict[str, object], site: Site) -> harness.Result:
@@ -200,7 +203,7 @@ def main() -> int:
     for r in results:
         r["open"] = WAYS[r["way"]][2]
         r["kind"] = "none" if r.get("effect") == "none" else "outside" if r.get("effect") in OUTSIDE else "known"
-    for by in ("way", "links", "kind", "open", "arm"):
+    for by in ("way", "links", "kind", "open", "said", "arm"):
         rows(results, by)
     harness.counts("outcomes", results, "way", "outcome")
     return failed

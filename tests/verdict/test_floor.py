@@ -91,7 +91,7 @@ def test_one_wrong_reading_does_not_set_the_floor() -> None:
     floor = floors(residuals, samples, np.zeros(len(samples), bool), None).position
     assert floor is not None
     assert floor.rms == pytest.approx(np.sqrt(3.0) * 1e-2, rel=0.5)
-    assert floor.refused == pytest.approx(3.0 / np.sqrt(2.0), rel=0.05)
+    assert floor.refused == pytest.approx(3.0 * np.sqrt(3.0) / np.sqrt(2.0), rel=0.05)
 
 
 def test_returns_too_good_for_an_arm_show_no_floor_unless_the_instrument_is_stated() -> None:

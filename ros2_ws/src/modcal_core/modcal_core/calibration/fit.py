@@ -400,9 +400,14 @@ def require_enough(samples: Samples, parameters: int, known: int = 0, share: flo
         raise NotEnoughData(f"{samples.stations} stations{of_them} for {parameters} parameters", said, remedy)
 
 
-def enough_for_effects(samples: Samples, parameters: int, known: int = 0) -> bool:
-    """Whether samples tell effects from noise beside so many parameters. known: as of :func:`require_enough`."""
-    return _equations(samples)[0] >= _EQUATIONS_WITH_EFFECTS * parameters - known
+def enough_for_effects(
+    samples: Samples, parameters: int, known: int = 0, each: float = _EQUATIONS_WITH_EFFECTS
+) -> bool:
+    """Whether samples tell effects from noise beside so many parameters, or give so many equations for each of them.
+
+    known: as of :func:`require_enough`.
+    """
+    return _equations(samples)[0] >= each * parameters - known
 
 
 def _equations(samples: Samples) -> tuple[float, int]:

@@ -94,7 +94,7 @@ class ArmEvidence:
 class Neighbourhood(ArmEvidence):
     """model: the calibrated one, with the functions as effects of no size. parameters: of the geometry. place: of
     values of the arm, else -1 (K,). joints: mean squared weighed reading of the main kind per rad² of all joints, each
-    alone. shares: how likely each of SHARES is. read: what the main kind scatters by.
+    alone. shares: how likely each of SHARES is. expected: noise of its instrument, in units of the fit's.
     """
 
     model: Model
@@ -102,11 +102,14 @@ class Neighbourhood(ArmEvidence):
     place: np.ndarray
     joints: float
     shares: Array
-    read: float
+    expected: float
 
     def unread(self) -> Neighbourhood:
-        """The same before the readings are there: they miss the model by their noise, about the calibrated arm."""
-        nothing, shares = np.zeros_like(self.shipped), _likely(0.0, self.joints, self.usual[self.main])
+        """The same before the readings are there: they miss the model by their noise, about the calibrated arm, and
+        joints have what the instrument leaves of it.
+        """
+        nothing, shares = np.zeros_like(self.shipped), np.zeros(len(SHARES))
+        shares[np.abs(SHARES - (1.0 - self.expected**2)).argmin()] = 1.0
         return replace(self, g=0.0 * self.g, square=self.rows, shipped=nothing, pull=nothing, shares=shares)
 
     @property
@@ -164,7 +167,8 @@ def arms_near(
     usual = _USUAL / np.array([_read(noise, name, known_p[samples.kind == name], known_r) for name in names])
     instrument = cell.stated.instrument_mm
     by = 1.0 if instrument is None else 1e-3 * instrument / np.sqrt(3.0) / _USUAL
-    shares = _likely(joints.told, joints.square, by * usual[main])
+    expected = float(by * usual[main])
+    shares = _likely(joints.told, joints.square, expected)
     return Neighbourhood(
         model=model,
         parameters=parameters,
@@ -183,7 +187,7 @@ def arms_near(
         shares=shares,
         main=main,
         pull=np.where(moves, joints.pull, 0.0) * float(shares @ SHARES) / max(joints.square, 1e-300),
-        read=_USUAL / float(usual[main]),
+        expected=expected,
     )
 
 
@@ -338,7 +342,7 @@ def _of_joints(
     return _OfJoints(square, told, pull * len(samples) / len(rows))
 
 
-def _likely(told: Array | float, square: float, usual: float) -> Array:
+def _likely(told: Array, square: float, usual: float) -> Array:
     """How likely shares of the scatter (S,) are by how joints usually repeat and instruments usually read besides.
 
     told, square: as of joints. usual: noise of the instrument, in that of the fit.

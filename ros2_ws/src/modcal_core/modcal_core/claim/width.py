@@ -29,6 +29,7 @@ from modcal_core.robots import Mechanism
 
 USUAL_WIDTH = 1.0  # what fits begin with, and the narrowest
 _STEPS, _DRAWS = 3, 480
+_ENOUGH = 1.25  # equations for each parameter; of fewer, less than a fifth is left to tell a fit from noise
 _WIDER = 1.2  # from which arms are fitted again with priors as wide
 
 
@@ -50,7 +51,7 @@ def fit_held(start: Model, samples: Samples, parameters: Sequence[ModelParameter
 
     start: the nominal arm, with base and tool where it has them.
     """
-    if _shows_scale(samples, cell) and enough_for_effects(samples, len(parameters), len(cell.distances)):
+    if _shows_scale(samples, cell) and enough_for_effects(samples, len(parameters), len(cell.distances), _ENOUGH):
         return fit_geometry(start, samples, parameters, cell)
     fit = fit_geometry(start, samples, held(parameters), cell)
     widths = widths_of_links(arms_near(fit.model, start.chain, samples, cell, functions=False))
