@@ -20,15 +20,19 @@ from modcal_core.calibration import (
     ModelParameter,
     enough_for_effects,
     fit_geometry,
+    identify,
+    linearise,
     model_at,
 )
 from modcal_core.claim.evidence import draw, widths_of_links
 from modcal_core.claim.neighbourhood import ANGLE_RAD, LENGTH_M, arms_near, shows_base
 from modcal_core.measurements import RANGE, RAY, Samples
+from modcal_core.measurements.kinds import dimensions
 from modcal_core.robots import Mechanism
 
 USUAL_WIDTH = 1.0  # what fits begin with, and the narrowest
 _STEPS, _DRAWS = 3, 480
+_FREEDOM = 4.0  # of the law of readings some of which are wrong
 _ENOUGH = 1.25  # equations for each parameter; of fewer, less than a fifth is left to tell a fit from noise
 _WIDER = 1.2  # from which arms are fitted again with priors as wide
 
@@ -55,9 +59,22 @@ def fit_held(start: Model, samples: Samples, parameters: Sequence[ModelParameter
         return fit_geometry(start, samples, parameters, cell)
     fit = fit_geometry(start, samples, held(parameters), cell)
     widths = widths_of_links(arms_near(fit.model, start.chain, samples, cell, functions=False))
-    if max(widths.values(), default=0.0) <= _WIDER:
+    if max(widths.values(), default=0.0) > _WIDER:
+        fit = fit_geometry(start, samples, held(parameters, widths), cell)
+    if fit.weights.all() or fit.start.effects:
         return fit
-    return fit_geometry(start, samples, held(parameters, widths), cell)
+    # a link far off makes all readings in one socket look wrong, from where the nominal arm has them
+    near = identify(fit.start, samples, fit.parameters, cell.distances, reject=False)
+    other = identify(fit.start, samples, fit.parameters, cell.distances, begin=near.values)
+    return min(fit, other, key=lambda each: _unlikely(each, samples))
+
+
+def _unlikely(fit: Fit, samples: Samples) -> float:
+    """How unlikely the samples are by this fit, in nats, by Student's law: some of them may be wrong."""
+    left = linearise(fit.model, (), np.zeros(0), samples, jacobian=False).residual[: 3 * len(samples)]
+    noise, many = fit.noise.of(samples), dimensions(samples)
+    square = (left.reshape(3, -1) ** 2).sum(axis=0) / noise**2
+    return float(np.sum(many * np.log(noise) + 0.5 * (_FREEDOM + many) * np.log1p(square / _FREEDOM)))
 
 
 def settled(calibration: Calibration, samples: Samples, cell: Cell) -> Calibration:
