@@ -13,7 +13,7 @@ import numpy as np
 from modcal_core.calibration import AnyDistance, Cell, Fit, fit_cell, usual_miss
 from modcal_core.errors import BadRecording
 from modcal_core.hypotheses import conventions
-from modcal_core.hypotheses.hand_eye import HandEye
+from modcal_core.hypotheses.hand_eye import HandEye, placed
 from modcal_core.hypotheses.hypothesis import RARE, Disagreement, family
 from modcal_core.hypotheses.search import explain
 from modcal_core.hypotheses.socket_places import misread_joints, require_one_place
@@ -24,6 +24,8 @@ from modcal_core.robots import Mechanism
 LIMIT_OF_REACH = 0.01  # a fitted arm that misses by more than this share of its reach is not an arm with small errors
 EVERYTHING = "joint states and readings"  # the offender of a refusal that can name none
 _DRIFT = 0.1  # of what is missed, that readings move by within a station; noise of an instrument does not miss by far
+
+_OF_A_FRAME = 10  # stations; twelve unknown numbers at most, of thirty or sixty
 
 
 def require_plausible(
@@ -53,7 +55,7 @@ def require_plausible(
         concerned = f"; {found.stations} of {found.of} stations are concerned" if found.stations < found.of else ""
         left = "" if found.missed is None else f"; with that corrected, it misses by {1e3 * found.missed:.1f} mm"
         raise BadRecording(found.what, f"{said}{concerned}{left}", found.remedy)
-    for what, why, remedy in _facts(samples, missed):
+    for what, why, remedy in (*_own_targets(whole, chain), *_facts(samples, missed)):
         raise BadRecording(what, f"{why}; {said}" if why else said, remedy)
     raise BadRecording(
         EVERYTHING,
@@ -92,6 +94,18 @@ def _require_statements(
             "known: the places of frames that are stated in the cell file",
             f"{said}, and it does not without them",
             "correct position_m [m], quaternion (x y z w), or the frame that they are stated in; or leave them out",
+        )
+
+
+def _own_targets(samples: Samples, chain: Mechanism) -> Iterator[tuple[str, str, str]]:
+    """That frames agree with the nominal arm one by one, where all of them together do not; as :func:`_facts`."""
+    frames = [HandEye.of(samples.select(samples.frame == f), chain) for f in range(len(samples.frames))]
+    cases = [case for case in frames if case is not None and len(case) >= _OF_A_FRAME]
+    if 1 < len(cases) == len(frames) and all(placed(case).explains for case in cases):
+        yield (
+            f"frames {', '.join(samples.frames)}",
+            "agree with the arm one by one, not together: each shows a target of its own on the tool",
+            "give each target a recording of its own (--also), or a table's mapping the column that tells it (target)",
         )
 
 
