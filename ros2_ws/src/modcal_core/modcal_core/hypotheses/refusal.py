@@ -55,7 +55,7 @@ def require_plausible(
         concerned = f"; {found.stations} of {found.of} stations are concerned" if found.stations < found.of else ""
         left = "" if found.missed is None else f"; with that corrected, it misses by {1e3 * found.missed:.1f} mm"
         raise BadRecording(found.what, f"{said}{concerned}{left}", found.remedy)
-    for what, why, remedy in (*_own_targets(whole, chain), *_facts(samples, missed)):
+    for what, why, remedy in _facts(samples, whole, missed, chain):
         raise BadRecording(what, f"{why}; {said}" if why else said, remedy)
     raise BadRecording(
         EVERYTHING,
@@ -97,20 +97,15 @@ def _require_statements(
         )
 
 
-def _own_targets(samples: Samples, chain: Mechanism) -> Iterator[tuple[str, str, str]]:
-    """That frames agree with the nominal arm one by one, where all of them together do not; as :func:`_facts`."""
-    frames = [HandEye.of(samples.select(samples.frame == f), chain) for f in range(len(samples.frames))]
-    cases = [case for case in frames if case is not None and len(case) >= _OF_A_FRAME]
-    if 1 < len(cases) == len(frames) and all(placed(case).explains for case in cases):
+def _facts(samples: Samples, whole: Samples, missed: float, chain: Mechanism) -> Iterator[tuple[str, str, str]]:
+    """What is plain without a fit of the arm: offender, what is seen of it, and the remedy."""
+    cases = [HandEye.of(whole.select(whole.frame == f), chain) for f in range(len(whole.frames))]
+    if len(cases) > 1 and all(case and len(case) >= _OF_A_FRAME and placed(case).explains for case in cases):
         yield (
-            f"frames {', '.join(samples.frames)}",
+            f"frames {', '.join(whole.frames)}",
             "agree with the arm one by one, not together: each shows a target of its own on the tool",
             "give each target a recording of its own (--also), or a table's mapping the column that tells it (target)",
         )
-
-
-def _facts(samples: Samples, missed: float) -> Iterator[tuple[str, str, str]]:
-    """What is plain without a fit: offender, what is seen of it, and the remedy."""
     flat = [axis for axis, extent in zip("xyz", np.ptp(samples.reading, axis=0), strict=True) if extent == 0.0]
     if flat and len(samples.frames) == 1:
         yield (
