@@ -7,7 +7,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,10 @@ MISSING = words(
 ) | {""}
 _NO_READING = -1e28  # NDI writes -3.697314e28 where a tool was not seen
 _NAMED = re.compile(r"\s*([A-Za-z]\w*)\s*[=:]\s*(?=[-+.,\d])")  # X=12.5
+_CELL_UNIT = r"°|deg|rad|gon|mm|cm|m|in"  # 12.5 mm
+_BEHIND = re.compile(rf"(?<=[\d.,])\s*(?:{_CELL_UNIT})$", re.IGNORECASE)
+# Groups of thousands; only a decimal sign behind them tells them from decimals: 1,234 may be either
+_GROUPED = {sign: rf"\d{{1,3}}(?:[{other}'’]\d{{3}})+{re.escape(sign)}\d+" for sign, other in ((".", ","), (",", "."))}
 _SPACED = re.compile(r"(?<=\w)[ \t]*=[ \t]*(?=[-+.,\d])")
 _MAX_BYTES = 1 << 29
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -74,18 +78,15 @@ class Sheet:
     full: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     sure: bool = True
-    _width: list[int] = field(default_factory=list, repr=False)
 
     @property
     def width(self) -> int:
         """Number of columns."""
-        if not self._width:
-            self._width.append(max(len(row) for row in self.rows))
-        return self._width[0]
+        return len(self.rows[0])
 
     def column(self, k: int) -> list[str]:
-        """Cells of a column; of rows that are too short, none."""
-        return [row[k].strip() if k < len(row) else "" for row in self.rows]
+        """Cells of a column."""
+        return [row[k].strip() for row in self.rows]
 
 
 def texts(path: Path, encoding: str | None = None) -> tuple[dict[str, str], str, bool]:
@@ -145,9 +146,15 @@ def number(cell: str, decimal: str = ".") -> float | None:
     if text.lower() in MISSING:
         return float("nan")
     try:
-        value = float(_NAMED.sub("", text.replace(decimal, ".") if decimal != "." else text))
+        value = float(text.replace(decimal, "."))
     except ValueError:
-        return None
+        text = _BEHIND.sub("", _NAMED.sub("", text))
+        if re.fullmatch(rf"[+-]?{_GROUPED[decimal]}", text):
+            text = "".join(c for c in text if c.isdigit() or c in f"+-{decimal}")
+        try:
+            value = float(text.replace(decimal, "."))
+        except ValueError:
+            return None
     return float("nan") if value != value or value < _NO_READING else value
 
 
@@ -180,6 +187,17 @@ def _cells(text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
         before = reader.line_num
 
 
+def _filled(cells: Sequence[str], width: int) -> list[str]:
+    """So many cells, empty ones behind those that there are."""
+    return [*cells[:width], *[""] * (width - len(cells))]
+
+
+def _even(rows: list[list[str]], header: Sequence[str]) -> list[list[str]]:
+    """Rows as wide as the widest of them and of the labels."""
+    width = max(len(header), *map(len, rows))
+    return [_filled(row, width) for row in rows]
+
+
 def read_sheet(path: Path, form: Form) -> Sheet:
     """The cells of a file in a stated form; empty lines are left out. Raises BadTable."""
     found, _, _ = texts(path, form.encoding)
@@ -191,11 +209,27 @@ def read_sheet(path: Path, form: Form) -> Sheet:
         filled = list(_cells(body, form.delimiter))
     except (csv.Error, TypeError) as error:
         raise BadTable(str(path), f"is not a table ({error})", "state its delimiter, or give a CSV file") from error
-    rows = filled[int(form.header) + form.units_rows :]
+    below = filled[int(form.header) + form.units_rows :]
+    rows = [cells for _, cells in below]
     if not rows:
         raise BadTable(str(path), "has no row", "leave the file out")
-    header = _labels(filled[0][1], len(rows[0][1])) if form.header else _names(rows[0][1])
-    return Sheet(path, form, header, [cells for _, cells in rows], [form.preamble_rows + line for line, _ in rows])
+    header = _labels(filled[0][1], len(rows[0])) if form.header else _names(rows[0])
+    units = _units_of_cells(path, rows, form.decimal)
+    return Sheet(path, form, header, _even(rows, header), [form.preamble_rows + line for line, _ in below], units=units)
+
+
+def _units_of_cells(path: Path, rows: Sequence[Sequence[str]], sign: str) -> tuple[str, ...]:
+    """The units that stand in the cells of each column. Raises BadTable where a column has several."""
+    found: dict[int, set[str]] = {}
+    for row in rows:
+        for k, cell in enumerate(row):
+            if cell and not cell[-1].isdigit() and (one := _PATTERN[sign].fullmatch(cell)) and one["unit"]:
+                found.setdefault(k, set()).add(one["unit"].lower())
+    for k, units in found.items():
+        if len(units) > 1:
+            said = f"column {k} holds numbers in {' and in '.join(sorted(units))}"
+            raise BadTable(path.name, said, "write one unit in all of them")
+    return tuple(next(iter(found.get(k, {""}))) for k in range(max(found) + 1)) if found else ()
 
 
 # --- How a file is written, found out from its text: encoding, separator, decimal sign, labels, units
@@ -206,7 +240,9 @@ _MIN_COLUMNS = 3
 _NUMBERS = 0.5  # share of the cells of a row of numbers
 _PATTERN = {
     sign: re.compile(
-        rf"(?:{_NAMED.pattern})?\s*[+-]?(\d+({re.escape(sign)}\d*)?|{re.escape(sign)}\d+)([eE][+-]?\d+)?\s*"
+        rf"(?:{_NAMED.pattern})?\s*[+-]?({_GROUPED[sign]}|\d+({re.escape(sign)}\d*)?|{re.escape(sign)}\d+)"
+        rf"([eE][+-]?\d+)?\s*(?P<unit>{_CELL_UNIT})?\s*",
+        re.IGNORECASE,
     )
     for sign in ".,"
 }
@@ -225,7 +261,7 @@ def sniff(path: Path, least: int = _MIN_COLUMNS) -> Sheet:
         head = "\n".join(text.split("\n", _LINES)[:_LINES])
         for separator, sign in ((a, b) for a in _SEPARATORS for b in ".," if a != b):
             try:
-                count = _block([row for _, row in _cells(head, separator)], sign, least)
+                count, _ = _block([row for _, row in _cells(head, separator)], sign, least)
             except csv.Error:
                 continue
             if count > best[0]:
@@ -244,21 +280,22 @@ def _is_row(cells: list[str], sign: str, least: int) -> int:
     return numbers if numbers >= least and numbers >= _NUMBERS * (len(cells) - missing) else 0
 
 
-def _width(rows: list[list[str]], sign: str, least: int) -> int:
-    """The usual number of columns of rows of numbers; 0 where there are none."""
-    widths = Counter(len(cells) for cells in rows if _is_row(cells, sign, least))
-    return widths.most_common(1)[0][0] if widths else 0
-
-
-def _block(rows: list[list[str]], sign: str, least: int) -> int:
-    width = _width(rows, sign, least)
-    return sum(_is_row(cells, sign, least) for cells in rows if len(cells) == width)
+def _block(rows: list[list[str]], sign: str, least: int) -> tuple[int, int]:
+    """(how many numbers there are in rows of the usual width, this width); zeros where there are none."""
+    counts = Counter[int]()
+    widths = Counter[int]()
+    for cells in rows:
+        if count := _is_row(cells, sign, least):
+            counts[len(cells)] += count
+            widths[len(cells)] += 1
+    width = widths.most_common(1)[0][0] if widths else 0
+    return counts[width], width
 
 
 def _laid_out(path: Path, text: str, form: Form, least: int) -> Sheet:
     table, sign = list(_cells(text, form.delimiter)), form.decimal
     every = [cells for _, cells in table]
-    width = _width(every, sign, least)
+    _, width = _block(every, sign, least)
     first = next(i for i, cells in enumerate(every) if len(cells) == width and _is_row(cells, sign, least))
     above = first
     while above and abs(len(every[above - 1]) - width) <= 1 and not _is_row(every[above - 1], sign, least):
@@ -273,8 +310,9 @@ def _laid_out(path: Path, text: str, form: Form, least: int) -> Sheet:
     upper = stacked[: max(len(stacked) - 1 - units_rows, 0)]
     preamble = table[first - units_rows - bool(stacked)][0] - 1
     form = replace(form, header=bool(stacked), preamble_rows=preamble, units_rows=units_rows if stacked else 0)
-    units, full = _stacked(stacked[len(upper) + 1 :], width), _stacked([*upper, named], width)
-    return Sheet(path, form, named, every[first:], [line for line, _ in table[first:]], full, units)
+    full = _stacked([*upper, named], width)
+    units = _stacked([*stacked[len(upper) + 1 :], _units_of_cells(path, every[first:], sign)], width)
+    return Sheet(path, form, named, _even(every[first:], named), [line for line, _ in table[first:]], full, units)
 
 
 def _are_units(cells: tuple[str, ...]) -> bool:
@@ -306,20 +344,16 @@ def joined(sheet: Sheet, stated: Mapping[str, Any], folder: Path, source: str, o
     partner = _partners(sheet, other, stated, source)
     names = other.header or tuple(f"{path.stem}.{k}" for k in range(other.width))
     names = tuple(f"{path.stem}.{label}" if label in sheet.header else label for label in names)
-    cells = [other.column(k) for k in range(len(names))]
+    cells = [other.column(k) for k in range(other.width)]
     if other.form.decimal != sheet.form.decimal:
         cells = [[cell.replace(other.form.decimal, sheet.form.decimal) for cell in column] for column in cells]
-    width, new = sheet.width, len(names)
-
-    def beside(ours: tuple[str, ...], theirs: tuple[str, ...]) -> tuple[str, ...]:
-        return (*ours, *[""] * (width - len(ours)), *theirs, *[""] * (new - len(theirs)))[: width + new]
-
+    places = partner.tolist()
     rows = [
-        [*row, *[""] * (width - len(row)), *(column[k] if k >= 0 else "" for column in cells)]
-        for row, k in zip(sheet.rows, partner.tolist(), strict=True)
+        [*row, *(column[k] if k >= 0 else "" for column in cells)] for row, k in zip(sheet.rows, places, strict=True)
     ]
-    full, units = beside(sheet.full, other.full or names), beside(sheet.units, other.units)
-    return Sheet(sheet.path, sheet.form, beside(sheet.header, names), rows, sheet.lines, full, units, sheet.sure)
+    labels = ((sheet.header, names), (sheet.full, other.full or names), (sheet.units, other.units))
+    header, full, units = ((*_filled(ours, sheet.width), *_filled(theirs, other.width)) for ours, theirs in labels)
+    return Sheet(sheet.path, sheet.form, header, rows, sheet.lines, full, units, sheet.sure)
 
 
 def _partners(sheet: Sheet, other: Sheet, stated: Mapping[str, Any], source: str) -> np.ndarray:
@@ -368,7 +402,7 @@ def cell_value(cell: str, decimal: str = ".") -> float | str:
 
 def index(sheet: Sheet, key: Any) -> int:
     """The number of a column that is given by its label or by its number. Raises BadTable."""
-    if isinstance(key, int) and not isinstance(key, bool) and 0 <= key < max(len(sheet.rows[0]), len(sheet.header)):
+    if isinstance(key, int) and not isinstance(key, bool) and 0 <= key < sheet.width:
         return key
     if key in sheet.header:
         if sheet.header.count(key) > 1:
@@ -376,5 +410,5 @@ def index(sheet: Sheet, key: Any) -> int:
             said = f"has {sheet.header.count(key)} columns {key}"
             raise BadTable(sheet.path.name, said, f"give the number of the one that is meant: {places}")
         return sheet.header.index(key)
-    known = ", ".join(label for label in sheet.header if label) or f"0 to {len(sheet.rows[0]) - 1}"
+    known = ", ".join(label for label in sheet.header if label) or f"0 to {sheet.width - 1}"
     raise BadTable(sheet.path.name, f"has no column {key}", f"columns are {known}")

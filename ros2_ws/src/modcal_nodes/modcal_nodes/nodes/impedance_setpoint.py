@@ -35,6 +35,7 @@ from modcal_nodes.setpoint import (
     task,
 )
 
+_READY = "ready"
 _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes
 _RCLError = rclpy_implementation.RCLError
@@ -147,7 +148,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         """Be ready to pull."""
         self._active = True
         self._timer = self.create_timer(1.0 / self._chosen["rate_hz"], self._tick)
-        self._tell(ros.OK, "ready")
+        self._tell(ros.OK, _READY)
         return super().on_activate(state)
 
     @ros.noted
@@ -362,10 +363,14 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         }
         model = self._object.kind if self._object.model is not None else "none"
         trusted = {"model": model, "trusted": self._object.at(self._now()).trusted}
+        hearing = ros.subscription_status(self._inputs, self._refusals)
+        pull = ros.Status("pull", self._level, self._said, facts)
+        if self._said == _READY and hearing.level != ros.OK:
+            pull = ros.Status("pull", hearing.level, f"not ready: {hearing.message}", facts)
         return [
-            ros.subscription_status(self._inputs, self._refusals),
+            hearing,
             ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "no recent refusal", trusted),
-            ros.Status("pull", self._level, self._said, facts),
+            pull,
         ]
 
 
