@@ -47,9 +47,9 @@ from modcal_msgs_py import (
     stamps_of,
     tag_topics,
 )
-from modcal_nodes.vision.detection import Detection, body_corners, in_order, off_flat, too_few
+from modcal_nodes.vision.detection import Detection, body_corners, detect, in_order, off_flat, too_few
 from modcal_nodes.vision.grey import grey_of
-from modcal_nodes.vision.images import FoundTargets, ImageFolder, lens_from_data, look_for
+from modcal_nodes.vision.images import FoundTargets, ImageFolder, lens_from_data
 
 _MAX = 200  # images that are looked at
 _STANDING = 0.01  # rad/s or m/s, below which a joint stands; a millimetre in a tenth of a second at a metre
@@ -203,7 +203,7 @@ def _boards(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> I
         if grey is None:
             reason, _, remedy = said.partition(": ")
             return Detection(None, reason, remedy), (0, 0), ""
-        return look_for(grey, target, name), (grey.shape[1], grey.shape[0]), said
+        return detect(grey, target, name), (grey.shape[1], grey.shape[0]), said
 
     for received, message in read_messages(bag, topic.topic):
         image = raw_image(message, received)

@@ -27,7 +27,7 @@ from modcal_core.camera import (
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.files import parse_yaml
 from modcal_core.geometry import Array
-from modcal_nodes.vision.detection import Detection, detect, detect_body
+from modcal_nodes.vision.detection import Detection, detect
 
 SCALED = "Images of 16 bits a channel were scaled to 8, each from its own black to its own white."
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
@@ -92,7 +92,7 @@ def read_images(
         grey, why = _read_grey(file)
         if grey is None:
             found.left_out[file.name] = why
-        elif found.take(look_for(grey, target, file.name), file.name, (grey.shape[1], grey.shape[0]), why):
+        elif found.take(detect(grey, target, file.name), file.name, (grey.shape[1], grey.shape[0]), why):
             at.append(place)
     size, same = found.of_one_size(str(folder), len(files))
     q, velocity = (np.stack(part)[same] for part in zip(*at, strict=True))
@@ -135,11 +135,6 @@ class FoundTargets:
                 self.left_out[view.name] = said
         self.views = [view for view, keep in zip(self.views, same, strict=True) if keep]
         return size, same
-
-
-def look_for(grey: np.ndarray, target: PrintedTarget | MarkerBundle, name: str) -> Detection:
-    """The corners of a sheet or of a body's markers in a grey image (h, w) of 8 bits."""
-    return detect_body(grey, target, name) if isinstance(target, MarkerBundle) else detect(grey, target, name)
 
 
 def read_camera_info(path: Path) -> Lens:
