@@ -30,7 +30,7 @@ from modcal_core.camera import (
 )
 from modcal_core.errors import BadRecording, BadTable
 from modcal_core.geometry import Array
-from modcal_core.measurements import Approach, Listed, Recording, spread_rows
+from modcal_core.measurements import Approach, Listed, Recording, joint_stamps_and, spread_rows
 from modcal_msgs_py import (
     CLOUD,
     TAGS,
@@ -135,20 +135,14 @@ class JointLog:
     @classmethod
     def of(cls, recording: Recording, names: Sequence[str]) -> JointLog:
         """Those of these joints in a recording. Raises BadRecording where one was not recorded."""
-        tracks = {name: track for track in recording.joints for name in track.names}
-        for name in names:
-            if name not in tracks:
+        stamps, q = joint_stamps_and(recording, tuple(names), "position")
+        _, efforts = joint_stamps_and(recording, tuple(names), "effort")
+        for name, column in zip(names, q.T, strict=True):
+            if np.isnan(column).all():
                 raise BadRecording(recording.source, f"holds no joint {name}", "record its joint states, or give --tip")
-        first = tracks[names[0]]
-        stamps = np.unique(first.stamps[np.isfinite(first.stamps)])
-        columns, efforts = [], []
-        for name in names:
-            track = tracks[name]
-            order = np.argsort(track.stamps, kind="stable")
-            j = track.names.index(name)
-            columns.append(np.interp(stamps, track.stamps[order], track.position[order, j]))
-            efforts.append(np.interp(stamps, track.stamps[order], track.effort[order, j]))
-        return cls(stamps, np.stack(columns, axis=1), np.stack(efforts, axis=1))
+        stamps, rows = np.unique(stamps, return_index=True)
+        rows = rows[np.isfinite(stamps)]
+        return cls(stamps[: len(rows)], q[rows], efforts[rows])
 
     def known(self, at: Array) -> np.ndarray:
         """Whether joint states stand close around these stamps, (k,)."""
@@ -159,15 +153,15 @@ class JointLog:
 
     def at(self, at: Array) -> tuple[Array, Array]:
         """(positions, velocities) at these stamps, (k, n) each."""
-
-        def sampled(t: Array) -> Array:
-            return np.stack([np.interp(t, self.stamps, column) for column in self.q.T], axis=1)
-
-        return sampled(at), (sampled(at + _BEFORE) - sampled(at - _BEFORE)) / (2.0 * _BEFORE)
+        before, after = (self._sampled(self.q, at + late) for late in (-_BEFORE, _BEFORE))
+        return self._sampled(self.q, at), (after - before) / (2.0 * _BEFORE)
 
     def effort(self, at: Array) -> Array:
         """Efforts at these stamps, (k, n)."""
-        return np.stack([np.interp(at, self.stamps, column) for column in self.efforts.T], axis=1)
+        return self._sampled(self.efforts, at)
+
+    def _sampled(self, columns: Array, at: Array) -> Array:
+        return np.stack([np.interp(at, self.stamps, column) for column in columns.T], axis=1)
 
     def approach(self, at: Array) -> Array:
         """The direction each joint last moved in at these stamps, (k, n)."""
