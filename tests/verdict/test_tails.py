@@ -20,7 +20,7 @@ from modcal_core.report.as_json import to_json_data
 from modcal_core.verdict.floor import Floor, depends_on, floors, returns_of
 from modcal_core.verdict.rejected import too_many
 from modcal_core.verdict.status import MAX_ABOVE_FLOOR
-from modcal_core.verdict.tails import Tail, independent_postures
+from modcal_core.verdict.tails import Tail
 from modcal_core.verdict.verdict import Repeatability
 
 CHAIN = ur10()
@@ -63,13 +63,6 @@ def test_half_of_the_stations_off_do_not_excuse_themselves() -> None:
     wide, narrow = np.trace(case.known.covariance), np.trace(case.with_floor(0.05, 0.014).known.covariance)
     assert narrow < 0.1 * wide
     assert case.with_floor(None, None) is case
-
-
-def test_postures_count_by_their_distance() -> None:
-    samples = record(1, 30).samples
-    assert independent_postures(samples, False, samples) == 30
-    close = replace(samples, q=samples.q[:1] + 1e-3 * np.random.default_rng(0).normal(size=samples.q.shape))
-    assert independent_postures(close, False, close) == 1
 
 
 @pytest.mark.parametrize("fault", ["drift", "late", "order", ""])
