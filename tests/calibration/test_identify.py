@@ -186,11 +186,10 @@ def test_an_orientation_that_says_it_scatters_is_believed_less() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [0, 8])
 def test_known_distances_stand_for_readings(known: int) -> None:
-    samples = record(0, 6).samples  # 36 equations, 1.25 for each parameter are asked for
-    most = int((36 + known) / 1.25)
-    require_enough(samples, most, known)
+    samples = record(0, 6).samples  # 36 equations
+    require_enough(samples, 36 + known, known)
     with pytest.raises(NotEnoughData):
-        require_enough(samples, most + 1, known)
+        require_enough(samples, 37 + known, known)
 
 
 @pytest.fixture(scope="module")
