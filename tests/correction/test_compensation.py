@@ -292,6 +292,11 @@ def test_drifts_are_not_continued_for_ever_and_not_before_they_were_seen(rng: np
     assert not Correction(calibration_of(true_model(started("gear")))).unwatched(5.0)
 
 
+def test_joints_outside_what_was_seen_are_named() -> None:
+    correction = Correction(calibration_of(true_model()))
+    assert correction.unseen(np.array([0.0, 3.05, -3.3, 0.0, 0.0, 6.0])) == ("elbow_joint", "wrist_3_joint")
+
+
 def test_efforts_follow_the_weight_to_where_the_arm_goes(rng: np.random.Generator) -> None:
     """The actuators hold the arm up: what they exert there is predicted from what they exert here."""
     by_effort = Effect("compliance", "elbow_joint", AXIS, "effort:elbow_joint", Shape("linear")).started(

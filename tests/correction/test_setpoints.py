@@ -36,6 +36,18 @@ def test_bounds_are_the_narrower_of_what_is_described_and_calibrated() -> None:
             bounds.require_within(np.full(6, nothing))
 
 
+def test_a_step_is_as_long_as_the_speed_allows() -> None:
+    bounds = Bounds.of((ur10(),), 0.5, 0.1)
+    step = np.zeros(6)
+    step[4] = -0.05
+    bounds.require_step(AT + 0.999 * step, AT, 0.1)
+    with pytest.raises(BadCommand, match="wrist_2_joint"):
+        bounds.require_step(AT + 1.001 * step, AT, 0.1)
+    with pytest.raises(BadCommand):
+        bounds.require_step(np.full(6, np.nan), AT, 0.1)
+    assert bounds.seconds(AT + 10.0 * step, AT) == pytest.approx(1.0)
+
+
 def test_a_change_comes_in_without_a_jump_of_position_or_speed() -> None:
     stream, dt = SetpointStream(), 0.01
     stream.given(np.zeros(1), 0.0)
@@ -119,3 +131,10 @@ def test_a_robot_must_be_the_one_that_was_calibrated() -> None:
     made = calibration_of(true_model(started("gear")))
     with pytest.raises(BadRobot):
         CalibratedRobot.of(made, "<robot name='r'><link name='base_link'/></robot>")
+
+
+def test_a_joint_that_does_not_move_keeps_the_side_it_came_from() -> None:
+    at = ArmState.at_rest([0.1, 0.2, 0.3, 0.4], 5.0, approach=[1.0, -1.0, 1.0, 0.0])
+    there = at.arriving(at.q + [0.0, 0.0, -0.2, 0.3])
+    assert there.approach.tolist() == [1.0, -1.0, -1.0, 1.0]
+    assert np.array_equal(there.velocity, np.zeros(4))

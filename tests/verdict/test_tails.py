@@ -30,8 +30,7 @@ def floor_of(square: float, freedom: float = 0.0) -> Floor:
     return Floor(square, Repeatability(None, "stated"), 0.0, freedom=freedom)
 
 
-@pytest.mark.parametrize("count", [3, 5, 15, 50, 5000])
-@pytest.mark.parametrize("freedom", [0.0, 12.0])
+@pytest.mark.parametrize(("count", "freedom"), [(3, 0.0), (5, 12.0), (50, 0.0), (5000, 12.0)])
 def test_noise_as_large_as_the_floor_is_in_neither_tail(count: int, freedom: float) -> None:
     """Mean squares of what is expected, drawn 500 times, and of floors that are known to a factor."""
     rng = np.random.default_rng(count)
@@ -115,7 +114,7 @@ def test_single_wrong_readings_are_few_at_any_number() -> None:
     assert many(11, 160)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_few_stations_reject_none_that_are_right(seed: int) -> None:
     samples = record(40 + seed, 16).samples
     found = calibrate(samples, CHAIN, np.random.default_rng(0), look_for_effects=False)
