@@ -105,14 +105,6 @@ def test_a_joint_that_is_off_throughout(clean: Samples, column, words: str) -> N
     assert words in said
 
 
-<<<<<<< HEAD
-=======
-@pytest.mark.slow
-def test_the_refusal_names_it(clean: Samples) -> None:
-    with pytest.raises(BadRecording, match="elbow_joint is reported as standing still"):
-        calibrate(with_joint(clean, ELBOW, np.zeros(80)), CHAIN, np.random.default_rng(0), look_for_effects=False)
-
-
 def test_a_target_of_its_own_in_each_frame_is_named_in_the_refusal(clean: Samples) -> None:
     frame = np.arange(80) % 2
     offset = frame[:, None] * [0.2, 0.1, 0.0]
@@ -123,7 +115,6 @@ def test_a_target_of_its_own_in_each_frame_is_named_in_the_refusal(clean: Sample
         calibrate(two, CHAIN, np.random.default_rng(0), look_for_effects=False)
 
 
->>>>>>> 3fb0c4bf27942fd1f19bf004b60d7e420bfd3ac8
 def test_points_in_millimetres_for_a_part() -> None:
     points = record(12, 80, "point").samples
     said = found(replace(points, reading=points.reading * np.where(LATER, 1e3, 1.0)[:, None]))
