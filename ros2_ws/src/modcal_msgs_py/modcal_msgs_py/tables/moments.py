@@ -70,20 +70,23 @@ def stamps_of(table: Table, time: Mapping[str, Any], clock: float) -> tuple[Arra
 _FINER = re.compile(r"([.,]\d{6})\d+")  # nanoseconds
 
 
-def _moment(cell: str, form: str) -> float:
-    """Seconds since 1970. Raises ValueError and the like for what is not in this format."""
-    moment = datetime.strptime(_FINER.sub(r"\1", cell), form)
-    if moment.year == 1900:  # a time of day without a date
-        moment = moment.replace(year=1970)
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+def _moment(cell: str, form: str) -> float | None:
+    """Seconds since 1970; None for what is not in this format."""
+    try:
+        moment = datetime.strptime(_FINER.sub(r"\1", cell), form)
+        if moment.year == 1900:  # a time of day without a date
+            moment = moment.replace(year=1970)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, IndexError, KeyError, OverflowError, re.error):
+        return None
 
 
 def _dates(table: Table, column: Any, form: str) -> Array:
     out = np.full(len(table), np.nan)
     for i, cell in enumerate(table.text(column)):
-        try:
-            out[i] = _moment(cell, form) if cell else np.nan
-        except (ValueError, IndexError, KeyError, OverflowError, re.error):
+        if (moment := _moment(cell, form)) is not None:
+            out[i] = moment
+        elif cell:
             table.bad(i, column, f"'{cell[:40]}' is not {form}", form)
     return out
 
@@ -141,7 +144,7 @@ def _dates_of_rows(numbers: Numbers, columns: tuple[int, ...]) -> RowTimes | Non
         return None
     fits: list[str] = []
     for form, signs in _formats():
-        if set(signs) <= set(cells[0]) and all(_reads(cell, form) for cell in cells):
+        if set(signs) <= set(cells[0]) and all((_moment(cell, form) or 0.0) > 0.0 for cell in cells):
             fits.append(form)
     if not fits:
         return None
@@ -151,13 +154,6 @@ def _dates_of_rows(numbers: Numbers, columns: tuple[int, ...]) -> RowTimes | Non
     also = f" ({other} would read them, too)" if other else ""
     said = f"{names} holds the time, as {fits[0]}{also}, in UTC"
     return RowTimes({"column": keys[0] if len(keys) == 1 else keys, "format": fits[0]}, columns, said)
-
-
-def _reads(cell: str, form: str) -> bool:
-    try:
-        return _moment(cell, form) >= 0.0
-    except (ValueError, OverflowError):
-        return False
 
 
 def _seconds(numbers: Numbers, k: int) -> RowTimes | None:

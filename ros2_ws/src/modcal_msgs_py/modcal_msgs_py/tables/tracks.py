@@ -95,10 +95,8 @@ def _labelled(path: Path, line: int) -> TextTrack:
     named = grouped(read, "position")
     if len(named) != 1:
         shown = ", ".join(numbers.shown(place[0]) for place in named)
-        said = "has no columns x, y and z by its labels"
-        if named:
-            said = f"has {len(named)} positions by its labels ({shown})"
-        raise BadTable(str(path), said, "give one: columns x, y, z, and qx, qy, qz, qw for rotations")
+        said = f"{len(named)} positions by its labels ({shown})" if named else "no columns x, y and z by its labels"
+        raise BadTable(str(path), f"has {said}", "give one: columns x, y, z, and qx, qy, qz, qw for rotations")
     units = {free[k].unit for k in named[0]}
     unit = units.pop() or "m" if len(units) == 1 else ""
     if unit not in ("m", "cm", "mm", "in"):
