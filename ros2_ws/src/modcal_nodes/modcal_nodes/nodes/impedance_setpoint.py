@@ -234,8 +234,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Let go of what is pulled, and pull no more; answered when that is done."""
-        response.success = True
-        response.message = "nothing was pulled"
+        response.success, response.message = True, "nothing was pulled"
         if self._operation is not None:
             self._let_go("stopped as asked")
             response.message = self._said
@@ -360,10 +359,8 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
             "tick ms, median": f"{took[0]:.2f}",
             "tick ms, 99 %": f"{took[1]:.2f}",
         }
-        trusted = {
-            "model": self._object.kind if self._object.model is not None else "none",
-            "trusted": self._object.at(self._now()).trusted,
-        }
+        model = self._object.kind if self._object.model is not None else "none"
+        trusted = {"model": model, "trusted": self._object.at(self._now()).trusted}
         hearing = ros.subscription_status(self._inputs, self._refusals)
         deaf = self._said == "ready" and hearing.level != ros.OK
         said = f"not ready: {hearing.message}" if deaf else self._said
