@@ -133,10 +133,8 @@ def _framed(numbers: Numbers, found: Sequence[tuple[str, tuple[int, ...]]]) -> I
         anonymous = not stem or (kind != BEARING and (stem[0].isdigit() or len(stem) == 1))
         shared = kind == RANGE and ((stem or "station"), BEARING) in seen
         first = f"{_FRAMES[kind]}_{stem}".rstrip("_") if anonymous and not shared else stem or "station"
-        name = first
-        count = 2
-        while (name, kind) in seen:
-            name, count = f"{first}_{count}", count + 1
+        names = (first, *(f"{first}_{k}" for k in range(2, len(found) + 2)))
+        name = next(name for name in names if (name, kind) not in seen)
         seen.add((name, kind))
         yield SightColumns(name, kind, columns)
 
