@@ -66,10 +66,7 @@ _ORDERS = 6  # of columns without labels that are judged in full
 _MAX_BODIES = 10  # that are judged where labels do not tell
 _MAX = 300  # rows that meanings are judged by
 _NO_ARM = "no columns are found that could be the joints of this arm and the position of a target on it"
-_CHECK = (
-    "check --urdf, --base and --tip, and that joints and readings of a row belong together, or write a mapping: "
-    "docs/import.md"
-)
+_CHECK = "check --urdf, --base, --tip and that rows hold joints and readings of one station, or write a mapping"
 _WIDTH = 116  # of comments
 
 Watch = Callable[[str], None]

@@ -298,7 +298,9 @@ def _laid_out(path: Path, text: str, form: Form, least: int) -> Sheet:
         above -= 1
     stacked = [_labels(cells, width) for cells in every[above:first]]
     units_rows = 0
-    while units_rows < len(stacked) - 1 and _are_units(stacked[-1 - units_rows]):
+    for cells in stacked[:0:-1]:
+        if not any(cells) or not all(_UNIT.fullmatch(cell) for cell in cells):
+            break
         units_rows += 1
     named = stacked[len(stacked) - 1 - units_rows] if stacked else _names(every[first])
     if stacked and len(named) not in (width, width - 1):
@@ -310,11 +312,6 @@ def _laid_out(path: Path, text: str, form: Form, least: int) -> Sheet:
     rows = _even(every[first:], named)
     units = _stacked([*stacked[len(upper) + 1 :], _units_of_cells(path, rows, sign)], width)
     return Sheet(path, form, named, rows, [line for line, _ in table[first:]], full, units)
-
-
-def _are_units(cells: tuple[str, ...]) -> bool:
-    filled = [cell for cell in cells if cell]
-    return bool(filled) and all(_UNIT.fullmatch(cell) for cell in cells)
 
 
 def _stacked(rows: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
@@ -344,9 +341,8 @@ def joined(sheet: Sheet, stated: Mapping[str, Any], folder: Path, source: str, o
     cells = [other.column(k) for k in range(other.width)]
     if other.form.decimal != sheet.form.decimal:
         cells = [[cell.replace(other.form.decimal, sheet.form.decimal) for cell in column] for column in cells]
-    places = partner.tolist()
     rows = [
-        [*row, *(column[k] if k >= 0 else "" for column in cells)] for row, k in zip(sheet.rows, places, strict=True)
+        [*row, *(column[k] if k >= 0 else "" for column in cells)] for row, k in zip(sheet.rows, partner, strict=True)
     ]
     labels = ((sheet.header, names), (sheet.full, other.full or names), (sheet.units, other.units))
     header, full, units = ((*_filled(ours, sheet.width), *_filled(theirs, other.width)) for ours, theirs in labels)

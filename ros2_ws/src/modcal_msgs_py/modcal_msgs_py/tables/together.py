@@ -55,9 +55,7 @@ def _joined(known: Together, other: Sheet, path: Path) -> Iterator[Together]:
         how += "" if within is None else f", the nearest within {within:g}"
         options.append(({"by": {ours.key(a): theirs.key(b)}, **near}, how))
     if len(known.sheet.rows) == len(other.rows):
-        how = (
-            f"rows of {path.name} belong to those of {known.sheet.path.name} in their order, as the arm's fit bears out"
-        )
+        how = f"rows of {path.name} belong to those of {known.sheet.path.name} in their order, as the fit bears out"
         options.append(({"by": "row"}, how))
     for by, how in options:
         stated = {"files": path.name, **form, **by}
