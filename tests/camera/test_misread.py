@@ -11,7 +11,7 @@ from camera.bodies import Faults, body_scene, icosahedron, measured
 from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.corners import COMMON, CornerTable
 from modcal_core.camera.outlook import left_out_points
-from modcal_core.camera.prepared import far_markers, prepare_images, together
+from modcal_core.camera.prepared import far_markers, fitted, prepare_images, together
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
@@ -69,10 +69,10 @@ def test_a_marker_far_from_where_the_others_have_it(corners: bool) -> None:
     s = body_scene(11, 40, 1, Faults(misread=0.0, late=0), corners, drawing=measured(icosahedron()))
     (images,) = together((s.images[0],))
     ready = prepare_images(s.chain, images)
-    fit = ready.fitted(fixed_sizes=True)
+    fit = fitted(ready, fixed_sizes=True)
     assert not far_markers(fit).any()
-    K, values = ready.table.markers, ready.table.places
-    used = np.flatnonzero(np.bincount(ready.table.marker, minlength=K) > 5)
+    K, values = fit.table.markers, fit.table.places
+    used = np.flatnonzero(np.bincount(fit.table.marker, minlength=K) > 5)
     places = np.zeros((K, values))
     places[:, :3] = 3e-4 * np.random.default_rng(6).standard_normal((K, 3))
     for off_m, far in ((3e-3, []), (0.026, [int(used[2])])):
@@ -84,6 +84,6 @@ def test_a_marker_far_from_where_the_others_have_it(corners: bool) -> None:
         motion[:, :3, 3:] = -so3.hat(middles)
         motion[:, 3:, 3:] = np.eye(3)[: values - 3]
         by = np.linalg.lstsq(motion.reshape(-1, 6), there.ravel(), rcond=None)[0]
-        common = np.r_[fit.state.common[:COMMON], there.ravel() - motion.reshape(-1, 6) @ by]
-        moved = replace(fit.state, common=common)
-        assert list(np.flatnonzero(far_markers(replace(fit, state=moved)))) == far
+        x = fit.x.copy()
+        x[fit.common[COMMON:]] = there.ravel() - motion.reshape(-1, 6) @ by
+        assert list(np.flatnonzero(far_markers(replace(fit, x=x)))) == far

@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-import pytest
 from cells import record, samples_of
 from numpy.random import Generator
 
@@ -137,12 +136,6 @@ def test_a_reading_in_a_frame_that_is_not_known_is_counted() -> None:
     assert supervisor.live is not None
     assert supervisor.live.strange == 5
     assert supervisor.live.estimator.taken == 0
-
-
-@pytest.mark.parametrize(("before", "after", "better"), [(1.0, 0.5, True), (1.0, 1.0, False), (0.5, 1.0, False)])
-def test_better_is_surely_better(before: float, after: float, better: bool, rng: Generator) -> None:
-    errors = [scale * np.abs(rng.standard_normal(40)) for scale in (before, after)]
-    assert compared(*errors).better is better
 
 
 def test_equal_models_are_hardly_ever_called_better(rng: Generator) -> None:

@@ -139,17 +139,6 @@ def bend(angle: float) -> Chain:
     return ur10().with_origins(origins)
 
 
-def test_a_slide_between_nearly_parallel_axes_is_no_obstacle() -> None:
-    """A slide has a direction and no place, so its row needs no far normal."""
-    origins = np.tile(np.eye(4), (3, 1, 1))
-    origins[1] = se3.exp([0.3, 0.2, 0, 1e-4, 0, 0])
-    origins[1, :3, 3] = [0.3, 0.2, 0.1]
-    for revolute in ([True, False], [False, True]):
-        chain = Chain.build(["a", "b"], origins, revolute=revolute)
-        assert_same(from_dh(to_dh(chain)), chain, 1e-12)
-        assert_same(from_mdh(to_mdh(chain)), chain, 1e-12)
-
-
 def test_cpc_passes_smoothly_through_parallel() -> None:
     """Bending an axis by an angle changes the table by that much, where DH needs another table altogether."""
 

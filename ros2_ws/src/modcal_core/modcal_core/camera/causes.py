@@ -22,9 +22,10 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from modcal_core.calibration import Model, RowView
+from modcal_core.camera.cameras import Cameras
 from modcal_core.camera.corners import POSE, CornerTable
-from modcal_core.camera.fit import CameraFit, camera_rows, equations_at, fit_camera
-from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, NumberBank, Scanner, Space, choose
+from modcal_core.camera.fit import CameraFit, fit_cameras
+from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, Scanner, Space, choose
 from modcal_core.effects import AXIS, Drivers, Effect, candidates
 from modcal_core.geometry import Array
 
@@ -66,22 +67,11 @@ class CameraScanner(Scanner):
             self._known = fit, _space(fit, self.drivers)
         return self._known[1]
 
-    def information(self, fit: WithModel, effect: Effect) -> float:
-        """What the images say of an effect's one amplitude, as the inverse of a variance, all else being fitted."""
-        space = self.space_of(fit)
-        keys, numbers = self._factor(effect)
-        gram, _ = self._gram(NumberBank((effect,), keys, numbers[None]), space)
-        return max(float(gram[0, 0, 0]), 0.0)
-
 
 def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
     fit = asked.fit
     if len(asked.model.effects) > len(fit.poses.model.effects):  # more than were fitted: to look ahead
-        poses = fit.poses.with_effects(asked.model.effects)
-        parameters, own = np.split(fit.state.values, [len(poses.parameters)])[0], fit.state.values[fit.poses.of_model :]
-        values = np.concatenate([parameters, *(e.values for e in asked.model.effects), own])
-        state = replace(fit.state, values=values)
-        fit = replace(fit, poses=poses, state=state, equations=equations_at(fit.table, poses, fit.prior, state))
+        fit = _looking_ahead(fit, asked.model.effects)
     solved = fit.equations.solve(fit.sizes)
     moved = fit.equations.cameras[0].moved
     E = solved.of_views
@@ -90,7 +80,9 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
     L = np.linalg.cholesky(E[:, :, :POSE] + (_ONLY_ROUNDING * size)[:, None, None] * np.eye(POSE))
     white = np.swapaxes(L, 1, 2)
     beside = np.linalg.solve(L, E[:, :, POSE:])  # by lens and sheet, and the residual
-    rows = np.concatenate([white @ moved, beside[:, :, :-1]], axis=2)[:, :, solved.use].transpose(1, 0, 2)
+    rows = np.zeros((N, POSE, len(fit.x)))
+    rows[:, :, fit.equations.cameras[0].columns] = np.concatenate([white @ moved, beside[:, :, :-1]], axis=2)
+    rows = rows[:, :, solved.use].transpose(1, 0, 2)
     # a root of all that stands beside these rows is left out below them: lens and sheet, other instruments, the prior
     scale = 1.0 / np.sqrt(np.diag(solved.H))
     root = np.linalg.cholesky(solved.H * np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
@@ -154,7 +146,7 @@ def find_causes(
             break
         progress(choice.effect.label)
         started = choice.effect.started(scanner.amplitudes(asked, choice.effect))  # type: ignore[arg-type]
-        better = _with(fit, started)
+        better = fit_cameras(*_with_effects(fit, (*_valued(fit), started)), fit.sizes)
         gain = fit.misfit - better.misfit
         if better.converged and gain > _GAIN and predicted(better) < predicted(fit):
             causes.append(
@@ -179,20 +171,26 @@ def _valued(fit: CameraFit) -> tuple[Effect, ...]:
     return tuple(out)
 
 
-def _with(fit: CameraFit, effect: Effect) -> CameraFit:
-    """Everything fitted again, with one more effect."""
-    poses = fit.poses.with_effects((*_valued(fit), effect))
-    begin = replace(fit.state, values=np.insert(fit.state.values, fit.poses.of_model, effect.values))
-    return fit_camera(fit.table, poses, fit.prior, begin, fit.sizes)
+def _with_effects(fit: CameraFit, effects: Sequence[Effect]) -> tuple[Cameras, Array]:
+    """(the cameras with these effects, all values there). The values of effects are those that they have."""
+    before, behind = len(fit.poses.parameters), fit.poses.count
+    x = np.concatenate([fit.x[:before], *(e.values for e in effects), fit.x[behind:]])
+    return fit.cameras.with_effects(effects), x
+
+
+def _looking_ahead(fit: CameraFit, effects: Sequence[Effect]) -> CameraFit:
+    """The fit with more effects, nothing fitted again."""
+    cameras, x = _with_effects(fit, effects)
+    return replace(fit, cameras=cameras, x=x, equations=cameras.equations(x))
 
 
 def _unseen(fit: CameraFit, part: int) -> tuple[np.ndarray, CornerTable, Array]:
     """(every fourth image, mask (N,); its corners; how far these are from where a fit of the others has them [px])."""
-    held = np.arange(fit.table.views) % _PARTS == part
-    table, poses = fit.table.select(held), fit.poses.select(held)
-    others = fit.table.select(~held), fit.poses.select(~held)
-    state = fit_camera(*others, fit.prior, fit.state, fit.sizes, fixed_sizes=True).state
-    return held, table, camera_rows(table, poses, state, np.empty(0, int)).pixels
+    first = fit.cameras.first
+    held = np.arange(first.table.views) % _PARTS == part
+    others = fit_cameras(fit.cameras.with_first(first.select(~held)), fit.x, fit.sizes, fixed_sizes=True)
+    unseen = first.select(held)
+    return held, unseen.table, unseen.rows(others.state, np.empty(0, int)).pixels
 
 
 def held_out(*fits: CameraFit) -> tuple[float, ...]:
@@ -236,27 +234,22 @@ def hidden_springs(fit: CameraFit) -> tuple[HiddenSpring, ...]:
     """For each joint that gravity loads and of which no spring was found, the softest that images do not show, those
     that move the tool most first; nothing where the arm's masses are unknown, or there are too few images to look.
     """
-    drivers = fit.poses.drivers(fit.state.offset_s)
-    chain = fit.poses.model.chain
-    found = {e.driver for e in fit.poses.model.effects}
-    effects = [
-        e
-        for e in candidates(drivers)
-        if e.driver == f"load:{e.place}" and e.driver not in found and (e.direction, e.shape.kind) == (AXIS, "linear")
-    ]
-    if not effects:
-        return ()
-    scanner = CameraScanner(effects, drivers)
-    asked = WithModel(fit, fit.poses.model_at(fit.state.values))
-    if not scanner.enough(asked):  # type: ignore[arg-type]
+    drivers, chain = fit.poses.drivers(fit.state.offset_s), fit.poses.model.chain
+    known = _valued(fit)
+    found = {e.driver for e in known}
+    springs = [e for e in candidates(drivers) if e.driver == f"load:{e.place}" and e.driver not in found]
+    springs = [e for e in springs if (e.direction, e.shape.kind) == (AXIS, "linear")]
+    if not springs or fit.table.views < _ENOUGH:
         return ()
     T = fit.poses.tool_at(fit.state.values)
     joints = fit.at_flange(T, fit.poses.own_motions(fit.state.values, T))
     out = []
-    for effect in effects:
-        information = scanner.information(asked, effect)
+    for spring in springs:
+        equations = _looking_ahead(fit, (*known, spring.started(np.zeros(1)))).equations
+        at = fit.poses.count  # behind all other values of the arm
+        information = 1.0 / equations.solve(fit.sizes).covariance()[at, at] - equations.information[at, at]
         if information > 0.0:
-            least = _SEEN / np.sqrt(information)
-            moved = joints[:, :, chain.names.index(effect.place)] * drivers.values(effect.driver)[:, None]
-            out.append(HiddenSpring(effect.place, float(least), float(least * np.sqrt((moved**2).sum() / len(T)))))
+            least = _SEEN / float(np.sqrt(information))
+            moved = joints[:, :, chain.names.index(spring.place)] * drivers.values(spring.driver)[:, None]
+            out.append(HiddenSpring(spring.place, least, least * float(np.sqrt((moved**2).sum() / len(T)))))
     return tuple(sorted(out, key=lambda one: -one.at_tool_m))

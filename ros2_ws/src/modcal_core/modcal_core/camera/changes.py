@@ -24,10 +24,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.linalg
 
+from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.bundle import BoardView, PrintedTarget
 from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.equations import ALONE, CameraRows, SolvedEquations, stops_of
-from modcal_core.camera.fit import CameraFit, camera_rows
+from modcal_core.camera.fit import CameraFit
 from modcal_core.geometry import Array
 
 WORLD, TIP = "world", "tip"  # halves that may be moved: that in the world, and that on the arm
@@ -42,37 +43,36 @@ _LEAST = 1e-3  # relative; lenses breathe by more than that when they focus agai
 
 @dataclass(frozen=True)
 class FoundChange:
-    """From the image with index ``at`` on, the half in the world (in_world) or on the arm is elsewhere, or the camera
-    has another focal length.
+    """From the image with index ``at`` on, camera or target is elsewhere, or the camera has another focal length.
 
-    gain: of −2 log likelihood. shift_m, turn_rad: by how much, 0 of a focal length. focal: relative change of the focal
-    length, 0 where something was moved. each: whether it differs from image to image instead, by ``focal`` RMS.
+    what: which of the two. gain: of −2 log likelihood. shift_m, turn_rad: by how much, 0 of a focal length. focal:
+    relative change of the focal length, 0 where something was moved. each: whether it differs from image to image
+    instead, by ``focal`` RMS.
     """
 
     gain: float
-    in_world: bool
+    what: str
     at: int = 0
     shift_m: float = 0.0
     turn_rad: float = 0.0
     focal: float = 0.0
     each: bool = False
 
-    def sentence(self, fit: CameraFit, whose: str = "") -> str:
-        """The finding as a sentence. fit: that it was found in. whose: suffix that names the camera of several."""
+    def sentence(self, names: Sequence[str], whose: str = "") -> str:
+        """The finding as a sentence. names: of the images. whose: suffix that names the camera of several."""
         if self.each:
             return (
                 f"The camera's focal length differs from image to image{whose}, by {100.0 * self.focal:.2g} % RMS: "
                 "switch autofocus and digital zoom off, and take images again that are neither cropped nor scaled."
             )
-        name, then = fit.table.names[self.at], "calibrate from the images before, or from those after"
+        name, then = names[self.at], "calibrate from the images before, or from those after"
         if self.focal:
             return (
                 f"The camera{whose} has another focal length from image {name} on, by {100.0 * self.focal:+.1f} %: "
                 f"switch autofocus off, leave focus and zoom alone, and {then}."
             )
-        what = "target" if self.in_world == fit.poses.camera_on_tip else "camera"
         return (
-            f"The {what}{whose} was moved before image {name}, by {1e3 * self.shift_m:.1f} mm and "
+            f"The {self.what}{whose} was moved before image {name}, by {1e3 * self.shift_m:.1f} mm and "
             f"{np.degrees(self.turn_rad):.2f}°: {then}."
         )
 
@@ -140,8 +140,13 @@ def of_twist(rows: CameraRows, twists: Array) -> Array:
     return out
 
 
+def half_name(poses: ArmPoses, half: str) -> str:
+    """Whether this half is the camera or the target."""
+    return "camera" if (half == TIP) == poses.camera_on_tip else "target"
+
+
 def find_change(fit: CameraFit) -> FoundChange | None:
-    """The likeliest change among the images of a fit, None if none is beyond doubt."""
+    """The likeliest change among the images of the first camera of a fit, None if none is beyond doubt."""
     # a camera that was moved would put the others' images of the same stops elsewhere as well
     cameras = tuple(replace(one, stop=np.full(len(one.stop), ALONE)) for one in fit.equations.cameras)
     fit = replace(fit, equations=replace(fit.equations, cameras=cameras))
@@ -156,7 +161,7 @@ def find_change(fit: CameraFit) -> FoundChange | None:
         Change({0: of_twist(rows, moved)}, _USUAL, order, half=half, places=T[:, :3, 3])
         for half, moved in zip((WORLD, TIP), fit.poses.half_motions(T), strict=True)
     ]
-    changes += [Change({0: wider}, _USUAL_FOCAL, order), Change({0: wider}, _USUAL_FOCAL, order, each=True)]
+    changes += [Change({0: wider}, _USUAL_FOCAL, order, each=each) for each in (False, True)]
     solved, places = fit.equations.solve(fit.sizes), np.arange(_EDGE, N - _EDGE + 1)
     screened = [(one, *one.best(solved, places)[:2]) for one in changes]
     weighed = [(one, at, *one.weighed(fit, np.array([at]))) for one, gain, at in screened if gain >= _SCREEN]
@@ -166,14 +171,14 @@ def find_change(fit: CameraFit) -> FoundChange | None:
         if gain < _GAIN:
             break
         if one.half:
-            return FoundChange(gain, one.half == WORLD, at, *one.size(x))
+            return FoundChange(gain, half_name(fit.poses, one.half), at, *one.size(x))
         if one.each:
             apart = wider.copy()
             apart[:, POSE + 1] *= -1.0
             shape = replace(one, columns={0: apart})
             if x[0] < _LEAST or shape.weighed(fit, places)[0] - misfit < _GAIN:
                 continue
-        return FoundChange(gain, not fit.poses.camera_on_tip, at, focal=float(x[0]), each=one.each)
+        return FoundChange(gain, "camera", at, focal=float(x[0]), each=one.each)
     return None
 
 
@@ -220,10 +225,9 @@ class CameraWatch:
     def __init__(self, fit: CameraFit, target: PrintedTarget) -> None:
         """fit: the calibration, of one camera or several. target: as it was calibrated with, by all of them."""
         self._fit, self._target = fit, target
-        # poses, state, and where each parameter stands among those of all
-        self._cameras = {"": (fit.poses, fit.state, np.arange(len(fit.covariance)))}
-        for one, columns, state in fit.poses.further_at(fit.state):
-            self._cameras[one.name] = one.poses, state, columns
+        every = zip(fit.cameras.every, fit.states, fit.cameras.columns, strict=True)
+        # the camera, its state, and where each value stands among those of all
+        self._cameras = {one[0].given.name if k else "": one for k, one in enumerate(every)}
         known, information = fit.equations.solve(fit.sizes), np.zeros_like(fit.covariance)
         information[np.ix_(known.use, known.use)] = known.H
         known_only = replace(fit.equations, beside=None, faults=None, places=None)
@@ -281,13 +285,14 @@ class CameraWatch:
         rows: list[CameraRows] = []
         tools = []
         for camera in dict.fromkeys(one.camera for one in seen):
-            own, (poses, state, columns) = [one for one in seen if one.camera == camera], self._cameras[camera]
-            at = poses.at_postures(np.stack([one.q for one in own]))
-            here = camera_rows(CornerTable.of([one.view for one in own], self._target), at, state, columns)
+            own, (known, state, columns) = [one for one in seen if one.camera == camera], self._cameras[camera]
+            at = known.poses.at_postures(np.stack([one.q for one in own]))
+            table = CornerTable.of([one.view for one in own], self._target)
+            here = replace(known, table=table, poses=at).rows(state, columns)
             T = at.tool_at(state.values)
             label = "camera" if len(self._cameras) == 1 else f"camera {camera}" if camera else "first camera"
             for half, twists in zip((WORLD, TIP), at.half_motions(T), strict=True):
-                name = label if (half == TIP) == poses.camera_on_tip else "target"
+                name = label if half_name(at, half) == "camera" else "target"
                 halves.setdefault((half, name), {})[len(rows)] = of_twist(here, twists)
             rows.append(replace(here, stop=np.array([one.stop for one in own])))
             tools.append(T[:, :3, 3])
