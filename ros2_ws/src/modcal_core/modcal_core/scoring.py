@@ -7,24 +7,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import (
+    FITTED,
     Calibration,
     Errors,
     KnownDistance,
+    Model,
     distances_of,
     errors,
     finalise,
     identifiability,
+    identify,
     places_of,
     readmitted,
     rejected,
     right_after_all,
     runs_of,
+    uncertainty_of,
+    without,
 )
 from modcal_core.claim import Claim, claim_at_tool, settled
 from modcal_core.diagnosis import located
 from modcal_core.measurements import Samples
 from modcal_core.outcome import (
-    Finding,
     Outcome,
     Step,
     description_note,
@@ -43,7 +47,6 @@ from modcal_core.verdict import (
     TOGETHER,
     Applied,
     Grounds,
-    Verdict,
     carried_over,
     contradictions,
     fitted_case,
@@ -54,7 +57,7 @@ from modcal_core.verdict import (
     with_places,
 )
 
-_LOST = 0.1  # of the samples; where more are rejected beside a rest that is predictable, no cause is proved
+_TIMES = 2.0  # that the model with effects misses a reading by more than geometry alone, where the reading is right
 
 
 @dataclass(frozen=True)
@@ -67,10 +70,39 @@ class _Scored:
     distances: tuple[KnownDistance, ...]
 
 
+def supported(task: Task, fits: Fits) -> Fits:
+    """The fits without effects that readings not used speak against: what is carried over is never worse than geometry.
+
+    All held-out readings count but those that both reject: one that only effects miss is a test of them.
+    """
+    final, alone, sets, distances = fits.final, fits.geometric, task.sets, task.cell.distances
+    first = len(alone.model.effects)
+    strays = [rejected(fit, task.samples, sets.train, distances)[sets.held_out] for fit in (alone, final)]
+    counted = task.held_out.select(~(strays[0] & strays[1]))
+
+    def missed(model: Model) -> float:
+        return float(np.mean(errors(model, counted).position_norm ** 2)) if len(counted) else np.nan
+
+    most, own = missed(alone.model), missed(final.model)
+    if len(final.model.effects) == first or not own > most:
+        return fits
+    known = uncertainty_of(final, task.samples, sets.train, distances)
+    effects = final.model.effects
+    kept = [i for i in range(len(effects)) if i < first or missed(without(final.model, known, [i])) > own]
+    start = final.start.with_effects(tuple(effects[i] for i in kept))
+    fit = identify(start, task.train, final.parameters, distances, tolerance=FITTED, begin=final.values)
+    if missed(fit.model) > most:
+        fit, kept = alone, kept[:first]
+    causes = tuple(cause for i, cause in enumerate(fits.diagnosis.causes) if i in kept)
+    return replace(fits, final=fit, diagnosis=replace(fits.diagnosis, fit=fit, causes=causes))
+
+
 def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
     """The outcome on held-out samples, and the calibration to ship."""
     samples, sets, cell, final = task.samples, task.sets, task.cell, fits.final
     wrong = rejected(final, samples, sets.train, cell.distances)
+    alone, own = (errors(fit.model, samples).position_norm for fit in (fits.geometric, final))
+    wrong &= ~(_TIMES * alone < own)  # geometry alone fits them: it is the effects that miss them
     if wrong[sets.held_out].all():  # then it is the model that misses them
         wrong[sets.held_out] = False
     accepted = task.held_out.select(~wrong[sets.held_out])
@@ -85,10 +117,10 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
     case = fitted_case(final, samples, sets, wrong, left, cell.distances)
     judged = with_places(judge(case, grounds, cell.stated), case, described=task.chain)
     found = (
-        *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case),
+        *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case, judged.source),
         *load_findings(fits.loads, final.model, accepted),
     )
-    proved = tuple(finding for finding in found if finding.shown and not _hidden(finding, judged, left["final"], wrong))
+    proved = tuple(finding for finding in found if finding.shown)
     unproved = tuple(finding for finding in found if finding not in proved)
     outcome = Outcome(
         samples=samples,
@@ -127,17 +159,6 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
         claim=claim,
     )
     return outcome, shipped
-
-
-def _hidden(finding: Finding, judged: Verdict, final: Errors, wrong: np.ndarray) -> bool:
-    """Whether what the model lacks may be what an effect stands for: it brings less than what is surely predictable of
-    the rest, or so many stations were rejected that the rest is none of what was looked for.
-    """
-    if not judged.predicted or judged.predictable is None or finding.gain_mm2 is None:
-        return False
-    if any(reason.kind == "rejected" for reason in judged.reasons) and wrong.mean() > _LOST:
-        return True
-    return finding.gain_mm2 < judged.predictable.share * 1e6 * float(np.mean(final.position_norm**2))
 
 
 def _shipped(task: Task, fits: Fits, wrong: np.ndarray) -> tuple[Calibration, Claim, np.ndarray, Applied]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modcal_core.calibration import REJECT_Z, Errors, Fit, Model, beyond_normal, errors, outlying
-from modcal_core.diagnosis import Diagnosis, Loads, by_weight
+from modcal_core.diagnosis import Cause, Diagnosis, Loads, by_weight, one_motion_names
 from modcal_core.effects import (
     ALL,
     AXIS,
@@ -32,7 +32,7 @@ from modcal_core.effects import (
 from modcal_core.effects.families import outliers, payload
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.robots import Mechanism
-from modcal_core.verdict import Case, left_without, resampled
+from modcal_core.verdict import Case, Proofs, left_without, resampled
 
 
 def parameters(effects: Sequence[Effect], chain: Mechanism, companions: Sequence[Effect] = ()) -> Sizes:
@@ -51,9 +51,9 @@ def parameters(effects: Sequence[Effect], chain: Mechanism, companions: Sequence
 def _in_rows(sizes: Sizes, samples: Samples) -> Sizes:
     """Sizes with rows for seconds, where stamps only count rows."""
     gaps = np.diff(np.unique(samples.stamps))
-    if samples.clock or not len(gaps) or np.ptp(gaps) > 1e-6 * gaps[0]:
+    if samples.clock or not len(gaps):
         return sizes
-    row, out = float(gaps[0]), dict(sizes)
+    row, out = float(np.median(gaps)), dict(sizes)
     for name, (value, std, unit) in sizes.items():
         if unit == "s":
             out[name] = value / row, std / row, "rows"
@@ -78,7 +78,9 @@ class Finding:
     """One entry. effects: what it consists of, fitted to all samples (a gear may have several lines). before, after:
     RMS error on held-out without it and with it [m], all else in the final model. gain_mm2, ci95: mean square that its
     removal costs on held-out [mm²], with the 95 % interval over stations; None where there is nothing to remove. tool:
-    RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with.
+    RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with. proved: whether other
+    partitions of the stations, and other places and drivers, let it be named. instead:
+    what takes its place where they do not.
     """
 
     family: str
@@ -95,12 +97,15 @@ class Finding:
     ci95: tuple[float, float] | None = None
     tool: float | None = None
     sampled: int = 0
+    proved: bool = True
+    instead: tuple[str, ...] = ()
 
     @property
     def shown(self) -> bool:
-        """Whether held-out stations show that it brings something."""
+        """Whether it may be named as a cause: stations that were not used show that it brings something."""
         # large moves were let in by what positions and orientations of unseen stations gain together
-        return self.ci95 is None or self.ci95[0] > 0.0 or any(is_large_move(effect) for effect in self.effects)
+        let_in = any(is_large_move(effect) for effect in self.effects)
+        return self.proved and (self.ci95 is None or self.ci95[0] > 0.0 or let_in)
 
     @property
     def chance(self) -> str:
@@ -116,15 +121,12 @@ class Finding:
         entry = ReportEntry(self.place, self.direction, self.driver, self.parameters, self.same_as)
         said = family_named(self.family).sentence(entry)
         moved = f" (it moves the tool by {1e3 * self.tool:.3f} mm RMS)" if self.tool is not None else ""
-        return f"{said}; {self._gain}{moved}.{self._rivals}"
-
-    @property
-    def _rivals(self) -> str:
         if not self.same_as:
-            return ""
+            return f"{said}; {self._gain}{moved}."
         more = len(self.same_as) - _TOLD
-        others = "; ".join(self.same_as[:_TOLD]) + (f"; and {more} more" if more > 0 else "")
-        return f" These readings do not tell it from: {others}."
+        others = "; ".join(self.same_as[:_TOLD]) + (f"; {more} more" if more > 0 else "")
+        gain = self._gain[0].upper() + self._gain[1:]
+        return f"One of these, which the readings do not tell apart: {said}; {others}. {gain}{moved}."
 
     @property
     def _gain(self) -> str:
@@ -135,11 +137,13 @@ class Finding:
         return f"without it the error would be {1e3 * self.before:.3f} instead of {1e3 * self.after:.3f} mm"
 
 
-def findings(diagnosis: Diagnosis, shipped: Model, case: Case) -> tuple[Finding, ...]:
+def findings(diagnosis: Diagnosis, shipped: Model, case: Case, source: str) -> tuple[Finding, ...]:
     """Entries in the order found; the same place and driver found again joins its entry.
 
-    shipped: the model fitted to all samples, its effects in the same order. case: of the scored fit.
+    shipped: the model fitted to all samples, its effects in the same order. case: of the scored fit. source: what the
+    rest is surely predicted from; empty for nothing.
     """
+    proofs = Proofs(case, source)
     samples = case.samples
     groups: dict[tuple[object, ...], list[int]] = {}
     for i, effect in enumerate(shipped.effects):
@@ -158,8 +162,9 @@ def findings(diagnosis: Diagnosis, shipped: Model, case: Case) -> tuple[Finding,
         same = dict.fromkeys(
             name
             for e, c in zip(effects, causes, strict=True)
-            for name in (*_link_name(e, shipped), *family_named(e.family).same_as(e, samples), *c.same_as)
+            for name in (*_link_name(e, shipped), *family_named(e.family).same_as(e, samples), *_one_motion(c))
         )
+        proved = proofs.of(together, [rival for c in causes for rival in c.rivals])
         before, after, gain, interval = _worth(case, together)
         first = effects[0]
         entries.append(
@@ -169,16 +174,24 @@ def findings(diagnosis: Diagnosis, shipped: Model, case: Case) -> tuple[Finding,
                 p_value=min(c.p_value for c in causes),
                 before=before,
                 after=after,
-                same_as=tuple(same),
+                same_as=(*same, *(proved.rivals if proved.holds else ())),
                 effects=(*effects, *companions),
                 gain_mm2=gain,
                 ci95=interval,
                 tool=at_tool(shipped, together, few),
                 sampled=min(c.sampled for c in causes),
+                proved=proved.holds,
+                instead=() if proved.holds else proved.rivals,
             )
         )
     wrong = case.wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
     return (*_outliers(diagnosis.fit, samples, wrong), *entries)
+
+
+def _one_motion(cause: Cause) -> tuple[str, ...]:
+    """What moves as a cause does, whatever the readings; of a scan's rivals the final model is asked again."""
+    alike = one_motion_names(cause.effect)
+    return tuple(name for name in cause.same_as if not cause.rivals or name in alike)
 
 
 def _worth(case: Case, numbers: Sequence[int]) -> tuple[float, float, float | None, tuple[float, float] | None]:

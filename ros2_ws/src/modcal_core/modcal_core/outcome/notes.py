@@ -52,11 +52,17 @@ def unproved_note(unproved: Sequence[Finding]) -> tuple[str, ...]:
     if not unproved:
         return ()
     are = "is" if len(unproved) == 1 else "are"
-    names = ", ".join(dict.fromkeys(f"{finding.family} of {finding.place}" for finding in unproved))
+    names = ", ".join(dict.fromkeys(_unproved(finding) for finding in unproved))
     return (
-        f"{counted(len(unproved), 'further effect')} in the model {are} not proved by the held-out stations, and named "
-        f"as no cause: {names}.",
+        f"{counted(len(unproved), 'further effect')} in the model {are} not proved by stations that were not used, and "
+        f"named as no cause: {names}.",
     )
+
+
+def _unproved(finding: Finding) -> str:
+    """An effect that is no cause, and what takes its place."""
+    said = f"{finding.family} of {finding.place}"
+    return said if finding.proved else said + "".join(f" (beside {other} it adds nothing)" for other in finding.instead)
 
 
 def readmitted_note(again: Readmitted) -> tuple[str, ...]:

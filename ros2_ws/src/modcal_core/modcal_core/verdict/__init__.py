@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from modcal_core.verdict.grounds import Grounds
     from modcal_core.verdict.iso9283 import PoseTest, pose_test
     from modcal_core.verdict.not_applied import Applied, applicable, carried_over
+    from modcal_core.verdict.proof import Proofs
     from modcal_core.verdict.readings import doubtful
     from modcal_core.verdict.regimes import regimes_of
     from modcal_core.verdict.rejected import Rejected, rejection, too_many
@@ -25,7 +26,7 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["COMPUTED", "STATISTICS", "TOGETHER", "Applied", "Asked", "AtTool", "Case", "Floor", "Grounds", "NotAsked"]
-__all__ += ["PoseTest", "Rejected", "Row", "Share", "Status", "Tolerance", "Verdict", "applicable", "assess"]
+__all__ += ["PoseTest", "Proofs", "Rejected", "Row", "Share", "Status", "Tolerance", "Verdict", "applicable", "assess"]
 __all__ += ["carried_over", "contradictions", "doubtful", "fitted_case", "floors", "frozen_case", "interval_of_rms"]
 __all__ += ["judge", "left_without", "own_rows", "own_uncertainty", "pose_test", "reading_scatter_mm", "regimes_of"]
 __all__ += ["rejection", "resampled", "sane_inertias", "too_many", "too_small", "with_places"]

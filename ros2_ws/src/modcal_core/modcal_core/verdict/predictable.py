@@ -82,7 +82,7 @@ class Dependence:
         return f"{how if self.driver else f'is a constant error of {self.place}'} ({self.share:.0%} of it{more})"
 
 
-class _Study:
+class Study:
     """A rest, the units whose noise is independent of the others', and what parameters could make of it.
 
     free: whether those that were fitted to these very samples may be off; otherwise the model stays as it is.
@@ -104,11 +104,12 @@ class _Study:
             self.free = _FREE * J / np.sqrt(np.einsum("kcn,kcn->k", J, J))[:, None, None]
         self.drivers = PlaceDrivers(self.rest)
 
-    def deals(self) -> list[Baseline]:
-        """The parameters, prepared for each way of dealing units to folds."""
-        count = int(self.unit.max()) + 1
-        folds = ((np.random.default_rng(k).permutation(count) % FOLDS)[self.unit] for k in range(_DEALS))
-        return [Baseline(self.free, Layout.of(fold, self.rest.weight > 0.0)) for fold in folds]
+    def deals(self, free: Array | None = None, unit: np.ndarray | None = None) -> list[Baseline]:
+        """What is free (K, 6, N), by default the parameters, prepared for each way of dealing units (N,) to folds."""
+        free, unit = self.free if free is None else free, self.unit if unit is None else unit
+        count = int(unit.max()) + 1
+        folds = ((np.random.default_rng(k).permutation(count) % FOLDS)[unit] for k in range(_DEALS))
+        return [Baseline(free, Layout.of(fold, self.rest.weight > 0.0)) for fold in folds]
 
     def groups(self) -> list[tuple[str, Array]]:
         """Names and columns (D, 6, N) of the groups."""
@@ -128,7 +129,7 @@ def predictable(case: Case) -> Predictable:
     rows = rows_asked(case, _MAX)
     if case.samples.select(rows).stations < MIN_STATIONS:
         return Predictable()
-    study = _Study(case, rows, case.fitted)
+    study = Study(case, rows, case.fitted)
     groups, waves, deals = study.groups(), list(study.drivers.waves()), study.deals()
     tests: list[list[tuple[str, Regressor]]] = []
     for deal in deals:
@@ -139,7 +140,7 @@ def predictable(case: Case) -> Predictable:
     return _weighed(study, deals, tests)
 
 
-def _weighed(study: _Study, deals: list[Baseline], tests: list[list[tuple[str, Regressor]]]) -> Predictable:
+def _weighed(study: Study, deals: list[Baseline], tests: list[list[tuple[str, Regressor]]]) -> Predictable:
     """The shares by the best of these regressors, in the mean over all deals."""
     rest, unit = study.rest, study.unit
     predictions: list[list[Array]] = []
@@ -210,7 +211,7 @@ def dependence(case: Case, rows: np.ndarray, least: float, free: bool = True) ->
     """
     if case.samples.select(rows).stations < MIN_STATIONS or not is_serial_arm(case.model.chain):
         return None
-    study = _Study(case, rows, free)
+    study = Study(case, rows, free)
     deals = study.deals()
     whole = float(np.sum(study.rest.residual**2))
     trials = [deal.trials(deal.layout.flat(study.rest.residual)[:, None]) for deal in deals]

@@ -109,6 +109,7 @@ def judge(
         repeatability_mm=known.position.repeatability if known.position else Repeatability(None, None),
         repeatability_deg=known.rotation.repeatability if known.rotation else Repeatability(None, None),
         returns=known.returns,
+        source=mean.source if mean.sure else "",
         unproven=unproven,
         not_asked=(*grounds.not_asked, *_not_asked(seen)),
     )

@@ -1,0 +1,202 @@
+"""Which effects of a fitted model may be named as causes: those that stations which were not used ask for.
+
+The split that found an effect also judges it, so that another split may say another word. Here all stations judge, in
+folds of neighbours in time, several times over: geometry and all other effects are fitted to the other folds, with the
+effect and without it. An effect is proved where its gain is surely positive.
+
+That is not enough while a part of what is left is surely predictable: then the search has not come to its end, *none of
+these* is as likely, and an effect beside which others predict more, by odds of twenty to one, and which adds hardly
+anything to them, is no cause. Others are every place with every driver, alone and in groups; of groups that hold the
+effect itself only the one that predicts what is left, for a driver that is not explained away may act at another place.
+Where too many stations were rejected besides, what is left is none of what was looked for, and nothing is proved.
+
+Where nothing is left, what takes its place and predicts as much, within these odds or more, is a rival: the effect is
+one of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from modcal_core.effects import Effect
+from modcal_core.effects import columns as effect_columns
+from modcal_core.geometry import Array
+from modcal_core.robots import is_serial_arm
+from modcal_core.verdict.case import Case, by_sample
+from modcal_core.verdict.contributions import resampled
+from modcal_core.verdict.crossfit import Baseline, Ridge
+from modcal_core.verdict.drivers import Part
+from modcal_core.verdict.predictable import MIN_STATIONS, Study
+from modcal_core.verdict.rejected import too_many
+from modcal_core.verdict.rest import Rest, rows_asked
+from modcal_core.verdict.verdict import MAX_PREDICTABLE
+
+_MAX = 250  # samples, for time; more are thinned evenly
+_ODDS = float(np.log(20.0))  # nats, beyond which another explanation is no rival
+_BLOCKS = 25  # of neighbours in time: five in a fold
+_MOST = 100.0  # times the noise's variance, up to which a ridge follows what an effect makes: ten times its size
+_NEARLY = 0.9  # of what must be gained, by the first of the deals
+_HELD = 1e-3  # ridge in units of a column's square
+_IN_WORDS = {"direction": "arrived", "time": "order"}  # drivers of effects, as drivers of parts are called
+_LIKE = 0.5  # share of an effect's motion that a place and driver must be able to make to be asked in its place
+
+
+@dataclass(frozen=True)
+class Proved:
+    """holds: whether an effect may be named, as where too few stations can be asked. rivals: what predicts as much."""
+
+    holds: bool
+    rivals: tuple[str, ...] = ()
+
+
+class Proofs:
+    """Asks effects of a fitted case. source: the group that surely predicts what is left; empty for none."""
+
+    def __init__(self, case: Case, source: str = "") -> None:
+        self._case, self._source = case, source
+        self._rows = rows_asked(case, _MAX)
+        few = case.samples.select(self._rows).stations < MIN_STATIONS
+        self._asked = case.fitted and not few and is_serial_arm(case.model.chain)
+        self._lost = bool(source) and too_many(case.wrong, case.samples)
+
+    def of(self, numbers: Sequence[int], others: Sequence[Effect] = ()) -> Proved:
+        """Of the effects of these numbers in the model, taken as one. others: effects that may take their place."""
+        if not self._asked:
+            return Proved(not self._lost, tuple(other.label for other in others))
+        if self._lost:
+            return Proved(False)
+        study, effects, P = self._study, self._case.model.effects, len(self._case.known.parameters)
+        ends = P + np.cumsum([0, *(len(e.values) for e in effects)])
+        own = np.concatenate([np.arange(ends[i], ends[i] + len(effects[i].amplitudes)) for i in numbers])
+        gone = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in numbers])
+        trial = _Trial.of(study, study.parameters[np.setdiff1d(np.arange(len(study.J)), gone)], self._made(numbers))
+        columns, first = study.J[own], effects[numbers[0]]
+        alone = trial.gains(columns)
+        if not trial.surely(alone):
+            return Proved(False)
+        odds = 2.0 * _ODDS * trial.noise
+        least, most = float(alone.sum()) - odds, float(alone.sum()) + odds
+        itself = [_is_itself(part, first) for part in self._parts]
+        # groups that hold it predict it, whatever else they hold
+        held = {part.group for part, own in zip(self._parts, itself, strict=True) if own} - {self._source}
+        for group, some in self._groups:
+            if group not in held and trial.takes(some, columns, alone, most):
+                return Proved(False, (group,))
+        found = [(other.label, self._columns(other)) for other in others]
+        found += [(p.name, p.columns) for p, own in zip(self._parts, itself, strict=True) if not own]
+        rivals: dict[str, float] = {}
+        for name, some in found:
+            gained = trial.takes(some, columns, alone, least) if trial.alike(some, least) else 0.0
+            if gained > most and self._source:
+                return Proved(False, (name,))
+            if gained:
+                rivals[name] = max(gained, rivals.get(name, gained))
+        return Proved(True, tuple(sorted(rivals, key=lambda name: -rivals[name])))
+
+    @cached_property
+    def _study(self) -> Study:
+        return Study(self._case, self._rows, True)
+
+    @cached_property
+    def _parts(self) -> list[Part]:
+        drivers = self._study.drivers
+        every = (*drivers.grouped(), *drivers.alone(constant=False), *drivers.beside())
+        return [part for part in every if part.place]
+
+    @cached_property
+    def _groups(self) -> list[tuple[str, Array]]:
+        """Names and columns of groups that may take an effect's place; none where nothing is left to predict."""
+        return self._study.groups() if self._source else []
+
+    def _made(self, numbers: Sequence[int]) -> Array:
+        """What the effects make of the readings, in units of the noise, (6, N)."""
+        model = self._case.model
+        kept = tuple(effect for i, effect in enumerate(model.effects) if i not in numbers)
+        bare = Rest.of(replace(self._case, model=model.with_effects(kept)), self._rows)
+        return np.asarray(bare.raw - self._study.rest.raw)
+
+    def _columns(self, effect: Effect) -> Array:
+        """What a unit of each amplitude of an effect does to the readings, in units of the noise, (m, 6, N)."""
+        rest, drivers = self._study.rest, self._study.drivers.at
+        rows = [rest.view.moved_by(terms) for terms in effect_columns(effect, drivers)]
+        return np.stack([by_sample(row, rest.view.pose, len(rest.samples)) * rest.weight for row in rows])
+
+
+def _is_itself(part: Part, effect: Effect) -> bool:
+    """Whether a part is an effect's own place and driver in other words."""
+    kind = effect.public_driver.partition(":")[0]
+    return effect.place in part.place.split() and _IN_WORDS.get(kind, kind) in part.driver
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A rest with an effect in it. deals: the parameters and the other effects. whole: with the effect, (6, N)."""
+
+    deals: Sequence[Baseline]
+    whole: Array
+    made: Array
+    noise: float
+    unit: np.ndarray
+
+    @classmethod
+    def of(cls, study: Study, free: Array, made: Array) -> _Trial:
+        """Of what an effect makes (6, N), beside what is fitted again, (K, 6, N)."""
+        rest = study.rest
+        unit = np.unique(np.minimum(study.drivers.rank * _BLOCKS, _BLOCKS - 1).astype(int), return_inverse=True)[1]
+        deals = study.deals(free[free.any(axis=(1, 2))], unit)
+        # samples that were brought in stay as near
+        near = np.linalg.norm(rest.residual, axis=0) / np.maximum(np.linalg.norm(rest.raw, axis=0), 1e-300)
+        return cls(
+            deals, rest.residual + made * near, made, float(np.mean(rest.residual[rest.weight > 0.0] ** 2)), unit
+        )
+
+    @cached_property
+    def _variance(self) -> float:
+        deal = self.deals[0]
+        return float(np.clip(np.mean(deal.left(deal.layout.flat(self.whole)) ** 2), 1.0, _MOST))
+
+    def alike(self, columns: Array, least: float) -> bool:
+        """Whether columns can make most of what the effect makes, and by a first deal may gain so much."""
+        deal = self.deals[0]
+        new = deal.new(columns)
+        if not len(new):
+            return False
+        left = deal.left(deal.layout.flat(self.made)).astype(np.float32)
+        gram = new @ new.T
+        gram.flat[:: len(gram) + 1] += _HELD
+        along = new @ left
+        return float(along @ np.linalg.solve(gram, along)) >= _LIKE * float(left @ left) and (
+            float(self._gains(deal, new).sum()) > _NEARLY * least
+        )
+
+    def gains(self, *columns: Array) -> Array:
+        """Squares that columns gain at samples that were not used, mean over the deals, (N,)."""
+        new = ((deal, np.concatenate([deal.new(some) for some in columns])) for deal in self.deals)
+        return np.asarray(np.mean([self._gains(deal, all_new) for deal, all_new in new], axis=0))
+
+    def _gains(self, deal: Baseline, new: Array) -> Array:
+        if not len(new):
+            return np.zeros(len(self.unit))
+        trials = deal.trials(deal.layout.flat(self.whole)[:, None])
+        made = Ridge(new, deal, self._variance).predictions(trials)
+        best = max((p * (2.0 * trials.left - p) for p in made), key=np.sum)
+        return deal.layout.grid(best[:, 0]).sum(axis=0)
+
+    def surely(self, gains: Array) -> bool:
+        """Whether gains (N,) are positive in any draw of the blocks."""
+        return resampled(gains, self.unit)[1][0] > 0.0
+
+    def takes(self, columns: Array, own: Array, alone: Array, least: float) -> float:
+        """What columns gain, where that is more than a least and the effect, which gains ``alone`` (N,) by itself, adds
+        hardly anything to them; else nothing.
+        """
+        gained = self.gains(columns)
+        if gained.sum() <= least:
+            return 0.0
+        more = self.gains(columns, own) - gained
+        adds = self.surely(more) and more.sum() > MAX_PREDICTABLE * alone.sum()
+        return 0.0 if adds else float(gained.sum())
