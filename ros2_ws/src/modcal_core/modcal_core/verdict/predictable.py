@@ -82,7 +82,7 @@ class Dependence:
         return f"{how if self.driver else f'is a constant error of {self.place}'} ({self.share:.0%} of it{more})"
 
 
-class Study:
+class RestStudy:
     """A rest, the units whose noise is independent of the others', and what parameters could make of it.
 
     free: whether those that were fitted to these very samples may be off; otherwise the model stays as it is.
@@ -129,7 +129,7 @@ def predictable(case: Case) -> Predictable:
     rows = rows_asked(case, _MAX)
     if case.samples.select(rows).stations < MIN_STATIONS:
         return Predictable()
-    study = Study(case, rows, case.fitted)
+    study = RestStudy(case, rows, case.fitted)
     groups, waves, deals = study.groups(), list(study.drivers.waves()), study.deals()
     tests: list[list[tuple[str, Regressor]]] = []
     for deal in deals:
@@ -140,7 +140,7 @@ def predictable(case: Case) -> Predictable:
     return _weighed(study, deals, tests)
 
 
-def _weighed(study: Study, deals: list[Baseline], tests: list[list[tuple[str, Regressor]]]) -> Predictable:
+def _weighed(study: RestStudy, deals: list[Baseline], tests: list[list[tuple[str, Regressor]]]) -> Predictable:
     """The shares by the best of these regressors, in the mean over all deals."""
     rest, unit = study.rest, study.unit
     predictions: list[list[Array]] = []
@@ -211,7 +211,7 @@ def dependence(case: Case, rows: np.ndarray, least: float, free: bool = True) ->
     """
     if case.samples.select(rows).stations < MIN_STATIONS or not is_serial_arm(case.model.chain):
         return None
-    study = Study(case, rows, free)
+    study = RestStudy(case, rows, free)
     deals = study.deals()
     whole = float(np.sum(study.rest.residual**2))
     trials = [deal.trials(deal.layout.flat(study.rest.residual)[:, None]) for deal in deals]

@@ -30,7 +30,7 @@ from modcal_core.verdict.case import Case, by_sample
 from modcal_core.verdict.contributions import resampled
 from modcal_core.verdict.crossfit import Baseline, Ridge
 from modcal_core.verdict.drivers import Part
-from modcal_core.verdict.predictable import MIN_STATIONS, Study
+from modcal_core.verdict.predictable import MIN_STATIONS, RestStudy
 from modcal_core.verdict.rejected import too_many
 from modcal_core.verdict.rest import Rest, rows_asked
 from modcal_core.verdict.verdict import MAX_PREDICTABLE
@@ -98,8 +98,8 @@ class Proofs:
         return Proved(True, tuple(sorted(rivals, key=lambda name: -rivals[name])))
 
     @cached_property
-    def _study(self) -> Study:
-        return Study(self._case, self._rows, True)
+    def _study(self) -> RestStudy:
+        return RestStudy(self._case, self._rows, True)
 
     @cached_property
     def _parts(self) -> list[Part]:
@@ -143,7 +143,7 @@ class _Trial:
     unit: np.ndarray
 
     @classmethod
-    def of(cls, study: Study, free: Array, made: Array) -> _Trial:
+    def of(cls, study: RestStudy, free: Array, made: Array) -> _Trial:
         """Of what an effect makes (6, N), beside what is fitted again, (K, 6, N)."""
         rest = study.rest
         unit = np.unique(np.minimum(study.drivers.rank * _BLOCKS, _BLOCKS - 1).astype(int), return_inverse=True)[1]
