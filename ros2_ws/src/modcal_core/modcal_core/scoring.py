@@ -117,7 +117,7 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
     case = fitted_case(final, samples, sets, wrong, left, cell.distances)
     judged = with_places(judge(case, grounds, cell.stated), case, described=task.chain)
     found = (
-        *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case, judged.source),
+        *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case, judged),
         *load_findings(fits.loads, final.model, accepted),
     )
     proved = tuple(finding for finding in found if finding.shown)

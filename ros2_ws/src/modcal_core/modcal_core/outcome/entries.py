@@ -32,7 +32,7 @@ from modcal_core.effects import (
 from modcal_core.effects.families import outliers, payload
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.robots import Mechanism
-from modcal_core.verdict import Case, Proofs, left_without, resampled
+from modcal_core.verdict import Case, Proofs, Verdict, left_without, resampled
 
 
 def parameters(effects: Sequence[Effect], chain: Mechanism, companions: Sequence[Effect] = ()) -> Sizes:
@@ -137,13 +137,14 @@ class Finding:
         return f"without it the error would be {1e3 * self.before:.3f} instead of {1e3 * self.after:.3f} mm"
 
 
-def findings(diagnosis: Diagnosis, shipped: Model, case: Case, source: str) -> tuple[Finding, ...]:
+def findings(diagnosis: Diagnosis, shipped: Model, case: Case, judged: Verdict) -> tuple[Finding, ...]:
     """Entries in the order found; the same place and driver found again joins its entry.
 
-    shipped: the model fitted to all samples, its effects in the same order. case: of the scored fit. source: what the
-    rest is surely predicted from; empty for nothing.
+    shipped: the model fitted to all samples, its effects in the same order. case: of the scored fit. judged: its
+    verdict.
     """
-    proofs = Proofs(case, source)
+    share = judged.predictable_both
+    proofs = Proofs(case, judged.source, 0.0 if share is None else share.share)
     samples = case.samples
     groups: dict[tuple[object, ...], list[int]] = {}
     for i, effect in enumerate(shipped.effects):

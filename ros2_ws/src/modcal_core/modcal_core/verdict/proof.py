@@ -2,7 +2,7 @@
 
 The split that found an effect also judges it, so that another split may say another word. Here all stations judge, in
 folds of neighbours in time, several times over: geometry and all other effects are fitted to the other folds, with the
-effect and without it. An effect is proved where its gain is surely positive.
+effect and without it. An effect is proved where its gain is surely positive, and more than what is surely predictable of what is left.
 
 That is not enough while a part of what is left is surely predictable: then the search has not come to its end, *none of
 these* is as likely, and an effect beside which others predict more, by odds of twenty to one, and which adds hardly
@@ -54,10 +54,10 @@ class Proved:
 
 
 class Proofs:
-    """Asks effects of a fitted case. source: the group that surely predicts what is left; empty for none."""
+    """Asks effects of a fitted case. source: the group that surely predicts what is left, empty for none; share: of it."""
 
-    def __init__(self, case: Case, source: str = "") -> None:
-        self._case, self._source = case, source
+    def __init__(self, case: Case, source: str = "", share: float = 0.0) -> None:
+        self._case, self._source, self._share = case, source, share if source else 0.0
         self._rows = rows_asked(case, _MAX)
         few = case.samples.select(self._rows).stations < MIN_STATIONS
         self._asked = case.fitted and not few and is_serial_arm(case.model.chain)
@@ -76,7 +76,7 @@ class Proofs:
         trial = _Trial.of(study, study.parameters[np.setdiff1d(np.arange(len(study.J)), gone)], self._made(numbers))
         columns, first = study.J[own], effects[numbers[0]]
         alone = trial.gains(columns)
-        if not trial.surely(alone):
+        if not trial.surely(alone) or alone.sum() < self._share * np.sum(study.rest.residual**2):
             return Proved(False)
         odds = 2.0 * _ODDS * trial.noise
         least, most = float(alone.sum()) - odds, float(alone.sum()) + odds
