@@ -118,15 +118,19 @@ class Finding:
     @property
     def sentence(self) -> str:
         """What a technician should know of it."""
-        entry = ReportEntry(self.place, self.direction, self.driver, self.parameters, self.same_as)
-        said = family_named(self.family).sentence(entry)
         moved = f" (it moves the tool by {1e3 * self.tool:.3f} mm RMS)" if self.tool is not None else ""
         if not self.same_as:
-            return f"{said}; {self._gain}{moved}."
+            return f"{self.what}; {self._gain}{moved}."
         more = len(self.same_as) - _TOLD
         others = "; ".join(self.same_as[:_TOLD]) + (f"; {more} more" if more > 0 else "")
         gain = self._gain[0].upper() + self._gain[1:]
-        return f"One of these, which the readings do not tell apart: {said}; {others}. {gain}{moved}."
+        return f"One of these, which the readings do not tell apart: {self.what}; {others}. {gain}{moved}."
+
+    @property
+    def what(self) -> str:
+        """The effect and its sizes, without what it brings."""
+        entry = ReportEntry(self.place, self.direction, self.driver, self.parameters, self.same_as)
+        return family_named(self.family).sentence(entry)
 
     @property
     def _gain(self) -> str:

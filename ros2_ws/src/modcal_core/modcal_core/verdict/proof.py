@@ -2,7 +2,8 @@
 
 The split that found an effect also judges it, so that another split may say another word. Here all stations judge, in
 folds of neighbours in time, several times over: geometry and all other effects are fitted to the other folds, with the
-effect and without it. An effect is proved where its gain is surely positive, and more than what is surely predictable of what is left.
+effect and without it. An effect is proved where its gain is surely positive, and more than what is surely predictable
+of what is left.
 
 That is not enough while a part of what is left is surely predictable: then the search has not come to its end, *none of
 these* is as likely, and an effect beside which others predict more, by odds of twenty to one, and which adds hardly
@@ -54,7 +55,9 @@ class Proved:
 
 
 class Proofs:
-    """Asks effects of a fitted case. source: the group that surely predicts what is left, empty for none; share: of it."""
+    """Asks effects of a fitted case. source: the group that surely predicts what is left, empty for none. share: that
+    it predicts of the mean square.
+    """
 
     def __init__(self, case: Case, source: str = "", share: float = 0.0) -> None:
         self._case, self._source, self._share = case, source, share if source else 0.0
