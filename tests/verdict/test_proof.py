@@ -11,9 +11,9 @@ from cells import record, samples_of, ur10
 
 from modcal_core.loop import calibrate
 from modcal_core.outcome import Outcome
-from modcal_core.verdict import Case, Proofs, fitted_case
+from modcal_core.verdict import Case, Proofs, Verdict, fitted_case
 
-ELBOW = 2
+ELBOW, CALM = 2, Verdict("at_floor")
 
 
 @cache
@@ -48,13 +48,13 @@ def test_a_single_joint_is_not_named_for_what_all_of_them_do() -> None:
     assert not report.effects
     play = calibrated("the elbow's play")[1].model.effects
     with_play = replace(case, model=case.model.with_effects(play))
-    assert any("last move" in rival for rival in Proofs(with_play).of([0]).rivals)
-    assert not Proofs(with_play, report.judged.source).of([0]).holds
+    assert any("last move" in rival for rival in Proofs(with_play, CALM).of([0]).rivals)
+    assert not Proofs(with_play, report.judged).of([0]).holds
 
 
 def test_nothing_is_named_beside_a_rest_that_is_predictable_and_many_rejected_stations() -> None:
     _, case = calibrated("the elbow's play")
     few = replace(case, wrong=np.arange(len(case.samples)) % 5 == 0)
-    assert Proofs(case).of([0]).holds
-    assert Proofs(few).of([0]).holds
-    assert not Proofs(few, "the posture").of([0]).holds
+    assert Proofs(case, CALM).of([0]).holds
+    assert Proofs(few, CALM).of([0]).holds
+    assert not Proofs(few, replace(CALM, source="the posture")).of([0]).holds

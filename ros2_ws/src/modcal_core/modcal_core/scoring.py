@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import (
-    FITTED,
     Calibration,
     Errors,
     KnownDistance,
@@ -16,14 +15,11 @@ from modcal_core.calibration import (
     errors,
     finalise,
     identifiability,
-    identify,
     places_of,
     readmitted,
     rejected,
     right_after_all,
     runs_of,
-    uncertainty_of,
-    without,
 )
 from modcal_core.claim import Claim, claim_at_tool, settled
 from modcal_core.diagnosis import located
@@ -74,30 +70,16 @@ class _Scored:
 
 
 def supported(task: Task, fits: Fits) -> Fits:
-    """The fits without effects that readings not used speak against: what is carried over is never worse than geometry.
+    """The fits, without effects where these are worse than geometry alone on what no fit has seen.
 
     All held-out readings count but those that both reject: one that only effects miss is a test of them.
     """
-    final, alone, sets, distances = fits.final, fits.geometric, task.sets, task.cell.distances
-    first = len(alone.model.effects)
-    strays = [rejected(fit, task.samples, sets.train, distances)[sets.held_out] for fit in (alone, final)]
+    final, alone, sets = fits.final, fits.geometric, task.sets
+    strays = [rejected(fit, task.samples, sets.train, task.cell.distances)[sets.held_out] for fit in (alone, final)]
     counted = task.held_out.select(~(strays[0] & strays[1]))
-
-    def missed(model: Model) -> float:
-        return float(np.mean(errors(model, counted).position_norm ** 2)) if len(counted) else np.nan
-
-    most, own = missed(alone.model), missed(final.model)
-    if len(final.model.effects) == first or not own > most:
-        return fits
-    known = uncertainty_of(final, task.samples, sets.train, distances)
-    effects = final.model.effects
-    kept = [i for i in range(len(effects)) if i < first or missed(without(final.model, known, [i])) > own]
-    start = final.start.with_effects(tuple(effects[i] for i in kept))
-    fit = identify(start, task.train, final.parameters, distances, tolerance=FITTED, begin=final.values)
-    if missed(fit.model) > most:
-        fit, kept = alone, kept[:first]
-    causes = tuple(cause for i, cause in enumerate(fits.diagnosis.causes) if i in kept)
-    return replace(fits, final=fit, diagnosis=replace(fits.diagnosis, fit=fit, causes=causes))
+    with_them, without = (np.sum(errors(fit.model, counted).position_norm ** 2) for fit in (final, alone))
+    stated = replace(fits.diagnosis, fit=alone, causes=fits.diagnosis.causes[: len(alone.model.effects)])
+    return fits if with_them <= without else replace(fits, final=alone, diagnosis=stated)
 
 
 def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
@@ -115,14 +97,14 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
     bare = {stage: model.with_effects(_stated(model, task)) for stage, model in bare.items()}
     left = {stage: errors(model, accepted) for stage, model in {**bare, "final": final.model}.items()}
     seen = _Scored(wrong, accepted, left, distances_of(final, task.train, cell.distances))
-    grounds = replace(_grounds(task, fits, seen), not_applied=carried.not_applied)
-    if not shipped.converged:
-        grounds = replace(grounds, converged=False)
+    grounds = _grounds(task, fits, seen)
+    grounds = replace(grounds, not_applied=carried.not_applied, converged=grounds.converged and shipped.converged)
     case = fitted_case(final, samples, sets, wrong, left, cell.distances)
-    parts = tuple(p for p in contributions_of(case) if not _is_stated((final.model.effects[p.effect],), task))
-    judged = with_places(judge(case, grounds, cell.stated, parts), case, described=task.chain)
+    parts = contributions_of(case)
+    counted = tuple(p for p in parts if not _is_stated((final.model.effects[p.numbers[0]],), task))
+    judged = with_places(judge(case, grounds, cell.stated, counted), case, described=task.chain)
     found = (
-        *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case, judged),
+        *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case, judged, parts),
         *load_findings(fits.loads, final.model, accepted),
     )
     stated = tuple(finding for finding in found if _is_stated(finding.effects, task))
@@ -149,7 +131,7 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
             *load_notes(fits.loads),
             *unproved_note(unproved),
             *readmitted_note(taken_in),
-            *residual_notes(case),
+            *residual_notes(case, parts),
             *carried.notes,
             *not_asked_note(judged),
         ),

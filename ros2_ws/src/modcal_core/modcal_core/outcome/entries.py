@@ -21,18 +21,16 @@ from modcal_core.effects import (
     Quantity,
     ReportEntry,
     Sizes,
-    claimed,
     curve_sizes,
     family_named,
     is_large_move,
-    is_move,
     unit_of,
     with_companions,
 )
 from modcal_core.effects.families import outliers, payload
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.robots import Mechanism
-from modcal_core.verdict import Case, Proofs, Verdict, left_without, resampled
+from modcal_core.verdict import Case, Contribution, Proofs, Verdict, entries_of, resampled
 
 
 def parameters(effects: Sequence[Effect], chain: Mechanism, companions: Sequence[Effect] = ()) -> Sizes:
@@ -79,8 +77,7 @@ class Finding:
     RMS error on held-out without it and with it [m], all else in the final model. gain_mm2, ci95: mean square that its
     removal costs on held-out [mm²], with the 95 % interval over stations; None where there is nothing to remove. tool:
     RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with. proved: whether other
-    partitions of the stations, and other places and drivers, let it be named. instead:
-    what takes its place where they do not.
+    partitions of the stations, and other places and drivers, let it be named; same_as: also what takes its place.
     """
 
     family: str
@@ -98,7 +95,6 @@ class Finding:
     tool: float | None = None
     sampled: int = 0
     proved: bool = True
-    instead: tuple[str, ...] = ()
 
     @property
     def shown(self) -> bool:
@@ -141,25 +137,20 @@ class Finding:
         return f"without it the error would be {1e3 * self.before:.3f} instead of {1e3 * self.after:.3f} mm"
 
 
-def findings(diagnosis: Diagnosis, shipped: Model, case: Case, judged: Verdict) -> tuple[Finding, ...]:
+def findings(
+    diagnosis: Diagnosis, shipped: Model, case: Case, judged: Verdict, worth: Sequence[Contribution]
+) -> tuple[Finding, ...]:
     """Entries in the order found; the same place and driver found again joins its entry.
 
     shipped: the model fitted to all samples, its effects in the same order. case: of the scored fit. judged: its
-    verdict.
+    verdict. worth: what its effects contribute.
     """
-    share = judged.predictable_both
-    proofs = Proofs(case, judged.source, 0.0 if share is None else share.share)
-    samples = case.samples
-    groups: dict[tuple[object, ...], list[int]] = {}
-    for i, effect in enumerate(shipped.effects):
-        if not claimed(effect):
-            continue
-        # each move is an entry of its own
-        key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
-        groups.setdefault(key, []).append(i)
+    proofs, samples = Proofs(case, judged), case.samples
+    of = {part.numbers: part for part in worth}
     few = samples.select(spread_rows(len(samples), MAX_SEEN))
+    after = rms(case.errors["final"])
     entries = []
-    for numbers in groups.values():
+    for numbers in entries_of(shipped.effects):
         effects = tuple(shipped.effects[i] for i in numbers)
         together = with_companions(shipped.effects, numbers)
         companions = tuple(shipped.effects[i] for i in together[len(numbers) :])
@@ -169,24 +160,22 @@ def findings(diagnosis: Diagnosis, shipped: Model, case: Case, judged: Verdict) 
             for e, c in zip(effects, causes, strict=True)
             for name in (*_link_name(e, shipped), *family_named(e.family).same_as(e, samples), *_one_motion(c))
         )
-        proved = proofs.of(together, [rival for c in causes for rival in c.rivals])
-        before, after, gain, interval = _worth(case, together)
-        first = effects[0]
+        proved = proofs.of(together)
+        part, first = of.get(together), effects[0]
         entries.append(
             Finding(
                 *(first.family, first.place, first.direction, first.public_driver),
                 parameters=_in_rows(parameters(effects, shipped.chain, companions), samples),
                 p_value=min(c.p_value for c in causes),
-                before=before,
+                before=float("nan") if part is None else float(np.sqrt(max(after**2 + 1e-6 * part.mm2, 0.0))),
                 after=after,
-                same_as=(*same, *(proved.rivals if proved.holds else ())),
+                same_as=(*same, *proved.rivals),
                 effects=(*effects, *companions),
-                gain_mm2=gain,
-                ci95=interval,
+                gain_mm2=None if part is None else part.mm2,
+                ci95=None if part is None else part.ci95_mm2,
                 tool=at_tool(shipped, together, few),
                 sampled=min(c.sampled for c in causes),
                 proved=proved.holds,
-                instead=() if proved.holds else proved.rivals,
             )
         )
     wrong = case.wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
@@ -197,16 +186,6 @@ def _one_motion(cause: Cause) -> tuple[str, ...]:
     """What moves as a cause does, whatever the readings; of a scan's rivals the final model is asked again."""
     alike = one_motion_names(cause.effect)
     return tuple(name for name in cause.same_as if not cause.rivals or name in alike)
-
-
-def _worth(case: Case, numbers: Sequence[int]) -> tuple[float, float, float | None, tuple[float, float] | None]:
-    """(RMS without these effects, with them [m], what removal costs [mm²], its 95 % interval) on the scored samples."""
-    if not len(case.held_out):
-        return float("nan"), float("nan"), None, None
-    with_them = case.errors["final"].position_norm ** 2
-    without_them = left_without(case, numbers).position_norm ** 2
-    cost, interval = resampled(1e6 * (without_them - with_them), case.samples.station[case.held_out])
-    return float(np.sqrt(without_them.mean())), float(np.sqrt(with_them.mean())), cost, interval
 
 
 def _link_name(effect: Effect, model: Model) -> tuple[str, ...]:

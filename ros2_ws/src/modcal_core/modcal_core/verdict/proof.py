@@ -5,11 +5,10 @@ folds of neighbours in time, several times over: geometry and all other effects 
 effect and without it. An effect is proved where its gain is surely positive, and more than what is surely predictable
 of what is left.
 
-That is not enough while a part of what is left is surely predictable: then the search has not come to its end, *none of
-these* is as likely, and an effect beside which others predict more, by odds of twenty to one, and which adds hardly
-anything to them, is no cause. Others are every place with every driver, alone and in groups; of groups that hold the
-effect itself only the one that predicts what is left, for a driver that is not explained away may act at another place.
-Where too many stations were rejected besides, what is left is none of what was looked for, and nothing is proved.
+That is not enough while a part of what is left is surely predictable: then *none of these* is as likely, and an effect
+is no cause if something else predicts more, by odds of twenty to one, and it adds hardly anything beside that. Others
+are every place with every driver, alone and in groups; of groups that hold the effect itself only the one that predicts
+what is left. Where too many stations were rejected besides, nothing is proved.
 
 Where nothing is left, what takes its place and predicts as much, within these odds or more, is a rival: the effect is
 one of these.
@@ -18,23 +17,22 @@ one of these.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from modcal_core.effects import Effect
-from modcal_core.effects import columns as effect_columns
 from modcal_core.geometry import Array
 from modcal_core.robots import is_serial_arm
-from modcal_core.verdict.case import Case, by_sample
-from modcal_core.verdict.contributions import resampled
+from modcal_core.verdict.account import resampled
+from modcal_core.verdict.case import Case
 from modcal_core.verdict.crossfit import Baseline, Ridge
 from modcal_core.verdict.drivers import Part
+from modcal_core.verdict.grounds import too_many
 from modcal_core.verdict.predictable import MIN_STATIONS, RestStudy
-from modcal_core.verdict.rejected import too_many
-from modcal_core.verdict.rest import Rest, rows_asked
-from modcal_core.verdict.verdict import MAX_PREDICTABLE
+from modcal_core.verdict.rest import rows_asked
+from modcal_core.verdict.verdict import MAX_PREDICTABLE, Verdict
 
 _MAX = 250  # samples, for time; more are thinned evenly
 _ODDS = float(np.log(20.0))  # nats, beyond which another explanation is no rival
@@ -55,49 +53,46 @@ class Proved:
 
 
 class Proofs:
-    """Asks effects of a fitted case. source: the group that surely predicts what is left, empty for none. share: that
-    it predicts of the mean square.
-    """
+    """Asks effects of a fitted case, of what its verdict says is surely predictable of the rest."""
 
-    def __init__(self, case: Case, source: str = "", share: float = 0.0) -> None:
-        self._case, self._source, self._share = case, source, share if source else 0.0
+    def __init__(self, case: Case, judged: Verdict) -> None:
+        both = judged.predictable_both
+        self._case, self._source = case, judged.source
+        self._share = both.share if judged.source and both is not None else 0.0
         self._rows = rows_asked(case, _MAX)
         few = case.samples.select(self._rows).stations < MIN_STATIONS
         self._asked = case.fitted and not few and is_serial_arm(case.model.chain)
-        self._lost = bool(source) and too_many(case.wrong, case.samples)
+        self._lost = bool(judged.source) and too_many(case.wrong, case.samples)
 
-    def of(self, numbers: Sequence[int], others: Sequence[Effect] = ()) -> Proved:
-        """Of the effects of these numbers in the model, taken as one. others: effects that may take their place."""
-        if not self._asked:
-            return Proved(not self._lost, tuple(other.label for other in others))
-        if self._lost:
-            return Proved(False)
-        study, effects, P = self._study, self._case.model.effects, len(self._case.known.parameters)
-        ends = P + np.cumsum([0, *(len(e.values) for e in effects)])
+    def of(self, numbers: Sequence[int]) -> Proved:
+        """Of the effects of these numbers in the model, taken as one."""
+        if not self._asked or self._lost:
+            return Proved(not self._lost)
+        study, effects = self._study, self._case.model.effects
+        ends = len(self._case.known.parameters) + np.cumsum([0, *(len(e.values) for e in effects)])
         own = np.concatenate([np.arange(ends[i], ends[i] + len(effects[i].amplitudes)) for i in numbers])
         gone = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in numbers])
-        trial = _Trial.of(study, study.parameters[np.setdiff1d(np.arange(len(study.J)), gone)], self._made(numbers))
         columns, first = study.J[own], effects[numbers[0]]
+        made = -np.tensordot(np.concatenate([effects[i].amplitudes for i in numbers]), columns, axes=1)
+        trial = _Trial.of(study, study.parameters[np.setdiff1d(np.arange(len(study.J)), gone)], made)
         alone = trial.gains(columns)
         if not trial.surely(alone) or alone.sum() < self._share * np.sum(study.rest.residual**2):
             return Proved(False)
         odds = 2.0 * _ODDS * trial.noise
         least, most = float(alone.sum()) - odds, float(alone.sum()) + odds
-        itself = [_is_itself(part, first) for part in self._parts]
+        others = [part for part in self._parts if not _is_itself(part, first)]
         # groups that hold it predict it, whatever else they hold
-        held = {part.group for part, own in zip(self._parts, itself, strict=True) if own} - {self._source}
+        held = {part.group for part in self._parts if _is_itself(part, first)} - {self._source}
         for group, some in self._groups:
             if group not in held and trial.takes(some, columns, alone, most):
                 return Proved(False, (group,))
-        found = [(other.label, self._columns(other)) for other in others]
-        found += [(p.name, p.columns) for p, own in zip(self._parts, itself, strict=True) if not own]
         rivals: dict[str, float] = {}
-        for name, some in found:
-            gained = trial.takes(some, columns, alone, least) if trial.alike(some, least) else 0.0
+        for part in others:
+            gained = trial.takes(part.columns, columns, alone, least) if trial.alike(part.columns, least) else 0.0
             if gained > most and self._source:
-                return Proved(False, (name,))
+                return Proved(False, (part.name,))
             if gained:
-                rivals[name] = max(gained, rivals.get(name, gained))
+                rivals[part.name] = max(gained, rivals.get(part.name, gained))
         return Proved(True, tuple(sorted(rivals, key=lambda name: -rivals[name])))
 
     @cached_property
@@ -114,19 +109,6 @@ class Proofs:
     def _groups(self) -> list[tuple[str, Array]]:
         """Names and columns of groups that may take an effect's place; none where nothing is left to predict."""
         return self._study.groups() if self._source else []
-
-    def _made(self, numbers: Sequence[int]) -> Array:
-        """What the effects make of the readings, in units of the noise, (6, N)."""
-        model = self._case.model
-        kept = tuple(effect for i, effect in enumerate(model.effects) if i not in numbers)
-        bare = Rest.of(replace(self._case, model=model.with_effects(kept)), self._rows)
-        return np.asarray(bare.raw - self._study.rest.raw)
-
-    def _columns(self, effect: Effect) -> Array:
-        """What a unit of each amplitude of an effect does to the readings, in units of the noise, (m, 6, N)."""
-        rest, drivers = self._study.rest, self._study.drivers.at
-        rows = [rest.view.moved_by(terms) for terms in effect_columns(effect, drivers)]
-        return np.stack([by_sample(row, rest.view.pose, len(rest.samples)) * rest.weight for row in rows])
 
 
 def _is_itself(part: Part, effect: Effect) -> bool:

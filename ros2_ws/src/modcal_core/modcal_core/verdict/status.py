@@ -14,14 +14,12 @@ import numpy as np
 from modcal_core.calibration import Stated
 from modcal_core.measurements import MIN_RETURNS
 from modcal_core.robots import is_serial_arm
-from modcal_core.verdict.account import account
+from modcal_core.verdict.account import Contribution, account, contributions_of, mean_square
 from modcal_core.verdict.case import Case
-from modcal_core.verdict.contributions import Contribution, contributions_of, mean_square
 from modcal_core.verdict.drivers import MIN_OF_FRAME
 from modcal_core.verdict.floor import MIN_ASKED, Floor, Floors, floors
-from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.grounds import Grounds, too_many
 from modcal_core.verdict.predictable import MIN_STATIONS, Predictable, predictable
-from modcal_core.verdict.rejected import too_many
 from modcal_core.verdict.scatter import MIN_STATIONS as MIN_SCATTERED
 from modcal_core.verdict.scatter import scatter, two_values, uneven
 from modcal_core.verdict.tails import Tail, tail_of
