@@ -12,7 +12,7 @@ from cells import record, ur10
 from modcal_core.calibration.fit import Fit
 from modcal_core.diagnosis.anchor import Anchor
 from modcal_core.diagnosis.evidence import Scanner
-from modcal_core.diagnosis.space import Directions, by_component
+from modcal_core.diagnosis.space import by_component
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect, columns
 from modcal_core.effects.registry import candidates
@@ -54,27 +54,6 @@ def test_effects_come_and_go(scene: tuple[Fit, Drivers, list[Effect]], before: l
         np.testing.assert_allclose(
             beside.amplitudes(other, effect), anew.amplitudes(other, effect), rtol=1e-4, atol=1e-9
         )
-
-
-def test_far_away_there_is_a_new_anchor(scene: tuple[Fit, Drivers, list[Effect]]) -> None:
-    """Where geometry moved, where positions weigh more against orientations, and where noise is far less."""
-    fit, drivers, _ = scene
-    anchor = Anchor.of(fit, drivers)
-    assert anchor.beside(replace(fit, values=fit.values + 1e-4), drivers) is not None
-    assert anchor.beside(replace(fit, values=fit.values + 1e-2), drivers) is None
-    for position, rotation, near in ((0.95, 0.95, True), (0.97, 1.0, True), (0.94, 1.0, False), (0.8, 0.8, False)):
-        noise = replace(fit.noise, position=position * fit.noise.position, rotation=rotation * fit.noise.rotation)
-        assert (anchor.beside(replace(fit, noise=noise), drivers) is not None) == near
-
-
-def test_an_effect_with_other_settings_is_another(scene: tuple[Fit, Drivers, list[Effect]]) -> None:
-    """A wave of 5 cycles has not the columns of one of 6."""
-    fit, drivers, _ = scene
-    waves = [e for e in candidates(drivers) if e.shape.kind == "sine"][:200:100]
-    assert waves[0].key == waves[1].key
-    five, six = (replace(fit, model=fit.model.with_effects((e.started(np.full(2, 1e-6)),))) for e in waves)
-    changes = Anchor.of(five, drivers).beside(six, drivers).changes  # type: ignore[union-attr]
-    assert [part.sign for part in changes] == [-1.0, 1.0]
 
 
 def test_of_the_next_fit_only_what_is_new_is_made(scene: tuple[Fit, Drivers, list[Effect]]) -> None:
@@ -131,15 +110,3 @@ def test_functions_that_reach_to_no_sample_are_left_out(scene: tuple[Fit, Driver
         for space in (beside, anew)
     )
     np.testing.assert_allclose(one, two, atol=1e-6 * np.abs(v).max())
-
-
-def test_many_directions_are_contracted_in_single_precision(rng: np.random.Generator) -> None:
-    """To a millionth of what they are made of."""
-    Q, some = rng.normal(size=(6, 400, 100)), rng.normal(size=(3, 6, 400))
-    part = Directions(Q)
-    columns_of_keys = {(place, 0): column for place, column in enumerate(some)}
-    for key, found in part.contract(columns_of_keys).items():
-        column = columns_of_keys[key]
-        assert found.dtype == np.float32
-        exact = np.einsum("cN,cNp->Np", column, Q)
-        assert np.abs(found - exact).max() < 1e-6 * np.linalg.norm(column) * np.linalg.norm(Q)
