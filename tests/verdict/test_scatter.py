@@ -91,3 +91,4 @@ def test_what_returns_repeat_is_no_scatter(made: Recorded, repeats: bool) -> Non
     T[:, :3, :3] = T[:, :3, :3] @ so3.exp(2e-5 * rng.standard_normal((130, 3)))
     text = said(samples_of(ur10(), q, T))
     assert ("wrist_1_joint scatters by" in text) != repeats, text
+    assert ("the motion of joint wrist_1_joint" in text) or not repeats, text

@@ -129,7 +129,21 @@ def test_a_frozen_model_of_an_arm_with_a_new_zero_and_outside_its_range(made: Re
 
 
 @pytest.mark.slow
+def test_a_joint_is_named_by_the_direction_of_its_error_alone(made: Recorded) -> None:
+    """Its error goes with nothing, but it moves the tool as no other joint does."""
+    off = 1e-3 * np.random.default_rng(8).normal(size=len(made.samples))
+    assert "of what is left lies along the motion of joint elbow_joint" in said(with_error(made, 2, off))
+
+
+@pytest.mark.slow
 def test_readings_whose_scale_changes_half_way(made: Recorded) -> None:
     scale = np.where(np.arange(len(made.samples)) < 60, 1.0, 1.0006)[:, None]
     text = said(replace(made.samples, reading=made.samples.reading * scale))
     assert "as an error of the tracker's readings" in text
+
+
+@pytest.mark.slow
+def test_positions_alone_that_miss_are_no_joint(made: Recorded) -> None:
+    off = 8e-4 * np.random.default_rng(9).normal(size=(len(made.samples), 3))
+    text = said(replace(made.samples, reading=made.samples.reading + off))
+    assert "Look at what moves points alone" in text

@@ -88,7 +88,7 @@ class Proofs:
                 return Proved(False, (group,))
         rivals: dict[str, float] = {}
         for part in others:
-            gained = trial.takes(part.columns, columns, alone, least) if trial.alike(part.columns, least) else 0.0
+            gained = trial.takes(part.columns, columns, alone, least) if trial.alike(part.columns) else 0.0
             if gained > most and self._source:
                 return Proved(False, (part.name,))
             if gained:
@@ -144,24 +144,24 @@ class _Trial:
         deal = self.deals[0]
         return float(np.clip(np.mean(deal.left(deal.layout.flat(self.whole)) ** 2), 1.0, _MOST))
 
-    def alike(self, columns: Array, least: float) -> bool:
-        """Whether columns can make most of what the effect makes, and by a first deal may gain so much."""
+    def alike(self, columns: Array) -> bool:
+        """Whether columns can make most of what the effect makes."""
         deal = self.deals[0]
-        new = deal.new(columns)
-        if not len(new):
-            return False
-        left = deal.left(deal.layout.flat(self.made)).astype(np.float32)
-        gram = new @ new.T
-        gram.flat[:: len(gram) + 1] += _HELD
+        new, left = deal.new(columns), deal.left(deal.layout.flat(self.made)).astype(np.float32)
         along = new @ left
-        return float(along @ np.linalg.solve(gram, along)) >= _LIKE * float(left @ left) and (
-            float(self._gains(deal, new).sum()) > _NEARLY * least
-        )
+        held = new @ new.T + _HELD * np.eye(len(new), dtype=new.dtype)
+        return float(along @ np.linalg.solve(held, along)) >= _LIKE * float(left @ left)
 
-    def gains(self, *columns: Array) -> Array:
-        """Squares that columns gain at samples that were not used, mean over the deals, (N,)."""
-        new = ((deal, np.concatenate([deal.new(some) for some in columns])) for deal in self.deals)
-        return np.asarray(np.mean([self._gains(deal, all_new) for deal, all_new in new], axis=0))
+    def gains(self, *columns: Array, least: float = -np.inf) -> Array:
+        """Squares that columns gain at samples that were not used, mean over the deals, (N,); none where the first deal
+        gains clearly less than a least.
+        """
+        each: list[Array] = []
+        for deal in self.deals:
+            each.append(self._gains(deal, np.concatenate([deal.new(some) for some in columns])))
+            if each[0].sum() < _NEARLY * least:
+                return np.zeros(len(self.unit))
+        return np.asarray(np.mean(each, axis=0))
 
     def _gains(self, deal: Baseline, new: Array) -> Array:
         if not len(new):
@@ -179,8 +179,8 @@ class _Trial:
         """What columns gain, where that is more than a least and the effect, which gains ``alone`` (N,) by itself, adds
         hardly anything to them; else nothing.
         """
-        gained = self.gains(columns)
-        if gained.sum() <= least:
+        gained = self.gains(columns, least=least)
+        if gained.sum() <= max(least, 0.0):
             return 0.0
         more = self.gains(columns, own) - gained
         adds = self.surely(more) and more.sum() > MAX_PREDICTABLE * alone.sum()

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import eigh
 
 from modcal_core.calibration import station_numbers
 from modcal_core.geometry import Array
@@ -196,6 +197,31 @@ def uneven(case: Case) -> str:
         f"{np.sqrt(inside / max(rest, 1e-300)):.2g} times as much as at the others: something shook or was loose then. "
         "See what went on in the cell, and leave these stations out."
     )
+
+
+def along(rest: Rest) -> tuple[str, float] | None:
+    """The joint along whose motion most of a rest lies, station by station, with base or tool beside it where these
+    account for as much, and the share. None if there is no such joint.
+    """
+    if not _asked(rest):
+        return None
+    left, bodies = rest.residual.T, _bodies(rest, every=True)
+    parts = [*_joints(rest), *(_Part.of(body.who, _leading(body, left)[None]) for body in bodies)]
+    # a residual that points anywhere lies along a motion by one part in as many as a reading has components
+    chance = 1.0 / max(float(np.mean(np.sum(rest.weight > 0.0, axis=0))), 1.0)
+    shares = [(share - chance) / (1.0 - chance) for share in _along(left, parts)]
+    named = [part for part, share in zip(parts, shares, strict=True) if share >= _PLAINER * max(shares)]
+    if max(shares) < _MOSTLY or not any(part.unit for part in named):
+        return None
+    return ", or of ".join(f"joint {part.who}" if part.unit else part.who for part in named), max(shares)
+
+
+def _leading(part: _Part, left: Array) -> Array:
+    """The one direction of a body along which most of what is left (N, 6) lies, as a column (6, N)."""
+    along = np.einsum("nid,ni->nd", part.Z, left)
+    size = np.tensordot(part.Z, part.Z, axes=([0, 1], [0, 1]))
+    held = size + 1e-9 * np.trace(size) * np.eye(len(size))
+    return np.asarray((part.Z @ eigh(along.T @ along, held)[1][:, -1]).T)
 
 
 def _asked(rest: Rest) -> bool:

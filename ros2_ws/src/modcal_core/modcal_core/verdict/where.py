@@ -12,13 +12,17 @@ from modcal_core.hypotheses import disagreement, limits
 from modcal_core.robots import Mechanism, is_serial_arm
 from modcal_core.verdict.case import Case
 from modcal_core.verdict.grounds import too_many
-from modcal_core.verdict.predictable import dependence
-from modcal_core.verdict.rest import rows_asked
+from modcal_core.verdict.predictable import MIN_STATIONS, dependence
+from modcal_core.verdict.rest import Rest, rows_asked
+from modcal_core.verdict.scatter import along
 from modcal_core.verdict.verdict import Reason, Verdict
 
 _MAX = 400  # samples, for time; more are thinned evenly
 _WORTH_NAMING = 0.2  # share of the squared residual that must be predicted
 _MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is named, however little it is
+_HALF = 0.5  # of what lies along one joint's motion, that a driver must predict to be named before that
+_SURELY = 0.5  # of the floor; what is less beyond it is not told from it
+_MIN_LEVER = 0.1  # of the reach; what turns the tool from farther away moves it by its angle times this, at least
 _MIN_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
 
 
@@ -35,20 +39,54 @@ def with_places(
         return judged
     named = " ".join(judged.open_because)
     beside = [sentence for sentence in outside if sentence not in named]
-    beside += _apart(case, described or case.model.chain)
+    beside += [*_apart(case, described or case.model.chain), *_only_one_kind(judged, case)]
     where, rest = ([Reason("predictable", said) for said in some] for some in (_goes_with(judged, case), beside))
     first, *others = judged.reasons  # a sentence for a person has two
     return replace(judged, reasons=(first, *where, *others, *rest))
 
 
 def _goes_with(judged: Verdict, case: Case) -> Iterator[str]:
-    """The place and driver that predict most of the rest."""
+    """The place and driver that predict most of the rest; else the joint along which most of it lies."""
     both = judged.predictable_both
     share = both.share if both is not None and judged.predicted else 1.0
-    least = float(np.clip(_MOSTLY * share, _MIN_NAMED, _WORTH_NAMING))
-    found = dependence(case, rows_asked(case, _MAX), least)
-    if found is not None:
+    rows = rows_asked(case, _MAX)
+    found = dependence(case, rows, float(np.clip(_MOSTLY * share, _MIN_NAMED, _WORTH_NAMING)))
+    many = case.samples.select(rows).stations >= MIN_STATIONS
+    moved = along(Rest.of(case, rows)) if many else None
+    if moved is not None and (found is None or found.share < _HALF * moved[1]):
+        yield f"{moved[1]:.0%} of what is left lies along the motion of {moved[0]}, station by station."
+    elif found is not None:
         yield f"The residual {found.sentence}."
+
+
+def _only_one_kind(judged: Verdict, case: Case) -> Iterator[str]:
+    """Where positions exceed their floor by more than orientations allow, or the reverse: what cannot be the cause.
+
+    What turns a joint or the base by θ moves the tool by no more than θ times the reach, and turns it by θ.
+    """
+    left = case.errors["final"]
+    if judged.floor_mm is None or judged.floor_deg is None or not len(left.rotation_norm):
+        return
+    moved = 1e-3 * _beyond(1e3 * left.position_norm, judged.floor_mm)
+    turned = np.radians(_beyond(np.degrees(left.rotation_norm), judged.floor_deg))
+    surely_moved, surely_turned = _SURELY * 1e-3 * judged.floor_mm, np.radians(_SURELY * judged.floor_deg)
+    reach = case.model.chain.reach()
+    if moved > 2.0 * reach * max(turned, surely_turned):
+        yield (
+            f"Positions miss by {1e3 * moved:.3g} mm beyond their floor and orientations by {np.degrees(turned):.2g}° "
+            "only: a joint or a tilt of the base would turn the tool by more. Look at what moves points alone: the "
+            "target's seat on the tool, what the tracker reads, lengths."
+        )
+    elif turned * _MIN_LEVER * reach > max(moved, surely_moved):
+        yield (
+            f"Orientations miss by {np.degrees(turned):.3g}° beyond their floor and positions by {1e3 * moved:.2g} mm "
+            "only: a joint far from the tool would move it by more. Look at what turns the tool alone: its seat, the "
+            "target on it, the last joint, how orientations are read."
+        )
+
+
+def _beyond(size: np.ndarray, floor: float) -> float:
+    return float(np.sqrt(max(float(np.mean(size**2)) - floor**2, 0.0)))
 
 
 def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
