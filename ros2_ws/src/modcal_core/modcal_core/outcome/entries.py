@@ -76,8 +76,8 @@ class Finding:
     """One entry. effects: what it consists of, fitted to all samples (a gear may have several lines). before, after:
     RMS error on held-out without it and with it [m], all else in the final model. gain_mm2, ci95: mean square that its
     removal costs on held-out [mm²], with the 95 % interval over stations; None where there is nothing to remove. tool:
-    RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with. proved: whether other
-    partitions of the stations, and other places and drivers, let it be named; same_as: also what takes its place.
+    RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with. same_as: also what takes its
+    place. shown: whether it may be named as a cause, by stations that were not used, in any partition of them.
     """
 
     family: str
@@ -94,14 +94,7 @@ class Finding:
     ci95: tuple[float, float] | None = None
     tool: float | None = None
     sampled: int = 0
-    proved: bool = True
-
-    @property
-    def shown(self) -> bool:
-        """Whether it may be named as a cause: stations that were not used show that it brings something."""
-        # large moves were let in by what positions and orientations of unseen stations gain together
-        let_in = any(is_large_move(effect) for effect in self.effects)
-        return self.proved and (self.ci95 is None or self.ci95[0] > 0.0 or let_in)
+    shown: bool = True
 
     @property
     def chance(self) -> str:
@@ -160,8 +153,10 @@ def findings(
             for e, c in zip(effects, causes, strict=True)
             for name in (*_link_name(e, shipped), *family_named(e.family).same_as(e, samples), *_one_motion(c))
         )
-        proved = proofs.of(together)
         part, first = of.get(together), effects[0]
+        # large moves were let in by what positions and orientations of unseen stations gain together
+        asked = part is None or part.ci95_mm2[0] > 0.0 or any(is_large_move(effect) for effect in effects)
+        proved = proofs.of(together) if asked else None
         entries.append(
             Finding(
                 *(first.family, first.place, first.direction, first.public_driver),
@@ -169,13 +164,13 @@ def findings(
                 p_value=min(c.p_value for c in causes),
                 before=float("nan") if part is None else float(np.sqrt(max(after**2 + 1e-6 * part.mm2, 0.0))),
                 after=after,
-                same_as=(*same, *proved.rivals),
+                same_as=(*same, *(proved.rivals if proved else ())),
                 effects=(*effects, *companions),
                 gain_mm2=None if part is None else part.mm2,
                 ci95=None if part is None else part.ci95_mm2,
                 tool=at_tool(shipped, together, few),
                 sampled=min(c.sampled for c in causes),
-                proved=proved.holds,
+                shown=proved is not None and proved.holds,
             )
         )
     wrong = case.wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
@@ -250,6 +245,7 @@ def load_findings(loads: Loads | None, model: Model, scored: Samples) -> tuple[F
             gain_mm2=cost,
             ci95=interval,
             tool=float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))),
+            shown=interval[0] > 0.0,
         ),
     )
 
