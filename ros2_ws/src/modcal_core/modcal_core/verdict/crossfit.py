@@ -85,14 +85,10 @@ class Baseline:
     all of it, (K,). All for columns in single precision.
     """
 
-    def __init__(self, U: Array, layout: Layout) -> None:
-        """U: (K, 6, N), of which there may be none."""
-        U = layout.flat(U)
-        value, vector = np.linalg.eigh(U @ U.T)
-        keep = value > 1e-12 * value.max(initial=1e-300)
-        value = value[keep]
+    def __init__(self, value: Array, directions: Array, layout: Layout) -> None:
+        """value (K,), directions (K, 6, N): of the parameters, of which there may be none (:func:`principal`)."""
         self.layout, self._root, self._predicted = layout, np.sqrt(value), value / (1.0 + value)
-        self._directions = (vector[:, keep] / self._root).T @ U
+        self._directions = layout.flat(directions)
         shared = np.stack([part @ part.T for part in (self._directions[:, a:b] for a, b in layout.spans)])
         both = np.outer(self._root, self._root)
         self._factors = [np.linalg.cholesky(np.diag(1.0 + value) - both * own) for own in shared]
@@ -122,6 +118,18 @@ class Baseline:
         ]
         left = r - Q.T @ (self._predicted[:, None] * whole)
         return Trials(_single(r), _single(left), _single(seen), _single(np.stack(moved)))
+
+
+def principal(U: Array) -> tuple[Array, Array]:
+    """Squared sizes (k,) and orthonormal directions (k, 6, N) that parameters U (K, 6, N) move a residual along.
+
+    U is zero where there is no such component.
+    """
+    flat = U.reshape(-1, U.shape[1] * U.shape[2])
+    value, vector = np.linalg.eigh(flat @ flat.T)
+    keep = value > 1e-12 * value.max(initial=1e-300)
+    directions = (vector[:, keep] / np.sqrt(value[keep])).T @ flat
+    return value[keep], directions.reshape(-1, *U.shape[1:])
 
 
 class Ridge:

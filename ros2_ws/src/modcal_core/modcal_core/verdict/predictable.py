@@ -24,7 +24,7 @@ from modcal_core.calibration import block_length, gumbel_of, units_of_stations
 from modcal_core.geometry import Array
 from modcal_core.robots import is_serial_arm
 from modcal_core.verdict.case import Case, derivatives
-from modcal_core.verdict.crossfit import FOLDS, Baseline, Layout, Regressor, Ridge, Sparse
+from modcal_core.verdict.crossfit import FOLDS, Baseline, Layout, Regressor, Ridge, Sparse, principal
 from modcal_core.verdict.drivers import Part, PlaceDrivers
 from modcal_core.verdict.rest import Rest, rows_asked
 from modcal_core.verdict.verdict import MAX_PREDICTABLE, Share
@@ -109,7 +109,8 @@ class RestStudy:
         free, unit = self.free if free is None else free, self.unit if unit is None else unit
         count = int(unit.max()) + 1
         folds = ((np.random.default_rng(k).permutation(count) % FOLDS)[unit] for k in range(_DEALS))
-        return [Baseline(free, Layout.of(fold, self.rest.weight > 0.0)) for fold in folds]
+        value, directions = principal(free)
+        return [Baseline(value, directions, Layout.of(fold, self.rest.weight > 0.0)) for fold in folds]
 
     def groups(self) -> list[tuple[str, Array]]:
         """Names and columns (D, 6, N) of the groups."""

@@ -80,14 +80,13 @@ class Proofs:
             return Proved(False)
         odds = 2.0 * _ODDS * trial.noise
         least, most = float(alone.sum()) - odds, float(alone.sum()) + odds
-        others = [part for part in self._parts if not _is_itself(part, first)]
         # groups that hold it predict it, whatever else they hold
         held = {part.group for part in self._parts if _is_itself(part, first)} - {self._source}
         for group, some in self._groups:
             if group not in held and trial.takes(some, columns, alone, most):
                 return Proved(False, (group,))
         rivals: dict[str, float] = {}
-        for part in others:
+        for part in (part for part in self._parts if not _is_itself(part, first)):
             gained = trial.takes(part.columns, columns, alone, least) if trial.alike(part.columns) else 0.0
             if gained > most and self._source:
                 return Proved(False, (part.name,))
@@ -119,7 +118,9 @@ def _is_itself(part: Part, effect: Effect) -> bool:
 
 @dataclass(frozen=True)
 class _Trial:
-    """A rest with an effect in it. deals: the parameters and the other effects. whole: with the effect, (6, N)."""
+    """A rest with an effect in it. deals: the parameters and the other effects. whole: with the effect, (6, N). made: by
+    the effect, (6, N). noise: mean square of the rest. unit: blocks, (N,).
+    """
 
     deals: Sequence[Baseline]
     whole: Array
@@ -135,9 +136,8 @@ class _Trial:
         deals = study.deals(free[free.any(axis=(1, 2))], unit)
         # samples that were brought in stay as near
         near = np.linalg.norm(rest.residual, axis=0) / np.maximum(np.linalg.norm(rest.raw, axis=0), 1e-300)
-        return cls(
-            deals, rest.residual + made * near, made, float(np.mean(rest.residual[rest.weight > 0.0] ** 2)), unit
-        )
+        noise = float(np.mean(rest.residual[rest.weight > 0.0] ** 2))
+        return cls(deals, rest.residual + made * near, made, noise, unit)
 
     @cached_property
     def _variance(self) -> float:

@@ -37,8 +37,7 @@ def with_places(
     """
     if judged.status != "open":
         return judged
-    named = " ".join(judged.open_because)
-    beside = [sentence for sentence in outside if sentence not in named]
+    beside = [sentence for sentence in outside if sentence not in " ".join(judged.open_because)]
     beside += [*_apart(case, described or case.model.chain), *_only_one_kind(judged, case)]
     where, rest = ([Reason("predictable", said) for said in some] for some in (_goes_with(judged, case), beside))
     first, *others = judged.reasons  # a sentence for a person has two
