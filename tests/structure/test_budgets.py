@@ -37,7 +37,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/modules": (3400, 2270),
     "modcal_core/online": (1240, 850),
     "modcal_core/planning": (3670, 2340),
-    "modcal_core/hypotheses": (3780, 2530),
+    "modcal_core/hypotheses": (3790, 2540),
     "modcal_core/moves": (1840, 1240),
     "modcal_core/report": (4920, 2850),
     "modcal_core/robots": (4850, 3090),
@@ -50,17 +50,17 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/fleet": (200, 130),
     "modcal_nodes/io": (680, 370),
     "modcal_nodes/measuring": (1240, 880),
-    "modcal_nodes/nodes": (2990, 2320),
+    "modcal_nodes/nodes": (2980, 2310),
     "modcal_nodes/ros": (2160, 1180),
     "modcal_nodes/setpoint": (390, 230),
     "modcal_nodes/simulation": (2040, 1360),
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (2070, 1520),
     "modcal_nodes/watching": (280, 200),
-    "tests": (49060, 33870),
+    "tests": (48700, 33610),
 }
 SOURCE = (92400, 60550)
-TEXT = 178200  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+TEXT = 177900  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 78
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
