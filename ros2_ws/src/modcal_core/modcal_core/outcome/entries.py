@@ -76,8 +76,8 @@ class Finding:
     """One entry. effects: what it consists of, fitted to all samples (a gear may have several lines). before, after:
     RMS error on held-out without it and with it [m], all else in the final model. gain_mm2, ci95: mean square that its
     removal costs on held-out [mm²], with the 95 % interval over stations; None where there is nothing to remove. tool:
-    RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with. same_as: also what takes its
-    place. shown: whether it may be named as a cause, by stations that were not used, in any partition of them.
+    RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with. shown: whether it may be
+    named as a cause, by stations that were not used, in any partition of them.
     """
 
     family: str
@@ -154,9 +154,9 @@ def findings(
             for name in (*_link_name(e, shipped), *family_named(e.family).same_as(e, samples), *_one_motion(c))
         )
         part, first = of.get(together), effects[0]
-        # large moves were let in by what positions and orientations of unseen stations gain together
-        asked = part is None or part.ci95_mm2[0] > 0.0 or any(is_large_move(effect) for effect in effects)
-        proved = proofs.of(together) if asked else None
+        # large moves were let in by positions and orientations together
+        asked = part is None or part.ci95_mm2[0] > 0.0 or any(map(is_large_move, effects))
+        rivals = proofs.of(together) if asked else None
         entries.append(
             Finding(
                 *(first.family, first.place, first.direction, first.public_driver),
@@ -164,13 +164,13 @@ def findings(
                 p_value=min(c.p_value for c in causes),
                 before=float("nan") if part is None else float(np.sqrt(max(after**2 + 1e-6 * part.mm2, 0.0))),
                 after=after,
-                same_as=(*same, *(proved.rivals if proved else ())),
+                same_as=(*same, *(rivals or ())),
                 effects=(*effects, *companions),
                 gain_mm2=None if part is None else part.mm2,
                 ci95=None if part is None else part.ci95_mm2,
                 tool=at_tool(shipped, together, few),
                 sampled=min(c.sampled for c in causes),
-                shown=proved is not None and proved.holds,
+                shown=rivals is not None,
             )
         )
     wrong = case.wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)

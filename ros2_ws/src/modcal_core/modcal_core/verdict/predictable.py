@@ -235,9 +235,10 @@ def _named(found: Sequence[tuple[float, int, Part]], least: float) -> Dependence
         return None
     share, _, part = min((f for f in found if f[0] >= _NEARLY * best), key=lambda f: (f[1], -f[0]))
     rivals = [f for f in found if f[0] >= _RIVAL * max(share, best) and f[2].place != part.place]
-    rivals.sort(key=lambda f: (f[1], -f[0]))
-    also = tuple(f"{other.driver or 'a constant error'}, of {other.place}" for _, _, other in rivals[:1])
-    return Dependence(part.place, part.driver, share, also)
+    also = tuple(
+        f"{p.driver or 'a constant error'}, of {p.place}" for *_, p in sorted(rivals, key=lambda f: (f[1], -f[0]))
+    )
+    return Dependence(part.place, part.driver, share, also[:1])
 
 
 def _mixed(columns: Array, rng: np.random.Generator) -> Array:

@@ -1,17 +1,13 @@
 """Which effects of a fitted model may be named as causes: those that stations which were not used ask for.
 
-The split that found an effect also judges it, so that another split may say another word. Here all stations judge, in
-folds of neighbours in time, several times over: geometry and all other effects are fitted to the other folds, with the
-effect and without it. An effect is proved where its gain is surely positive, and more than what is surely predictable
-of what is left.
+All stations judge, in folds of neighbours in time, several times over: geometry and all other effects are fitted to the
+other folds, with the effect and without it. It is proved where its gain is surely positive, and more than what is
+surely predictable of what is left, and nothing takes its place. While a part is predictable, *none of these* is as
+likely: an effect is no cause if something else predicts more, by odds of twenty to one, and it adds hardly anything
+beside that. Others are every place with every driver, alone and in groups; of groups that hold the effect itself only
+the one that predicts what is left. Where too many stations were rejected besides, nothing is proved.
 
-That is not enough while a part of what is left is surely predictable: then *none of these* is as likely, and an effect
-is no cause if something else predicts more, by odds of twenty to one, and it adds hardly anything beside that. Others
-are every place with every driver, alone and in groups; of groups that hold the effect itself only the one that predicts
-what is left. Where too many stations were rejected besides, nothing is proved.
-
-Where nothing is left, what takes its place and predicts as much, within these odds or more, is a rival: the effect is
-one of these.
+Where nothing is left, what predicts as much, within these odds or more, is a rival: the effect is one of these.
 """
 
 from __future__ import annotations
@@ -44,14 +40,6 @@ _IN_WORDS = {"direction": "arrived", "time": "order"}  # drivers of effects, as 
 _LIKE = 0.5  # share of an effect's motion that a place and driver must be able to make to be asked in its place
 
 
-@dataclass(frozen=True)
-class Proved:
-    """holds: whether an effect may be named, as where too few stations can be asked. rivals: what predicts as much."""
-
-    holds: bool
-    rivals: tuple[str, ...] = ()
-
-
 class Proofs:
     """Asks effects of a fitted case, of what its verdict says is surely predictable of the rest."""
 
@@ -64,10 +52,12 @@ class Proofs:
         self._asked = case.fitted and not few and is_serial_arm(case.model.chain)
         self._lost = bool(judged.source) and too_many(case.wrong, case.samples)
 
-    def of(self, numbers: Sequence[int]) -> Proved:
-        """Of the effects of these numbers in the model, taken as one."""
+    def of(self, numbers: Sequence[int]) -> tuple[str, ...] | None:
+        """What predicts as much as the effects of these numbers in the model, taken as one; None where they are not
+        proved. Where too few stations can be asked they are.
+        """
         if not self._asked or self._lost:
-            return Proved(not self._lost)
+            return None if self._lost else ()
         study, effects = self._study, self._case.model.effects
         ends = len(self._case.known.parameters) + np.cumsum([0, *(len(e.values) for e in effects)])
         own = np.concatenate([np.arange(ends[i], ends[i] + len(effects[i].amplitudes)) for i in numbers])
@@ -77,22 +67,22 @@ class Proofs:
         trial = _Trial.of(study, study.parameters[np.setdiff1d(np.arange(len(study.J)), gone)], made)
         alone = trial.gains(columns)
         if not trial.surely(alone) or alone.sum() < self._share * np.sum(study.rest.residual**2):
-            return Proved(False)
+            return None
         odds = 2.0 * _ODDS * trial.noise
         least, most = float(alone.sum()) - odds, float(alone.sum()) + odds
         # groups that hold it predict it, whatever else they hold
         held = {part.group for part in self._parts if _is_itself(part, first)} - {self._source}
-        for group, some in self._groups:
-            if group not in held and trial.takes(some, columns, alone, most):
-                return Proved(False, (group,))
+        groups = [some for group, some in self._groups if group not in held]
+        if any(trial.takes(some, columns, alone, most) for some in groups):
+            return None
         rivals: dict[str, float] = {}
         for part in (part for part in self._parts if not _is_itself(part, first)):
             gained = trial.takes(part.columns, columns, alone, least) if trial.alike(part.columns) else 0.0
             if gained > most and self._source:
-                return Proved(False, (part.name,))
+                return None
             if gained:
                 rivals[part.name] = max(gained, rivals.get(part.name, gained))
-        return Proved(True, tuple(sorted(rivals, key=lambda name: -rivals[name])))
+        return tuple(sorted(rivals, key=lambda name: -rivals[name]))
 
     @cached_property
     def _study(self) -> RestStudy:
@@ -118,8 +108,8 @@ def _is_itself(part: Part, effect: Effect) -> bool:
 
 @dataclass(frozen=True)
 class _Trial:
-    """A rest with an effect in it. deals: the parameters and the other effects. whole: with the effect, (6, N). made: by
-    the effect, (6, N). noise: mean square of the rest. unit: blocks, (N,).
+    """A rest with an effect in it, whole (6, N), of which it made a part. deals: of the parameters and other effects.
+    noise: mean square of the rest. unit: blocks, (N,).
     """
 
     deals: Sequence[Baseline]

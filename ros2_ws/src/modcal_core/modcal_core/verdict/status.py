@@ -232,7 +232,7 @@ def _worse_outside(seen: Findings) -> Iterator[str]:
 
 
 def _whole_scatter(seen: Findings) -> Iterator[str]:
-    """What scatters meets a tolerance as well as what is predictable does, unless the largest of it was left out."""
+    # what scatters meets a tolerance as well as what is predictable does, unless the largest of it was left out
     return _scatter(seen, cut_off=False)
 
 
