@@ -72,11 +72,11 @@ class _Scored:
 def supported(task: Task, fits: Fits) -> Fits:
     """The fits, without effects where these are worse than geometry alone on what no fit has seen.
 
-    All held-out readings count that geometry alone can have: one that only effects miss is a test of them.
+    All held-out readings count but those that both reject: one that only effects miss is a test of them.
     """
-    final, alone, sets = fits.final, fits.geometric, task.sets
-    strays = rejected(alone, task.samples, sets.train, task.cell.distances)[sets.held_out]
-    counted = task.held_out.select(~strays)
+    final, alone, held_out = fits.final, fits.geometric, task.sets.held_out
+    wrong = [rejected(fit, task.samples, task.sets.train, task.cell.distances)[held_out] for fit in (alone, final)]
+    counted = task.held_out.select(~np.all(wrong, axis=0))
     with_them, without = (np.sum(errors(fit.model, counted).position_norm ** 2) for fit in (final, alone))
     stated = replace(fits.diagnosis, fit=alone, causes=fits.diagnosis.causes[: len(alone.model.effects)])
     return fits if with_them <= without else replace(fits, final=alone, diagnosis=stated)
