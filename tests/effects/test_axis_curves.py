@@ -110,8 +110,9 @@ SIZES = {"x": (1e-3, 1e-5, "m")}
 
 def test_rivals_are_in_the_sentence_and_no_more_than_two() -> None:
     found = Finding("step", "base", "all", "time", SIZES, 1e-9, 1e-3, 1e-4, ("tool", "joint_1", "joint_2", "joint_3"))
-    assert found.sentence.endswith("These readings do not tell it from: tool; joint_1; and 2 more.")
-    assert "tell it from" not in replace(found, same_as=()).sentence
+    assert found.sentence.startswith("One of these, which the readings do not tell apart: base moves")
+    assert "; tool; joint_1; 2 more. The error is" in found.sentence
+    assert "One of these" not in replace(found, same_as=()).sentence
 
 
 @pytest.mark.parametrize(("clock", "words"), [(True, "(stamp "), (False, "(row 60)")])

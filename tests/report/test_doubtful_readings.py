@@ -21,7 +21,7 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.verdict.computed import too_small
-from modcal_core.verdict.readings import copied, cut_off
+from modcal_core.verdict.contradicted import copied, cut_off
 from modcal_core.verdict.tolerance import Asked, AtTool, assess
 from modcal_core.verdict.verdict import Verdict
 

@@ -13,7 +13,7 @@ from modcal_core.calibration.model import place_model
 from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.robots.urdf_inertias import Inertias
-from modcal_core.verdict.sanity import long_tool, sane_inertias
+from modcal_core.verdict.contradicted import long_tool, sane_inertias
 
 CHAIN = ur10()
 SANE = Inertias(np.full(6, 3.0), np.tile([0.1, 0.0, 0.1], (6, 1)), np.zeros((6, 3, 3)))

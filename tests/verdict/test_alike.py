@@ -1,25 +1,21 @@
-"""What rejected readings share, the one instrument of several that errs, and stamps that are off in motion."""
+"""The one instrument of several that errs, stamps that are off in motion, and distances that were exchanged."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from cells import Recorded, record, samples_of, ur10
 
-from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.distances import Distance
-from modcal_core.calibration.noise import Errors
 from modcal_core.calibration.stated import Stated
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.verdict.case import Case
-from modcal_core.verdict.rejected import alike
 
 
 @pytest.fixture(scope="module")
@@ -30,39 +26,6 @@ def made() -> Recorded:
 def said(samples: Samples, cell: Cell | None = None) -> str:
     result = calibrate(samples, ur10(), np.random.default_rng(0), cell or Cell(), look_for_effects=False)
     return " ".join(result.report.judged.open_because)
-
-
-def rejected(made: Recorded, wrong: np.ndarray, gap: Array, turn: Array) -> str:
-    """What is said of these rejected readings, which miss by gap [m] and turn [rad] beyond noise, (140,)."""
-    rng = np.random.default_rng(5)
-    position, rotation = rng.normal(0.0, 5e-5, (2, 140, 3))
-    position[:, 0] += gap
-    rotation[:, 0] += turn
-    none: Any = None
-    left = Errors(position, rotation)
-    rows = np.flatnonzero(~wrong)
-    model = fit_cell(ur10(), made.exact, Cell()).model
-    case = Case(made.samples, wrong, rows, "station", model, none, none, {}, left, fitted=True)
-    return " ".join(alike(case))
-
-
-def test_rejected_orientations_are_told_from_rejected_positions(made: Recorded) -> None:
-    wrong = np.random.default_rng(5).permutation(140) < 20
-    off = np.where(wrong, 0.02, 0.0)
-    text = rejected(made, wrong, 0.0 * off, off)
-    assert "the orientation alone is wrong (by 1.15°" in text
-    assert "the position alone is wrong (by 20 mm" in rejected(made, wrong, off, 0.0 * off)
-    assert rejected(made, wrong, off, off) == ""
-    few = wrong & (np.cumsum(wrong) < 4)
-    assert rejected(made, few, 0.0 * off, off) == ""
-
-
-def test_the_posture_or_the_time_that_rejected_readings_share(made: Recorded) -> None:
-    q = made.samples.q[:, 1]
-    off = np.full(140, 0.02)
-    text = rejected(made, q > np.quantile(q, 0.86), off, off)
-    assert f"where {made.samples.names[1]} is large" in text
-    assert "late in the recording" in rejected(made, np.arange(140) > 115, off, off)
 
 
 def wires(made: Recorded, off: Array) -> Samples:

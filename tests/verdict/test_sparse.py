@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modcal_core.verdict.crossfit import Baseline, Layout, Sparse
+from modcal_core.verdict.crossfit import Baseline, Layout, Sparse, principal
 from modcal_core.verdict.drivers import Waves
 
 N = 30
@@ -21,8 +21,8 @@ def test_contracted_products_are_those_of_the_columns_in_full(parameters: int) -
     seen = np.ones((6, N), bool)
     seen[3:, ::3] = False  # some readings without orientation
     layout = Layout.of(rng.permutation(N) % 5, seen)
-    own = 10.0 * rng.normal(size=(parameters, 6, N))
-    baseline, U = Baseline(own, layout), layout.flat(own)
+    own = 10.0 * rng.normal(size=(parameters, 6, N)) * seen
+    baseline, U = Baseline(*principal(own), layout), layout.flat(own)
     full = layout.flat(waves.written(np.arange(22)) * seen)
     seen_only = Waves("", tuple(u * seen for u in waves.motions), waves.numbers)
     few = Sparse(seen_only, baseline)

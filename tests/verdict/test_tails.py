@@ -18,7 +18,7 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.as_json import to_json_data
 from modcal_core.verdict.floor import Floor, depends_on, floors, returns_of
-from modcal_core.verdict.rejected import too_many
+from modcal_core.verdict.grounds import too_many
 from modcal_core.verdict.status import MAX_ABOVE_FLOOR
 from modcal_core.verdict.tails import Tail
 from modcal_core.verdict.verdict import Repeatability

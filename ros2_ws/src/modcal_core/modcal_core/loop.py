@@ -29,7 +29,7 @@ from modcal_core.hypotheses import require_plausible
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome
 from modcal_core.robots import Inertias, Mechanism
-from modcal_core.scoring import scored
+from modcal_core.scoring import scored, supported
 from modcal_core.task import Fits, Task, task_of
 
 
@@ -67,7 +67,7 @@ def calibrate(
     if look_for_effects:
         fits = _with_effects(task, fits, rng, progress, changed)
         curves = with_residual_curves(fits.final, task.train, task.explain, rng, task.cell.distances, block)
-        fits = replace(fits, final=curves, together=curves is not fits.final)
+        fits = supported(task, replace(fits, final=curves, together=curves is not fits.final))
     # when something moved is read from all stations: one next to it that was held out belongs to either side
     fits = replace(fits, final=replace(fits.final, model=sharpened(fits.final.model, task.samples)))
     _require_plausible(task, fits.nominal, fits.final)

@@ -26,7 +26,6 @@ from modcal_core.diagnosis import located
 from modcal_core.effects import Effect
 from modcal_core.measurements import Samples
 from modcal_core.outcome import (
-    Finding,
     Outcome,
     Step,
     description_note,
@@ -46,7 +45,6 @@ from modcal_core.verdict import (
     TOGETHER,
     Applied,
     Grounds,
-    Verdict,
     carried_over,
     contradictions,
     contributions_of,
@@ -58,7 +56,7 @@ from modcal_core.verdict import (
     with_places,
 )
 
-_LOST = 0.1  # of the samples; where more are rejected beside a rest that is predictable, no cause is proved
+_TIMES = 2.0  # that the model with effects misses a reading by more than geometry alone, where the reading is right
 
 
 @dataclass(frozen=True)
@@ -71,10 +69,25 @@ class _Scored:
     distances: tuple[KnownDistance, ...]
 
 
+def supported(task: Task, fits: Fits) -> Fits:
+    """The fits, without effects where these are worse than geometry alone on what no fit has seen.
+
+    All held-out readings count but those that both reject: one that only effects miss is a test of them.
+    """
+    final, alone, held_out = fits.final, fits.geometric, task.sets.held_out
+    wrong = [rejected(fit, task.samples, task.sets.train, task.cell.distances)[held_out] for fit in (alone, final)]
+    counted = task.held_out.select(~np.all(wrong, axis=0))
+    with_them, without = (np.sum(errors(fit.model, counted).position_norm ** 2) for fit in (final, alone))
+    stated = replace(fits.diagnosis, fit=alone, causes=fits.diagnosis.causes[: len(alone.model.effects)])
+    return fits if with_them <= without else replace(fits, final=alone, diagnosis=stated)
+
+
 def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
     """The outcome on held-out samples, and the calibration to ship."""
     samples, sets, cell, final = task.samples, task.sets, task.cell, fits.final
     wrong = rejected(final, samples, sets.train, cell.distances)
+    alone, own = (errors(fit.model, samples).position_norm for fit in (fits.geometric, final))
+    wrong &= ~(_TIMES * alone < own)  # geometry alone fits them: it is the effects that miss them
     if wrong[sets.held_out].all():  # then it is the model that misses them
         wrong[sets.held_out] = False
     accepted = task.held_out.select(~wrong[sets.held_out])
@@ -84,19 +97,19 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
     bare = {stage: model.with_effects(_stated(model, task)) for stage, model in bare.items()}
     left = {stage: errors(model, accepted) for stage, model in {**bare, "final": final.model}.items()}
     seen = _Scored(wrong, accepted, left, distances_of(final, task.train, cell.distances))
-    grounds = replace(_grounds(task, fits, seen), not_applied=carried.not_applied)
-    if not shipped.converged:
-        grounds = replace(grounds, converged=False)
+    grounds = _grounds(task, fits, seen)
+    grounds = replace(grounds, not_applied=carried.not_applied, converged=grounds.converged and shipped.converged)
     case = fitted_case(final, samples, sets, wrong, left, cell.distances)
-    parts = tuple(p for p in contributions_of(case) if not _is_stated((final.model.effects[p.effect],), task))
-    judged = with_places(judge(case, grounds, cell.stated, parts), case, described=task.chain)
+    parts = contributions_of(case)
+    counted = tuple(p for p in parts if not _is_stated((final.model.effects[p.numbers[0]],), task))
+    judged = with_places(judge(case, grounds, cell.stated, counted), case, described=task.chain)
     found = (
-        *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case),
+        *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case, judged, parts),
         *load_findings(fits.loads, final.model, accepted),
     )
     stated = tuple(finding for finding in found if _is_stated(finding.effects, task))
     found = tuple(finding for finding in found if finding not in stated)
-    proved = tuple(finding for finding in found if finding.shown and not _hidden(finding, judged, left["final"], wrong))
+    proved = tuple(finding for finding in found if finding.shown)
     unproved = tuple(finding for finding in found if finding not in proved)
     outcome = Outcome(
         samples=samples,
@@ -118,7 +131,7 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
             *load_notes(fits.loads),
             *unproved_note(unproved),
             *readmitted_note(taken_in),
-            *residual_notes(case),
+            *residual_notes(case, parts),
             *carried.notes,
             *not_asked_note(judged),
         ),
@@ -136,17 +149,6 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
         claim=claim,
     )
     return outcome, shipped
-
-
-def _hidden(finding: Finding, judged: Verdict, final: Errors, wrong: np.ndarray) -> bool:
-    """Whether what the model lacks may be what an effect stands for: it brings less than what is surely predictable of
-    the rest, or so many stations were rejected that the rest is none of what was looked for.
-    """
-    if not judged.predicted or judged.predictable is None or finding.gain_mm2 is None:
-        return False
-    if any(reason.kind == "rejected" for reason in judged.reasons) and wrong.mean() > _LOST:
-        return True
-    return finding.gain_mm2 < judged.predictable.share * 1e6 * float(np.mean(final.position_norm**2))
 
 
 def _shipped(task: Task, fits: Fits, wrong: np.ndarray) -> tuple[Calibration, Claim, np.ndarray, Applied]:

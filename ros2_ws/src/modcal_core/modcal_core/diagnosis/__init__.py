@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.diagnosis.causes import Diagnosis, EvidenceMap, causes_of_moves
-    from modcal_core.diagnosis.choice import EffectChoice, choose, frozen, located
+    from modcal_core.diagnosis.causes import Cause, Diagnosis, EvidenceMap, causes_of_moves
+    from modcal_core.diagnosis.choice import EffectChoice, choose, frozen, located, one_motion_names
     from modcal_core.diagnosis.evidence import Scanner
     from modcal_core.diagnosis.hysteresis import last_moves, moments_on_base, play, slipped
     from modcal_core.diagnosis.load_hypothesis import stated_arm, with_stated
@@ -18,7 +18,7 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["SIGNIFICANT", "Diagnosis", "EffectChoice", "EvidenceMap", "Loads", "NumberBank", "Scanner", "Space"]
-__all__ += ["by_weight", "causes_of_moves", "choose", "diagnose", "frozen", "last_moves", "located"]
-__all__ += ["moments_on_base", "play", "slipped", "stated_arm", "weighed", "with_arm", "with_residual_curves"]
-__all__ += ["with_stated"]
+__all__ = ["SIGNIFICANT", "Cause", "Diagnosis", "EffectChoice", "EvidenceMap", "Loads", "NumberBank", "Scanner"]
+__all__ += ["Space", "by_weight", "causes_of_moves", "choose", "diagnose", "frozen", "last_moves", "located"]
+__all__ += ["moments_on_base", "one_motion_names", "play", "slipped", "stated_arm", "weighed", "with_arm"]
+__all__ += ["with_residual_curves", "with_stated"]

@@ -27,6 +27,7 @@ _CLOSEST = 0.9  # share of angles that a circular deviation is taken of
 _FREE = float(np.log(2.0 * np.pi / (SPREAD[0] * np.sqrt(2.0 * np.pi * np.e))))  # nats for an angle that may be anything
 _STARTS, _ROUNDS = 16, 25  # of a search for one joint's angles
 _TRIED, _HOPELESS = 4, 30.0  # rounds, after which what misses by so many limits of an arm leads nowhere
+_HELD = 4  # stations that agree with base and tool, from which these say where two joints were
 _FEW = 12  # stations at which two joints are looked for; six times as many at which one is
 _BEGIN = (0.0, 2.1, -2.1)  # rad; thirds of a turn from what is reported, from which two joints are looked for
 _STEPS, _LONGEST = 10, 0.7  # iterations, and how far one goes [rad]
@@ -76,7 +77,7 @@ def _in_turn(few: HandEye, j: int, q: Array) -> tuple[Placement, float]:
 def of_two(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """Two joints that were not where they were reported, which four of the six numbers of a pose then prove."""
     rest = astray(fit)
-    if len(rest) < 3 or not fit.case.poses:
+    if not 3 <= len(rest) <= len(fit.case) - _HELD or not fit.case.poses:  # a placement that few agree with proves none
         return
     few = fit.case.select(rest[spread_rows(len(rest), _FEW)])
     found: list[tuple[float, tuple[int, int]]] = []

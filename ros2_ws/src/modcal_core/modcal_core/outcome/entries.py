@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modcal_core.calibration import REJECT_Z, Errors, Fit, Model, beyond_normal, errors, outlying
-from modcal_core.diagnosis import Diagnosis, Loads, by_weight
+from modcal_core.diagnosis import Cause, Diagnosis, Loads, by_weight, one_motion_names
 from modcal_core.effects import (
     ALL,
     AXIS,
@@ -21,18 +21,16 @@ from modcal_core.effects import (
     Quantity,
     ReportEntry,
     Sizes,
-    claimed,
     curve_sizes,
     family_named,
     is_large_move,
-    is_move,
     unit_of,
     with_companions,
 )
 from modcal_core.effects.families import outliers, payload
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.robots import Mechanism
-from modcal_core.verdict import Case, left_without, resampled
+from modcal_core.verdict import Case, Contribution, Proofs, Verdict, entries_of, resampled
 
 
 def parameters(effects: Sequence[Effect], chain: Mechanism, companions: Sequence[Effect] = ()) -> Sizes:
@@ -51,9 +49,9 @@ def parameters(effects: Sequence[Effect], chain: Mechanism, companions: Sequence
 def _in_rows(sizes: Sizes, samples: Samples) -> Sizes:
     """Sizes with rows for seconds, where stamps only count rows."""
     gaps = np.diff(np.unique(samples.stamps))
-    if samples.clock or not len(gaps) or np.ptp(gaps) > 1e-6 * gaps[0]:
+    if samples.clock or not len(gaps):
         return sizes
-    row, out = float(gaps[0]), dict(sizes)
+    row, out = float(np.median(gaps)), dict(sizes)
     for name, (value, std, unit) in sizes.items():
         if unit == "s":
             out[name] = value / row, std / row, "rows"
@@ -78,7 +76,8 @@ class Finding:
     """One entry. effects: what it consists of, fitted to all samples (a gear may have several lines). before, after:
     RMS error on held-out without it and with it [m], all else in the final model. gain_mm2, ci95: mean square that its
     removal costs on held-out [mm²], with the 95 % interval over stations; None where there is nothing to remove. tool:
-    RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with.
+    RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with. shown: whether it may be
+    named as a cause, by stations that were not used, in any partition of them.
     """
 
     family: str
@@ -95,12 +94,7 @@ class Finding:
     ci95: tuple[float, float] | None = None
     tool: float | None = None
     sampled: int = 0
-
-    @property
-    def shown(self) -> bool:
-        """Whether held-out stations show that it brings something."""
-        # large moves were let in by what positions and orientations of unseen stations gain together
-        return self.ci95 is None or self.ci95[0] > 0.0 or any(is_large_move(effect) for effect in self.effects)
+    shown: bool = True
 
     @property
     def chance(self) -> str:
@@ -114,21 +108,18 @@ class Finding:
     def sentence(self) -> str:
         """What a technician should know of it."""
         moved = f" (it moves the tool by {1e3 * self.tool:.3f} mm RMS)" if self.tool is not None else ""
-        return f"{self.what}; {self._gain}{moved}.{self._rivals}"
+        if not self.same_as:
+            return f"{self.what}; {self._gain}{moved}."
+        more = len(self.same_as) - _TOLD
+        others = "; ".join(self.same_as[:_TOLD]) + (f"; {more} more" if more > 0 else "")
+        gain = self._gain[0].upper() + self._gain[1:]
+        return f"One of these, which the readings do not tell apart: {self.what}; {others}. {gain}{moved}."
 
     @property
     def what(self) -> str:
         """The effect and its sizes, without what it brings."""
         entry = ReportEntry(self.place, self.direction, self.driver, self.parameters, self.same_as)
         return family_named(self.family).sentence(entry)
-
-    @property
-    def _rivals(self) -> str:
-        if not self.same_as:
-            return ""
-        more = len(self.same_as) - _TOLD
-        others = "; ".join(self.same_as[:_TOLD]) + (f"; and {more} more" if more > 0 else "")
-        return f" These readings do not tell it from: {others}."
 
     @property
     def _gain(self) -> str:
@@ -139,22 +130,20 @@ class Finding:
         return f"without it the error would be {1e3 * self.before:.3f} instead of {1e3 * self.after:.3f} mm"
 
 
-def findings(diagnosis: Diagnosis, shipped: Model, case: Case) -> tuple[Finding, ...]:
+def findings(
+    diagnosis: Diagnosis, shipped: Model, case: Case, judged: Verdict, worth: Sequence[Contribution]
+) -> tuple[Finding, ...]:
     """Entries in the order found; the same place and driver found again joins its entry.
 
-    shipped: the model fitted to all samples, its effects in the same order. case: of the scored fit.
+    shipped: the model fitted to all samples, its effects in the same order. case: of the scored fit. judged: its
+    verdict. worth: what its effects contribute.
     """
-    samples = case.samples
-    groups: dict[tuple[object, ...], list[int]] = {}
-    for i, effect in enumerate(shipped.effects):
-        if not claimed(effect):
-            continue
-        # each move is an entry of its own
-        key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
-        groups.setdefault(key, []).append(i)
+    proofs, samples = Proofs(case, judged), case.samples
+    of = {part.numbers: part for part in worth}
     few = samples.select(spread_rows(len(samples), MAX_SEEN))
+    after = rms(case.errors["final"])
     entries = []
-    for numbers in groups.values():
+    for numbers in entries_of(shipped.effects):
         effects = tuple(shipped.effects[i] for i in numbers)
         together = with_companions(shipped.effects, numbers)
         companions = tuple(shipped.effects[i] for i in together[len(numbers) :])
@@ -162,37 +151,36 @@ def findings(diagnosis: Diagnosis, shipped: Model, case: Case) -> tuple[Finding,
         same = dict.fromkeys(
             name
             for e, c in zip(effects, causes, strict=True)
-            for name in (*_link_name(e, shipped), *family_named(e.family).same_as(e, samples), *c.same_as)
+            for name in (*_link_name(e, shipped), *family_named(e.family).same_as(e, samples), *_one_motion(c))
         )
-        before, after, gain, interval = _worth(case, together)
-        first = effects[0]
+        part, first = of.get(together), effects[0]
+        # large moves were let in by positions and orientations together
+        asked = part is None or part.ci95_mm2[0] > 0.0 or any(map(is_large_move, effects))
+        rivals = proofs.of(together) if asked else None
         entries.append(
             Finding(
                 *(first.family, first.place, first.direction, first.public_driver),
                 parameters=_in_rows(parameters(effects, shipped.chain, companions), samples),
                 p_value=min(c.p_value for c in causes),
-                before=before,
+                before=float("nan") if part is None else float(np.sqrt(max(after**2 + 1e-6 * part.mm2, 0.0))),
                 after=after,
-                same_as=tuple(same),
+                same_as=(*same, *(rivals or ())),
                 effects=(*effects, *companions),
-                gain_mm2=gain,
-                ci95=interval,
+                gain_mm2=None if part is None else part.mm2,
+                ci95=None if part is None else part.ci95_mm2,
                 tool=at_tool(shipped, together, few),
                 sampled=min(c.sampled for c in causes),
+                shown=rivals is not None,
             )
         )
     wrong = case.wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
     return (*_outliers(diagnosis.fit, samples, wrong), *entries)
 
 
-def _worth(case: Case, numbers: Sequence[int]) -> tuple[float, float, float | None, tuple[float, float] | None]:
-    """(RMS without these effects, with them [m], what removal costs [mm²], its 95 % interval) on the scored samples."""
-    if not len(case.held_out):
-        return float("nan"), float("nan"), None, None
-    with_them = case.errors["final"].position_norm ** 2
-    without_them = left_without(case, numbers).position_norm ** 2
-    cost, interval = resampled(1e6 * (without_them - with_them), case.samples.station[case.held_out])
-    return float(np.sqrt(without_them.mean())), float(np.sqrt(with_them.mean())), cost, interval
+def _one_motion(cause: Cause) -> tuple[str, ...]:
+    """What moves as a cause does, whatever the readings; of a scan's rivals the final model is asked again."""
+    alike = one_motion_names(cause.effect)
+    return tuple(name for name in cause.same_as if not cause.rivals or name in alike)
 
 
 def _link_name(effect: Effect, model: Model) -> tuple[str, ...]:
@@ -257,6 +245,7 @@ def load_findings(loads: Loads | None, model: Model, scored: Samples) -> tuple[F
             gain_mm2=cost,
             ci95=interval,
             tool=float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))),
+            shown=interval[0] > 0.0,
         ),
     )
 

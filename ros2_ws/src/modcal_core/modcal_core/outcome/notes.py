@@ -8,13 +8,12 @@ import numpy as np
 
 from modcal_core.calibration import Calibration, Errors, Fit, Readmitted
 from modcal_core.diagnosis import Loads
-from modcal_core.effects import companionless
 from modcal_core.hypotheses import LIMIT_OF_REACH
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.measurements.kinds import kinds
 from modcal_core.outcome.entries import MAX_SEEN, Finding, at_tool, rms
 from modcal_core.robots import Mechanism
-from modcal_core.verdict import Case, Verdict, left_without
+from modcal_core.verdict import TOGETHER, Case, Contribution, Verdict
 
 
 def counted(count: int, thing: str) -> str:
@@ -59,8 +58,8 @@ def unproved_note(unproved: Sequence[Finding]) -> tuple[str, ...]:
     are = "is" if len(unproved) == 1 else "are"
     names = ", ".join(dict.fromkeys(f"{finding.family} of {finding.place}" for finding in unproved))
     return (
-        f"{counted(len(unproved), 'further effect')} in the model {are} not proved by the held-out stations, and named "
-        f"as no cause: {names}.",
+        f"{counted(len(unproved), 'further effect')} in the model {are} not proved by stations that were not used, and "
+        f"named as no cause: {names}.",
     )
 
 
@@ -130,19 +129,20 @@ def not_asked_note(verdict: Verdict) -> tuple[str, ...]:
     return (f"These stations are too few to ask {questions}.",)
 
 
-def residual_notes(case: Case) -> tuple[str, ...]:
+def residual_notes(case: Case, worth: Sequence[Contribution]) -> tuple[str, ...]:
     """A sentence on the effects of the scored model that no entry contains, largest joint first; none without them."""
-    model, scored = case.model, case.samples.select(case.held_out)
-    numbers = companionless(model.effects)
-    if not numbers or not len(scored):
+    model, scored = case.model, case.scored
+    part = next((part for part in worth if part.label == TOGETHER), None)
+    if part is None:
         return ()
     few = scored.select(spread_rows(len(scored), MAX_SEEN))
     of_joint: dict[str, list[int]] = {}
-    for i in numbers:
+    for i in part.numbers:
         of_joint.setdefault(model.effects[i].place, []).append(i)
     size = {joint: 1e3 * at_tool(model, own, few) for joint, own in of_joint.items()}
     shares = ", ".join(f"{joint} {size[joint]:.3f} mm" for joint in sorted(size, key=lambda j: -size[j]))
-    with_them, alone = (1e3 * rms(each) for each in (case.errors["final"], left_without(case, numbers)))
+    with_them = 1e3 * rms(case.errors["final"])
+    alone = float(np.sqrt(max(with_them**2 + part.mm2, 0.0)))
     return (
         f"Beside what is named, small curves of joints, each held as small as these stations make likely, were learned "
         f"together (RMS at the tool: {shares}); without them the error would be {alone:.3f} instead of {with_them:.3f} "

@@ -85,14 +85,10 @@ class Baseline:
     all of it, (K,). All for columns in single precision.
     """
 
-    def __init__(self, U: Array, layout: Layout) -> None:
-        """U: (K, 6, N), of which there may be none."""
-        U = layout.flat(U)
-        value, vector = np.linalg.eigh(U @ U.T)
-        keep = value > 1e-12 * value.max(initial=1e-300)
-        value = value[keep]
+    def __init__(self, value: Array, directions: Array, layout: Layout) -> None:
+        """value (K,), directions (K, 6, N): of the parameters, of which there may be none (:func:`principal`)."""
         self.layout, self._root, self._predicted = layout, np.sqrt(value), value / (1.0 + value)
-        self._directions = (vector[:, keep] / self._root).T @ U
+        self._directions = layout.flat(directions)
         shared = np.stack([part @ part.T for part in (self._directions[:, a:b] for a, b in layout.spans)])
         both = np.outer(self._root, self._root)
         self._factors = [np.linalg.cholesky(np.diag(1.0 + value) - both * own) for own in shared]
@@ -107,6 +103,10 @@ class Baseline:
         keep = (size > _MIN_NEW * before) & (before > 1e-9 * before.max(initial=1e-300))
         return np.asarray(x[keep] / size[keep, None])
 
+    def left(self, r: Array) -> Array:
+        """What the parameters, fitted to all of it, leave of a residual (R,)."""
+        return np.asarray(r - self._directions.T @ (self._predicted * (self._directions @ r)))
+
     def trials(self, r: Array) -> Trials:
         """The trials of residuals (R, m)."""
         Q = self._directions
@@ -120,20 +120,32 @@ class Baseline:
         return Trials(_single(r), _single(left), _single(seen), _single(np.stack(moved)))
 
 
+def principal(U: Array) -> tuple[Array, Array]:
+    """Squared sizes (k,) and orthonormal directions (k, 6, N) that parameters U (K, 6, N) move a residual along.
+
+    U is zero where there is no such component.
+    """
+    flat = U.reshape(-1, U.shape[1] * U.shape[2])
+    value, vector = np.linalg.eigh(flat @ flat.T)
+    keep = value > 1e-12 * value.max(initial=1e-300)
+    directions = (vector[:, keep] / np.sqrt(value[keep])).T @ flat
+    return value[keep], directions.reshape(-1, *U.shape[1:])
+
+
 class Ridge:
     """Ridge regression on columns (D, R) of unit length, in single precision, for every fold and several ridges.
 
-    With as many columns as D, none of them special, and a share s of R unit variances expected to be explained, each
-    coefficient has a variance of s R / D, and the ridge is its inverse.
+    With as many columns as D, none of them special, and a share s of R variances expected to be explained, each
+    coefficient has a variance of s R / D in these, and the ridge is its inverse. variance: in units of the noise's.
     """
 
-    def __init__(self, columns: Array, baseline: Baseline) -> None:
+    def __init__(self, columns: Array, baseline: Baseline, variance: float = 1.0) -> None:
         D, R = columns.shape
         self.columns, self.spans, Q = columns, baseline.layout.spans, baseline.directions
         parts = [columns[:, a:b] for a, b in self.spans]
         grams = [part @ part.T for part in parts]
         whole = np.sum(grams, axis=0)
-        self._factors = [[_factored(whole - gram, D / (share * R)) for gram in grams] for share in _EXPECTED]
+        self._factors = [[_factored(whole - gram, D / (share * R * variance)) for gram in grams] for share in _EXPECTED]
         own = np.stack([part @ Q[:, a:b].T for part, (a, b) in zip(parts, self.spans, strict=True)])
         self._along = own.sum(axis=0) - own  # with the parameters' directions over the other folds, (FOLDS, D, K)
 

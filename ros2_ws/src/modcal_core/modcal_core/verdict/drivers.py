@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -46,6 +47,11 @@ class Part:
     place: str
     driver: str
     columns: Array
+
+    @property
+    def name(self) -> str:
+        """Place and driver, as text."""
+        return f"{self.place} by {self.driver or 'a constant'}"
 
 
 @dataclass(frozen=True)
@@ -143,6 +149,12 @@ class PlaceDrivers:
         if not self.samples.sockets:
             turns = np.concatenate([flat, flat**3])
             yield _part("", "the tracker's readings", "how the target is turned", along, turns)
+
+    def beside(self) -> Iterator[Part]:
+        """Joints with the position of a neighbour, whose cables and links run through both."""
+        for i, j in (*pairwise(range(self.chain.n)), *pairwise(reversed(range(self.chain.n)))):
+            driver = f"the position of {self.chain.names[j]}"
+            yield _part("", f"joint {self.chain.names[i]}", driver, [self.axes[i]], self._waves(j, 2))
 
     def changed(self, by_parameters: Array) -> Iterator[Part]:
         """Parameters of the model, scales and shears of the readings, that are others from some station on (Chow 1960),

@@ -1,11 +1,15 @@
-"""What other stages found that a verdict has to know: regimes, effects that could not be applied, contradictions."""
+"""What a verdict has to know besides errors: regimes, what was not applied or rejected, contradictions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
 
-from modcal_core.calibration import RejectedPlace
+import numpy as np
+
+from modcal_core.calibration import Errors, ErrorSize, Model, RejectedPlace, station_numbers
+from modcal_core.measurements import Samples
+from modcal_core.moves import moves_of
 from modcal_core.verdict.verdict import NotAsked
 
 
@@ -55,3 +59,68 @@ class Grounds:
     outside: tuple[str, ...] = ()
     unproven: tuple[str, ...] = ()
     not_asked: tuple[NotAsked, ...] = ()
+
+
+def regimes_of(model: Model, samples: Samples) -> tuple[Regime, ...]:
+    """Stretches of stations, in order of time, that base or tool were moved between; empty where nothing moved.
+
+    what: that of the move which begins the stretch; of the first one, of the move that ends it.
+    """
+    moves = moves_of(model)
+    number = station_numbers(samples)
+    part = np.searchsorted([move.at for move in moves], samples.stamps, side="right")
+    parts = [number[part == k] for k in range(len(moves) + 1)]
+    if not moves or not all(len(rows) for rows in parts):
+        return ()
+    return tuple(Regime(int(rows.min()), int(rows.max()), moves[max(k - 1, 0)].what) for k, rows in enumerate(parts))
+
+
+_SINGLE = 0.03  # chance that a reading is wrong by itself: a reflection, a target that was lost
+_SURE = 0.01  # chance of as many single wrong readings, below which they are something else
+
+
+def too_many(wrong: np.ndarray, samples: Samples) -> bool:
+    """Whether more stations hold a rejected sample (True, (N,)) than single wrong readings make up (binomial)."""
+    from scipy.special import bdtrc
+
+    count, of = len(np.unique(samples.station[wrong])), samples.stations
+    return count > 0 and float(bdtrc(count - 1, of, _SINGLE)) < _SURE
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """RMS position error on held-out with the rejected readings and without them [mm]; None where there is nothing to
+    tell it from. stations: with a rejected reading, of so many, in the whole recording (held-out where frozen).
+    """
+
+    with_mm: float | None
+    without_mm: float | None
+    stations: int
+    of: int
+
+    @property
+    def share(self) -> float:
+        """Share of the stations that were rejected."""
+        return self.stations / max(self.of, 1)
+
+
+def rejection(
+    residuals: Errors, wrong: np.ndarray, samples: Samples, held_out: np.ndarray, frozen: bool = False
+) -> Rejected:
+    """What is rejected of these samples.
+
+    residuals: errors of the samples held out. wrong: True for rejected samples, (N,). held_out: rows of those held out.
+    frozen: whether only those were judged.
+    """
+    kept = ~wrong[held_out]
+    return Rejected(
+        _rms_mm(residuals.position_norm),
+        _rms_mm(residuals.position_norm[kept]),
+        len(np.unique(samples.station[wrong])),
+        len(np.unique(samples.station[held_out])) if frozen else samples.stations,
+    )
+
+
+def _rms_mm(norms: np.ndarray) -> float | None:
+    size = ErrorSize.of(1e3 * norms)
+    return None if size is None else size.rms

@@ -24,7 +24,7 @@ from modcal_core.calibration import block_length, gumbel_of, units_of_stations
 from modcal_core.geometry import Array
 from modcal_core.robots import is_serial_arm
 from modcal_core.verdict.case import Case, derivatives
-from modcal_core.verdict.crossfit import FOLDS, Baseline, Layout, Regressor, Ridge, Sparse
+from modcal_core.verdict.crossfit import FOLDS, Baseline, Layout, Regressor, Ridge, Sparse, principal
 from modcal_core.verdict.drivers import Part, PlaceDrivers
 from modcal_core.verdict.rest import Rest, rows_asked
 from modcal_core.verdict.verdict import MAX_PREDICTABLE, Share
@@ -82,7 +82,7 @@ class Dependence:
         return f"{how if self.driver else f'is a constant error of {self.place}'} ({self.share:.0%} of it{more})"
 
 
-class _Study:
+class RestStudy:
     """A rest, the units whose noise is independent of the others', and what parameters could make of it.
 
     free: whether those that were fitted to these very samples may be off; otherwise the model stays as it is.
@@ -104,11 +104,13 @@ class _Study:
             self.free = _FREE * J / np.sqrt(np.einsum("kcn,kcn->k", J, J))[:, None, None]
         self.drivers = PlaceDrivers(self.rest)
 
-    def deals(self) -> list[Baseline]:
-        """The parameters, prepared for each way of dealing units to folds."""
-        count = int(self.unit.max()) + 1
-        folds = ((np.random.default_rng(k).permutation(count) % FOLDS)[self.unit] for k in range(_DEALS))
-        return [Baseline(self.free, Layout.of(fold, self.rest.weight > 0.0)) for fold in folds]
+    def deals(self, free: Array | None = None, unit: np.ndarray | None = None) -> list[Baseline]:
+        """What is free (K, 6, N), by default the parameters, prepared for each way of dealing units (N,) to folds."""
+        free, unit = self.free if free is None else free, self.unit if unit is None else unit
+        count = int(unit.max()) + 1
+        folds = ((np.random.default_rng(k).permutation(count) % FOLDS)[unit] for k in range(_DEALS))
+        value, directions = principal(free)
+        return [Baseline(value, directions, Layout.of(fold, self.rest.weight > 0.0)) for fold in folds]
 
     def groups(self) -> list[tuple[str, Array]]:
         """Names and columns (D, 6, N) of the groups."""
@@ -128,7 +130,7 @@ def predictable(case: Case) -> Predictable:
     rows = rows_asked(case, _MAX)
     if case.samples.select(rows).stations < MIN_STATIONS:
         return Predictable()
-    study = _Study(case, rows, case.fitted)
+    study = RestStudy(case, rows, case.fitted)
     groups, waves, deals = study.groups(), list(study.drivers.waves()), study.deals()
     tests: list[list[tuple[str, Regressor]]] = []
     for deal in deals:
@@ -139,7 +141,7 @@ def predictable(case: Case) -> Predictable:
     return _weighed(study, deals, tests)
 
 
-def _weighed(study: _Study, deals: list[Baseline], tests: list[list[tuple[str, Regressor]]]) -> Predictable:
+def _weighed(study: RestStudy, deals: list[Baseline], tests: list[list[tuple[str, Regressor]]]) -> Predictable:
     """The shares by the best of these regressors, in the mean over all deals."""
     rest, unit = study.rest, study.unit
     predictions: list[list[Array]] = []
@@ -210,7 +212,7 @@ def dependence(case: Case, rows: np.ndarray, least: float, free: bool = True) ->
     """
     if case.samples.select(rows).stations < MIN_STATIONS or not is_serial_arm(case.model.chain):
         return None
-    study = _Study(case, rows, free)
+    study = RestStudy(case, rows, free)
     deals = study.deals()
     whole = float(np.sum(study.rest.residual**2))
     trials = [deal.trials(deal.layout.flat(study.rest.residual)[:, None]) for deal in deals]
@@ -233,9 +235,10 @@ def _named(found: Sequence[tuple[float, int, Part]], least: float) -> Dependence
         return None
     share, _, part = min((f for f in found if f[0] >= _NEARLY * best), key=lambda f: (f[1], -f[0]))
     rivals = [f for f in found if f[0] >= _RIVAL * max(share, best) and f[2].place != part.place]
-    rivals.sort(key=lambda f: (f[1], -f[0]))
-    also = tuple(f"{other.driver or 'a constant error'}, of {other.place}" for _, _, other in rivals[:1])
-    return Dependence(part.place, part.driver, share, also)
+    also = tuple(
+        f"{p.driver or 'a constant error'}, of {p.place}" for *_, p in sorted(rivals, key=lambda f: (f[1], -f[0]))
+    )
+    return Dependence(part.place, part.driver, share, also[:1])
 
 
 def _mixed(columns: Array, rng: np.random.Generator) -> Array:

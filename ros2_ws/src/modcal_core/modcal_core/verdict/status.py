@@ -14,14 +14,12 @@ import numpy as np
 from modcal_core.calibration import Stated
 from modcal_core.measurements import MIN_RETURNS
 from modcal_core.robots import is_serial_arm
-from modcal_core.verdict.account import account
+from modcal_core.verdict.account import Contribution, account, contributions_of, mean_square
 from modcal_core.verdict.case import Case
-from modcal_core.verdict.contributions import Contribution, contributions_of, mean_square
 from modcal_core.verdict.drivers import MIN_OF_FRAME
 from modcal_core.verdict.floor import MIN_ASKED, Floor, Floors, floors
-from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.grounds import Grounds, too_many
 from modcal_core.verdict.predictable import MIN_STATIONS, Predictable, predictable
-from modcal_core.verdict.rejected import too_many
 from modcal_core.verdict.scatter import MIN_STATIONS as MIN_SCATTERED
 from modcal_core.verdict.scatter import scatter, two_values, uneven
 from modcal_core.verdict.tails import Tail, tail_of
@@ -109,6 +107,7 @@ def judge(
         repeatability_mm=known.position.repeatability if known.position else Repeatability(None, None),
         repeatability_deg=known.rotation.repeatability if known.rotation else Repeatability(None, None),
         returns=known.returns,
+        source=mean.source if mean.sure else "",
         unproven=unproven,
         not_asked=(*grounds.not_asked, *_not_asked(seen)),
     )
@@ -237,7 +236,7 @@ def _uneven(seen: Findings) -> Iterator[str]:
 
 
 def _whole_scatter(seen: Findings) -> Iterator[str]:
-    """What scatters meets a tolerance as well as what is predictable does, unless the largest of it was left out."""
+    # what scatters meets a tolerance as well as what is predictable does, unless the largest of it was left out
     return _scatter(seen, cut_off=False)
 
 

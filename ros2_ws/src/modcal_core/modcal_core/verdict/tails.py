@@ -15,8 +15,8 @@ import numpy as np
 
 from modcal_core.calibration import block_length, quantile_chi2
 from modcal_core.measurements import Samples, spread_rows
+from modcal_core.verdict.account import mean_square
 from modcal_core.verdict.case import Case, derivatives
-from modcal_core.verdict.contributions import mean_square
 from modcal_core.verdict.floor import Floor, axes_of
 
 _MAX = 400  # scored samples; the mean over more is the same

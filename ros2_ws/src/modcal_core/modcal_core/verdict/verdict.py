@@ -73,8 +73,9 @@ class Verdict:
     reasons: why the status is open; empty unless it is. remedy: what would tell, for a status of cannot_tell. floor_mm,
     floor_deg: RMS of what cannot be modelled, None where it is not known. account_mm2, account_deg2: rows that sum to
     the squared error of the nominal model; None where readings have no length or no angle. predictable,
-    predictable_deg: share of the held-out squared error that a regressor without physics predicts. unproven: why it is
-    not certain that the readings were measured: then they prove no floor and no tolerance. not_asked: see there.
+    predictable_deg: share of the held-out squared error that a regressor without physics predicts. source: from what,
+    where that is sure. unproven: why it is not certain that the readings were measured: then they prove no floor and no
+    tolerance. not_asked: see there.
     """
 
     status: Status
@@ -90,6 +91,7 @@ class Verdict:
     repeatability_mm: Repeatability = Repeatability(None, None)
     repeatability_deg: Repeatability = Repeatability(None, None)
     returns: int = 0
+    source: str = ""
     unproven: str = ""
     not_asked: tuple[NotAsked, ...] = ()
 

@@ -11,8 +11,8 @@ from modcal_core.calibration import Errors
 from modcal_core.hypotheses import disagreement, limits
 from modcal_core.robots import Mechanism, is_serial_arm
 from modcal_core.verdict.case import Case
+from modcal_core.verdict.grounds import too_many
 from modcal_core.verdict.predictable import MIN_STATIONS, dependence
-from modcal_core.verdict.rejected import alike, too_many
 from modcal_core.verdict.rest import Rest, rows_asked
 from modcal_core.verdict.scatter import along
 from modcal_core.verdict.verdict import Reason, Verdict
@@ -20,11 +20,10 @@ from modcal_core.verdict.verdict import Reason, Verdict
 _MAX = 400  # samples, for time; more are thinned evenly
 _WORTH_NAMING = 0.2  # share of the squared residual that must be predicted
 _MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is named, however little it is
-_MIN_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
 _HALF = 0.5  # of what lies along one joint's motion, that a driver must predict to be named before that
 _SURELY = 0.5  # of the floor; what is less beyond it is not told from it
-_BEFORE = 1  # reasons that stand before where to look; a sentence for a person has two
 _MIN_LEVER = 0.1  # of the reach; what turns the tool from farther away moves it by its angle times this, at least
+_MIN_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
 
 
 def with_places(
@@ -38,13 +37,11 @@ def with_places(
     """
     if judged.status != "open":
         return judged
-    named = " ".join(judged.open_because)
-    there = [*_goes_with(judged, case)]
-    beside = [sentence for sentence in outside if sentence not in named]
+    beside = [sentence for sentence in outside if sentence not in " ".join(judged.open_because)]
     beside += [*_apart(case, described or case.model.chain), *_only_one_kind(judged, case)]
-    where, rest = ([Reason("predictable", sentence) for sentence in said] for said in (there, beside))
-    first, others = judged.reasons[:_BEFORE], judged.reasons[_BEFORE:]
-    return replace(judged, reasons=(*first, *where, *others, *rest))
+    where, rest = ([Reason("predictable", said) for said in some] for some in (_goes_with(judged, case), beside))
+    first, *others = judged.reasons  # a sentence for a person has two
+    return replace(judged, reasons=(first, *where, *others, *rest))
 
 
 def _goes_with(judged: Verdict, case: Case) -> Iterator[str]:
@@ -104,10 +101,7 @@ def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
         if found is not None:
             what = found.what[0].upper() + found.what[1:]
             yield f"{what} ({found.stations} of {found.of} stations that were looked at): {found.remedy}."
-    if not many:
-        return
-    yield from alike(case)
-    if case.fitted:
+    if many and case.fitted:
         along = dependence(case, np.flatnonzero(case.wrong), _WORTH_NAMING, free=False)
         if along is not None:
             yield f"The residual of the rejected stations {along.sentence}."
@@ -115,5 +109,5 @@ def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
 
 def _far(left: Errors, chain: Mechanism) -> bool:
     """Whether errors of a model are larger than those of a nominal arm."""
-    missed = left.position_norm
-    return len(missed) > 0 and is_serial_arm(chain) and float(np.median(missed)) > limits(chain)[1]
+    off = np.median(left.position_norm) if len(left.position_norm) else 0.0
+    return is_serial_arm(chain) and bool(off > limits(chain)[1])
