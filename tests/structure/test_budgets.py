@@ -21,7 +21,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "bench": (15010, 10880),
     "launch": (90, 50),
     "modcal": (50, 30),
-    "modcal_core": (2190, 1180),
+    "modcal_core": (2190, 1190),
     "modcal_core/articulation": (5140, 3530),
     "modcal_core/calibration": (6980, 4340),
     "modcal_core/camera": (5190, 3410),
@@ -33,7 +33,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/geometry": (530, 360),
     "modcal_core/impedance": (3140, 2180),
     "modcal_core/measurements": (4060, 2700),
-    "modcal_core/outcome": (1050, 650),
+    "modcal_core/outcome": (1040, 640),
     "modcal_core/modules": (3400, 2270),
     "modcal_core/online": (1240, 850),
     "modcal_core/planning": (3670, 2340),
@@ -41,7 +41,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/moves": (1840, 1240),
     "modcal_core/report": (4920, 2850),
     "modcal_core/robots": (4850, 3090),
-    "modcal_core/verdict": (4030, 2680),
+    "modcal_core/verdict": (4090, 2710),
     "modcal_msgs_py": (4580, 3100),
     "modcal_msgs_py/tables": (3730, 2650),
     "modcal_nodes": (80, 30),
@@ -57,10 +57,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (2050, 1500),
     "modcal_nodes/watching": (280, 200),
-    "tests": (48600, 33540),
+    "tests": (48590, 33530),
 }
-SOURCE = (92300, 60400)
-TEXT = 177700  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (92350, 60450)
+TEXT = 177800  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 78
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
