@@ -25,7 +25,7 @@ from modcal_core.calibration import Model, RowView
 from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.fit import CameraFit, equations_at, fit_camera, missed_pixels
 from modcal_core.camera.mounting import MIN_VIEWS
-from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, NumberBank, Scanner, Space, choose
+from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, Scanner, Space, choose
 from modcal_core.effects import AXIS, Drivers, Effect, candidates
 from modcal_core.geometry import Array
 
@@ -75,9 +75,7 @@ class CameraScanner(Scanner):
     def information(self, fit: WithModel, effect: Effect) -> float:
         """What the images say of an effect's one amplitude, as the inverse of a variance, all else being fitted."""
         space = self.space_of(fit)
-        keys, numbers = self._factor(effect)
-        gram, _ = self._gram(NumberBank((effect,), keys, numbers[None]), space)
-        return max(float(gram[0, 0, 0]), 0.0)
+        return float(np.sum(self.rows_of(space, effect)[0] ** 2))
 
 
 def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
@@ -133,7 +131,7 @@ class CameraCause:
 
 
 def find_causes(
-    fit: CameraFit, rng: np.random.Generator, progress: Callable[[str], None] = lambda _: None
+    fit: CameraFit, progress: Callable[[str], None] = lambda _: None
 ) -> tuple[CameraFit, tuple[CameraCause, ...], EffectChoice | None]:
     """(the fit with the effects that the images show, these, what is significant but could not be turned into one)."""
     drivers = fit.poses.drivers(fit.state.offset_s)
@@ -148,7 +146,7 @@ def find_causes(
         asked = WithModel(fit, fit.poses.model.with_effects(_valued(fit)))
         if not scanner.enough(asked):  # type: ignore[arg-type]
             break
-        evidence = scanner.evidence(asked, rng)  # type: ignore[arg-type]
+        evidence = scanner.evidence(asked, trials=True)  # type: ignore[arg-type]
         if evidence.p_value > SIGNIFICANT:
             break
         choice = choose(evidence, scanner, asked, refused)  # type: ignore[arg-type]
