@@ -111,8 +111,11 @@ def _searched(fit: Fit, sought: Sought, reject: bool = True) -> Diagnosis:
         if evidence is None:  # after a choice that was refused, the fit is as it was, and so is what it leaves
             evidence = scanner.evidence(search.fit, trials=True)
             scans = [*scans[:1], evidence]
+            if evidence.p_value > SIGNIFICANT:
+                left = None
+                break
         choice = choose(evidence, scanner, search.fit, refused)
-        if choice is None or choice.p_value > SIGNIFICANT or missed > _MAX_REFUSED:
+        if choice is None or missed > _MAX_REFUSED:
             break
         sought.progress(choice.effect.label)
         if search.add_several(evidence, choice, refused) or search.add(choice):
