@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -233,3 +234,19 @@ def test_a_move_about_an_outer_axis_may_be_a_joint_that_slipped(joint: int, plac
     (entry,) = calibrate(recorded([], true=slipped), ur10(), np.random.default_rng(0)).report.effects
     assert (entry.family, entry.place) == ("step", place)
     assert entry.same_as == (f"{other} all by time", f"{ur10().names[joint]} axis by time")
+
+
+def test_a_stated_target_is_no_effect_and_no_error_of_the_tool() -> None:
+    """Rows of a table without a clock, the second half of them read at another target, as the table says."""
+    samples = replace(recorded([(80, (0.1, 0, 0.05, 0, 0, 0), NOT)], "point"), clock=False)
+    at = 0.5 * float(samples.stamps[79] + samples.stamps[80])
+    solution = calibrate(samples, ur10(), np.random.default_rng(0), Cell(moved=(Move(at, "tool"),)))
+    report = solution.report
+    assert not [finding for finding in report.effects if finding.family == "step"]
+    assert any(note.startswith("As stated") and "112 mm" in note for note in report.notes)
+    size = report.errors["nominal"].size_mm()
+    assert size is not None
+    assert size.rms < 10.0, "the nominal arm, with both targets"
+    assert not [row for row in report.judged.account_mm2 if "tool" in row.what]
+    assert report.claim is not None
+    assert report.claim.mm["p95"].ci95[1] < 0.5, "the tool at the last target"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from modcal_core.errors import BadCommand
+from modcal_core.robots import Follower
 from modcal_msgs_py.commands import JointInput, desired_pose, require_new
 
 
@@ -38,6 +39,22 @@ def test_a_joint_far_outside_its_limits_is_not_believed(value: float, believed: 
         with pytest.raises(BadCommand, match="joint_states of a: .* is far outside its limits"):
             heard.receive(states(10.0, a=value), 10.0, 0.1)
         assert heard.position[0] == 0.5
+
+
+def test_a_joint_that_mimics_another_stands_where_its_leader_puts_it_unless_it_is_named() -> None:
+    follows = (Follower(1, "a", -2.0, 0.5), Follower(2, "rod", 3.0, 0.0))
+    heard = JointInput(("a", "b", "c"), np.full(3, -5.0), np.full(3, 5.0), follows)
+    message = stamped(10.0, name=["rod", "a"], position=[0.2, 0.3], velocity=[1.0, 2.0], effort=[7.0, 8.0])
+    heard.receive(message, 10.0, 0.1)
+    assert heard.complete
+    assert np.allclose(heard.position, [0.3, -0.1, 0.6])
+    assert np.allclose(heard.velocity, [2.0, -4.0, 3.0])
+    assert heard.effort[0] == 8.0
+    assert np.isnan(heard.effort[1:]).all(), "the drive is the leader's"
+    heard.receive(states(10.0, a=0.3, b=0.4), 10.0, 0.1)
+    assert heard.position[1] == 0.4
+    with pytest.raises(BadCommand, match="joint_states of b: .* is far outside its limits"):
+        heard.receive(states(10.0, a=4.0), 10.0, 0.1)
 
 
 @pytest.mark.slow

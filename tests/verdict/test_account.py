@@ -17,7 +17,7 @@ from modcal_core.geometry import so3
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import fitted_case
-from modcal_core.verdict.contributions import DRAWS, contributions, left_without, resampled
+from modcal_core.verdict.contributions import DRAWS, contributions_of, left_without, resampled
 
 
 def geared(seed: int = 5, stations: int = 120) -> Samples:
@@ -64,7 +64,7 @@ def test_removal_costs_what_a_fit_without_the_effect_costs(found: tuple[Samples,
     report, fit = result.report, result.scored
     assert {f.family for f in report.effects} == {"gear_harmonic"}
     case = fitted_case(fit, samples, report.sets, report.wrong, report.errors)
-    parts = contributions(case)
+    parts = contributions_of(case)
     assert len(parts) == len(fit.model.effects)
     train = samples.select(report.sets.train)
     with_all = np.mean(report.errors["final"].position_norm ** 2)

@@ -10,6 +10,7 @@ from modcal_core.calibration import (
     Calibration,
     Errors,
     KnownDistance,
+    Model,
     distances_of,
     errors,
     finalise,
@@ -22,6 +23,7 @@ from modcal_core.calibration import (
 )
 from modcal_core.claim import Claim, claim_at_tool, settled
 from modcal_core.diagnosis import located
+from modcal_core.effects import Effect
 from modcal_core.measurements import Samples
 from modcal_core.outcome import (
     Finding,
@@ -36,6 +38,7 @@ from modcal_core.outcome import (
     offsets_of,
     readmitted_note,
     residual_notes,
+    stated_note,
     unproved_note,
 )
 from modcal_core.task import Fits, Task
@@ -46,6 +49,7 @@ from modcal_core.verdict import (
     Verdict,
     carried_over,
     contradictions,
+    contributions_of,
     fitted_case,
     judge,
     regimes_of,
@@ -76,18 +80,22 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
     accepted = task.held_out.select(~wrong[sets.held_out])
     shipped, claim, again, carried = _shipped(task, fits, wrong)
     taken_in = readmitted(shipped.calibrated, samples, again, wrong)
-    bare = {"nominal": fits.nominal.model.with_effects(()), "geometric": fits.geometric.model.with_effects(())}
+    bare = {"nominal": fits.nominal.model, "geometric": fits.geometric.model}
+    bare = {stage: model.with_effects(_stated(model, task)) for stage, model in bare.items()}
     left = {stage: errors(model, accepted) for stage, model in {**bare, "final": final.model}.items()}
     seen = _Scored(wrong, accepted, left, distances_of(final, task.train, cell.distances))
     grounds = replace(_grounds(task, fits, seen), not_applied=carried.not_applied)
     if not shipped.converged:
         grounds = replace(grounds, converged=False)
     case = fitted_case(final, samples, sets, wrong, left, cell.distances)
-    judged = with_places(judge(case, grounds, cell.stated), case, described=task.chain)
+    parts = tuple(p for p in contributions_of(case) if not _is_stated((final.model.effects[p.effect],), task))
+    judged = with_places(judge(case, grounds, cell.stated, parts), case, described=task.chain)
     found = (
         *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case),
         *load_findings(fits.loads, final.model, accepted),
     )
+    stated = tuple(finding for finding in found if _is_stated(finding.effects, task))
+    found = tuple(finding for finding in found if finding not in stated)
     proved = tuple(finding for finding in found if finding.shown and not _hidden(finding, judged, left["final"], wrong))
     unproved = tuple(finding for finding in found if finding not in proved)
     outcome = Outcome(
@@ -104,7 +112,8 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
         offsets=offsets_of(shipped),
         left_out=fits.chosen.left_out,
         notes=(
-            *description_note(left["nominal"], task.chain),
+            *stated_note(stated),
+            *description_note(errors(fits.nominal.model, accepted), task.chain),
             *instrument_notes(final),
             *load_notes(fits.loads),
             *unproved_note(unproved),
@@ -114,7 +123,7 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
             *not_asked_note(judged),
         ),
         readmitted=taken_in,
-        steps=_steps(fits, left, accepted),
+        steps=_steps(task, fits, left, accepted),
         evidence=fits.diagnosis.maps,
         model=final.model,
         residuals=case.residuals.position_norm,
@@ -163,9 +172,25 @@ def _shipped(task: Task, fits: Fits, wrong: np.ndarray) -> tuple[Calibration, Cl
     return shipped, claim, again, carried
 
 
-def _steps(fits: Fits, left: dict[str, Errors], accepted: Samples) -> tuple[Step, ...]:
-    """What each thing that was added leaves of the accepted samples."""
-    added = [Step(cause.effect.label, errors(cause.fit.model, accepted)) for cause in fits.diagnosis.causes]
+def _stated(model: Model, task: Task) -> tuple[Effect, ...]:
+    """The moves of base and tool in a model that somebody stated: they belong to every model, and explain nothing."""
+    return tuple(effect for effect in model.effects if task.cell.states(effect, task.samples.stamps))
+
+
+def _is_stated(effects: tuple[Effect, ...], task: Task) -> bool:
+    return bool(effects) and all(task.cell.states(effect, task.samples.stamps) for effect in effects)
+
+
+def _steps(task: Task, fits: Fits, left: dict[str, Errors], accepted: Samples) -> tuple[Step, ...]:
+    """What each thing that was added leaves of the accepted samples, the moves that were stated in all of them."""
+    stated = _stated(fits.geometric.model, task)
+    added = []
+    for cause in fits.diagnosis.causes:
+        if not task.cell.states(cause.effect, task.samples.stamps):
+            known = _stated(cause.fit.model, task)
+            missing = stated[: len(stated) - len(known)] if len(known) < len(stated) else ()
+            model = cause.fit.model.with_effects((*cause.fit.model.effects, *missing))
+            added.append(Step(cause.effect.label, errors(model, accepted)))
     if fits.together:
         added.append(Step(TOGETHER, left["final"]))
     elif added:

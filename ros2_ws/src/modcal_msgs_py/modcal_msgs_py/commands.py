@@ -12,6 +12,7 @@ from modcal_core.articulation import JointModel
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import Array, se3
 from modcal_core.impedance import ArmSetpoint
+from modcal_core.robots import Follower, JointColumns
 from modcal_msgs_py.readings import seconds, set_seconds
 
 _UNIT = 1e-3  # how far from one the length of a quaternion may be
@@ -55,13 +56,15 @@ def _require_recent(what: str, stamp: float, now: float, stale: float, remedy: s
 class JointInput:
     """The newest position, velocity and effort of every joint of an arm, from messages in any order and any parts."""
 
-    def __init__(self, names: Sequence[str], lower: Array, upper: Array) -> None:
-        """Wait for these joints; positions far outside the limits are refused."""
-        self.names = tuple(names)
-        self._column = {name: j for j, name in enumerate(self.names)}
+    def __init__(self, names: Sequence[str], lower: Array, upper: Array, follows: Sequence[Follower] = ()) -> None:
+        """Wait for these joints; positions far outside the limits are refused.
+
+        follows: those that mimic another one, and stand where that one puts them unless a message names them.
+        """
+        self.names, self._follows = tuple(names), tuple(follows)
         self._lower, self._upper = lower - _BEYOND, upper + _BEYOND
         self._told: tuple[str, ...] | None = None  # names of the last message ...
-        self._rows = self._columns = np.empty(0, int)  # ... and which of them are which of this arm's joints,
+        self._named = JointColumns.of(self.names, (), ())  # ... and which of them are which of this arm's joints,
         self._low, self._high = self._lower[:0], self._upper[:0]  # with their limits
         self.complete = False  # whether every joint was heard of
         n = len(self.names)
@@ -79,18 +82,17 @@ class JointInput:
         names = tuple(message.name)
         if names != self._told:
             self._told = None
-            known = [(i, self._column[name]) for i, name in enumerate(names) if name in self._column]
-            self._rows, self._columns = np.array(known, int).reshape(-1, 2).T
-            self._low, self._high = self._lower[self._columns], self._upper[self._columns]
+            self._named = JointColumns.of(self.names, self._follows, names)
+            self._low, self._high = self._lower[self._named.joints], self._upper[self._named.joints]
         if len(message.position) != len(names) or (self._told is None and len(set(names)) != len(names)):
             raise BadCommand(
                 "joint_states", f"{len(message.position)} positions for {len(names)} names", "send one for every name"
             )
         self._told = names
-        at, column = self._rows, self._columns
-        if not len(at):
+        named, column = self._named, self._named.joints
+        if not len(column):
             return
-        q = np.asarray(message.position, dtype=float)[at]
+        q = named.positions(np.asarray(message.position, dtype=float))
         within = (q >= self._low) & (q <= self._high)  # NaN is neither
         if not within.all():
             worst = int(np.argmin(within))
@@ -101,9 +103,9 @@ class JointInput:
             )
         self.position[column] = q
         self.stamps[column] = stamp
-        for values, kept, unknown in ((message.velocity, self.velocity, 0.0), (message.effort, self.effort, math.nan)):
-            told = np.asarray(values, dtype=float)
-            kept[column] = told[at] if len(told) == len(names) else unknown
+        velocity, effort = (np.asarray(told, dtype=float) for told in (message.velocity, message.effort))
+        self.velocity[column] = named.velocities(velocity) if len(velocity) == len(names) else 0.0
+        self.effort[column] = named.efforts(effort) if len(effort) == len(names) else math.nan
         # no joint goes this fast: a driver that sends it does not know, and then nothing is made of it
         slow = np.abs(self.velocity) < _FASTEST
         if not slow.all():

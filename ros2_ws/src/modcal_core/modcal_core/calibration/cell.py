@@ -19,6 +19,7 @@ from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.parameters import ModelParameter, with_prior
 from modcal_core.calibration.stated import MAX_DEG, MAX_MM, Stated, StatedTool, stated_std, stated_tool
 from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.effects import Effect, is_move
 from modcal_core.errors import BadRecording, BadTable
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import (
@@ -80,6 +81,17 @@ class Cell:
     def with_move(self, move: Move) -> Cell:
         """The same with one more move that is known of."""
         return replace(self, moved=tuple(sorted((*self.moved, move), key=lambda m: m.at)))
+
+    def states(self, effect: Effect, stamps: np.ndarray) -> bool:
+        """Whether an effect is a move that was stated: of that place, no station (stamps [s]) between the two times."""
+        if not is_move(effect):
+            return False
+        at = effect.shape.settings["at"]
+        return any(
+            move.what in ("both", effect.place)
+            and not ((stamps > min(at, move.at)) & (stamps < max(at, move.at))).any()
+            for move in self.moved
+        )
 
     def met(self, samples: Samples) -> Cell:
         """The same with the stations found that distances are known between; raises BadTable where one is not there."""

@@ -34,7 +34,7 @@ from modcal_core.calibration.store_parts import (
     uncertainty_from_data,
     uncertainty_to_data,
 )
-from modcal_core.effects import DriverLimits, Effect, NominalArm
+from modcal_core.effects import STEPS, DriverLimits, Effect, NominalArm
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file
 from modcal_core.geometry import Array, sealed
@@ -200,8 +200,12 @@ class Calibration:
 
     @property
     def driver_limits(self) -> DriverLimits:
-        """Where the drivers of its effects stop."""
-        return DriverLimits(self.watched, self.clock, self.ranges)
+        """Where the drivers of its effects stop; an order of rows, after what was moved."""
+        watched = self.watched
+        if watched is not None and not self.clock:
+            moved = [e.shape.settings["at"] for e in self.calibrated.effects if e.shape.kind in STEPS]
+            watched = max((watched[0], *moved)), watched[1]
+        return DriverLimits(watched, self.clock, self.ranges)
 
     def typical_of(self, effect: int) -> TypicalDriver | None:
         """What the effect with this number was on average, where that was kept."""

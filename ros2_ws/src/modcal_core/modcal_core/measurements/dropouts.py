@@ -25,7 +25,7 @@ from modcal_core.measurements.kinds.kind import farthest
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack, joints_by_time
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots import Mechanism, is_serial_arm
+from modcal_core.robots import Mechanism, followers_of
 
 JOINTS = "joint states without a finite position"
 BEYOND = "joint states with a position that no joint has"
@@ -84,7 +84,7 @@ def cleaned(recording: Recording, names: tuple[str, ...], chain: Mechanism | Non
 
 def _followed(recording: Recording, chain: Mechanism | None) -> Recording:
     """The recording with joints that mimic another one, where their own positions were not recorded."""
-    followers = chain.follows if chain is not None and is_serial_arm(chain) else ()
+    followers = () if chain is None else followers_of(chain)
     known = {name for track in recording.joints for name in track.names}
     new = [(chain.names[f.joint], f) for f in followers if chain is not None and chain.names[f.joint] not in known]
     if not new:

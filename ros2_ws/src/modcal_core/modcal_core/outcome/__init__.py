@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from modcal_core.outcome.joint_offsets import offsets_of
     from modcal_core.outcome.notes import counted, description_note, instrument_notes, load_notes, moved_note
     from modcal_core.outcome.notes import not_asked_note, readmitted_note, residual_notes, unproved_note
-    from modcal_core.outcome.notes import unseen_note
+    from modcal_core.outcome.notes import stated_note, unseen_note
     from modcal_core.outcome.difference import ToolDifference, tool_difference
 else:
     from modcal_core.lazy import lazy_face
@@ -20,4 +20,4 @@ else:
 __all__ = ["STAGES", "Finding", "Outcome", "Step", "ToolDifference", "Trace", "at_tool", "counted"]
 __all__ += ["description_note", "findings", "instrument_notes", "iso_date", "load_findings", "load_notes"]
 __all__ += ["moved_note", "not_asked_note", "offsets_of", "parameters", "readmitted_note", "residual_notes"]
-__all__ += ["tool_difference", "unproved_note", "unseen_note"]
+__all__ += ["stated_note", "tool_difference", "unproved_note", "unseen_note"]

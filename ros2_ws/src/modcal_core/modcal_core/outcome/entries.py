@@ -110,10 +110,14 @@ class Finding:
     @property
     def sentence(self) -> str:
         """What a technician should know of it."""
-        entry = ReportEntry(self.place, self.direction, self.driver, self.parameters, self.same_as)
-        said = family_named(self.family).sentence(entry)
         moved = f" (it moves the tool by {1e3 * self.tool:.3f} mm RMS)" if self.tool is not None else ""
-        return f"{said}; {self._gain}{moved}.{self._rivals}"
+        return f"{self.what}; {self._gain}{moved}.{self._rivals}"
+
+    @property
+    def what(self) -> str:
+        """The effect and its sizes, without what it brings."""
+        entry = ReportEntry(self.place, self.direction, self.driver, self.parameters, self.same_as)
+        return family_named(self.family).sentence(entry)
 
     @property
     def _rivals(self) -> str:

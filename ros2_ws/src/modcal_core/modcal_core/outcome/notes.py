@@ -47,6 +47,11 @@ def description_note(nominal: Errors, chain: Mechanism) -> tuple[str, ...]:
     )
 
 
+def stated_note(stated: Sequence[Finding]) -> tuple[str, ...]:
+    """A sentence on the moves of base and tool that were stated, with their fitted sizes."""
+    return (f"As stated, in every model: {'; '.join(move.what for move in stated)}.",) if stated else ()
+
+
 def unproved_note(unproved: Sequence[Finding]) -> tuple[str, ...]:
     """A sentence on effects that predict together and that held-out stations do not prove one by one."""
     if not unproved:

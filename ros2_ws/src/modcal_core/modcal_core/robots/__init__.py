@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.acceleration import Drives, Window, bias_torque, read_drives, torque
     from modcal_core.robots.bodies import DOWN, STANDARD_GRAVITY, HeldWeight, Payload, chain_gravity_wrench
     from modcal_core.robots.bodies import equivalent_inertia, mass_matrix, with_payload
-    from modcal_core.robots.chain import Chain, Follower
+    from modcal_core.robots.chain import Chain, Follower, JointColumns
     from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DELTA_UNITS, DISTAL, OFFSET, PARAMETERS, PROXIMAL
     from modcal_core.robots.delta import RATIO, ZERO, Delta, delta_from_data, delta_to_data
     from modcal_core.robots.delta_kinematics import delta_inverse, position_jacobians, reachable, tool_pose
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from modcal_core.robots.kinematics import pose_and_jacobian, spatial_jacobian
     from modcal_core.robots.loaded_arm import LoadedArm, require_method
     from modcal_core.robots.makers import NO_HASH, from_ur_kinematics, kinematics_yaml_data, lacks_hash
-    from modcal_core.robots.mechanism import Mechanism, forward, gravity_wrench, is_delta, is_serial_arm, offset_wrench
+    from modcal_core.robots.mechanism import Mechanism, followers_of, forward, gravity_wrench, is_delta, is_serial_arm
+    from modcal_core.robots.mechanism import offset_wrench
     from modcal_core.robots.mechanism import passable, payload_wrench, random_postures, takes, tool_frames
     from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_cpc, from_csv, from_table, from_ur_conf
     from modcal_core.robots.tables import loss, nearest_dh, to_cpc, to_csv, to_table
@@ -37,11 +38,21 @@ else:
 
 __all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
 __all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain", "Delta"]
-__all__ += ["Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointPath"]
-__all__ += ["LoadedArm", "Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian"]
+__all__ += ["Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointColumns"]
+__all__ += [
+    "JointPath",
+    "LoadedArm",
+    "Mechanism",
+    "NearestTable",
+    "Payload",
+    "Tree",
+    "Window",
+    "bias_torque",
+    "body_jacobian",
+]
 __all__ += ["calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds"]
-__all__ += ["delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia", "forward"]
-__all__ += ["frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_conf", "from_ur_kinematics"]
+__all__ += ["delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia", "followers_of"]
+__all__ += ["forward", "frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_conf", "from_ur_kinematics"]
 __all__ += ["gravity_wrench", "held_behind", "inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element"]
 __all__ += ["joint_origins", "kinematics_yaml_data", "lacks_hash", "loss", "mass_matrix", "motion", "moved_centres"]
 __all__ += ["nearest_dh", "number", "offset_wrench", "origin_element", "other_tips", "parse", "passable"]

@@ -41,6 +41,42 @@ class Follower:
 
 
 @dataclass(frozen=True)
+class JointColumns:
+    """Which joints of an arm a message tells, and how. joints: their numbers (k,). columns: of the message (k,), for a
+    joint that mimics another and is not named itself that of its leader. factor, offset: from there to the joint (k,).
+    own: whether the joint is named itself (k,).
+    """
+
+    joints: np.ndarray
+    columns: np.ndarray
+    factor: Array
+    offset: Array
+    own: np.ndarray
+
+    @staticmethod
+    def of(joints: Sequence[str], follows: Sequence[Follower], names: Sequence[str]) -> JointColumns:
+        """Those of messages of these names."""
+        at = {name: i for i, name in enumerate(names)}
+        rows = [(j, at[name], 1.0, 0.0, 1.0) for j, name in enumerate(joints) if name in at]
+        led = [f for f in follows if joints[f.joint] not in at and f.leader in at]
+        rows += [(f.joint, at[f.leader], f.factor, f.offset, 0.0) for f in led]
+        joint, column, factor, offset, own = np.array(sorted(rows), dtype=float).reshape(-1, 5).T
+        return JointColumns(joint.astype(int), column.astype(int), factor, offset, own > 0.0)
+
+    def positions(self, told: Array) -> Array:
+        """Positions (..., k) [rad, m] of the joints, from those of a message or track (..., m)."""
+        return np.asarray(told)[..., self.columns] * self.factor + self.offset
+
+    def velocities(self, told: Array) -> Array:
+        """The same of velocities."""
+        return np.asarray(told)[..., self.columns] * self.factor
+
+    def efforts(self, told: Array) -> Array:
+        """The same of efforts; NaN for a joint that only follows, whose drive is its leader's."""
+        return np.where(self.own, np.asarray(told)[..., self.columns], np.nan)
+
+
+@dataclass(frozen=True)
 class Chain:
     """A serial arm from its base link to its tip link. Immutable; arrays are read-only.
 

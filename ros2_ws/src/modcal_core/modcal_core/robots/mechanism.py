@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from modcal_core.geometry import Array
 from modcal_core.robots import bodies, delta_kinematics, kinematics
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.chain import Chain, Follower
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.kinematics import Frames
 from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
@@ -177,6 +177,11 @@ takes.register(Delta, delta_kinematics.reachable)
 def is_serial_arm(robot: Mechanism) -> TypeGuard[Chain]:
     """Whether the robot is a serial chain: what is known of such only, asks here and passes over others."""
     return isinstance(robot, Chain)
+
+
+def followers_of(robot: Mechanism) -> tuple[Follower, ...]:
+    """Its joints that mimic another one."""
+    return robot.follows if is_serial_arm(robot) else ()
 
 
 def is_delta(robot: object) -> TypeGuard[Delta]:

@@ -6,7 +6,7 @@ if TYPE_CHECKING:
     from modcal_core.verdict.case import Case, fitted_case, frozen_case, own_uncertainty
     from modcal_core.verdict.computed import COMPUTED, own_rows, too_small
     from modcal_core.verdict.contradicted import contradictions
-    from modcal_core.verdict.contributions import TOGETHER, left_without, resampled
+    from modcal_core.verdict.contributions import TOGETHER, contributions_of, left_without, resampled
     from modcal_core.verdict.floor import Floor, floors, reading_scatter_mm
     from modcal_core.verdict.grounds import Grounds
     from modcal_core.verdict.iso9283 import PoseTest, pose_test
@@ -26,6 +26,7 @@ else:
 
 __all__ = ["COMPUTED", "STATISTICS", "TOGETHER", "Applied", "Asked", "AtTool", "Case", "Floor", "Grounds", "NotAsked"]
 __all__ += ["PoseTest", "Rejected", "Row", "Share", "Status", "Tolerance", "Verdict", "applicable", "assess"]
-__all__ += ["carried_over", "contradictions", "doubtful", "fitted_case", "floors", "frozen_case", "interval_of_rms"]
-__all__ += ["judge", "left_without", "own_rows", "own_uncertainty", "pose_test", "reading_scatter_mm", "regimes_of"]
-__all__ += ["rejection", "resampled", "sane_inertias", "too_many", "too_small", "with_places"]
+__all__ += ["carried_over", "contradictions", "contributions_of", "doubtful", "fitted_case", "floors", "frozen_case"]
+__all__ += ["interval_of_rms", "judge", "left_without", "own_rows", "own_uncertainty", "pose_test"]
+__all__ += ["reading_scatter_mm", "regimes_of", "rejection", "resampled", "sane_inertias", "too_many", "too_small"]
+__all__ += ["with_places"]

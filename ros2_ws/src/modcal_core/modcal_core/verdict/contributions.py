@@ -36,7 +36,7 @@ class Contribution:
     ci95_deg2: Interval | None = None
 
 
-def contributions(case: Case) -> tuple[Contribution, ...]:
+def contributions_of(case: Case) -> tuple[Contribution, ...]:
     """One for each effect of the final model that a report names, in its order, and one for all others together.
 
     The cost is that of the model so changed (:func:`left_without`), without linearising.

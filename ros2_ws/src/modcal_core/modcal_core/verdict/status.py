@@ -16,7 +16,7 @@ from modcal_core.measurements import MIN_RETURNS
 from modcal_core.robots import is_serial_arm
 from modcal_core.verdict.account import account
 from modcal_core.verdict.case import Case
-from modcal_core.verdict.contributions import Contribution, contributions, mean_square
+from modcal_core.verdict.contributions import Contribution, contributions_of, mean_square
 from modcal_core.verdict.drivers import MIN_OF_FRAME
 from modcal_core.verdict.floor import MIN_ASKED, Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds
@@ -74,7 +74,7 @@ def judge(
     grounds, stated = grounds or Grounds(), stated or Stated()
     if not len(case.held_out):
         return Verdict("cannot_tell", remedy="Record more stations: none was left for the score.")
-    parts = contributions(case) if parts is None else parts
+    parts = contributions_of(case) if parts is None else parts
     reach = case.model.chain.reach() if is_serial_arm(case.model.chain) else np.inf
     known = floors(case.residuals, case.samples, case.wrong, stated, reach)
     case = case.with_floor(*(None if floor is None else floor.rms for floor in (known.position, known.rotation)))

@@ -19,7 +19,7 @@ from modcal_core.errors import BadRecording, BadTable, ModcalError
 from modcal_core.measurements import joint_limits
 from modcal_core.measurements.kinds import kinds
 from modcal_core.online import ASKED, BETTER, Policy, SampleStream, Supervisor
-from modcal_core.robots import Chain, Delta, Mechanism, is_serial_arm, read_chain
+from modcal_core.robots import Chain, Delta, JointColumns, Mechanism, followers_of, is_serial_arm, read_chain
 from modcal_msgs_py import JOINT_COMMANDS, READING, TYPES, Commands, seconds
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.corners import CornerIntake
@@ -42,7 +42,7 @@ class KnownArm:
         self._given, self._base, self._tip = bool(description), base, tip
         self._tried: tuple[str, frozenset[str]] | None = None
         self._largest, self._reach = np.empty(0), 0.0
-        self._order: dict[tuple[str, ...], np.ndarray | None] = {}
+        self._told: dict[tuple[str, ...], JointColumns | None] = {}
 
     @property
     def serial(self) -> Chain | None:
@@ -77,8 +77,10 @@ class KnownArm:
         except ModcalError as error:
             self.trouble = str(error)
             return False
-        if not set(chain.names) <= names:
-            self.trouble = f"joint_states does not name {', '.join(n for n in chain.names if n not in names)} yet"
+        told = JointColumns.of(chain.names, followers_of(chain), sorted(names)).joints
+        if len(told) < chain.n:
+            missing = ", ".join(name for j, name in enumerate(chain.names) if j not in told)
+            self.trouble = f"joint_states does not name {missing} yet"
             return False
         self.chain, self.trouble = chain, ""
         self.stream = SampleStream(chain.names)
@@ -90,13 +92,13 @@ class KnownArm:
         names = tuple(message.name)
         if self.stream is None or self.chain is None:
             return
-        if names not in self._order:
-            whole = set(self.chain.names) <= set(names)
-            self._order[names] = np.array([names.index(n) for n in self.chain.names]) if whole else None
-        order = self._order[names]
-        if order is not None:
-            effort = np.frombuffer(message.effort)[order] if len(message.effort) == len(names) else None
-            position = np.frombuffer(message.position)[order]
+        if names not in self._told:
+            columns = JointColumns.of(self.chain.names, followers_of(self.chain), names)
+            self._told[names] = columns if len(columns.joints) == self.chain.n else None
+        told = self._told[names]
+        if told is not None:
+            effort = told.efforts(np.frombuffer(message.effort)) if len(message.effort) == len(names) else None
+            position = told.positions(np.frombuffer(message.position))
             if (np.abs(position) > self._largest).any():
                 worst = int(np.argmax(np.abs(position) / self._largest))
                 said = f"position {position[worst]:.4g}, {self._largest[worst]:.4g} is the limit"
@@ -120,8 +122,8 @@ class KnownArm:
 
     def position(self, message: Any) -> np.ndarray | None:
         """The arm's joints in a joint state, (n,); None where it does not name the whole arm."""
-        order = self._order.get(tuple(message.name))
-        return None if order is None else np.frombuffer(message.position)[order].copy()
+        told = self._told.get(tuple(message.name))
+        return None if told is None else told.positions(np.frombuffer(message.position))
 
     def reading(self, kind: str, message: Any) -> None:
         """Hand a reading to the stream."""

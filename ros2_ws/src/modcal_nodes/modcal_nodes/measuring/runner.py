@@ -20,6 +20,7 @@ from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import TRAVEL
 from modcal_core.planning import UNSEEN, Station, TimedMotion
+from modcal_core.robots import Mechanism, followers_of
 from modcal_msgs_py import JointInput
 
 IDLE, MOVING, SETTLING, READING, HELD = "idle", "moving", "settling", "reading", "held"
@@ -207,10 +208,12 @@ class Runner:
 
 
 class JointReports:
-    """The newest report of all joints. clock: seconds of the node's own time, in which messages are stamped."""
+    """The newest report of all joints. limits: lowest and highest positions (n,) [rad, m]. clock: seconds of the node's
+    own time, in which messages are stamped.
+    """
 
-    def __init__(self, names: tuple[str, ...], lower: Array, upper: Array, clock: Callable[[], float]) -> None:
-        self._joints, self._clock = JointInput(names, lower, upper), clock
+    def __init__(self, robot: Mechanism, limits: tuple[Array, Array], clock: Callable[[], float]) -> None:
+        self._joints, self._clock = JointInput(robot.names, *limits, followers_of(robot)), clock
         self._received = -np.inf
 
     def receive(self, message: JointState, stale: float) -> None:

@@ -307,7 +307,7 @@ class StationSequence:
 
     def _placed(self, place: Place) -> None:
         self._place = place
-        self._joints = JointReports(place.robot.names, place.lower, place.upper, self._clock)
+        self._joints = JointReports(place.robot.mechanism, (place.lower, place.upper), self._clock)
         self._runner = Runner(place.lower, place.upper, self._rules())
         done = len(place.session.rows())
         before = f"{counted(done, 'station')} measured before; " if done else ""

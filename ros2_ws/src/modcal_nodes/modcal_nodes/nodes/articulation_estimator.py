@@ -138,7 +138,7 @@ class ArticulationEstimator(ros.GuardedNode):
         except ModcalError as error:
             self._chain, self._refusal = None, str(error)
             return
-        self._joints = JointInput(self._chain.names, self._chain.lower, self._chain.upper)
+        self._joints = JointInput(self._chain.names, self._chain.lower, self._chain.upper, self._chain.follows)
 
     def _take_joints(self, message: JointState) -> None:
         if self._chain is None:

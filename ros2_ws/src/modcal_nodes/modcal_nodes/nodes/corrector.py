@@ -25,6 +25,7 @@ from modcal_core.correction import (
 )
 from modcal_core.errors import BadCommand, BadTable, ModcalError
 from modcal_core.measurements import Approach
+from modcal_core.robots import followers_of
 from modcal_msgs_py import JointInput, SignalsHeard, desired_pose, fill_pose, require_new, set_seconds
 from modcal_nodes import ros
 from modcal_nodes.io import parse_calibration, read_calibration, read_delta
@@ -139,7 +140,9 @@ class Corrector(ros.GuardedNode):
         else:
             bounds = robot.bounds(self._commander.settings)
             if self._joints is None or self._joints.names != bounds.names:
-                self._joints, self._approach = JointInput(bounds.names, bounds.lower, bounds.upper), Approach()
+                follows = followers_of(robot.correction.chain)
+                self._joints = JointInput(bounds.names, bounds.lower, bounds.upper, follows)
+                self._approach = Approach()
             self._refusal = ""
             self._commander.use(robot, self._now())
             self._announce()

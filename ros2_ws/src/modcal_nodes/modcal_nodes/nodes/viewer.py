@@ -19,6 +19,7 @@ from modcal_core.correction import ArmState, CalibratedRobot, tool_ellipsoid
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import Array
 from modcal_core.measurements import POINT, POSE, Approach
+from modcal_core.robots import followers_of
 from modcal_msgs_py import JointInput, SignalsHeard
 from modcal_nodes import ros
 from modcal_nodes.calibrating import KnownArm
@@ -111,7 +112,7 @@ class Viewer(ros.GuardedNode):
     def _recognise(self) -> None:
         if self._arm.recognise(self._names) and self._arm.chain is not None:
             chain = self._arm.chain
-            self._joints = JointInput(chain.names, chain.lower, chain.upper)
+            self._joints = JointInput(chain.names, chain.lower, chain.upper, followers_of(chain))
             self._dirty = True
 
     def _take_description(self, message: String) -> None:

@@ -36,7 +36,7 @@ class ArmInputs:
         self._chosen = chosen
         self.arm = SensedArm.of(urdf, chosen)
         self.chain, self.sensor = self.arm.chain, self.arm.sensor
-        self._joints = JointInput(self.chain.names, self.chain.lower, self.chain.upper)
+        self._joints = JointInput(self.chain.names, self.chain.lower, self.chain.upper, self.chain.follows)
         self._tool: tuple[float, Array] | None = None
 
     def take_joints(self, message: JointState, now: float) -> None:
