@@ -236,10 +236,10 @@ class NumberPool:
     def times(self, of: Mapping[Key, Array]) -> Array:
         """All numbers times the matrices (N, k) of their keys, (R, k)."""
         some = of[next(iter(self._numbers))]
-        out = np.empty((self._count, some.shape[1]))
+        out = np.empty((self._count, some.shape[1]), some.dtype)
         first = 0
         for key, numbers in self._numbers.items():
-            np.matmul(numbers, of[key], out=out[first : first + len(numbers)])
+            np.matmul(numbers.astype(some.dtype, copy=False), of[key], out=out[first : first + len(numbers)])
             first += len(numbers)
         return out
 

@@ -141,9 +141,9 @@ def _explain_together(evidence: Evidence, scanner: Scanner, fit: Fit, plain: np.
     first, *others = best.values()
     chosen = [first]
     for _ in range(min(_LOOK_AHEAD - 1, len(others))):
-        chosen.append(max(others, key=lambda effect: scanner.together(fit, (*chosen, effect))))
+        chosen.append(max(others, key=lambda effect: scanner.together(fit, (*chosen, effect))[1]))
         others.remove(chosen[-1])
-    return scanner.together(fit, chosen)
+    return scanner.together(fit, chosen)[1]
 
 
 def _rivals(evidence: Evidence, best: int, alike: list[int]) -> list[Effect]:

@@ -7,7 +7,7 @@ round ends.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from modcal_core.calibration import Fit, Model, Uncertainty, without
 from modcal_core.diagnosis.choice import SIGNIFICANT, EffectChoice, choose, other_forms
@@ -42,17 +42,16 @@ def chosen_together(
     """
     found: list[StartedChoice] = []
     choice: EffectChoice | None = first
-    ahead, before, apart = fit, 0.0, set(refused)
+    before, apart = 0.0, set(refused)
     while choice is not None and choice.p_value <= SIGNIFICANT:
-        together = scanner.together(fit, [*(one.choice.effect for one in found), choice.effect])
-        started = choice.effect.started(scanner.amplitudes(ahead, choice.effect))
-        if together - before < _MANY * MIN_GAIN or _stands_alone(started, scanner.effects):
+        amplitudes, share = scanner.together(fit, [*(one.choice.effect for one in found), choice.effect])
+        started = choice.effect.started(amplitudes[-choice.effect.shape.size :])
+        if share - before < _MANY * MIN_GAIN or _stands_alone(started, scanner.effects):
             break
         found.append(StartedChoice(choice, started))
         if len(found) == most:
             break
-        before = together
-        ahead = replace(ahead, model=ahead.model.with_effects((*ahead.model.effects, started)))
+        before = share
         apart |= {effect.key for effect in scanner.effects if effect.place == started.place}
         choice = choose(evidence, scanner, fit, apart)
     return tuple(found)
