@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import tempfile
+from collections import Counter
 from itertools import zip_longest
 from pathlib import Path
 
@@ -55,14 +56,13 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files that wait and slow ones that compute take turns, so that neither cores nor time lie idle; small ones last."""
-    waits: dict[Path, None] = {}
-    computes: dict[Path, None] = {}
-    small: dict[Path, None] = {}
+    """Files that wait and slow ones that compute take turns, so that neither cores nor time lie idle; long ones first."""
+    waits, computes, small = Counter[Path](), Counter[Path](), Counter[Path]()
     for item in items:
-        kind = waits if item.get_closest_marker("dds") else computes if item.get_closest_marker("slow") else small
-        kind[item.path] = None
-    turns = [path for pair in zip_longest(waits, computes) for path in pair if path is not None]
+        dds, slow = (item.get_closest_marker(name) is not None for name in ("dds", "slow"))
+        (waits if dds else computes if slow else small)[item.path] += 5 if dds and slow else 1
+    kinds = ([path for path, _ in kind.most_common()] for kind in (waits, computes))
+    turns = [path for pair in zip_longest(*kinds) for path in pair if path is not None]
     place = {path: i for i, path in enumerate(dict.fromkeys([*turns, *small]))}
     items.sort(key=lambda item: place[item.path])
 

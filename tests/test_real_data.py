@@ -123,6 +123,7 @@ def test_ball_in_sockets(name: str, scatter: float, imported: Callable[..., Path
     assert report["error_mm"]["nominal"]["rms"] > 2.5 * report["error_mm"]["final"]["rms"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("robot", "grid", "mean"), [("ur5", "ur5_grid", 0.109), ("wam7", "wam_grid", 2.2)])
 @pytest.mark.parametrize("sign", ["minus", "plus"])
 def test_goals_and_deviations(

@@ -36,13 +36,13 @@ from harness import median, over, share
 from scipy.spatial.transform import Rotation
 
 from modcal_core.camera.bundle import BoardView
+from modcal_core.camera.changes import CameraWatch
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import first_lens, fit_lens
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M
 from modcal_core.camera.views import postures_anywhere, postures_in_view
-from modcal_core.camera.watching import CameraWatch
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array, se3
 from modcal_nodes.vision import detect

@@ -25,8 +25,8 @@ import numpy as np
 from harness import over
 from lifecycle_msgs.msg import Transition
 from nodes.polling import Polled
-from nodes.processes import Process, fresh_domain, listener, running
-from nodes.pulling import ESTIMATOR, PANDA, PULL, SETPOINT, WORLD, Told, begin, call, change, followers, until_heard
+from nodes.processes import Process, ask, fresh_domain, listener, running
+from nodes.pulling import ESTIMATOR, PANDA, PULL, SETPOINT, WORLD, Told, begin, change, followers, until_heard
 from nodes.talking import RELIABLE, Diagnostics
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
@@ -130,7 +130,7 @@ def pull(seed: int, event: str) -> harness.Result:
         elif how == "deactivate":
             change(node, wait, SETPOINT, Transition.TRANSITION_DEACTIVATE)
         else:
-            call(node, wait, Trigger, f"{SETPOINT}/stop", Trigger.Request())
+            ask(node, wait, Trigger, f"{SETPOINT}/stop", Trigger.Request())
         if paused:
             spin(PAUSE)
             nodes[who].popen.send_signal(signal.SIGCONT)

@@ -34,8 +34,8 @@ from modcal_core.modules.library import library_from_data, published, published_
 from modcal_core.modules.synthesis_data import task_from_data
 from modcal_core.planning.site import site_from_data
 from modcal_core.planning.station_files import stations_from_data
+from modcal_core.robots.acceleration import LoadedArm
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.loaded_arm import LoadedArm
 from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.images import CORNER, lens_data, raw_image, read_corners

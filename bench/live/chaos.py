@@ -21,8 +21,9 @@ from typing import Any
 
 import harness
 import numpy as np
-from nodes.cell import Said, call
+from nodes.cell import call
 from nodes.processes import Process, fresh_domain, listener, running
+from nodes.talking import Diagnostics
 from parts import RECORD, digest
 from run import CELL, PARTS, TOPICS
 
@@ -107,7 +108,7 @@ def run(folder: Path, seconds: float) -> int:
         "relay", domain, folder, command=[sys.executable, str(PARTS), "relay", str(folder / "relay.bin"), "5"]
     )
     with running(calm, relay), listener(domain) as (node, wait):
-        said = Said(node)
+        said = Diagnostics(node)
         try:
             for subject in every:
                 subject.start()

@@ -43,9 +43,9 @@ import conftest  # noqa: F401 (finds the install tree)
 import numpy as np
 import psutil
 from harness import over
-from nodes.cell import Said, call
+from nodes.cell import call
 from nodes.processes import Process, fresh_domain, listener, running
-from nodes.talking import Talker, numbers_on_disk
+from nodes.talking import Diagnostics, Talker, numbers_on_disk
 from rosbags.rosbag2 import Reader
 from scipy.stats import theilslopes
 
@@ -146,7 +146,7 @@ def beside(run: str, started: dict[str, dict[str, str]], seconds: float, folder:
                     each.look()
         if {"calibrator", "recorder"} <= here.keys():
             heard, wait = stack.enter_context(listener(domain))
-            said, last = Said(heard), time.monotonic()
+            said, last = Diagnostics(heard), time.monotonic()
             parts = {"calibrator": "/calibrator: hearing", "recorder": "/recorder: topics"}
             wait(lambda: time.monotonic() > last + 3.0 and {SAMPLES, *parts.values()} <= set(said.last), 20.0)
             late = [float(said.value(SAMPLES, f"from stamp to update, {key} [ms]")) for key in FIGURES]
@@ -189,7 +189,7 @@ def soak(seconds: float, folder: Path) -> int:
     recorder = Process("recorder", domain, folder, out=bag)
     calibrator = Process("calibrator", domain, folder, buffer_s=turn)
     with running(recorder, calibrator), listener(domain) as (here, wait):
-        said = Said(here)
+        said = Diagnostics(here)
         wait(lambda: said.level(SAMPLES) >= 0 and bag.exists(), 60.0)
         cell = Process("simulated_cell", domain, folder, start_delay_s=5.0, **CELL)
         with running(cell):

@@ -36,9 +36,8 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.samples import Samples
 from modcal_core.planning import Advice, Advisor, Goal, Method
 from modcal_core.planning.next_stations import Chooser, deciding_stations, first_stations, one_motion
-from modcal_core.planning.outlook import outlook
+from modcal_core.planning.outlook import Refit, outlook, refit
 from modcal_core.planning.pool import of_recording, of_robot
-from modcal_core.planning.refit import Refit, refit
 from modcal_core.planning.session import FRAME, POINT, POSE, Session, Station
 from modcal_core.planning.site import Noise, Site
 from modcal_core.robot import Robot

@@ -28,20 +28,16 @@ pytestmark = pytest.mark.slow
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "extending" / "cell_extras" / "folding_door.py"
 DEGREE = np.pi / 180.0
-# As it was before packages could add anything: kind, reach, with rotations; probabilities and log-likelihood. The second
+# As it was before packages could add anything: kind, reach, with rotations; probabilities and log-likelihood. The first
 # is so slow for its noise that 9 of its 60 samples count as a rest, which has no say in the probabilities any more.
 BEFORE = [
-    ("revolute", 0.12, False, (0.076350062, 0.87526434, 0.047499884, 0.0008857164), 664.2708036124),
     ("revolute", 0.05, True, (0.80054698, 8.5497593e-05, 0.19602029, 0.0033472316), 1340.1671973132),
     ("screw", 0.5, False, (1.1478776e-05, 6.7024236e-10, 0.97916271, 0.020825806), 662.8410204884),
-    ("prismatic", 0.1, False, (0.0010553684, 0.98376779, 0.014880473, 0.00029636644), 660.2286851225),
 ]
 
 
 def example() -> ParametricModel:
     spec = importlib.util.spec_from_file_location("folding_door", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     assert isinstance(module.MODEL, ParametricModel)
@@ -64,11 +60,6 @@ class Circle(ParametricModel):
         T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1] = c, -s, s, c
         T[:, :2, 3] = np.exp(values[0]) * np.stack([c, s], axis=1)
         return T
-
-
-def thinned(count: int) -> Array:
-    """Rows of some 80 samples, evenly chosen."""
-    return np.unique(np.linspace(0, count - 1, 80).round().astype(int))
 
 
 def with_models(monkeypatch: pytest.MonkeyPatch, *models: ParametricModel) -> None:
@@ -107,15 +98,12 @@ def test_derivatives(rng: np.random.Generator) -> None:
         assert (motion.residuals(track, motion.configurations(track) + side) ** 2).sum() > (off**2).sum()
 
 
-@pytest.mark.parametrize("oriented", [True, False])
-def test_a_hinge_that_a_package_writes_weighs_what_the_houses_hinge_weighs(
-    oriented: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hinge_that_a_package_writes_weighs_what_the_houses_hinge_weighs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Same likelihood, same prior volume: their odds are those of their shares, but for what Laplace's method leaves."""
     with_models(monkeypatch, Circle())
     rng = np.random.default_rng(1)
     seen = noisy(ideal("revolute", np.linspace(0.0, 1.2, 60), rng, 0.4), rng, 1e-3, 0.3 * DEGREE)
-    found = choose(Track(seen.positions, seen.rotations if oriented else None))
+    found = choose(Track(seen.positions, seen.rotations))
     own: float = found.probabilities["circle"]
     log_odds = np.log(own / found.probabilities["revolute"]) - np.log(0.3 / (0.7 * REVOLUTE.share))
     assert abs(log_odds) < 1.0
@@ -126,10 +114,9 @@ def test_a_hinge_that_a_package_writes_weighs_what_the_houses_hinge_weighs(
     assert mine.log_likelihood == pytest.approx(hinge.log_likelihood, abs=0.5)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_what_none_of_the_four_kinds_explains_is_told(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_none_of_the_four_kinds_explains_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     with_models(monkeypatch, FOLDING)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     width, handle = rng.uniform(0.3, 0.55), rng.uniform(0.08, 0.22)
     p, R = folding(rng, width, handle)
     found = choose(Track(p, R))
@@ -147,40 +134,17 @@ def test_what_none_of_the_four_kinds_explains_is_told(seed: int, monkeypatch: py
     assert np.linalg.norm(found.fit.model.position(found.fit.configurations) - p, axis=1).max() < 5e-3
 
 
-def test_outliers_do_not_hide_it(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("kind", "oriented"), [("prismatic", True), ("revolute", False)])
+def test_what_moves_otherwise_is_told_as_before(kind: Kind, oriented: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = real(kind, np.random.default_rng(0))
+    rows = np.unique(np.linspace(0, len(seen.a) - 1, 80).round().astype(int))
+    track = Track(seen.positions[rows], seen.rotations[rows] if oriented else None)
+    with_models(monkeypatch)
+    without = choose(track)
     with_models(monkeypatch, FOLDING)
-    rng = np.random.default_rng(7)
-    p, R = folding(rng, 0.4, 0.15, away=lambda s: 1e-3 * np.stack([np.sin(20 * s), np.cos(15 * s), 0 * s], axis=1))
-    p[::15] += rng.normal(0.0, 0.1, p[::15].shape)
-    found = choose(Track(p, R))
-    assert found.kind == "folding_door"
-    assert found.fit.weights[::15].max() < 0.2 < np.delete(found.fit.weights, np.arange(0, 80, 15)).min() * 4.0
-
-
-@pytest.mark.parametrize("kind", ["prismatic", "revolute", "screw"])
-def test_what_moves_otherwise_is_told_as_before(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
-    for seed, oriented in ((0, True), (1, False)):
-        rng = np.random.default_rng(seed)
-        seen = real(kind, rng)
-        rows = thinned(len(seen.a))
-        track = Track(seen.positions[rows], seen.rotations[rows] if oriented else None)
-        with_models(monkeypatch)
-        without = choose(track)
-        with_models(monkeypatch, FOLDING)
-        found = choose(track)
-        assert found.kind == without.kind, found.why
-        assert found.probabilities["folding_door"] < 0.05
-
-
-def test_real_furniture_is_told_as_before(
-    furniture: dict[str, tuple[Kind, Track]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with_models(monkeypatch, FOLDING)
-    some = ["iros_drawer/003", "cabinet_one/005", *[name for name in furniture if name.startswith("pose")][:1]]
-    for name in some:
-        kind, track = furniture[name]
-        found = choose(track.part(thinned(len(track))))
-        assert found.kind == kind, (name, found.why)
+    found = choose(track)
+    assert found.kind == without.kind, found.why
+    assert found.probabilities["folding_door"] < 0.05
 
 
 class _Bad(Circle):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "bench" / "fuzz"
-SECONDS = {"mcap": 7.5}  # the other ten targets: 2.5 each
+SECONDS = {"mcap": 2.5}  # the other ten targets: 0.8 each
 LARGEST_MIB = 1024
 
 
@@ -29,10 +29,10 @@ def bench() -> Iterator[dict[str, ModuleType]]:
 
 
 @pytest.mark.slow
-def test_thirty_seconds_of_hostile_input(bench: dict[str, ModuleType], tmp_path: Path) -> None:
-    """Half a minute of processor, because a fault that is left is found by numbers alone."""
+def test_ten_seconds_of_hostile_input(bench: dict[str, ModuleType], tmp_path: Path) -> None:
+    """Of processor; `make fuzz` takes five minutes, because a fault that is left is found by numbers alone."""
     for target in bench["run"].targets(tmp_path):
-        found = bench["run"].fuzz(target, 0, SECONDS.get(target.name, 2.5))
+        found = bench["run"].fuzz(target, 0, SECONDS.get(target.name, 0.8))
         assert not found.faults, (target.name, found.examples)
         assert found.cases > 30
         assert found.refused < found.cases, target.name

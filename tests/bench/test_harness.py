@@ -1,15 +1,24 @@
-"""What benches share: options by their defaults, tasks by parts and seeds, tables by groups, exit codes."""
+"""What benches share, their names, the mutants' sample, and numbers that are moved."""
 
 from __future__ import annotations
 
+import ast
 import importlib
+import importlib.util
+import re
+import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
+
+from modcal_core.diagnosis import pruning, search
+from modcal_msgs_py.mcap_read import read_recording
 
 BENCH = Path(__file__).resolve().parents[2] / "bench"
 ROWS = [
@@ -84,3 +93,190 @@ def test_a_summary_has_a_row_a_group_without_what_failed(
 def test_a_share_has_the_interval_of_clopper_and_pearson(harness: ModuleType) -> None:
     assert harness.interval(0, 10) == pytest.approx((0.0, 1.0 - 0.025**0.1))
     assert harness.interval(10, 10, 0.9) == pytest.approx((0.05**0.1, 1.0))
+
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def _bench(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "scripts" / "bench.py"), *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_the_list_has_a_line_for_every_bench() -> None:
+    lines = _bench().stdout.splitlines()[1:]
+    named = {line.split(None, 1)[0]: line.split(None, 1)[1] for line in lines}
+    folders = {file.parent.name for file in (ROOT / "bench").glob("*/run.py")}
+    assert folders | {"delta", "outside"} <= named.keys()
+    assert "harness" not in named
+    assert all(len(words) > 20 for words in named.values()), named
+
+
+def test_an_unknown_name_is_refused_with_the_list() -> None:
+    done = _bench("nothing")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "no bench is called nothing" in done.stderr
+    assert "  doors " in done.stderr
+
+
+@pytest.mark.slow
+def test_a_bench_gets_its_arguments() -> None:
+    assert "--recordings" in _bench("fleet-workers", "--help").stdout
+    assert _bench("long-bag", "--help").stdout.startswith("usage: long_bag.py")
+
+
+def test_make_has_the_targets_of_daily_work_and_no_other() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)) - {"reference"}
+    daily = "help setup setup-test build demo week test suite quick lint ruff mypy format docs wheel lock clean"
+    assert targets == {*daily.split(), "bench", "fuzz", "mutants"}
+
+
+FOLDER = ROOT / "bench" / "mutants"
+MIN = 60  # mutants that make a sample
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> dict[str, ModuleType]:
+    monkeypatch.syspath_prepend(str(FOLDER))
+    yield {"fragments": importlib.import_module("fragments")}
+    sys.modules.pop("fragments", None)
+
+
+@pytest.mark.slow
+def test_the_sample_fits_the_sources(bench: dict[str, ModuleType]) -> None:
+    fragments = bench["fragments"]
+    sample = fragments.sample()
+    assert not [name for name, count in Counter(m.name for m in sample).items() if count > 1]
+    marks: dict[Path, dict[int, list[str]]] = {}
+    texts: dict[Path, str] = {}
+    for mutant in sample:
+        try:
+            place = fragments.find(ROOT, mutant)  # which also compiles it
+        except fragments.NotApplicable:
+            continue
+        assert place.mutated(mutant.new) != place.text
+        marks.setdefault(place.path, {}).setdefault(place.line, []).append(mutant.name)
+        texts[place.path] = place.text
+    assert sum(len(names) for lines in marks.values() for names in lines.values()) >= MIN
+    for path, lines in marks.items():
+        ast.parse(fragments.marked(texts[path], lines))
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    package = tmp_path / "ros2_ws" / "src" / "core" / "core" / "rooms"
+    package.mkdir(parents=True)
+    (package / "one.py").write_text("def f(x):\n    if x:\n        return 1\n    elif x < 2:\n        return 2\n")
+    (package / "two.py").write_text(
+        "class A:\n    def g(self):\n        return [\n            1,\n            2,\n        ]\n"
+    )
+    return tmp_path
+
+
+def test_a_mutant_is_found_where_its_function_has_gone(bench: dict[str, ModuleType], checkout: Path) -> None:
+    Mutant, find = bench["fragments"].Mutant, bench["fragments"].find
+    place = find(checkout, Mutant("", "elsewhere.A.g", "", "1, 2", "1, 3"))
+    assert (place.path.name, place.line) == ("two.py", 3)
+    assert "return [\n            1, 3,\n" in place.mutated("1, 3")
+
+
+def test_a_mark_stands_before_the_whole_of_a_condition(bench: dict[str, ModuleType], checkout: Path) -> None:
+    place = bench["fragments"].find(checkout, bench["fragments"].Mutant("", "one.f", "", "x < 2", "x <= 2"))
+    assert place.line == 2
+    ast.parse(bench["fragments"].marked(place.text, {place.line: ["a", "b"]}))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("function", "old"), [("one.f", "x > 2"), ("one.f", "return"), ("one.h", "x < 2")])
+def test_a_mutant_that_is_gone_says_so(bench: dict[str, ModuleType], checkout: Path, function: str, old: str) -> None:
+    with pytest.raises(bench["fragments"].NotApplicable, match=f"{function}: m: "):
+        bench["fragments"].find(checkout, bench["fragments"].Mutant("", function, "m", old, "0"))
+
+
+FILE = Path(__file__).resolve().parents[2] / "bench" / "constants" / "run.py"
+
+
+@pytest.fixture(scope="module")
+def sweep() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("constants_run", FILE)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.slow
+def test_a_number_moves_in_every_module_that_imported_it_and_comes_back(sweep: ModuleType) -> None:
+    before = pruning.MIN_GAIN
+    with sweep.changed("modcal_core.diagnosis.pruning", "MIN_GAIN", 1.3):
+        assert pruning.MIN_GAIN == search.MIN_GAIN == pytest.approx(1.3 * before)
+    assert pruning.MIN_GAIN == search.MIN_GAIN == before
+
+
+@pytest.mark.parametrize(
+    ("value", "factor", "expected"), [(0.5, 0.7, 0.35), (2, 0.7, 1), (2, 1.3, 3), (10, 1.3, 13), (10, 0.7, 7)]
+)
+def test_what_counts_stays_whole_and_moves(sweep: ModuleType, value: float, factor: float, expected: float) -> None:
+    assert sweep.moved(value, factor) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("name", ["NO_SUCH_NUMBER", "annotations"])
+def test_a_name_that_is_no_number_is_refused_at_once(sweep: ModuleType, name: str) -> None:
+    with pytest.raises(LookupError, match=name):
+        sweep.value_of("modcal_core.diagnosis.pruning", name)
+
+
+@pytest.mark.parametrize(
+    ("recording", "said", "harm"),
+    [
+        ("tool_creeps 53", "calm and wrong", True),
+        ("none 21", "named, 1 false", True),
+        ("compliance 1", "named, 1 false", False),
+        ("none 22", "named", False),
+        ("tool_creeps 53", "open, not named", False),
+    ],
+)
+def test_what_may_not_happen(sweep: ModuleType, recording: str, said: str, harm: bool) -> None:
+    assert sweep.harms(recording, said) is harm
+
+
+UNDECLARED = Path(__file__).resolve().parents[2] / "bench" / "undeclared"
+
+
+@pytest.fixture
+def planted(monkeypatch: pytest.MonkeyPatch) -> dict[str, ModuleType]:
+    monkeypatch.syspath_prepend(str(UNDECLARED.parent))
+    monkeypatch.syspath_prepend(str(UNDECLARED))
+    modules = {name: importlib.import_module(name) for name in ("scenarios", "recordings", "score")}
+    yield modules
+    for name in modules:
+        sys.modules.pop(name, None)
+
+
+def entry(family: str, place: str, driver: str, same_as: tuple[str, ...] = ()) -> dict[str, Any]:
+    return {"family": family, "place": place, "direction": "axis", "driver": driver, "same_as": list(same_as)}
+
+
+@pytest.mark.slow
+def test_what_counts(planted: dict[str, ModuleType]) -> None:
+    effects = [{"family": ["compliance"], "place": ["elbow_joint"], "driver": ["load:elbow_joint"]}]
+    truth = {"scenario": "compliance", "effects": effects}
+
+    def score(*entries: dict[str, Any]) -> Any:
+        return planted["score"].score({"effects": list(entries)}, truth)
+
+    right = entry("compliance", "elbow_joint", "load:elbow_joint")
+    assert score(right).attributed
+    assert not score().attributed
+    assert not score(entry("backlash", "elbow_joint", "load:elbow_joint")).attributed
+    assert not score(entry("compliance", "wrist_1_joint", "load:wrist_1_joint")).attributed
+    assert score(right, entry("step", "tool", "time")).false == 1
+    assert score(entry("compliance", "x", "load:x", ("elbow_joint axis by load:elbow_joint",))).attributed
+
+
+def test_a_fault_is_in_the_bag_and_not_named_there(planted: dict[str, ModuleType], tmp_path: Path) -> None:
+    first, _, truth = planted["recordings"].make("gear_harmonic", "ur10", 0, tmp_path, 20)
+    recording = read_recording(first)
+    assert sum(len(r.stamps) for r in recording.readings) == 20
+    assert all(b"gear_harmonic" not in p.read_bytes() for p in first.rglob("*") if p.is_file())
+    assert truth.parent not in first.parents

@@ -10,10 +10,8 @@ import pytest
 from cells import samples_of, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell, free_cell
-from modcal_core.calibration.covariance import Doubt, Uncertainty
 from modcal_core.calibration.final_fit import finalise
 from modcal_core.calibration.fit import identify
-from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.model import BLEND
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
@@ -23,8 +21,6 @@ from modcal_core.effects.shapes import Shape
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.kind import KIND_NAMES
-from modcal_core.measurements.recording import POINT
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import chain_forward
 
@@ -96,8 +92,6 @@ def test_outside_geometry_alone_counts_where_it_is_better(made: Calibration, rng
     assert missed(made.predict(outside.q), outside) == pytest.approx(alone)
     report = evaluate(made, outside, rng)
     final, geometric = (report.size_mm(stage) for stage in ("final", "geometric"))
-    assert final is not None
-    assert geometric is not None
     assert final.rms == pytest.approx(geometric.rms)
     assert any("best alone" in note for note in report.notes)
 
@@ -125,7 +119,6 @@ def test_where_the_full_model_hardly_knows_itself_geometry_speaks(made: Calibrat
     full, q = made.calibrated, np.tile([0.3, -1.2, 0.0, 0.4, 0.8, 0.1], (3, 1))
     q[:, ELBOW] = [HIGH - 0.1, HIGH + 0.3, LOW - 0.3]
     doubted = made.fallback(full, made.geometric)
-    assert doubted is not None
     np.testing.assert_allclose(doubted.share(samples_of(ur10(), q, made.predict(q))), [0.0, 1.0, 1.0])
     assert replace(made, left_alone=0.0).fallback(full, made.geometric) is None  # files of before say nothing of it
 
@@ -169,30 +162,3 @@ def test_what_is_better_outside_is_kept_with_the_calibration(made: Calibration) 
         assert kept.geometry_outside == calibration.geometry_outside
         assert kept.left_alone == calibration.left_alone
         np.testing.assert_allclose(kept.predict(q), calibration.predict(q), atol=1e-12)
-
-
-def test_models_without_curves_go_on(made: Calibration) -> None:
-    plain = replace(made, calibrated=made.calibrated.with_effects(()))
-    assert plain.fallback(plain.calibrated, plain.geometric) is None
-
-
-def test_what_a_doubt_goes_by_is_what_a_fit_goes_by(made: Calibration) -> None:
-    """The rows that are made all at once, in two frames of which either has its own base, are those of a linearisation."""
-    known, base = made.uncertainty, made.calibrated.T_frame_base[0]
-    assert known is not None
-    there = tuple(replace(p, name=p.name.replace("tracker", "other"), frame=1) for p in known.parameters if not p.place)
-    assert there
-    parameters = (*there, *known.parameters)
-    both = np.eye(len(there) + len(known.covariance))
-    model = replace(made.calibrated, frames=("tracker", "other"), T_frame_base=np.array([base, base @ base]))
-    doubt = Doubt(model, Uncertainty(parameters, both), 1e-8)
-    samples = readings(np.random.default_rng(5), LOW, HIGH, 7, ripple)
-    samples = replace(samples, frames=model.frames, frame=np.arange(7) % 2, kind=np.full(7, POINT, dtype=KIND_NAMES))
-    values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
-    expected = linearise(replace(model, fallback=None), parameters, values, samples).J[:, :21]
-    assert np.abs(expected[: len(there)]).max() > 0.1
-    np.testing.assert_allclose(doubt._rows(samples), expected, rtol=0.0, atol=1e-12)
-    blended = replace(doubt, alone=1e3)
-    share = blended.share(samples)
-    assert ((share > 0.0) & (share < 1.0)).any()
-    np.testing.assert_allclose(blended.share(samples, model.drivers(samples)), share, rtol=1e-12)

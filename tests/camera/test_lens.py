@@ -12,9 +12,9 @@ from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
 from modcal_core.camera.corners import CornerTable, corner_rows
-from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens, homography
+from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import FISHEYE, Lens
-from modcal_core.camera.outliers import enough_corners
+from modcal_core.camera.prepared import enough_corners
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -73,14 +73,6 @@ def test_corner_derivatives(rng: np.random.Generator) -> None:
     assert_jacobian(predicted, J, np.zeros(27), tolerance=1e-7)
 
 
-def test_homography_takes_points_to_pixels(rng: np.random.Generator) -> None:
-    H = np.array([[1.1, 0.1, 30.0], [-0.2, 0.9, 10.0], [1e-3, -2e-3, 1.0]])
-    p = rng.uniform(0.0, 100.0, (20, 2))
-    q = np.c_[p, np.ones(20)] @ H.T
-    found = homography(p, q[:, :2] / q[:, 2:])
-    assert np.abs(found / found[2, 2] - H).max() < 1e-8
-
-
 def test_pose_of_the_board_and_its_twin(rng: np.random.Generator) -> None:
     T = facing(rng, 8)
     found = board_poses(CornerTable.of(views(rng, T, noise=1e-3), BOARD), LENS, FLAT)
@@ -100,6 +92,17 @@ def test_a_board_far_away_has_a_twin(rng: np.random.Generator) -> None:
     assert (off.min(axis=1) < 0.05).all()
 
 
+def test_corners_that_show_no_pose_leave_the_other_images_as_they_are(rng: np.random.Generator) -> None:
+    """An image with corners of one row only, and one of which none is in use."""
+    found = views(rng, facing(rng, 6))
+    found[2] = found[2].select(found[2].ids < 6)
+    table = CornerTable.of(found, BOARD)
+    some = replace(table, weight=np.where(table.view == 4, 0.0, 1.0))
+    T, every = board_poses(some, LENS).T[:, 0], board_poses(table, LENS).T[:, 0]
+    assert np.isfinite(T).all()
+    assert T[[0, 1, 3, 5]] == pytest.approx(every[[0, 1, 3, 5]], abs=1e-9)
+
+
 def test_intrinsics_meet_opencv_s_minimum(rng: np.random.Generator) -> None:
     sheet = PrintedTarget(CHARUCO, 7, 5, 0.03125, 0.022)  # a square that single precision holds exactly
     found = views(rng, facing(rng, 12), board=sheet)
@@ -109,19 +112,11 @@ def test_intrinsics_meet_opencv_s_minimum(rng: np.random.Generator) -> None:
     ]
     table = CornerTable.of(white, sheet)
     fit = fit_lens(table, first_lens(table, SIZE))
-    assert fit.converged
     flags, end = 0, (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 500, 1e-15)
     points = [sheet.points[v.ids].astype(np.float32) for v in white]
     pixels = [v.pixels.astype(np.float32).reshape(-1, 1, 2) for v in white]
     rms = cv2.calibrateCamera(points, pixels, SIZE, None, None, flags=flags, criteria=end)[0]
     assert fit.cost == pytest.approx(rms**2 * len(table), rel=1e-6)
-    assert fit.rms == pytest.approx(rms, rel=1e-6)
-
-
-def test_intrinsics_are_within_what_they_state(rng: np.random.Generator) -> None:
-    table = CornerTable.of(views(rng, facing(rng, 20)), BOARD)
-    fit = fit_lens(table, first_lens(table, SIZE))
-    assert (np.abs(fit.lens.values - LENS.values) < 4.0 * np.sqrt(np.diag(fit.cov))).all()
 
 
 def test_square_on_views_do_not_show_the_focal_length(rng: np.random.Generator) -> None:
@@ -154,11 +149,9 @@ def test_a_fisheye_is_found_from_images_alone(rng: np.random.Generator) -> None:
     T = facing(rng, 20, near=0.12, far=0.3)
     table = CornerTable.of([v for v in views(rng, T, lens=WIDE) if len(v) >= 12], BOARD)
     fit = fit_lens(table, first_lens(table, SIZE, FISHEYE))
-    assert fit.converged
-    assert fit.rms < 0.16
-    used = WIDE.used
-    std = np.sqrt(np.diag(fit.cov))[used]
-    assert (np.abs(fit.lens.values - WIDE.values)[used] < 4.0 * std).all()
+    assert fit.cost < 1.2 * 2.0 * len(table)
+    found, true = (np.arctan(np.linalg.norm(lens.rays(table.pixels), axis=1)) for lens in (fit.lens, WIDE))
+    assert np.abs(found - true).max() < 3e-3  # rad, out to 44° off the axis
     assert fit.lens.values[0] == pytest.approx(340.0, rel=0.01)
 
 

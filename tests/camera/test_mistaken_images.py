@@ -10,8 +10,8 @@ from camera.boards import views
 from camera.fits import MEASURED, images, solved
 from camera.scenes import scene
 
+from modcal_core.camera.claim import DO_NOT_APPLY
 from modcal_core.camera.corners import FIXED, TOLERANCE
-from modcal_core.camera.decision import DO_NOT_APPLY
 from modcal_core.camera.lens import Lens
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3
@@ -35,7 +35,7 @@ def test_a_kicked_tripod_is_named(on_tip: bool) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("on_tip", "zoom"), [(True, 1.003), (True, 1.03), (False, 1.003)])
+@pytest.mark.parametrize(("on_tip", "zoom"), [(True, 1.03), (False, 1.003)])
 def test_a_focus_that_was_changed_is_no_move(on_tip: bool, zoom: float) -> None:
     """Of images that look like those of a camera that was moved along its axis."""
     s = images(on_tip)

@@ -13,14 +13,12 @@ import numpy as np
 import pytest
 from camera.flange import flange_arm, flange_joints
 
-from modcal_core.camera.arm_poses import arm_poses
 from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
-from modcal_core.camera.corners import FIXED, CornerTable, common_prior
-from modcal_core.camera.fit import CameraFit, fit_camera
-from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
+from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.intrinsics import first_lens, fit_lens
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.mounting import find_mounting
-from modcal_core.camera.outliers import corner_weights
+from modcal_core.camera.prepared import CameraImages, prepare_images
 from modcal_core.files import read_yaml
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -67,7 +65,7 @@ def test_fitted_corners_agree_better_than_opencvs(monkeypatch: pytest.MonkeyPatc
 
     def rms() -> float:
         table = CornerTable.of([replace(v, cov=np.tile(np.eye(2), (len(v), 1, 1))) for v in read()[0]], BOARD)
-        return fit_lens(table, first_lens(table, SIZE)).rms
+        return float(np.sqrt(fit_lens(table, first_lens(table, SIZE)).cost / len(table)))
 
     fitted = rms()
     with monkeypatch.context() as patch:
@@ -81,17 +79,11 @@ def test_fitted_corners_agree_better_than_opencvs(monkeypatch: pytest.MonkeyPatc
 def placed(lens: Lens | None) -> CameraFit:
     """Camera and board placed by these images, with this lens or with one found from them; no guess is given."""
     views, A = read()
-    table = CornerTable.of(views, BOARD)
-    prior = common_prior(lens or first_lens(table, SIZE), BOARD.scale, None if lens is None else FIXED)
-    fit = fit_lens(table, Lens(prior.mean[:9], SIZE), prior.free[:9], prior.information[:9, :9])
-    table = table.with_weight(corner_weights(table, fit.lens, np.zeros(5), fit.T_camera_target))
-    found = find_mounting(A, board_poses(table, fit.lens, np.zeros(5)))
-    assert not found.camera_on_tip
-    assert found.rival > 3.0
-    q = flange_joints(A)
-    arm = arm_poses(flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, False)
-    arm = replace(arm, parameters=arm.placed, faults=None)
-    return fit_camera(table, arm, prior, fit.lens)
+    images = CameraImages(flange_joints(A), views, BOARD, SIZE, lens=lens, stated="free" if lens is None else "fixed")
+    ready = prepare_images(flange_arm(), images)
+    assert not ready.mounting.camera_on_tip
+    assert ready.mounting.rival > 3.0
+    return ready.nominal()
 
 
 def test_placed_without_a_guess_as_well_as_somebody_calibrated_it() -> None:

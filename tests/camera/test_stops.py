@@ -16,7 +16,7 @@ def camera(rng: np.random.Generator, stop: list[int], K: int, columns: np.ndarra
     """(rows of each image by its pose, what images share, and the residual, (N, 30, 22 + Z); their equations)."""
     N = len(stop)
     rows = rng.normal(size=(N, ROWS, POSE + len(columns) - K + 1))
-    own = [rng.normal(size=(N, 6, k)) for k in (K, JOINTS, 3)]
+    own = [rng.normal(size=(N, 6, k)) for k in (K, JOINTS + 3)]
     return rows, CameraRows(
         np.swapaxes(rows, 1, 2) @ rows, *own, columns, N * ROWS // 2, np.array(stop), np.empty((0, 2))
     )
@@ -39,7 +39,7 @@ def test_one_error_of_the_arm_a_stop_is_what_a_fit_of_every_stops_own_would_leav
             row = np.zeros((ROWS, count + 20 * (JOINTS + 3)))
             by = np.concatenate([own[:, :6] @ eq.moved[i], own[:, 6:-1]], axis=1)
             row[:, eq.columns[eq.columns >= 0]] = by[:, eq.columns >= 0]
-            of_stop = np.concatenate([SIZES.joint * eq.joints[i], SIZES.shift * eq.shifts[i]], axis=1)
+            of_stop = eq.own[i] * SIZES.off(eq.own.shape[2])
             row[:, count + at * (JOINTS + 3) + np.arange(JOINTS + 3)] = own[:, :6] @ of_stop
             rows.append(row)
             right.append(own[:, -1])
@@ -70,7 +70,7 @@ def test_a_change_of_images_is_a_parameter_of_its_own() -> None:
     for k, (seen, eq) in enumerate(cameras):
         for i, own in enumerate(seen / SIZES.noise):
             row = np.zeros((ROWS, 3 * m + size))
-            of_stop = np.concatenate([SIZES.joint * eq.joints[i], SIZES.shift * eq.shifts[i]], axis=1)
+            of_stop = eq.own[i] * SIZES.off(eq.own.shape[2])
             row[:, m * eq.stop[i] + np.arange(m)] = own[:, :POSE] @ of_stop
             by = np.concatenate([own[:, :POSE] @ eq.moved[i], own[:, POSE:-1]], axis=1)
             row[:, 3 * m + eq.columns[eq.columns >= 0]] = by[:, eq.columns >= 0]

@@ -15,6 +15,7 @@ from camera.by_tracker import missed_by_tracker
 from camera.scenes import BOARD_ON_TIP, HOME, PANDA
 from camera.test_image_bags import START, header
 
+from modcal_core.calibration import Model
 from modcal_core.calibration.store_parts import arm_to_data, inertias_from_data
 from modcal_core.camera.arm_poses import ImageMoments
 from modcal_core.camera.bundle import BoardView
@@ -76,41 +77,6 @@ def postures(chain: Chain, rng: np.random.Generator, count: int) -> np.ndarray:
         found = inverse_batch(chain, wanted, start, tolerance=1e-3)
         out = np.concatenate([out, found.q[found.met]])
     return out[:count]
-
-
-@pytest.mark.slow
-def test_both_arms_are_calibrated_as_one_chain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Faults of both arms by MuJoCo, from a CSV of corners to calibrated.urdf."""
-    rng = np.random.default_rng(8)
-    (tmp_path / "two.urdf").write_text(two_pandas())
-    chain = read_chain(rerooted(two_pandas(), "left_link8"), "left_link8", "right_link8")
-    world = World(chain, rng, 1.5e-3, 2e-3, se3.inverse(CAMERA_ON_LEFT), BOARD_ON_TIP)
-    q = postures(chain, rng, 40)
-    seen = views(rng, world.tool_in_tracker(q + 2e-5 * rng.standard_normal(q.shape)), 0.03)
-    lines = [f"image,id,u,v,width,height,{','.join(chain.names)}"]
-    for v, at in zip(seen, q, strict=True):
-        joints = ",".join(map(repr, map(float, at)))
-        lines += [f"{v.name},{i},{x:.4f},{y:.4f},1280,720,{joints}" for i, (x, y) in zip(v.ids, v.pixels, strict=True)]
-    (tmp_path / "corners.csv").write_text("\n".join(lines) + "\n")
-    data = target_to_data(BOARD, (0.21, 0.15))
-    data["rulers"] |= {"measured_x_m": 0.21, "measured_y_m": 0.15, "measured_std_m": 5e-5}
-    (tmp_path / "target.yaml").write_text(yaml.safe_dump(data))
-    given = ["--images", "corners.csv", "--joints", "corners.csv", "--target", "target.yaml", "--urdf", "two.urdf"]
-    files = [str(tmp_path / g) if not g.startswith("--") else g for g in given]
-    ends = ["--base", "left_link8", "--tip", "right_link8"]
-    assert run(["calibrate", *files, *ends, "--out", str(tmp_path / "out")]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "both arms are calibrated as one chain of 14 joints from left_link8 over torso to right_link8" in said
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report["camera"]["decision"] == "apply"
-    assert not report["effects"]
-    # by a tracker that is carried by the left arm, a reflector on the right one, at postures that no image is of
-    fresh = postures(chain, np.random.default_rng(3), 60)
-    true = CAMERA_ON_LEFT @ world.tool_in_tracker(fresh) @ se3.inverse(BOARD_ON_TIP)
-    urdfs = rerooted(two_pandas(), "left_link8"), (tmp_path / "out" / "calibrated.urdf").read_text()
-    arms = [chain_forward(read_chain(text, "left_link8", "right_link8"), fresh) for text in urdfs]
-    miss = [missed_by_tracker(T, true, BOARD_ON_TIP[:3, 3]) for T in arms]
-    assert miss[1] < 0.25 * miss[0]
 
 
 def test_each_joint_bears_what_it_bears_in_its_own_arm(rng: np.random.Generator) -> None:
@@ -214,4 +180,5 @@ def test_both_arms_from_a_bag_of_corners_with_a_spring_in_each(
 
 def samples_of(chain: Chain, q: np.ndarray) -> Samples:
     """These postures, nothing being read."""
-    return ImageMoments().samples(q, np.zeros_like(q), chain.names, ("camera",))
+    model = Model(chain, ("camera",), np.eye(4)[None], np.eye(4))
+    return ImageMoments().samples(model, q, np.zeros_like(q))

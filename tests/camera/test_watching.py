@@ -14,9 +14,9 @@ from camera.test_several_cameras import OTHER_LENS, looking, on_tripod
 from camera.test_several_cameras import solved as solved_by
 
 from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.images import CameraImages
+from modcal_core.camera.changes import CameraWatch, Moved
+from modcal_core.camera.prepared import CameraImages
 from modcal_core.camera.solve import CameraSolution
-from modcal_core.camera.watching import CameraWatch, Moved
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
@@ -55,9 +55,10 @@ SMALL = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("on_tip", [True, False])
-@pytest.mark.parametrize("what", ["world", "tip"])
-@pytest.mark.parametrize("size", ["shift", "turn"])
+@pytest.mark.parametrize(
+    ("on_tip", "what", "size"),
+    [(True, "world", "shift"), (True, "tip", "turn"), (False, "world", "turn"), (False, "tip", "shift")],
+)
 def test_a_small_move_is_named_within_five_images(on_tip: bool, what: str, size: str) -> None:
     before, after = later(on_tip, 1), later(on_tip, 2, **{what: SMALL[size]})
     said = watched(on_tip, before, after)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from articulation.objects import Seen, ideal, noisy
+from cli.conftest import Refused
 from cli.recordings import URDF
-from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.urdf import frames, read
 from modcal_core.geometry import se3, so3
@@ -59,7 +60,7 @@ def test_a_door_in_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("columns", "separator"), [(3, " "), (7, ";"), (3, ", ")])
+@pytest.mark.parametrize(("columns", "separator"), [(7, ";"), (3, ", ")])
 def test_a_drawer_in_a_text_file(columns: int, separator: str, tmp_path: Path) -> None:
     lines = [separator.join(f"{v:.9f}" for v in row[:columns]) for row in poses(door("prismatic"))]
     (tmp_path / "track.log").write_text("# seen by hand\n" + "\n".join(lines) + "\n\n")
@@ -111,24 +112,6 @@ def test_rows_in_which_a_tracker_saw_nothing_are_left_out_and_counted(
     assert run(["articulate", str(tmp_path / "track.csv"), "--out", str(tmp_path / "out")]) == 0
     assert "2 of 80 rows hold no reading and are left out" in capsys.readouterr().out
     assert told(tmp_path / "out")["kind"] == "revolute"
-
-
-@pytest.mark.slow
-def test_an_arm_that_turns_about_its_first_joint(tmp_path: Path) -> None:
-    text = URDF.read_text()
-    chain = read_chain(text)
-    q = np.tile([0.0, -1.2, 1.9, -0.7, -1.57, 0.0], (60, 1))
-    q[:, 0] = np.linspace(0.0, 1.0, 60)
-    t = 1.7e9 + 0.05 * np.arange(60)
-    none = np.full_like(q, np.nan)
-    joints = (JointTrack(chain.names, t, q, none, none, t),)
-    write_recording(Recording(joints=joints, robot_description=text), tmp_path / "bag")
-    assert run(["articulate", str(tmp_path / "bag"), "--out", str(tmp_path / "out")]) == 0
-    data = told(tmp_path / "out")
-    tip = chain_forward(chain, q[:1])[0, :3, 3]
-    assert data["kind"] == "revolute"
-    assert data["frame"] == chain.base
-    assert data["joint"]["radius"] == pytest.approx(np.hypot(tip[0], tip[1]), abs=1e-3)
 
 
 @pytest.mark.slow
@@ -190,56 +173,20 @@ def test_an_arm_alone_and_a_tracker_see_the_same_object(tmp_path: Path) -> None:
         ("0 0 0 0 0 0 3\n" * 9, "unit quaternions"),
     ],
 )
-def test_unusable_text_is_refused_in_one_line(
-    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unusable_text_is_refused_in_one_line(text: str, words: str, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "track.txt").write_text(text)
-    assert run(["articulate", str(tmp_path / "track.txt"), "--out", str(tmp_path / "out")]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert words in lines[0]
-    assert not (tmp_path / "out").exists()
+    refused(["articulate", str(tmp_path / "track.txt"), "--out", str(tmp_path / "out")], re.escape(words))
 
 
-def test_quaternions_in_another_order_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quaternions_in_another_order_are_refused_by_name(tmp_path: Path, refused: Refused) -> None:
     """Of a plain door, and of the same door where they are as they should be."""
     seen = poses(door())
     for name, order in (("wxyz", [0, 1, 2, 6, 3, 4, 5]), ("xyzw", list(range(7)))):
         np.savetxt(tmp_path / f"{name}.txt", seen[:, order])
-    assert run(["articulate", str(tmp_path / "wxyz.txt"), "--out", str(tmp_path / "out")]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert "read as w x y z a revolute one: give x y z w" in lines[0]
-    assert not (tmp_path / "out").exists()
+    arguments = ["articulate", str(tmp_path / "wxyz.txt"), "--out", str(tmp_path / "out")]
+    refused(arguments, "read as w x y z a revolute one: give x y z w")
     assert run(["articulate", str(tmp_path / "xyzw.txt"), "--out", str(tmp_path / "out")]) == 0
     assert told(tmp_path / "out")["kind"] == "revolute"
-
-
-def inverse_rotations(seen: np.ndarray) -> np.ndarray:
-    return seen * np.r_[np.ones(3), -np.ones(3), 1.0]
-
-
-def left_handed(seen: np.ndarray) -> np.ndarray:
-    return seen * np.r_[1.0, -1.0, np.ones(5)]
-
-
-@pytest.mark.parametrize(
-    ("written", "words"),
-    [
-        (inverse_rotations, "read as their inverses a revolute one: give the rotation of the handle"),
-        (left_handed, "sign of y reversed (a left-handed frame) a revolute one: correct the sign of y"),
-    ],
-)
-def test_other_conventions_of_a_track_are_refused_by_name(  # type: ignore[no-untyped-def]
-    written, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """About an axis that is no axis of the frame, so that each sign is another motion."""
-    seen = poses(door())
-    R = Rotation.from_rotvec([0.5, -0.3, 0.4])
-    seen[:, :3], seen[:, 3:] = R.apply(seen[:, :3]), (R * Rotation.from_quat(seen[:, 3:])).as_quat()
-    np.savetxt(tmp_path / "track.txt", written(seen))
-    assert run(["articulate", str(tmp_path / "track.txt"), "--out", str(tmp_path / "out")]) == 2
-    assert words in capsys.readouterr().err
 
 
 def test_rotations_that_follow_nothing_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -251,32 +198,12 @@ def test_rotations_that_follow_nothing_are_said(tmp_path: Path, capsys: pytest.C
     assert told(tmp_path / "out")["kind"] == "revolute"
 
 
-def test_the_beginning_of_a_pull_is_not_enough_and_no_none(tmp_path: Path) -> None:
-    """Ten samples on two centimetres: a handle at rest leaves too much of them, a slide or a hinge does not."""
-    rng = np.random.default_rng(1)
-    a = np.linspace(0.0, 0.06, 10)
-    p = 0.35 * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1) + rng.normal(0.0, 5e-4, (10, 3))
-    np.savetxt(tmp_path / "begun.txt", p)
-    assert run(["articulate", str(tmp_path / "begun.txt"), "--out", str(tmp_path / "out")]) == 0
-    data = told(tmp_path / "out")
-    assert (data["kind"] == "none", data["enough"]) == (False, False)
-    assert "not enough motion yet" in data["verdict"].lower()
-
-
-@pytest.mark.filterwarnings("error")
-def test_samples_that_are_all_alike_are_a_handle_at_rest(tmp_path: Path) -> None:
-    (tmp_path / "same.txt").write_text("0.5 0.1 0.2 0 0 0 1\n" * 40)
-    assert run(["articulate", str(tmp_path / "same.txt"), "--out", str(tmp_path / "out")]) == 0
-    assert told(tmp_path / "out")["kind"] == "rigid"
-
-
-def test_a_topic_that_is_not_there_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_topic_that_is_not_there_is_refused(tmp_path: Path, refused: Refused) -> None:
     stamps = 1.7e9 + 0.05 * np.arange(80)
     write_recording(
         Recording(readings=(ReadingTrack("pose", "camera", stamps, poses(door()), stamps),)), tmp_path / "bag"
     )
-    assert run(["articulate", str(tmp_path / "bag"), "--topic", "handle"]) == 2
-    assert "use /tracker/pose" in capsys.readouterr().err
+    refused(["articulate", str(tmp_path / "bag"), "--topic", "handle"], "use /tracker/pose")
 
 
 def test_nothing_moved_is_an_answer(tmp_path: Path) -> None:

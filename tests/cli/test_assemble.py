@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from cli.conftest import Refused
 from modules.arms import LIBRARY, five_joints
 from modules.workshop import Arm, Made, shelf_of
 
@@ -17,14 +18,11 @@ from modcal_core.modules.coding import assembly_to_data
 from modcal_core.modules.errors import twists_from_data
 from modcal_core.modules.library import Assembly, published_text
 from modcal_core.modules.poe import chain_of
-from modcal_core.modules.urdf import urdf_of
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_assembly
-from modcal_nodes.simulation.world import World
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "modules"
 
@@ -40,14 +38,6 @@ def test_a_list_of_modules_and_its_matrix_give_the_same_robot(tmp_path: Path) ->
     assert read_chain(robots[0]).names == tuple(f"joint_{k}" for k in range(1, 6))
     assert np.abs(read_chain(robots[0]).origins - chain_of(five_joints(), LIBRARY).origins).max() < 1e-15
     assert (tmp_path / "five_joints" / "assembly.svg").read_text().startswith("<svg")
-
-
-@pytest.mark.slow
-def test_what_it_writes_it_reads(tmp_path: Path) -> None:
-    assert run(["assemble", str(EXAMPLES / "five_joints.yaml"), "--out", str(tmp_path / "one")]) == 0
-    assert run(["assemble", str(tmp_path / "one" / "assembly.yaml"), "--out", str(tmp_path / "two")]) == 0
-    for name in ("robot.urdf", "assembly.yaml", "assembly.svg"):
-        assert (tmp_path / "one" / name).read_text() == (tmp_path / "two" / name).read_text()
 
 
 @pytest.mark.slow
@@ -75,13 +65,9 @@ def test_a_library_of_ones_own(tmp_path: Path) -> None:
         ("{modcal_assembly: 1, library: none.yaml, modules: []}", "library none.yaml: is not beside it"),
     ],
 )
-def test_refusals(text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refusals(text: str, words: str, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "spec.yaml").write_text(text)
-    assert run(["assemble", str(tmp_path / "spec.yaml"), "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+    refused(["assemble", str(tmp_path / "spec.yaml"), "--out", str(tmp_path / "out")], words)
 
 
 def bag(folder: Path, assembly: Assembly, arm: Arm, rng: np.random.Generator, stations: int = 60) -> Path:
@@ -180,12 +166,3 @@ def test_other_verbs_take_the_robot(tmp_path: Path, rng: np.random.Generator) ->
     differing = [a for a, b in zip(before, after, strict=True) if a != b]
     assert differing
     assert all("<origin" in line for line in differing)
-
-
-def test_the_simulated_cell_takes_the_robot(rng: np.random.Generator) -> None:
-    """MuJoCo, given the chain and its bodies, stands where the chain says."""
-    text = urdf_of(five_joints(), LIBRARY)
-    chain = read_chain(text)
-    world = World(chain, rng, 0.0, 0.0, inertias=read_inertias(text, chain))
-    q = rng.uniform(-2.0, 2.0, (20, chain.n))
-    assert np.abs(world.tool_in_base(q) - chain_forward(chain, q)).max() < 1e-9

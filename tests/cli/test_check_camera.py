@@ -89,7 +89,7 @@ def test_a_zero_is_named_by_a_tracker(made: tuple[CameraScene, Path], tmp_path: 
     assert {(c["kind"], c["place"]) for c in data["changes"]} == {("tool", "tool"), ("joint_zero", "panda_joint4")}
 
 
-@pytest.mark.parametrize("frame", ["target", "camera_optical_frame"])
+@pytest.mark.parametrize("frame", ["camera_optical_frame"])
 def test_the_camera_again(made: tuple[CameraScene, Path], tmp_path: Path, frame: str) -> None:
     """The board in the camera, as a detector writes it: the inverse, whatever its frame is called."""
     q = postures(made[0], 9)

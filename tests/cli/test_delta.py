@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli.conftest import Refused
 from deltas import FILE, RecordedDelta, record_delta
 
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
@@ -81,7 +82,7 @@ def test_from_a_bag_to_a_report_and_a_corrected_file(tmp_path: Path, capsys: pyt
     ],
 )
 def test_what_is_refused_writes_nothing(
-    text: str | None, arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    text: str | None, arguments: list[str], said: str, tmp_path: Path, refused: Refused
 ) -> None:
     write(record_delta(1, 40), tmp_path / "bag")
     file = FILE
@@ -89,13 +90,9 @@ def test_what_is_refused_writes_nothing(
         file = tmp_path / "delta.yaml"
         file.write_text(text)
     out = tmp_path / "out"
-    assert run(["calibrate", str(tmp_path / "bag"), "--delta", str(file), *arguments, "--out", str(out)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
-    assert not out.exists()
+    refused(["calibrate", str(tmp_path / "bag"), "--delta", str(file), *arguments, "--out", str(out)], said)
 
 
-def test_without_its_file_a_bag_of_a_delta_has_no_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_its_file_a_bag_of_a_delta_has_no_robot(tmp_path: Path, refused: Refused) -> None:
     write(record_delta(1, 20), tmp_path / "bag")
-    assert run(["calibrate", str(tmp_path / "bag"), "--out", str(tmp_path / "out")]) == 2
-    assert "--delta" in capsys.readouterr().err
+    refused(["calibrate", str(tmp_path / "bag"), "--out", str(tmp_path / "out")], "--delta")

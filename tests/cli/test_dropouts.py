@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli.conftest import Refused
 from msgs import bag_forms as forms
 from msgs.bag_forms import Cell, Message
 
@@ -63,15 +64,12 @@ def test_everything_that_happens_in_a_cell_at_once(c: Cell, tmp_path: Path, capf
     assert report["error_mm"] == clean["error_mm"]
 
 
-def test_too_little_left_is_refused_with_how_much(c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_too_little_left_is_refused_with_how_much(c: Cell, tmp_path: Path, refused: Refused) -> None:
     poses = c.poses.copy()
     poses[8:] = 0.0
     bag = forms.write(tmp_path / "bag", plain(Cell(c.stamps, c.names, c.q, poses, c.urdf)))
-    assert run(["calibrate", str(bag), "--geometry-only", "--out", str(tmp_path / "out")]) == 2
-    said = capfd.readouterr().err
-    assert "8 stations" in said
-    assert "left out: 52 readings without a target" in said
-    assert not (tmp_path / "out").exists()
+    said = "8 stations.*left out: 52 readings without a target"
+    refused(["calibrate", str(bag), "--geometry-only", "--out", str(tmp_path / "out")], said)
 
 
 @pytest.mark.slow
@@ -93,21 +91,8 @@ def test_roles_are_stated_by_option_or_cell_file(c: Cell, tmp_path: Path) -> Non
     assert run(arguments) == 0
 
 
-@pytest.mark.parametrize("text", ["topics: 3", "topics: {tracker/pose: 3}", "topics: {tool: /a}", "tf: 3", "tf: a", "ignore: /a",
-                                  "ignore: [3]", "topics: [a]", "topics: {tracker/pose: {a: b}}"])  # fmt: skip
-def test_a_cell_file_that_states_nothing_sensible(
-    text: str, c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "cell.yaml").write_text(text)
-    bag = forms.write(tmp_path / "bag", plain(c))
-    assert run(["calibrate", str(bag), "--cell", str(tmp_path / "cell.yaml"), "--out", str(tmp_path / "out")]) == 2
-    assert capfd.readouterr().err.count("\n") == 1
-
-
 @pytest.mark.slow
-def test_a_pose_that_was_computed_is_never_taken_by_its_type(
-    c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pose_that_was_computed_is_never_taken_by_its_type(c: Cell, tmp_path: Path, refused: Refused) -> None:
     """A name that tells nothing, and a frame that is no link: it is told by how well the model reproduces it."""
     from cells import ur10
 
@@ -119,11 +104,8 @@ def test_a_pose_that_was_computed_is_never_taken_by_its_type(
     bag = forms.write(
         tmp_path / "bag", [*forms.joints(c), *forms.described(c), *forms.readings(computed, "/arm/state", frame="cell")]
     )
-    assert run(["calibrate", str(bag), *GEOMETRY, "--out", str(tmp_path / "out")]) == 2
-    said = capfd.readouterr().err
-    assert "topic /arm/state: was taken as the tracker's topic, as the only candidate; but" in said
-    assert "computed from the joints" in said
-    assert not (tmp_path / "out").exists()
+    said = "topic /arm/state: was taken as the tracker's topic, as the only candidate; but.*computed from the joints"
+    refused(["calibrate", str(bag), *GEOMETRY, "--out", str(tmp_path / "out")], said)
     stated = calibrated(bag, "--topic", "tracker/pose=/arm/state")
     assert stated["status"] == "open"
 

@@ -46,14 +46,6 @@ def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert f"Try in {tmp_path}/new:" in capsys.readouterr().out
 
 
-def test_an_installation_without_them_says_so(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("modcal_nodes.cli.examples._of_checkout", lambda root: {})
-    assert run(["examples"]) == 2
-    assert "not part of this installation" in capsys.readouterr().err
-
-
 def test_of_an_installation_only_what_was_shipped_is_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """pip lists what it compiled, too; what is elsewhere in the installation is no example."""
     kept = tmp_path / "share" / "modcal" / "examples"

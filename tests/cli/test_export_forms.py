@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from cli.test_bad_input import refused
+from cli.conftest import Refused
 from robots.test_tables import assert_same
 from scipy.spatial.transform import Rotation
 
@@ -141,23 +141,17 @@ def test_the_nearest_table_says_what_it_loses(tmp_path: Path, capfd: pytest.Capt
     assert float(found[1]) in [float(v) for v in re.findall(r"off by (\S+) mm RMS", out.read_text())]
 
 
-def test_what_these_forms_refuse(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_these_forms_refuse(tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "arm.csv").write_text("# convention: dh\nname,theta\nj1,0\n")
     out = str(tmp_path / "out")
+    refused(["export", str(tmp_path / "arm.csv"), "--to", "xacro", "--out", out], "arm.csv: is not a URDF, which xacro")
+    refused(["export", str(tmp_path), "--to", "kinematics", "--out", out], "calibration.yaml")
     refused(
-        ["export", str(tmp_path / "arm.csv"), "--to", "xacro", "--out", out],
-        "arm.csv: is not a URDF, which xacro",
-        capfd,
-    )
-    refused(["export", str(tmp_path), "--to", "kinematics", "--out", out], "calibration.yaml", capfd)
-    refused(
-        ["export", str(URDF), "--to", "dh", "--unit", "mm deg", "--out", f"{out}.yaml"],
-        "a YAML table is in m and rad",
-        capfd,
+        ["export", str(URDF), "--to", "dh", "--unit", "mm deg", "--out", f"{out}.yaml"], "a YAML table is in m and rad"
     )
     named = tmp_path / "named.urdf"
     named.write_text(URDF.read_text().replace("elbow_joint", "elbow'joint"))
-    refused(["export", str(named), "--to", "xacro", "--out", out], "has a name that no xacro expression holds", capfd)
+    refused(["export", str(named), "--to", "xacro", "--out", out], "has a name that no xacro expression holds")
     assert not Path(out).exists()
     (tmp_path / "inch.csv").write_text("# convention: dh\n# unit: inch\nname,theta\nj1,0\n")
-    refused(["import", str(tmp_path / "inch.csv"), "--out", out], "unit: is 'inch': write one of m rad, mm deg", capfd)
+    refused(["import", str(tmp_path / "inch.csv"), "--out", out], "unit: is 'inch': write one of m rad, mm deg")

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from cli.recordings import URDF, stations
+from cli.conftest import Refused
 
 from modcal_core.calibration.store import from_data
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml
 from modcal_core.measurements.schema import require
-from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables.convert import SCHEMA
 from modcal_nodes.cli.main import run
 
@@ -37,15 +37,6 @@ MAPPING: dict[str, Any] = {
         }
     ]
 }
-
-
-def refused(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
-    capfd.readouterr()
-    assert run(arguments) == 2
-    line = capfd.readouterr().err
-    assert line.startswith("modcal: ")
-    assert line.count("\n") == 1
-    return line
 
 
 def changed(path: str, value: Any) -> Any:
@@ -115,12 +106,10 @@ WRONG: list[tuple[str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("path", "value", "said"), WRONG)
-def test_mappings_that_say_what_cannot_be(
-    path: str, value: Any, said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_mappings_that_say_what_cannot_be(path: str, value: Any, said: str, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "rows.csv").write_text(ROWS)
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(changed(path, value)))
-    assert said in refused(["import", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "bag")], capfd)
+    refused(["import", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "bag")], re.escape(said))
     assert not (tmp_path / "bag").exists()
 
 
@@ -131,19 +120,10 @@ def test_the_mapping_itself_is_imported(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cell", ["nan", "inf", "1e300", "-5", "", "9e9"])
-def test_times_that_cannot_be(cell: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_times_that_cannot_be(cell: str, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "rows.csv").write_text(ROWS.replace("\n3;", f"\n{cell};"))
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(MAPPING))
-    assert "line 4, column t" in refused(["import", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "bag")], capfd)
-
-
-@pytest.mark.parametrize("verb", ["calibrate", "evaluate", "limits", "articulate"])
-def test_a_seed_below_zero(verb: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    write_recording(stations(10), tmp_path / "bag")
-    source = {"limits": [str(URDF)], "evaluate": [str(tmp_path), str(tmp_path / "bag")]}.get(
-        verb, [str(tmp_path / "bag")]
-    )
-    assert "--seed" in refused([verb, *source, "--seed", "-1"], capfd)
+    refused(["import", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "bag")], re.escape("line 4, column t"))
 
 
 def mappings_of(data: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -151,15 +131,6 @@ def mappings_of(data: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     if isinstance(data, dict):
         return [way, *(here for key, value in data.items() for here in mappings_of(value, (*way, key)))]
     return mappings_of(data[0], (*way, 0)) if isinstance(data, list) and data else []
-
-
-@pytest.fixture(scope="module")
-def calibration(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    folder = tmp_path_factory.mktemp("calibration")
-    write_recording(stations(40), folder / "bag")
-    assert run(["calibrate", str(folder / "bag"), "--geometry-only", "--out", str(folder / "out")]) == 0
-    data: dict[str, Any] = parse_yaml((folder / "out" / "calibration.yaml").read_text(), "calibration")
-    return data
 
 
 def keys_of(data: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -170,8 +141,9 @@ def keys_of(data: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 
 @pytest.mark.slow
-def test_a_key_of_a_calibration_that_nobody_reads(calibration: dict[str, Any]) -> None:
+def test_a_key_of_a_calibration_that_nobody_reads(folder: Path) -> None:
     """Refused with its path and what is known there; names that are free, and settings of shapes, may be any."""
+    calibration = parse_yaml((folder / "a" / "calibration.yaml").read_text(), "calibration")
     effect = {**dict.fromkeys(("family", "place", "direction", "driver"), "x"), "shape": {"kind": "linear"},
               "values": [0.0], "std": [0.0], "rivals": []}  # fmt: skip
     data = {**copy.deepcopy(calibration), "effects": [effect]}
@@ -187,17 +159,18 @@ def test_a_key_of_a_calibration_that_nobody_reads(calibration: dict[str, Any]) -
         for key in way:
             place = place[key]
         place["repeatabilty"] = 1.0
-        with pytest.raises(BadTable, match="unknown key repeatabilty; known are ") as refused:
+        with pytest.raises(BadTable, match="unknown key repeatabilty; known are ") as found:
             from_data(spoilt, "c.yaml")
         path = "c.yaml" + "".join(f", entry {key + 1}" if isinstance(key, int) else f": {key}" for key in way)
-        assert refused.value.offender == path
-        assert all(key in refused.value.limit for key in place if key != "repeatabilty")
+        assert found.value.offender == path
+        assert all(key in found.value.limit for key in place if key != "repeatabilty")
     from_data(calibration, "c.yaml")
 
 
 @pytest.mark.slow
-def test_a_calibration_without_a_key(calibration: dict[str, Any]) -> None:
+def test_a_calibration_without_a_key(folder: Path) -> None:
     """Without any one of its keys it is read, where the key is optional, or refused by name; nothing else."""
+    calibration = parse_yaml((folder / "a" / "calibration.yaml").read_text(), "calibration")
 
     def spoilt(way: tuple[Any, ...], act: Callable[[Any, Any], None]) -> dict[str, Any]:
         data = copy.deepcopy(calibration)
@@ -226,7 +199,7 @@ def test_a_calibration_without_a_key(calibration: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("text", ["[" * 5000, "- " * 5000, "{a: " * 5000, "a: 2001-99-99", "a: 0x" + "f" * 9000, "a: " + "9" * 9000,
                                   "? [1]\n: 2", "a: !!python/object:os.system x", "\x00", "a: *b", "&a [*a]", "a: 1\x1b", "a: <<"])  # fmt: skip
-def test_yaml_that_leads_a_loader_astray(text: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_yaml_that_leads_a_loader_astray(text: str, tmp_path: Path, refused: Refused) -> None:
     """Refused in one line by every verb that reads YAML; deep ones used to end the process."""
     (tmp_path / "f.yaml").write_text(text)
     file = str(tmp_path / "f.yaml")
@@ -237,7 +210,7 @@ def test_yaml_that_leads_a_loader_astray(text: str, tmp_path: Path, capfd: pytes
         ["synthesize", file],
         ["export", file, "--to", "urdf"],
     ):
-        assert "f.yaml" in refused(arguments, capfd)
+        refused(arguments, re.escape("f.yaml"))
 
 
 def test_a_schema_of_unknown_words_is_a_mistake() -> None:

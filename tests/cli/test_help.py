@@ -7,10 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import click
 import pytest
 
-from modcal_nodes.cli.main import GROUPS, VERBS, modcal, run
+from modcal_nodes.cli.main import GROUPS, VERBS, run
 
 
 def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,16 +55,6 @@ def test_the_script_of_a_shell(shell: str, monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setenv("SHELL", "/bin/tcsh")
     assert run(["completion"]) == 2
     assert "shell 'tcsh': has no completion script: give one of bash" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_is_there_under_its_name(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
-    command = modcal.get_command(click.Context(modcal), verb)
-    assert command is not None
-    assert command.name == verb
-    assert run([verb, "--help"]) == 0
-    assert f" {verb} " in capsys.readouterr().out.splitlines()[0]
 
 
 def test_asking_for_help_imports_no_mathematics() -> None:

@@ -8,13 +8,10 @@ import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from modcal_core.files import write_folder
-from modcal_core.measurements.recording import JointTrack, Recording
 from modcal_msgs_py.bag_files import appearing
-from modcal_msgs_py.recording_write import write_recording
 
 pytestmark = pytest.mark.slow
 
@@ -48,24 +45,11 @@ def interrupted(folder: Path, *arguments: str | Path) -> tuple[int, str]:
     return done.returncode, error.strip()
 
 
-def test_simulate(tmp_path: Path) -> None:
-    assert interrupted(tmp_path, "simulate", URDF, "--out", "bag", "-p", "stations=100") == (130, "")
-
-
 def test_import(tmp_path: Path) -> None:
     rows = "\n".join(f"{0.01 * i:.2f},{1e-4 * i:.4f},1,2,3" for i in range(ROWS))
     (tmp_path / "many.csv").write_text(f"t,q,x,y,z\n{rows}\n")
     (tmp_path / "mapping.yaml").write_text(MAPPING)
     assert interrupted(tmp_path, "import", "mapping.yaml", "--out", "bag") == (130, "")
-
-
-def test_repair(tmp_path: Path) -> None:
-    t = 0.01 * np.arange(2.0 * ROWS)
-    track = JointTrack(("one",), t, t[:, None], t[:, None], t[:, None], t)
-    write_recording(Recording((track,), ()), tmp_path / "whole")
-    data = (tmp_path / "whole" / "whole_0.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(data[: int(0.9 * len(data))])
-    assert interrupted(tmp_path, "repair", "cut.mcap") == (130, "")
 
 
 def test_simulate_while_the_arm_still_moves(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from cli.conftest import Refused
 from cli.recordings import stations
 from mcap.reader import make_reader
 
@@ -50,12 +51,6 @@ def test_a_whole_bag_is_left_alone(tmp_path: Path, capfd: pytest.CaptureFixture[
     assert [p.name for p in tmp_path.iterdir()] == ["bag"]
 
 
-def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "notes.mcap").write_text("these are my notes")
-    assert run(["repair", str(tmp_path / "notes.mcap"), "--out", str(tmp_path / "a" / "b")]) == 2
-    out, err = said(capfd)
-    assert out == ""
-    assert err.startswith("modcal: ")
-    assert err.count("\n") == 1
-    assert "is not an MCAP file" in err
-    assert [p.name for p in tmp_path.iterdir()] == ["notes.mcap"]
+    refused(["repair", str(tmp_path / "notes.mcap"), "--out", str(tmp_path / "a" / "b")], "is not an MCAP file")

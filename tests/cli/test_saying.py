@@ -30,40 +30,35 @@ MODCAL = ROOT / ".venv" / "bin" / "modcal"
 BAG = ROOT / "bags" / "ur10_cell"
 
 
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("said") / "bag"
-    write_recording(stations(60), folder)
-    return folder
-
-
 def test_a_program_gets_the_report_and_nothing_else(
-    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert run(["calibrate", str(bag), "--geometry-only", "--out", str(out), "--json"]) == 0
+    assert run(["calibrate", str(folder / "bag"), "--geometry-only", "--out", str(out), "--json"]) == 0
     said = capfd.readouterr()
     assert json.loads(said.out) == json.loads((out / "report.json").read_text())
     assert said.err == ""
-    assert run(["evaluate", str(out), str(bag), "--out", str(tmp_path / "again"), "--json"]) == 0
+    assert run(["evaluate", str(out), str(folder / "bag"), "--out", str(tmp_path / "again"), "--json"]) == 0
     assert json.loads(capfd.readouterr().out) == json.loads((tmp_path / "again" / "report.json").read_text())
-    assert run(["info", str(bag), "--json"]) == 0
+    assert run(["info", str(folder / "bag"), "--json"]) == 0
     seen = json.loads(capfd.readouterr().out)
     assert seen["robot"]["tip"] == "tool0"
-    assert {t["topic"]: t["count"] for t in seen["topics"]} == {"/joint_states": 60, "/tracker/pose": 60}
+    assert {t["topic"]: t["count"] for t in seen["topics"]} == {"/joint_states": 80, "/tracker/pose": 80}
 
 
-def test_every_stage_is_said_when_it_is_asked_for(bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["calibrate", str(bag), "--geometry-only", "--out", str(tmp_path / "out"), "-v"]) == 0
+def test_every_stage_is_said_when_it_is_asked_for(
+    folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["calibrate", str(folder / "bag"), "--geometry-only", "--out", str(tmp_path / "out"), "-v"]) == 0
     lines = capfd.readouterr().err.splitlines()
     stages = [re.fullmatch(r"(.*): \d+\.\d s", line)[1] for line in lines]  # type: ignore[index]
     assert stages == ["reading bag", "fitting the geometry", "writing the report"]
 
 
-def test_a_terminal_sees_progress_and_is_left_clean(bag: Path, tmp_path: Path) -> None:
+def test_a_terminal_sees_progress_and_is_left_clean(folder: Path, tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     done = subprocess.Popen(
-        [MODCAL, "calibrate", bag, "--geometry-only", "--out", tmp_path / "out"],
+        [MODCAL, "calibrate", folder / "bag", "--geometry-only", "--out", tmp_path / "out"],
         stdout=subprocess.PIPE, stderr=theirs, env={**os.environ, "TERM": "xterm", "COLUMNS": "100"},
     )  # fmt: skip
     os.close(theirs)
@@ -97,13 +92,15 @@ def test_an_interrupted_calibration_leaves_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_tables_are_whole_where_there_is_no_terminal(bag: Path) -> None:
+def test_tables_are_whole_where_there_is_no_terminal(folder: Path) -> None:
     """A log of 80 columns would cut names and numbers short."""
     plain = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
-    table = subprocess.run([MODCAL, "info", bag], capture_output=True, text=True, check=True, env=plain).stdout
+    table = subprocess.run(
+        [MODCAL, "info", folder / "bag"], capture_output=True, text=True, check=True, env=plain
+    ).stdout
     assert "shoulder_pan_joint, shoulder_lift_joint, elbow_joint" in table
     narrow = subprocess.run(
-        [MODCAL, "info", bag], capture_output=True, text=True, check=True, env={**plain, "COLUMNS": "60"}
+        [MODCAL, "info", folder / "bag"], capture_output=True, text=True, check=True, env={**plain, "COLUMNS": "60"}
     ).stdout
     assert max(map(len, narrow.splitlines())) <= 60
 
@@ -120,7 +117,7 @@ def said_by(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> dict[s
 
 
 def test_the_other_verbs_speak_to_programs_too(
-    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     robot = ROOT / "examples" / "robots" / "ur10.urdf"
@@ -146,9 +143,9 @@ def test_the_other_verbs_speak_to_programs_too(
         "frames": ["laser"],
         "left_out": [],
     }
-    whole = said_by(capfd, "repair", bag)
+    whole = said_by(capfd, "repair", folder / "bag")
     assert whole["repaired"] is None
-    (tmp_path / "cut.mcap").write_bytes((bag / f"{bag.name}_0.mcap").read_bytes()[:-2000])
+    (tmp_path / "cut.mcap").write_bytes((folder / "bag" / "bag_0.mcap").read_bytes()[:-2000])
     cut = said_by(capfd, "repair", "cut.mcap")
     assert cut["messages"].keys() == whole["messages"].keys()
     assert (Path(cut["repaired"]) / "metadata.yaml").is_file()

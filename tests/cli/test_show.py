@@ -11,14 +11,18 @@ from report.reports import points
 from rich.console import Console
 
 from modcal_core.outcome.contents import Outcome
+from modcal_core.report.terminal import summary
 from modcal_core.report.words import sentence
 from modcal_core.verdict.verdict import Row, Verdict
-from modcal_nodes.cli.show import show_report
+from modcal_nodes.cli.console import show
 
 
 def shown(report: Outcome, colours: bool = False) -> str:
     text = io.StringIO()
-    show_report(report, Console(file=text, width=300, force_terminal=colours, color_system="standard", emoji=False))
+    plain = Console(
+        file=text, width=300, force_terminal=colours, color_system="standard", markup=False, highlight=False
+    )
+    show(summary(report), plain)
     return text.getvalue()
 
 
@@ -46,7 +50,7 @@ def test_small_rows_of_the_account_stand_together() -> None:
     assert "compliance elbow_joint" in said
     assert "gear_harmonic" not in said
     (together,) = [line.split() for line in said.splitlines() if "5 effects of less than 1%" in line]
-    assert together[-3] == "0.05"
+    assert together[-4] == "0.05"
     few = shown(replace(points(), judged=replace(OPEN, account_mm2=rows[:4])))
     assert "gear_harmonic joint_1" in few
     assert "effects of less than" not in few

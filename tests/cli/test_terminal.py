@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from msgs import bag_forms as forms
 from rich.table import Table
@@ -62,12 +61,3 @@ def test_names_in_a_bag(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
         assert out
         assert not CONTROLS & set(out), (arguments, out)
         assert "Traceback" not in out
-
-
-def test_a_stage_is_named_without_them(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    c = forms.cell(12)
-    bag = forms.write(tmp_path / "bag", [*forms.joints(c), *forms.described(c), *forms.readings(c)])
-    bag.rename(tmp_path / "\x1b[31mbag")
-    assert run(["repair", "-v", str(tmp_path / "\x1b[31mbag")]) == 0
-    assert not CONTROLS & set("".join(capfd.readouterr()))
-    assert np.isfinite(c.q).all()

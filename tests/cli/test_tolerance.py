@@ -1,4 +1,4 @@
-"""``--tolerance-mm`` and what is stated of arm and instrument: exit codes, and what the report is traced back to."""
+"""``--tolerance-mm`` and ``--certificate``, what is stated of arm and instrument, and what a report is traced back to."""
 
 from __future__ import annotations
 
@@ -8,20 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli.recordings import stations
+from cli.conftest import Refused
 
 from modcal_msgs_py.descriptions import digest
-from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag of 100 stations, and its calibration."""
-    here = tmp_path_factory.mktemp("tolerance")
-    write_recording(stations(100), here / "bag")
-    assert run(["calibrate", str(here / "bag"), "--geometry-only", "--out", str(here / "frozen")]) == 0
-    return here
+pytestmark = pytest.mark.slow
 
 
 def report(folder: Path) -> dict[str, Any]:
@@ -29,51 +21,59 @@ def report(folder: Path) -> dict[str, Any]:
     return data
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("of", ["mean", "rms", "p95", "max"])
-def test_a_tolerance_that_is_not_met_ends_with_3(folder: Path, tmp_path: Path, of: str) -> None:
+@pytest.mark.parametrize(("mm", "of", "result"), [("0.001", "mean", "FAIL"), ("100", "max", "CANNOT TELL")])
+def test_a_tolerance_that_is_not_met_or_cannot_be_told_ends_with_3(
+    folder: Path, tmp_path: Path, mm: str, of: str, result: str
+) -> None:
     """Readings scatter by 20 µm along each axis, so no model is within 1 µm of them."""
-    arguments = [str(folder / "frozen"), str(folder / "bag"), "--out", str(tmp_path / "out")]
-    assert run(["evaluate", *arguments, "--tolerance-mm", "0.001", "--tolerance-of", of]) == 3
+    arguments = [str(folder / "a"), str(folder / "bag"), "--out", str(tmp_path / "out")]
+    assert run(["evaluate", *arguments, "--tolerance-mm", mm, "--tolerance-of", of, "--certificate"]) == 3
     met = report(tmp_path / "out")["tolerance"]
-    assert met["result"] == "FAIL"
-    assert (met["asked_mm"], met["statistic"]) == (0.001, of)
-    assert met["ci95"][0] > 0.001
+    assert (met["result"], met["asked_mm"], met["statistic"]) == (result, float(mm), of)
+    assert (met["ci95"][0] > met["asked_mm"]) == (result == "FAIL")
+    assert "was made from this very recording" in (tmp_path / "out" / "certificate.html").read_text()
+    assert "<title>a, evaluated on bag</title>" in (tmp_path / "out" / "report.html").read_text()
 
 
-@pytest.mark.slow
-def test_a_tolerance_that_cannot_be_told_ends_with_3(folder: Path, tmp_path: Path) -> None:
-    arguments = [str(folder / "frozen"), str(folder / "bag"), "--out", str(tmp_path / "out")]
-    assert run(["evaluate", *arguments, "--tolerance-mm", "100", "--tolerance-of", "max"]) == 3
-    assert report(tmp_path / "out")["tolerance"]["result"] == "CANNOT TELL"
-
-
-def test_without_a_tolerance_it_ends_with_0(folder: Path) -> None:
-    assert report(folder / "frozen")["tolerance"] is None
-
-
-@pytest.mark.slow
 def test_calibrate_takes_a_tolerance_too(folder: Path, tmp_path: Path) -> None:
     arguments = [str(folder / "bag"), "--geometry-only", "--out", str(tmp_path / "out"), "--tolerance-mm", "0.001"]
     assert run(["calibrate", *arguments]) == 3
     assert report(tmp_path / "out")["tolerance"]["result"] == "FAIL"
 
 
-def test_what_cannot_be_asked_or_stated_is_refused(folder: Path, tmp_path: Path) -> None:
-    for options in (
-        ["--tolerance-mm", "0"],
-        ["--tolerance-mm", "1", "--tolerance-of", "median"],
-        ["--repeatability-mm", "-1"],
-        ["--repeatability-mm", "0.02", "--repeatability-iso", "0.05"],
-        ["--instrument-mm", "1e6"],
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--tolerance-mm", "0"], "0.0 is not in the range"),
+        (["--tolerance-mm", "1", "--tolerance-of", "median"], "median"),
+        (["--repeatability-mm", "-1"], "not in the range"),
+        (["--repeatability-mm", "0.02", "--repeatability-iso", "0.05"], "repeatability"),
+        (["--instrument-mm", "1e6"], "instrument"),
+        (["--certificate"], "--certificate: has no tolerance"),
+        (["--serial", "1"], "--serial: is printed on a certificate only"),
+    ],
+)
+@pytest.mark.parametrize("verb", ["evaluate", "check"])
+def test_what_cannot_be_asked_or_stated_is_refused(
+    verb: str, options: list[str], said: str, folder: Path, refused: Refused
+) -> None:
+    refused([verb, str(folder / "a"), str(folder / "bag"), *options], said)
+
+
+def test_the_certificate_names_robot_serial_instrument_and_hashes(folder: Path) -> None:
+    page = (folder / "a" / "certificate.html").read_text()
+    for text in (
+        "cell 3",
+        "SN-4711",
+        "AT960 no. 7",
+        "PASS, with reservations",
+        report(folder / "a")["trace"]["bag_sha256"],
     ):
-        arguments = [str(folder / "frozen"), str(folder / "bag"), "--out", str(tmp_path / "out")]
-        assert run(["evaluate", *arguments, *options]) == 2, options
-    assert not (tmp_path / "out").exists()
+        assert text in page
 
 
 def test_a_report_is_traced_back_to_its_recording(folder: Path) -> None:
-    trace = report(folder / "frozen")["trace"]
+    trace = report(folder / "a")["trace"]
     assert trace["date"] == "2023-11-14T22:13:20.000Z"  # 1.7e9 s
     assert trace["robot"] == "ur10"
     assert trace["instrument"] == "pose on /tracker/pose in tracker"
@@ -83,9 +83,9 @@ def test_a_report_is_traced_back_to_its_recording(folder: Path) -> None:
     assert digest(listed[0]) == hashlib.sha256(listed[0].read_bytes()).hexdigest()
 
 
-@pytest.mark.slow
-def test_two_runs_write_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+def test_two_runs_write_the_same_bytes_and_no_tolerance_ends_with_0(folder: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
-        assert run(["evaluate", str(folder / "frozen"), str(folder / "bag"), "--out", str(tmp_path / name)]) == 0
+        assert run(["evaluate", str(folder / "a"), str(folder / "bag"), "--out", str(tmp_path / name)]) == 0
     for name in ("report.json", "report.html"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert report(tmp_path / "a")["tolerance"] is None

@@ -82,6 +82,7 @@ def test_a_commander_knows_its_delta(calibration: Calibration, cell: RecordedDel
         CalibratedRobot.of(calibration, other)
 
 
+@pytest.mark.slow
 def test_a_trusted_delta_is_watched(calibration: Calibration, cell: RecordedDelta) -> None:
     """Readings as before raise no alarm; an arm whose zero has moved does, and is named."""
     live = Live(calibration)
@@ -93,7 +94,6 @@ def test_a_trusted_delta_is_watched(calibration: Calibration, cell: RecordedDelt
     for i in range(COUNT, COUNT + 20):
         row = cell.samples.select(np.array([i]))
         live.add(_read(row, world[i]))
-    assert live.hypothesis is not None
     assert live.hypothesis.place == "arm_2" or any("arm_2" in name for name in live.hypothesis.same_as)
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from cells import NOISE_M, record, samples_of, ur10
+from cells import NOISE_M, samples_of, ur10
 from correction.test_compensation import STEEP, calibration_of, moment, true_model
 
 from modcal_core.calibration.model import Model
@@ -37,16 +37,6 @@ def test_misses_are_how_far_mujocos_tool_is_from_the_drawings(rng: np.random.Gen
     assert np.abs(of.residual - (world.tool_in_base(q)[:, :3, 3] - expected)).max() < 1e-12
     assert of.size.max() > 1e-3
     assert of.rejected.sum() > 20  # a millimetre is far outside this spread
-
-
-def test_a_reading_that_is_no_number_is_not_drawn(rng: np.random.Generator) -> None:
-    model, q = true_model(), rng.uniform(-2.0, 2.0, (5, 6))
-    T = model.predict(q)
-    T[3, 0, 3] = np.nan
-    of = residuals(model, samples_of(model.serial, q, T), SPREAD)
-    assert len(of) == 4
-    assert of.size.max() < 1e-9
-    assert not of.rejected.any()
 
 
 def test_frames_are_known_by_their_names(rng: np.random.Generator) -> None:
@@ -110,13 +100,3 @@ def test_the_ellipsoid_is_about_the_predicted_tool(rng: np.random.Generator) -> 
     unknown = replace(correction.calibration, noise=NoiseModel(np.nan, 1e-4))
     with pytest.raises(BadCommand):
         tool_ellipsoid(Correction(unknown), at)
-
-
-def test_residuals_of_the_right_model_are_noise() -> None:
-    """The true arm of a recording by MuJoCo misses by what was added to the readings."""
-    cell = record(3, 200)
-    bare = Model(cell.world.nominal, ("tracker",), cell.world.T_tracker_base[None], np.eye(4))
-    noise = cell.samples.reading - cell.exact.reading
-    of, exact = residuals(bare, cell.samples, SPREAD), residuals(bare, cell.exact, SPREAD)
-    R = cell.world.T_tracker_base[:3, :3]
-    assert np.abs((of.residual - exact.residual) @ R.T - noise).max() < 1e-12

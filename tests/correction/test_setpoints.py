@@ -1,4 +1,4 @@
-"""Between a computed command and an arm: limits, speed, and no jump when a calibration is replaced."""
+"""Between a computed command and an arm: limits, speed, side of arrival, and no jump when a calibration is replaced."""
 
 from __future__ import annotations
 
@@ -103,7 +103,6 @@ def test_a_commander_changes_calibration_in_a_stream_without_a_jump() -> None:
 def test_a_commander_keeps_to_limits_that_only_the_description_knows() -> None:
     narrow = replace(ur10(), upper=np.array([0.31, *ur10().upper[1:]]))
     commander = Commander(CommanderSettings(), robot(1e-4, 2e-4, chain=narrow))
-    assert commander.robot is not None
     for beyond, allowed in ((0.005, True), (0.02, False)):
         there = AT + beyond
         wish = commander.robot.correction.pose(there, ArmState.at_rest(there, 0.0))
@@ -123,7 +122,6 @@ def test_a_commander_without_a_robot_or_a_way_refuses() -> None:
     with pytest.raises(NotReachable):
         commander.setpoint(se3.transform(p=[1.5, 1.0, 0.9]), "", at, 0.0)
     straight = np.array([0.3, -1.2, 0.0, -0.8, 1.1, 0.2])
-    assert commander.robot is not None
     wish = commander.robot.correction.pose(straight, ArmState.at_rest(straight, 0.0))
     with pytest.raises((BadCommand, NotReachable)):
         commander.setpoint(wish, "", ArmState.at_rest(straight + 1e-4, 0.0), 0.0)
@@ -133,3 +131,10 @@ def test_a_robot_must_be_the_one_that_was_calibrated() -> None:
     made = calibration_of(true_model(started("gear")))
     with pytest.raises(BadRobot):
         CalibratedRobot.of(made, "<robot name='r'><link name='base_link'/></robot>")
+
+
+def test_a_joint_that_does_not_move_keeps_the_side_it_came_from() -> None:
+    at = ArmState.at_rest([0.1, 0.2, 0.3, 0.4], 5.0, approach=[1.0, -1.0, 1.0, 0.0])
+    there = at.arriving(at.q + [0.0, 0.0, -0.2, 0.3])
+    assert there.approach.tolist() == [1.0, -1.0, -1.0, 1.0]
+    assert np.array_equal(there.velocity, np.zeros(4))

@@ -1,21 +1,24 @@
-"""Curves that are computed together against the same effects one by one."""
+"""Curves that are computed together against the same effects one by one, slopes, and what a report tells of an effect."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-from cells import samples_of, ur10
+import pytest
+from cells import record, samples_of, ur10
 from correction.test_compensation import calibration_of, moment, true_model
 
 from modcal_core.calibration.covariance import Uncertainty
 from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import AXIS, Effect, motion
-from modcal_core.effects.shapes import Shape
+from modcal_core.effects.shapes import KINDS, Shape
 from modcal_core.effects.sizes import AxisCurves
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.loop import calibrate
+from modcal_core.outcome import Finding
 
 CHAIN = ur10()
 
@@ -55,6 +58,7 @@ def test_they_move_as_one_by_one(rng: np.random.Generator) -> None:
     assert np.abs(np.nan_to_num(found[CHAIN.first_place + 1])).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_a_covariance_is_that_of_each_amplitude(rng: np.random.Generator) -> None:
     """By differences: what a unit of each amplitude moves, squared and summed."""
     effects = effects_of(rng)
@@ -81,3 +85,42 @@ def _by_differences(effects: tuple[Effect, ...], std: Array, at: ArmState) -> Ar
             rows.append(np.r_[T[:3, 3] - pose[:3, 3], so3.log(T[:3, :3] @ pose[:3, :3].T)] / step)
     J = np.array(rows)
     return np.asarray(J.T @ (std[:, None] ** 2 * J))
+
+
+SETTINGS = {"cycles": 7.3, "tau": 40.0, "since": -1.0, "beta": 0.3, "scale": 2.0, "lag": 0.0}
+STATED = [(kind, name) for kind, known in KINDS.items() for name in known.slopes]
+
+
+@pytest.mark.parametrize(("kind", "name"), STATED)
+def test_they_are_those_of_small_steps(kind: str, name: str) -> None:
+    x = np.linspace(-3.0, 2.0, 60)
+    shape = Shape(kind, SETTINGS)
+    step = 1e-6 * SETTINGS[name]
+    ahead, behind = (shape.with_settings({name: SETTINGS[name] + d}).basis(x) for d in (step, -step))
+    slope = KINDS[kind].slopes[name](x, shape.settings, shape.basis(x))
+    np.testing.assert_allclose(slope, (ahead - behind) / (2.0 * step), atol=1e-6 * np.abs(slope).max())
+
+
+def test_waves_say_theirs() -> None:
+    assert {("sine", "cycles"), ("double", "cycles")} <= set(STATED)
+
+
+SIZES = {"x": (1e-3, 1e-5, "m")}
+
+
+def test_rivals_are_in_the_sentence_and_no_more_than_two() -> None:
+    found = Finding("step", "base", "all", "time", SIZES, 1e-9, 1e-3, 1e-4, ("tool", "joint_1", "joint_2", "joint_3"))
+    assert found.sentence.endswith("These readings do not tell it from: tool; joint_1; and 2 more.")
+    assert "tell it from" not in replace(found, same_as=()).sentence
+
+
+@pytest.mark.parametrize(("clock", "words"), [(True, "(stamp "), (False, "(row 60)")])
+def test_a_table_without_a_clock_has_rows_and_no_seconds(clock: bool, words: str) -> None:
+    made = record(3, 120)
+    late = np.arange(120) >= 60
+    samples = replace(made.samples, reading=made.samples.reading + np.outer(late, [0.0, 2e-3, 0.0]))
+    samples = replace(samples, stamps=10.0 * np.arange(1.0, 121.0), clock=clock)
+    report = calibrate(samples, ur10(), np.random.default_rng(0)).report
+    (step,) = (e for e in report.effects if e.family == "step")
+    assert words in step.sentence
+    assert step.parameters["at"][2] == ("s" if clock else "rows")

@@ -1,13 +1,24 @@
-"""What cannot be added is refused, in one line that names it."""
+"""What cannot be added is refused in one line that names it; a family is one file, built in as in a package; the page runs."""
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import subprocess
 import sys
+import tomllib
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace as Message
+from typing import Any
 
+import numpy as np
 import pytest
+
+from modcal_core.articulation.models.parametric import ParametricModel
+from modcal_core.effects.family import Family
+from modcal_msgs_py.topics import AddedTopic, Joints
 
 pytestmark = pytest.mark.slow
 
@@ -44,22 +55,55 @@ GOOD = {
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def said(folder: Path, group: str, program: str, package: str = "", **changes: str) -> str:
+# Forks for each case, so that what all of them import is imported once.
+FORKS = """
+import importlib, json, os, sys, traceback
+import numpy, scipy.optimize, modcal_core.measurements, modcal_core.robots, rosbags.typesys
+for line in sys.stdin:
+    folder, program = json.loads(line)
+    here, there = os.pipe()
+    if os.fork() == 0:
+        os.dup2(there, 1), os.dup2(there, 2)
+        sys.path.insert(0, folder)
+        try:
+            exec(program, {})
+        except Exception:
+            traceback.print_exc()
+        sys.stdout.flush(), sys.stderr.flush()
+        os._exit(0)
+    os.close(there)
+    with os.fdopen(here) as said:
+        print(json.dumps(said.read()), flush=True)
+    os.wait()
+"""
+Said = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Said]:
     """What a program says with such a package beside it."""
-    (folder / "bend.py").write_text(package or PACKAGE.format(**{**GOOD, **changes}))
-    info = folder / "bend-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bend\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{group}]\nbend = bend:ADDED\n")
-    path = os.pathsep.join([str(folder), str(ROOT / "tests"), *sys.path])
-    done = subprocess.run(
-        [sys.executable, "-c", program], env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True
+    path = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "tests"), *sys.path])}
+    forking = subprocess.Popen(
+        [sys.executable, "-c", FORKS], env=path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
-    return done.stdout + done.stderr
+
+    def run(group: str, program: str, package: str = "", **changes: str) -> str:
+        folder = tmp_path_factory.mktemp("package")
+        (folder / "bend.py").write_text(package or PACKAGE.format(**{**GOOD, **changes}))
+        info = folder / "bend-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bend\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[{group}]\nbend = bend:ADDED\n")
+        print(json.dumps([str(folder), program]), file=forking.stdin, flush=True)
+        return str(json.loads(forking.stdout.readline()))
+
+    with forking:
+        yield run
+        forking.stdin.close()
 
 
-def test_one_that_can_be_is_scanned(tmp_path: Path) -> None:
-    assert said(tmp_path, "modcal.effects", SCANNED).strip() == "[(20,)]"
+def test_one_that_can_be_is_scanned(said: Said) -> None:
+    assert said("modcal.effects", SCANNED).strip() == "[(20,)]"
 
 
 @pytest.mark.parametrize(
@@ -82,8 +126,8 @@ def test_one_that_can_be_is_scanned(tmp_path: Path) -> None:
         ({"basis": "(x / 0.0)[None]"}, "shape bent at {}: is not finite: fix the package that provides it"),
     ],
 )
-def test_an_effect_that_cannot_be(tmp_path: Path, changes: dict[str, str], line: str) -> None:
-    assert line in said(tmp_path, "modcal.effects", SCANNED, **changes)
+def test_an_effect_that_cannot_be(said: Said, changes: dict[str, str], line: str) -> None:
+    assert line in said("modcal.effects", SCANNED, **changes)
 
 
 @pytest.mark.parametrize(
@@ -96,12 +140,12 @@ def test_an_effect_that_cannot_be(tmp_path: Path, changes: dict[str, str], line:
         ),
     ],
 )
-def test_a_topic_that_cannot_be(tmp_path: Path, added: str, line: str) -> None:
-    assert line in said(tmp_path, "modcal.topics", "import modcal_msgs_py.topics", added=added)
+def test_a_topic_that_cannot_be(said: Said, added: str, line: str) -> None:
+    assert line in said("modcal.topics", "import modcal_msgs_py.topics", added=added)
 
 
 @pytest.mark.parametrize("made", ["7", 'Reading("smell", "nose", [1.0])', 'Reading("point", "f", [1.0])'])
-def test_a_message_that_its_package_makes_nothing_of(tmp_path: Path, made: str) -> None:
+def test_a_message_that_its_package_makes_nothing_of(said: Said, made: str) -> None:
     program = """
 from types import SimpleNamespace as N
 from modcal_msgs_py.messages import RecordingBuilder
@@ -110,7 +154,7 @@ RecordingBuilder().add("/vendor", "std_msgs/msg/String", N(data=""), 5.0)
     take = f'AddedTopic("vendor", "std_msgs/msg/String", lambda m: [__import__("modcal_msgs_py.topics").topics.{made}])'
     if made == "7":
         take = 'AddedTopic("vendor", "std_msgs/msg/String", lambda m: [7])'
-    assert "topic /vendor: its package made " in said(tmp_path, "modcal.topics", program, added=take)
+    assert "topic /vendor: its package made " in said("modcal.topics", program, added=take)
 
 
 MODEL = """
@@ -148,5 +192,114 @@ choose(Track(np.linspace([0.0, 0.0, 0.0], [0.3, 0.0, 0.0], 30)))
         ("import nothing_there", "entry point bend of modcal.articulation: package bend raises ModuleNotFoundError"),
     ],
 )
-def test_a_way_to_move_that_cannot_be(tmp_path: Path, change: str, line: str) -> None:
-    assert line in said(tmp_path, "modcal.articulation", CHOSEN, package=MODEL.format(change=change))
+def test_a_way_to_move_that_cannot_be(said: Said, change: str, line: str) -> None:
+    assert line in said("modcal.articulation", CHOSEN, package=MODEL.format(change=change))
+
+
+FILE = """
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.family import PLAIN, Family
+from modcal_core.effects.shapes import Setting, Shape, ShapeKind
+from modcal_core.effects.sizes import value
+import numpy as np
+
+def candidates(drivers):
+    for name in drivers.arm.chain.names:
+        yield Effect("stick", name, AXIS, f"slip:{name}", Shape("bent", {"sharp": 2.0}))
+
+FAMILY = Family(
+    "stick",
+    candidates,
+    shapes={"bent": ShapeKind(lambda x, s: np.tanh(s["sharp"] * x)[None], refined={"sharp": Setting(0.5)})},
+    drivers={"slip": lambda drivers, joint: drivers.values(f"position:{joint}") ** 2},
+    complexity=lambda effect: PLAIN,
+    sizes=lambda effect, chain: {"slip": value(effect, 0, 1e3, "mrad")},
+    sentence=lambda entry: f"{entry.place} sticks by {entry.sizes['slip'][0]:g} mrad",
+)
+"""
+# The columns that the scan looks at, and what a report says, by the functions that everything else calls.
+PROGRAM = """
+import json, sys
+import numpy as np
+if sys.argv[1:]:
+    from modcal_core.effects import families as built_in
+    built_in.__path__.append(sys.argv[1])
+from cells import record, ur10
+from modcal_core.effects.drivers import Drivers, NominalArm
+from modcal_core.effects.effect import columns, prior_stds
+from modcal_core.effects.family import ReportEntry
+from modcal_core.effects.registry import candidates, complexity, family_named, known_families, require_known
+
+drivers = Drivers(record(1, 20).samples, NominalArm(ur10()))
+found = [e for e in candidates(drivers) if e.family == "stick"]
+effect = found[2].with_values([3e-4, 2.5], [1e-5, 0.1])
+require_known(effect)
+x = drivers.samples.q[:, 2]
+(term,) = columns(effect, drivers)[0]
+sizes = family_named("stick").sizes(effect, ur10())
+print(json.dumps(dict(
+    families=list(known_families()), count=len(found), complexity=complexity(effect),
+    right=bool(np.allclose(term.size, np.tanh(2.5 * x**2), atol=1e-15)), priors=prior_stds(effect, drivers).tolist(),
+    said=family_named("stick").sentence(ReportEntry(effect.place, "axis", effect.public_driver, sizes)))))
+"""
+
+
+def told(folder: Path, *arguments: str, path: tuple[str, ...] = ()) -> dict[str, Any]:
+    paths = os.pathsep.join([*path, str(ROOT / "tests"), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *arguments],
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    return dict(json.loads(done.stdout))
+
+
+def test_one_file_is_a_family_built_in_and_in_a_package(tmp_path: Path) -> None:
+    built_in, package = tmp_path / "built_in", tmp_path / "package"
+    info = package / "stick-1.0.dist-info"
+    for folder in (built_in, info):
+        folder.mkdir(parents=True)
+    (built_in / "stick.py").write_text(FILE)
+    (package / "stick.py").write_text(FILE)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stick\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[modcal.effects]\nstick = stick:FAMILY\n")
+
+    inside = told(tmp_path, str(built_in))
+    assert inside["families"][-1] == "stick"  # behind those of the list, which decide between equals
+    assert (inside["count"], inside["complexity"], inside["right"]) == (6, 0, True)
+    assert inside["said"] == "elbow_joint sticks by 0.3 mrad"
+    assert inside["priors"][1] == 0.5
+    assert told(tmp_path, path=(str(package),)) == inside
+
+
+TEXT = (ROOT / "docs" / "extending.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+
+
+def test_the_examples_run() -> None:
+    effect, topic, moving = ({}, {}, {})  # type: tuple[dict[str, object], dict[str, object], dict[str, object]]
+    for program, names in zip(blocks("python"), (effect, topic, moving), strict=True):
+        exec(compile(program, "docs/extending.md", "exec"), names)
+    assert isinstance(effect["FAMILY"], Family)
+    added = topic["TOPIC"]
+    assert isinstance(added, AddedTopic)
+    (said,) = added.take(Message(data=[0.1] * 6))
+    assert isinstance(said, Joints)
+    assert said.name[5] == "joint_6"
+    model = moving["MODEL"]
+    assert isinstance(model, ParametricModel)
+    _, T = model.checked_path(model.prior[0], 9)
+    assert np.allclose(np.hypot(T[:, 0, 3], T[:, 1, 3]), 0.25)  # in the middle of the bar it is a circle
+
+
+def test_the_entry_points_are_those_of_the_example() -> None:
+    (text,) = blocks("toml")
+    written = tomllib.loads(text)["project"]["entry-points"]
+    package = tomllib.loads((ROOT / "examples" / "extending" / "pyproject.toml").read_text())
+    assert written == package["project"]["entry-points"]

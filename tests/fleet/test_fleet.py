@@ -15,11 +15,11 @@ import pyarrow.parquet as pq
 import pytest
 from fleet.robots import write_fleet
 
+from modcal_core.errors import BadRecording, BadTable
 from modcal_nodes.cli.main import run
 from modcal_nodes.fleet import recordings as fleet
+from modcal_nodes.fleet.recordings import find_bags, names_of
 from modcal_nodes.io.options import Options
-
-pytestmark = pytest.mark.slow
 
 GOOD = {"robot_1/week_0", "robot_1/week_1", "robot_2/week_0"}
 REPORT = {"report.json", "report.html", "calibration.yaml", "calibrated.urdf", "kinematics.yaml"}
@@ -42,9 +42,11 @@ def results(recordings: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
+    import dask
     from distributed import LocalCluster
 
-    with LocalCluster(
+    # a recording that kills its worker is given up after the second, not the fourth: each takes seconds to start
+    with dask.config.set({"distributed.scheduler.allowed-failures": 1}), LocalCluster(
         n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", host="127.0.0.1"
     ) as cluster:  # fmt: skip
         yield cluster.scheduler_address
@@ -54,6 +56,7 @@ def rows(path: Path) -> dict[str, fleet.Row]:
     return {row["name"]: row for row in pq.read_table(path).to_pylist()}
 
 
+@pytest.mark.slow
 def test_each_bag_has_what_calibrate_writes(recordings: Path, results: Path, tmp_path: Path) -> None:
     assert run(["calibrate", f"{recordings}/robot_1/week_1", "--geometry-only", "--out", str(tmp_path / "alone")]) == 0
     of_fleet = results / "robot_1" / "week_1"
@@ -62,6 +65,7 @@ def test_each_bag_has_what_calibrate_writes(recordings: Path, results: Path, tmp
         assert (of_fleet / name).read_bytes() == (tmp_path / "alone" / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_the_table_says_what_the_reports_say(results: Path) -> None:
     table = rows(results / "fleet.parquet")
     assert set(table) == GOOD | {"robot_2/week_5"}
@@ -80,6 +84,7 @@ def test_the_table_says_what_the_reports_say(results: Path) -> None:
         assert row["started"].timestamp() == pytest.approx(1.7e9 + 604800.0 * int(name[-1]), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_an_unusable_bag_is_refused_and_stops_nobody(
     recordings: Path, results: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -92,6 +97,7 @@ def test_an_unusable_bag_is_refused_and_stops_nobody(
     assert [p.name for p in (results / "robot_2" / "week_5").iterdir()] == [fleet.NOT_CALIBRATED]
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_what_this_machine_does(
     address: str, recordings: Path, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -112,6 +118,7 @@ def test_a_cluster_gives_what_this_machine_does(
         assert written[name]["verdict"] == here[name]["verdict"] == printed[name]["verdict"]
 
 
+@pytest.mark.slow
 def test_a_second_call_replaces_what_the_first_wrote(
     recordings: Path, results: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -137,6 +144,7 @@ def _killed(bag: Path, options: Options) -> tuple[fleet.Row, dict[str, bytes]]:
     return {"state": "done"}, {"report.json": b""}
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_a_row_at_most(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import cloudpickle
     from distributed import Client
@@ -159,6 +167,7 @@ def test_a_killed_worker_costs_a_row_at_most(address: str, tmp_path: Path, monke
     assert len(rows(tmp_path / "fleet.parquet")) == len(bags)
 
 
+@pytest.mark.slow
 def test_no_cluster_is_one_line(recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["fleet", str(recordings), "--out", str(tmp_path / "out"), "--dask", "nonsense://here"]
     assert run(command) == 2
@@ -168,6 +177,7 @@ def test_no_cluster_is_one_line(recordings: Path, tmp_path: Path, capsys: pytest
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_nothing_else_is_written_over(recordings: Path) -> None:
     """Results in the folder of the recordings would stand where the bags do."""
     before = sorted(recordings.rglob("*"))
@@ -175,6 +185,7 @@ def test_nothing_else_is_written_over(recordings: Path) -> None:
     assert sorted(recordings.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_the_program_of_the_page_runs(
     results: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -185,6 +196,64 @@ def test_the_program_of_the_page_runs(
     assert "robot_2/week_5 refused" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_every_column_is_documented() -> None:
     text = (Path(__file__).resolve().parents[2] / "docs" / "fleet.md").read_text()
     assert set(fleet.SCHEMA.names) <= set(re.findall(r"`(\w+)`", text))
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    top = tmp_path / "recordings"
+    for file in ("r1/monday/metadata.yaml", "r1/monday/monday_0.mcap", "r1/cut/cut_0.mcap", "r1/cut/cut_1.mcap",
+                 "r2/a.mcap", "r2/b.mcap", ".old/x/x_0.mcap", "out/r1/monday/report.json", "r3/a.mcap"):  # fmt: skip
+        (top / file).parent.mkdir(parents=True, exist_ok=True)
+        (top / file).touch()
+    return top
+
+
+def test_folders_are_searched(tree: Path) -> None:
+    found = find_bags([str(tree)], tree / "out")
+    assert [str(p.relative_to(tree)) for p in found] == [
+        "r1/cut", "r1/monday", "r2/a.mcap", "r2/b.mcap", "r3/a.mcap",
+    ]  # fmt: skip
+    assert find_bags([str(tree / "r1"), str(tree / "r1/monday")], tree / "out") == found[:2]
+
+
+def test_patterns_are_matched(tree: Path) -> None:
+    found = find_bags([f"{tree}/r*/a.mcap"], tree / "out")
+    assert [p.parent.name for p in found] == ["r2", "r3"]
+
+
+@pytest.mark.parametrize("name", ["nowhere", "no*where", "r1/monday/metadata.yaml/*"])
+def test_what_is_not_there_is_refused(tree: Path, name: str) -> None:
+    with pytest.raises(BadRecording, match="does not exist"):
+        find_bags([str(tree / name)], tree / "out")
+
+
+def test_a_folder_without_bags_is_refused(tree: Path) -> None:
+    with pytest.raises(BadRecording, match="holds no bag"):
+        find_bags([str(tree / "out")], tree / "elsewhere")
+
+
+def test_names_are_told_apart_and_stay(tmp_path: Path) -> None:
+    one, two, other = (tmp_path / p for p in ("x/r/a.mcap", "y/r/a.mcap", "y/r/b.mcap"))
+    for file in (one, two, other):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+    out = tmp_path / "out"
+    assert names_of([one], out) == {"r/a": one}
+    names = names_of([one, two, other], out)
+    assert len(names) == 3
+    assert names["r/b"] == other
+    assert names_of([two, one], out).items() <= names.items()
+
+
+def test_a_bag_is_never_written_over(tmp_path: Path) -> None:
+    """Not even one in whose folder somebody has put a report."""
+    bag = tmp_path / "r" / "a"
+    bag.mkdir(parents=True)
+    (bag / "report.json").touch()
+    assert names_of([bag], tmp_path / "out") == {"r/a": bag}
+    with pytest.raises(BadTable, match="holds something other than results"):
+        names_of([bag], tmp_path)

@@ -13,7 +13,7 @@ from modcal_core.impedance.wrench import DOWN
 from modcal_core.robots.acceleration import read_drives
 from modcal_core.robots.bodies import HeldWeight, chain_gravity_wrench, payload_wrench
 from modcal_core.robots.kinematics import pose_and_jacobian
-from modcal_core.robots.urdf_inertias import Inertias, read_inertias
+from modcal_core.robots.urdf_inertias import read_inertias
 
 MAX, STANDS = 50.0, 47.5  # N: that may be felt; at which a pull stands
 HANGS = 0.7  # kg at the tip, of which the robot description knows nothing
@@ -101,6 +101,7 @@ def test_what_a_sensor_hides_is_found_below_the_limit(arm: ArmEfforts, share: fl
         assert 0.4 * MAX / (1.0 - share) < let_go < 1.3 * MAX
 
 
+@pytest.mark.slow
 def test_a_sensor_that_says_all_is_believed_and_no_more_is_shown_than_there_is(arm: ArmEfforts) -> None:
     for seed in range(5):
         rng = np.random.default_rng(seed)
@@ -132,6 +133,7 @@ def test_nonsense_among_efforts_shows_no_force(arm: ArmEfforts, rng: np.random.G
         assert check.refused(0.0, 1.0 + k * PERIOD, MAX) is None
 
 
+@pytest.mark.slow
 def test_friction_that_turns_about_makes_no_force(arm: ArmEfforts) -> None:
     """Gears whose friction bears two hundredths of the full effort one way as the arm stands, and the other as it goes."""
     for seed in range(5):
@@ -141,14 +143,3 @@ def test_friction_that_turns_about_makes_no_force(arm: ArmEfforts) -> None:
         force, let_go = shown(check, going, np.array([0.0, 0.0, 10.0]), 10.0)
         assert let_go is None
         assert force < 20.0
-
-
-def test_an_arm_without_masses_shows_no_force(arm: ArmEfforts) -> None:
-    none = np.zeros_like
-    bare = Inertias(none(arm.bodies.mass), none(arm.bodies.com), none(arm.bodies.inertia))
-    check = EffortCheck(ArmEfforts(arm.chain, bare, arm.full), DOWN)
-    T, J = pose_and_jacobian(arm.chain, READY)
-    for k in range(30):
-        check.rest(JointPositions(READY, k * PERIOD, np.ones(arm.chain.n)))
-    check.begin(T[:3, :3], J)
-    assert check.unusable

@@ -45,14 +45,6 @@ class Still:
         raise AssertionError(self.operation.phase)
 
 
-def test_a_stack_behind_the_admittance_shall_be_stiff() -> None:
-    still = Still(Operation(PANDA, TASK, LIMITS))
-    still.until("explore")
-    sent = [out for _ in range(5) if isinstance(out := still.tick(), ArmSetpoint)]
-    assert (sent[-1].stiffness == [3000.0] * 3 + [200.0] * 3).all()
-    assert not sent[-1].wrench.any()
-
-
 def test_it_waits_for_what_is_late_and_goes_on_from_rest() -> None:
     still = Still(Operation(PANDA, TASK, LIMITS))
     still.until("explore")
@@ -96,8 +88,7 @@ def test_an_arm_that_is_heard_again_lets_go_and_is_not_led_on() -> None:
     assert "joint_states" in outs[-1].why
 
 
-@pytest.mark.parametrize("gap", [0.5, 2.0])
-def test_a_release_that_is_interrupted_is_finished(gap: float) -> None:
+def test_a_release_that_is_interrupted_is_finished() -> None:
     """Joint states pause in the middle of it: the rest of its time, and the same word, are still to come."""
     still = Still(Operation(PANDA, TASK, LIMITS))
     still.until("explore")
@@ -106,7 +97,7 @@ def test_a_release_that_is_interrupted_is_finished(gap: float) -> None:
     still.operation.release("stopped as asked", still.now)
     sent = [still.tick() for _ in range(25)]
     assert {out.why for out in sent if isinstance(out, ArmSetpoint)} == {"release"}
-    lost = [still.tick(joints_age=0.5) for _ in range(int(gap / PERIOD))]
+    lost = [still.tick(joints_age=0.5) for _ in range(int(2.0 / PERIOD))]
     assert all(isinstance(out, Wait) for out in lost)
     outs = [still.tick() for _ in range(300)]
     again = [out for out in outs if isinstance(out, ArmSetpoint)]
@@ -177,11 +168,3 @@ def test_a_clock_that_goes_back_ends_it() -> None:
     still.now -= 5.0
     still.sensor.reset()
     assert isinstance(still.tick(), Stop)
-
-
-def test_the_tool_is_not_weighed_while_it_moves() -> None:
-    still = Still(Operation(PANDA, TASK, LIMITS))
-    for _ in range(400):
-        still.q = still.q + 1e-3
-        assert isinstance(still.tick(), Wait)
-    assert still.operation.phase == "tare"

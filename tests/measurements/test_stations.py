@@ -12,7 +12,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.alignment import align, clock_offset
-from modcal_core.measurements.dwells import deviation_of_mean, running_max
+from modcal_core.measurements.dwells import running_max
 from modcal_core.measurements.inspection import inspect
 from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.samples import cut_stations
@@ -66,7 +66,7 @@ def test_paired_readings_are_stations_as_they_are() -> None:
     assert np.isnan(samples.sigma_position).all()
 
 
-@pytest.mark.parametrize(("joints", "readings"), [(10, 60), (60, 10), (3, 80)])
+@pytest.mark.parametrize(("joints", "readings"), [(10, 60), (60, 10)])
 def test_pairs_are_recognised_where_one_topic_was_heard_for_longer(joints: int, readings: int) -> None:
     """A recording may be looked at while it comes in, a topic in one go; what both cover are pairs all the same."""
     whole = stations(80)
@@ -94,25 +94,14 @@ def test_pairs_of_an_arm_that_never_stands_have_its_velocity_and_acceleration() 
 
 
 @pytest.mark.slow
-def test_a_motion_is_used_reading_by_reading() -> None:
-    samples = cut_stations(streams(10, dwell=0.0), NAMES)
-    assert samples.moving.all()
-    assert len(samples) > 250
-    # the posture is interpolated to the reading's moment: compared with the course itself
-    again = prepare(streams(10, dwell=0.0), ur10())
-    assert "almost always moving" in " ".join(again.notes)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("late", [0.0, 0.02])
-def test_a_motion_calibrates_to_the_noise(late: float) -> None:
+def test_a_motion_calibrates_to_the_noise() -> None:
     """At half a metre a second, a millisecond too much would cost half a millimetre; the noise is 0.035 mm."""
-    prepared = prepare(streams(60, dwell=0.0, late=late), ur10())
+    prepared = prepare(streams(60, dwell=0.0, late=0.02), ur10())
+    assert prepared.samples.moving.all()
+    assert "almost always moving" in " ".join(prepared.notes)
     report = calibrate(prepared.samples, ur10(), np.random.default_rng(0)).report
     assert report.sets.unit == "block"
     before, after = report.size_mm("nominal"), report.size_mm("final")
-    assert before is not None
-    assert after is not None
     assert before.rms > 1.0
     assert after.rms < 1.1 * 2e-2 * np.sqrt(3)
 
@@ -133,44 +122,23 @@ def test_joints_come_by_name() -> None:
     assert np.array_equal(cut_stations(replace(recording, joints=(other,)), NAMES).q, track.position)
 
 
-def test_correlated_readings_count_less() -> None:
-    rng = np.random.default_rng(0)
-    white = rng.normal(size=(4000, 3))
-    walk = np.zeros_like(white)
-    for k in range(1, len(walk)):
-        walk[k] = 0.9 * walk[k - 1] + white[k]
-    assert deviation_of_mean(white - white.mean(0)) == pytest.approx(1 / np.sqrt(4000), rel=0.1)
-    means = [w.mean() for w in np.array_split(walk[:, 0], 20)]
-    expected = np.std(means) / np.sqrt(20)
-    assert deviation_of_mean(walk - walk.mean(0)) == pytest.approx(expected, rel=0.5)
-
-
-@pytest.mark.parametrize("late", [-0.31, -0.02, 0.0, 0.045, 0.4])
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [-0.31, 0.0, 0.045])
 def test_clock_offset_is_found_on_motion(late: float) -> None:
     recording = streams(20, late=late)
     clock = clock_offset(recording.readings[0], recording.joints[0].stamps, recording.joints[0].position, tip)
-    assert clock is not None
     assert clock.offset == pytest.approx(late, abs=4e-3)
     aligned, notes = align(recording, NAMES, tip)
     assert np.abs(aligned.readings[0].stamps - recording.readings[0].received).max() < 4e-3
     assert bool(notes) == (late != 0.0)
 
 
+@pytest.mark.slow
 def test_drift_is_found() -> None:
     recording = streams(120, drift=5e-4)
     aligned, notes = align(recording, NAMES, tip)
     assert np.abs(aligned.readings[0].stamps - recording.readings[0].received).max() < 6e-3
     assert "drifted" in notes[0]
-
-
-@pytest.mark.slow
-def test_drift_stays_corrected_in_a_motion() -> None:
-    recording = streams(120, dwell=0.0, drift=5e-4)
-    prepared = prepare(recording, ur10())
-    true = recording.readings[0].received
-    nearest = true[np.clip(np.searchsorted(true, prepared.samples.stamps - 0.01), 0, len(true) - 1)]
-    assert np.abs(prepared.samples.stamps - nearest).max() < 8e-3
-    assert any("drifted" in note for note in prepared.notes)
 
 
 def test_silence_in_motion_tells_no_offset() -> None:
@@ -186,13 +154,6 @@ def test_silence_in_motion_tells_no_offset() -> None:
 
 def findings(recording: Recording) -> str:
     return " ".join(inspect(recording, ur10()).findings)
-
-
-def test_a_clean_recording_has_no_findings() -> None:
-    seen = inspect(streams(12), ur10())
-    assert [f for f in seen.findings if "noise floor" not in f] == []
-    assert seen.uses == ("calibration from poses in 12 dwells",)
-    assert inspect(stations(12), ur10()).uses == ("calibration from 12 finished stations (poses)",)
 
 
 def test_each_fault_is_found() -> None:
@@ -218,12 +179,13 @@ def test_readings_and_joints_of_different_days() -> None:
         cut_stations(streams(5, late=START), NAMES)
 
 
-@pytest.mark.parametrize(("m", "width"), [(1, 3), (5, 3), (64, 7), (64, 63), (64, 65), (64, 201), (2000, 51)])
+@pytest.mark.parametrize(("m", "width"), [(1, 3), (64, 7), (64, 65), (64, 201)])
 def test_the_running_maximum_is_that_of_every_window(m: int, width: int, rng: np.random.Generator) -> None:
     x = rng.normal(size=(m, 3))
     assert np.array_equal(running_max(x, width), maximum_filter1d(x, width, axis=0, mode="constant", cval=-np.inf))
 
 
+@pytest.mark.slow
 def test_a_drift_beyond_the_limit_says_how_far_it_goes() -> None:
     """What it is in the middle is below the limit of 0.5 s that the sentence states; what exceeds it are the ends."""
     recording = streams(120, late=0.42, drift=5e-4)
@@ -250,3 +212,10 @@ def test_stations_that_were_written_twice_are_stations_and_no_motion() -> None:
     assert not prepared.notes
     assert len(prepared.samples) == 120
     assert not prepared.samples.moving.any()
+
+
+def test_a_clean_recording_has_no_findings() -> None:
+    seen = inspect(streams(12), ur10())
+    assert [f for f in seen.findings if "noise floor" not in f] == []
+    assert seen.uses == ("calibration from poses in 12 dwells",)
+    assert inspect(stations(12), ur10()).uses == ("calibration from 12 finished stations (poses)",)

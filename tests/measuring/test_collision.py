@@ -15,7 +15,7 @@ from modcal_core.errors import BadRobot
 from modcal_core.geometry import se3
 from modcal_core.planning.site import Ball, Site, clearance, spheres_of
 from modcal_core.robots.urdf import read_chain
-from modcal_nodes.measuring.collision import CollisionModel, has_shapes
+from modcal_nodes.measuring.collision import CollisionModel
 
 URDF = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
 RADIUS = 0.06
@@ -68,12 +68,6 @@ def test_spheres_keep_out_of_boxes_as_well(rng: np.random.Generator) -> None:
     with_box, without = clearance(spheres, site, q), clearance(spheres, bare, q)
     assert (with_box <= without + 1e-12).all()
     assert (with_box < without - 0.05).any()
-
-
-def test_a_description_without_shapes_is_refused() -> None:
-    assert not has_shapes(URDF)
-    with pytest.raises(BadRobot, match="no collision shapes"):
-        CollisionModel(URDF, read_chain(URDF).names, Site())
 
 
 def test_a_mesh_that_is_not_there_is_named(tmp_path: Path) -> None:

@@ -13,20 +13,15 @@ import numpy as np
 import pytest
 from nodes.processes import ROOT
 
-from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.noise import errors
 from modcal_core.effects.registry import candidates
-from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.planning.advice import Advice, Advisor, Method, _not_by_posture
-from modcal_core.planning.next_stations import Chooser, one_motion, return_stations
-from modcal_core.planning.outlook import chance_seen, outlook
+from modcal_core.planning.next_stations import one_motion, return_stations
+from modcal_core.planning.outlook import chance_seen
 from modcal_core.planning.pool import of_robot
-from modcal_core.planning.proof import Goal
-from modcal_core.planning.session import MEASURED, PROOF, UNSEEN, Session, Station, from_data, to_data
+from modcal_core.planning.session import MEASURED, PROOF, UNSEEN, Goal, Session, Station, from_data, to_data
 from modcal_core.planning.site import Site, site_from_data
-from modcal_core.planning.typed_table import to_table, with_table
 from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
@@ -80,6 +75,7 @@ def whole() -> Whole:
     return measured(advisor(Goal(1e-4)), by), by
 
 
+@pytest.mark.slow
 def test_a_goal_is_proven_and_true(whole: Whole, rng: np.random.Generator) -> None:
     advice, by = whole
     assert advice.outcome is not None
@@ -94,6 +90,7 @@ def test_a_goal_is_proven_and_true(whole: Whole, rng: np.random.Generator) -> No
     assert not proof & {tuple(q) for q in advice.refitted.samples.q}
 
 
+@pytest.mark.slow
 def test_what_is_proven_is_what_is_used() -> None:
     """A gear's wave is learned from twelve stations; those of the proof go beyond them, and so will those who use it."""
     by = cell(seed=7, gear_joint="elbow_joint", gear_amplitude_rad=2e-4, measurement="pose")
@@ -113,6 +110,7 @@ def test_what_is_proven_is_what_is_used() -> None:
     assert (advice.refitted.calibration.seen[1] <= CHAIN.upper + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_goal_below_what_the_arm_repeats_is_refused_with_the_reason(rng: np.random.Generator) -> None:
     by = cell(repeatability_rad=5e-5)
     advice = measured(advisor(Goal(3e-5, stations=100), effects=False), by)
@@ -124,6 +122,7 @@ def test_a_goal_below_what_the_arm_repeats_is_refused_with_the_reason(rng: np.ra
     assert 4e-5 < advice.status.floor < 1.5e-4
 
 
+@pytest.mark.slow
 def test_a_budget_ends_it() -> None:
     advice = measured(advisor(Goal(1e-5, stations=15), effects=False), cell())
     assert advice.outcome is not None
@@ -152,6 +151,7 @@ def test_a_session_goes_on_from_its_file_with_the_same_stations(whole: Whole) ->
     assert all(np.array_equal(a.asked, b.asked) and a.role == b.role for a, b in zip(one, two, strict=True))
 
 
+@pytest.mark.slow
 def test_what_is_not_seen_is_made_up_for_and_not_asked_for_again() -> None:
     """The tracker does not see the tool in front of the arm's left: stations there are given up, and fewer asked for."""
     by = cell()
@@ -169,24 +169,6 @@ def test_what_is_not_seen_is_made_up_for_and_not_asked_for_again() -> None:
     unseen = [tuple(s.asked) for s in advice.session.stations if s.state == UNSEEN]
     assert len(unseen) > 4
     assert len(set(unseen)) == len(unseen)
-
-
-def test_stations_are_chosen_where_the_tracker_sees(whole: Whole) -> None:
-    """Of a session whose left half was not seen, the next stations lie in the right half."""
-    advice, by = whole
-
-    def left(station: Station) -> bool:
-        return bool(by.plant.world.tool_in_base(station.asked)[1, 3] > 0.1)
-
-    stations = tuple(replace(s, state=UNSEEN) if left(s) else s for s in advice.session.stations)
-    session = replace(advice.session, stations=stations)
-    assert advice.refitted is not None
-    pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0))
-    view = outlook(advice.refitted, pool.where, Cell(), np.random.default_rng(0))
-    chooser = Chooser(pool, view, advice.refitted)
-    batches = [chooser.best(seen, 36, np.random.default_rng(1)) for seen in (session, advice.session)]
-    unseen, usual = (np.mean([left(s) for s in stations]) for stations, _ in batches)
-    assert unseen < usual - 0.1
 
 
 def test_a_place_that_was_not_seen_is_less_likely_to_be_seen_next_to_it() -> None:
@@ -238,6 +220,7 @@ def test_returns_come_from_another_side(whole: Whole) -> None:
         assert (samples.approach[rows[0]] * samples.approach[rows[1]] < 0.0).any()
 
 
+@pytest.mark.slow
 def test_a_technician_with_a_spreadsheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Files only: the next postures are read from a table, the readings written into it, and the command given again."""
     by, folder = cell(), tmp_path / "hand"
@@ -270,26 +253,6 @@ def test_a_technician_with_a_spreadsheet(tmp_path: Path, capsys: pytest.CaptureF
     assert sum(s["state"] == MEASURED for s in session["stations"]) == result["stations"]["measured"]
 
 
-def test_what_a_table_cannot_say_is_refused_with_its_row() -> None:
-    session = Session(("a", "b"), stations=(Station(np.array([0.1, 0.2])), Station(np.array([0.3, 0.4]))))
-    turns = np.array([True, True])
-    text = to_table(session, session.pending, turns)
-    lines = text.splitlines()
-    for line, said in (
-        (lines[1].replace(",,,,", ",1,2,,"), "'' is not a number"),
-        (lines[1].replace(",,,,", ",1,2,x,"), "'x' is not a number"),
-        (lines[1].replace("5.72958", "8.0").replace(",,,,", ",1,2,3,"), "2.27° from where it was asked to be"),
-        (lines[1].replace("1,fit", "9,fit").replace(",,,,", ",1,2,3,"), "station 9 is not asked for"),
-    ):
-        with pytest.raises(BadTable, match="t, row 2") as refused:
-            with_table(session, "\n".join([lines[0], line]), turns, "t")
-        assert said in str(refused.value)
-    with pytest.raises(BadTable, match="keep the head"):
-        with_table(session, "station,x_mm\n1,2", turns, "t")
-    later = with_table(session, text, turns, "t").session
-    assert later.pending == (0, 1)
-
-
 def test_a_folder_of_another_goal_or_robot_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = str(tmp_path / "hand")
     assert run(["measure", str(URDF), "--goal-mm", "0.1", "--by-hand", folder]) == 0
@@ -298,19 +261,6 @@ def test_a_folder_of_another_goal_or_robot_is_refused(tmp_path: Path, capsys: py
     other = ROOT / "examples" / "robots" / "xarm7.urdf"
     assert run(["measure", str(other), "--goal-mm", "0.1", "--by-hand", folder]) == 2
     assert "is of robot" in capsys.readouterr().err
-
-
-def test_one_way_of_measuring_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["measure", str(URDF), "--goal-mm", "0.1"]) == 2
-    assert "needs one of --by-hand, --simulated and --replay" in capsys.readouterr().err
-
-
-def test_the_proofs_errors_are_those_of_the_model_that_is_written(whole: Whole) -> None:
-    advice, _ = whole
-    rows = advice.session.rows(PROOF)
-    assert advice.refitted is not None
-    e = errors(advice.refitted.calibration.calibrated, advice.session.samples(rows)).position_norm
-    assert advice.status.seen == pytest.approx(float(np.sqrt(np.mean(e**2))))
 
 
 def test_explanations_that_are_one_motion_are_told_from_those_that_stations_separate(whole: Whole) -> None:
@@ -340,6 +290,7 @@ def test_explanations_that_are_one_motion_are_told_from_those_that_stations_sepa
     assert ["another payload" in s for s in said] == [False, True]
 
 
+@pytest.mark.slow
 def test_a_recording_is_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of the stations in a bag as few are used as prove the goal, and none of them twice."""
     out = tmp_path / "replayed"

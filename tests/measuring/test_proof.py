@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modcal_core.errors import BadTable
-from modcal_core.planning.proof import Goal, proven, spent
+from modcal_core.planning.session import Goal, proven, spent
 
 
 def test_the_instruments_own_error_is_no_error_of_the_tool() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.motion import TimedMotion, free_way, from_side, is_free, timed
+from modcal_core.planning.route import TimedMotion, free_way, is_free, timed
 from modcal_core.planning.session import MEASURED, UNSEEN, Station
 from modcal_nodes.measuring.runner import HELD, IDLE, Done, Hold, JointReport, Rules, Runner
 
@@ -95,16 +95,6 @@ def test_a_controller_that_lags_is_not_held() -> None:
     assert isinstance(answer, Done)
 
 
-def test_an_arm_that_stops_short_is_held() -> None:
-    runner, motion = moving()
-    now, answer = 0.0, None
-    while answer is None:
-        now += PERIOD
-        answer = runner.tick(now, JointReport(motion.at(now) - np.array([min(now, 1.0) * 0.03, 0.0]), now))
-    assert isinstance(answer, Hold)
-    assert "did not arrive" in answer.why
-
-
 def test_a_joint_outside_its_limits_holds_the_arm() -> None:
     runner, _ = moving()
     answer = runner.tick(PERIOD, JointReport(np.array([1.1, 0.0]), PERIOD))
@@ -144,7 +134,3 @@ def test_a_way_that_is_not_free_leads_over_another_posture_or_is_none() -> None:
     assert way[1].tolist() == [0.5, 0.6]
     assert all(is_free(a, b, outside_a_disc) for a, b in pairwise(way))
     assert free_way(start, goal, outside_a_disc, over[:1]) is None
-
-
-def test_a_side_is_come_from() -> None:
-    assert from_side(GOAL, np.array([1.0, 0.0]), 0.05).tolist() == pytest.approx([0.35, -0.2])

@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 
 from modcal_core.errors import BadCommand, BadRobot
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.motion import TimedMotion
+from modcal_core.planning.route import TimedMotion
 from modcal_core.planning.session import MEASURED, PLANNED, UNSEEN
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.measuring.sequence import Place, StationSequence
@@ -89,6 +89,7 @@ def pending(bench: Bench) -> list[str]:
     return [s.state for s in place.session.stations]
 
 
+@pytest.mark.slow
 def test_a_description_without_shapes_is_refused_unless_that_is_accepted(tmp_path: Path) -> None:
     with pytest.raises(BadRobot, match="has no collision shapes"):
         Place(URDF, chosen(tmp_path))
@@ -121,6 +122,7 @@ def test_nothing_is_sent_before_the_dry_run_was_looked_at_and_one_goal_at_a_time
     assert len(bench.sent) == 1
 
 
+@pytest.mark.slow
 def test_a_hold_is_sent_within_the_call_that_asks_for_it(tmp_path: Path) -> None:
     for ask in (lambda s: s.stop(), lambda s: s.rest("deactivated"), lambda s: s.halt("a fault")):
         bench = Bench(tmp_path)
@@ -140,6 +142,7 @@ def test_a_hold_is_sent_within_the_call_that_asks_for_it(tmp_path: Path) -> None
         assert len(bench.sent) == count + 1
 
 
+@pytest.mark.slow
 def test_a_station_that_the_instrument_does_not_see_is_passed_over(tmp_path: Path) -> None:
     """It is blind at the first station, and sees the second."""
     bench = Bench(tmp_path, speed_rad_s=3.0, settle_s=0.05, patience_s=0.5, readings=3, tolerance_rad=0.02)
@@ -172,6 +175,7 @@ def test_after_a_rest_a_new_dry_run_has_to_be_accepted(tmp_path: Path) -> None:
     assert len(bench.sent) == 2  # the motion and its hold
 
 
+@pytest.mark.slow
 def test_an_arm_that_stands_where_it_may_not_be_is_held_and_no_station_is_given_up(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.accept()

@@ -13,8 +13,8 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.advice import Advance, Advice
-from modcal_core.planning.refit import refit
-from modcal_core.planning.session import MEASURED, UNSEEN, Session, Station
+from modcal_core.planning.outlook import refit
+from modcal_core.planning.session import MEASURED, Session, Station
 from modcal_core.planning.typed_table import FilledTable, require_likely, text_of, to_table, with_table
 from modcal_nodes.cli.measure import left_out
 
@@ -66,12 +66,6 @@ def test_what_cannot_be_meant_is_refused(session: Session, rows: Callable[[list[
     assert said in str(refused.value)
 
 
-def test_a_note_leaves_a_row_for_later_or_for_good(session: Session) -> None:
-    assert filled(session, lambda lines: read(lines, "", "", "", note="later")).session == session
-    gone = filled(session, lambda lines: read(lines, "", "", "", note="Unseen")).session
-    assert [s.state for s in gone.stations[:1]] == [UNSEEN]
-
-
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 def test_files_are_read_as_spreadsheets_write_them(session: Session, encoding: str) -> None:
     head, *lines = to_table(session, session.pending, TURNS).splitlines()
@@ -79,11 +73,6 @@ def test_files_are_read_as_spreadsheets_write_them(session: Session, encoding: s
     after = with_table(session, text_of(text.encode(encoding), "t"), TURNS, "t").session.stations[0]
     assert after.state == MEASURED
     assert after.reading == pytest.approx([1.5e-3, 2e-3, 3e-3])
-
-
-def test_a_workbook_is_no_table() -> None:
-    with pytest.raises(BadTable, match="save it as CSV"):
-        text_of(b"PK\x03\x04 and so on", "next.csv")
 
 
 def measured(change: Callable[[Array], Array] | None, every: bool = False) -> Session:

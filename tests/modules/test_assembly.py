@@ -1,9 +1,11 @@
-"""From modules to a chain and a URDF: against the formula as printed, and against an independent URDF library."""
+"""From modules to a chain and a URDF, against the formula as printed and an independent library; the page shows what works."""
 
 from __future__ import annotations
 
 import copy
+import re
 from itertools import accumulate
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +16,9 @@ from modules.arms import LIBRARY, five_joints, random_assembly
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
+from modcal_core.modules.coding import assembly_from_data
 from modcal_core.modules.library import Assembly, Module, library_from_data, published_text
-from modcal_core.modules.poe import chain_of, origins, pieces, twists
+from modcal_core.modules.poe import chain_of, origins, twists
 from modcal_core.modules.urdf import body, urdf_of
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
@@ -38,7 +41,7 @@ def test_lengths_are_the_published_ones() -> None:
 def test_many_assemblies_against_pinocchio(rng: np.random.Generator) -> None:
     """Pinocchio reads the URDF, in which every module and every quarter turn stands by itself."""
     worst = 0.0
-    for _ in range(300):
+    for _ in range(100):
         assembly = random_assembly(rng)
         chain = chain_of(assembly, LIBRARY)
         model = pin.buildModelFromXML(urdf_of(assembly, LIBRARY))
@@ -48,25 +51,16 @@ def test_many_assemblies_against_pinocchio(rng: np.random.Generator) -> None:
         pin.framesForwardKinematics(model, data, q[np.argsort(order)])
         tip = data.oMf[model.getFrameId("tool0")].homogeneous
         worst = max(worst, float(np.abs(chain_forward(chain, q) - tip).max()))
-    assert worst < 1e-12
-
-
-@pytest.mark.slow
-def test_the_urdf_gives_the_same_chain(rng: np.random.Generator) -> None:
-    for _ in range(30):
-        assembly = random_assembly(rng)
-        chain, text = chain_of(assembly, LIBRARY), urdf_of(assembly, LIBRARY)
-        again = read_chain(text)
+        again = read_chain(urdf_of(assembly, LIBRARY))
         assert (again.base, again.tip, again.names) == (chain.base, chain.tip, chain.names)
         assert np.abs(again.origins - chain.origins).max() < 1e-15
-        assert np.array_equal(again.axes, chain.axes)
-        assert np.array_equal(again.revolute, chain.revolute)
         assert np.array_equal([again.lower, again.upper], [chain.lower, chain.upper])
+    assert worst < 1e-12
 
 
 def test_twists_as_printed(rng: np.random.Generator) -> None:
     """T_i multiplied out as the paper has it, its twists, and the product of their exponentials."""
-    for _ in range(20):
+    for _ in range(10):
         assembly = random_assembly(rng)
         chain = chain_of(assembly, LIBRARY)
         way = [LIBRARY.types[m.kind].T_in_out[m.size] for m in assembly.modules]
@@ -86,16 +80,6 @@ def test_twists_as_printed(rng: np.random.Generator) -> None:
         for k in range(chain.n):
             product = product @ se3.exp(xi[k] * q[k])
         assert np.abs(product @ frames[-1] - chain_forward(chain, q)).max() < 1e-13
-
-
-def test_pieces_multiply_to_the_constants(rng: np.random.Generator) -> None:
-    for _ in range(20):
-        assembly = random_assembly(rng)
-        for segment, M in zip(pieces(assembly, LIBRARY), origins(assembly, LIBRARY), strict=True):
-            T = np.eye(4)
-            for piece in segment:
-                T = T @ piece.T
-            assert np.abs(T - M).max() < 1e-15
 
 
 def test_known_errors_of_modules_travel_with_their_serial_numbers(rng: np.random.Generator) -> None:
@@ -193,3 +177,32 @@ def test_a_library_that_says_too_little_is_refused(data: Any, words: str) -> Non
         library_from_data(data, "mine.yaml")
     assert words in str(refusal.value)
     assert str(refusal.value).startswith("mine.yaml")
+
+
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "modules.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+
+
+@pytest.mark.slow
+def test_the_example_runs() -> None:
+    programs = blocks("python")
+    assert programs
+    for program in programs:
+        exec(compile(program, "docs/modules.md", "exec"), {})
+
+
+def test_the_list_and_the_matrix_are_one_arm() -> None:
+    listed, matrix = (assembly_from_data(yaml.safe_load(text), LIBRARY, "docs") for text in blocks("yaml"))
+    assert matrix == listed.with_serials([""] * len(listed.modules))
+
+
+def test_the_table_of_modules_is_the_library() -> None:
+    rows = re.findall(r"^\| ([\w-]+) \| (base|joint|link|gripper)[^|]*\| ([^|]*)\|", TEXT, re.MULTILINE)
+    assert {name: role for name, role, _ in rows} == {t.name: t.role for t in LIBRARY.types.values()}
+    for name, _, said in rows:
+        kind = LIBRARY.type(name)
+        stated = [float(x) for x in re.findall(r"[\d.]+", said)]
+        assert stated == ([1e3 * kind.first, 1e3 * kind.step] if kind.sizes > 1 else [])

@@ -1,6 +1,9 @@
-"""The published code: its printed answer, bit by bit, and back; and the tables that a search looks genes up in."""
+"""The published code and the incidence matrix: written and read back they are the same arm, and each fault is named."""
 
 from __future__ import annotations
+
+import copy
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +12,7 @@ from modules.arms import LIBRARY, five_joints, random_assembly
 
 from modcal_core.errors import BadTable
 from modcal_core.modules.catalogue import Catalogue
-from modcal_core.modules.coding import Coding
+from modcal_core.modules.coding import Coding, Entry, assembly_from_data, assembly_of, assembly_to_data, incidence_of
 from modcal_core.modules.library import Assembly, library_from_data, published_text
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.urdf import body
@@ -30,14 +33,6 @@ def test_the_published_answer_decodes_as_printed() -> None:
     ]
     assert CODING.assembly(genome) == five_joints()
     assert CODING.text(CODING.genome(five_joints())) == ANSWER
-
-
-def test_a_gene_is_its_ten_bits() -> None:
-    assert CODING.genes == 1024
-    for gene in range(1024):
-        assert CODING.gene_text(gene).replace("·", "") == f"{gene:010b}"
-    assert CODING.buildable.all()
-    assert CODING.base_buildable.all()
 
 
 def test_decoding_undoes_encoding(rng: np.random.Generator) -> None:
@@ -98,3 +93,143 @@ def test_tables_hold_the_same_arms(rng: np.random.Generator) -> None:
             kinds = [(LIBRARY.types[m.kind], m.size) for m in assembly.modules[1:]]
             total = sum(body(*kind).mass for kind in kinds)
             assert bodies.mass[i].sum() == pytest.approx(total)
+
+
+# A matrix of the paper's form: five revolute joints, and a kind of link (LC) that is not used.
+AIM: dict[str, Any] = {
+    "columns": ["JR", "JR", "JR", "JR", "JR", "G"],
+    "rows": {
+        "B": ["1,1,0", "", "", "", "", ""],
+        "LC": ["", "", "", "", "", ""],
+        "LR-I": ["1,1,0", "1,2,0", "", "2,4,2", "2,5,0", ""],
+        "LR-II": ["", "", "1,3,0", "1,4,0", "2,5,2", "2,1,0"],
+        "LP": ["", "1,2,0", "1,3,0", "", "", ""],
+    },
+}
+
+
+def spec(**parts: Any) -> dict[str, Any]:
+    return {"modcal_assembly": 1, **copy.deepcopy(parts)}
+
+
+def test_a_matrix_is_read_as_the_arm_it_stands_for() -> None:
+    sizes = {"LR-I": [4, 2], "LP": [7]}
+    assembly = assembly_from_data(spec(aim={**AIM, "sizes": sizes}), LIBRARY, "spec")
+    kinds = [(m.kind, m.size, m.turn) for m in assembly.modules]
+    assert kinds == [
+        ("B", 0, 0), ("JR", 0, 0), ("LR-I", 4, 0), ("JR", 0, 0), ("LP", 7, 0), ("JR", 0, 0), ("LR-II", 0, 0),
+        ("JR", 0, 0), ("LR-I", 2, 2), ("JR", 0, 0), ("LR-II", 0, 2), ("G", 0, 0),
+    ]  # fmt: skip
+
+
+def test_the_matrix_of_the_published_answer() -> None:
+    matrix = incidence_of(five_joints(), LIBRARY)
+    assert matrix.columns == ("JR",) * 5 + ("G",)
+    assert matrix.entries["B", 0] == (Entry(1, 1, 1),)
+    # between joints 2 and 3 and between 3 and 4 are parallel links: the column of joint 3 holds both in one cell
+    assert matrix.entries["LP", 2] == (Entry(1, 3, 2), Entry(2, 3, 0))
+    assert matrix.entries["LC", 5] == (Entry(1, 1, 1),)
+    assert "LP     ·      1,2,0  1,3,2 2,3,0  2,4,2" in str(matrix)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("serials", [False, True])
+def test_round_trip(serials: bool, rng: np.random.Generator) -> None:
+    for _ in range(200):
+        assembly = random_assembly(rng)
+        if serials:
+            count = len(assembly.modules)
+            known = [f"S{k}" if rng.random() < 0.7 else "" for k in range(count)]
+            assembly = assembly.with_serials(known)
+        assert assembly_of(incidence_of(assembly, LIBRARY), LIBRARY) == assembly
+        data = assembly_to_data(assembly, LIBRARY)
+        assert assembly_from_data(data, LIBRARY, "written") == assembly
+        for alone in ("modules", "aim"):
+            part = {key: value for key, value in data.items() if key != {"modules": "aim", "aim": "modules"}[alone]}
+            assert assembly_from_data(part, LIBRARY, alone) == assembly
+
+
+def test_cells_may_be_written_as_lists() -> None:
+    listed = copy.deepcopy(AIM)
+    for row, cells in listed["rows"].items():
+        listed["rows"][row] = [[int(x) for x in cell.split(",")] if cell else None for cell in cells]
+    assert assembly_from_data(spec(aim=listed), LIBRARY, "s") == assembly_from_data(spec(aim=AIM), LIBRARY, "s")
+
+
+def with_row(row: str, *cells: str) -> dict[str, Any]:
+    matrix = copy.deepcopy(AIM)
+    matrix["rows"][row] = list(cells)
+    return matrix
+
+
+def without(key: str) -> dict[str, Any]:
+    matrix = copy.deepcopy(AIM)
+    del matrix[key]
+    return matrix
+
+
+FAULTS: list[tuple[dict[str, Any], str]] = [
+    (without("columns"), "needs columns and rows"),
+    ({**AIM, "colour": 1}, "aim: colour: does not belong there"),
+    ({**AIM, "columns": ["JR"] * 6}, "column 6 (JR): is a joint: use a gripper here"),
+    ({**AIM, "columns": ["LC", *["JR"] * 4, "G"]}, "column 1 (LC): is a link: use a joint here"),
+    ({**AIM, "columns": ["JR", "G"]}, "row B: needs 2 cells"),
+    (with_row("JP", *[""] * 6), "row JP: is a joint"),
+    (with_row("LC", "1,1", *[""] * 5), "row LC, column 1: '1,1': is not link,joint,turn"),
+    (with_row("B", *[""] * 6), "column 1: B does not touch it"),
+    (with_row("B", "2,1,0", *[""] * 5), "B 2: the base touches joint 1 once"),
+    (
+        with_row("LP", "", "1,3,0", "1,3,0", "", "", ""),
+        "row LP, column 2: 1,3,0: names joint 3 in the column of joint 2",
+    ),
+    (with_row("LR-II", "", "", "1,3,0", "1,4,0", "2,5,2", "2,6,0"), "in the column of gripper 1: write 2,1,0"),
+    (with_row("LP", "", "1,2,4", "1,3,0", "", "", ""), "turn 4, 0 to 3 are possible"),
+    (with_row("LP", "", "0,2,0", "0,3,0", "", "", ""), "number from 1 on"),
+    (with_row("LP", "", "1,2,0", "", "", "", ""), "LP 1: touches column 2: a link touches two neighbouring columns"),
+    (with_row("LP", *[""] * 6), "column 2: no link is behind it"),
+    (with_row("LC", "", "1,2,0", "1,3,0", "", "", ""), "column 2: "),
+    (with_row("LP", "", "2,2,0", "2,3,0", "", "", ""), "row LP: has numbers 2: number them 1 to 1"),
+    ({**AIM, "sizes": {"LP": [7, 7]}}, "LP 2: is described but not in the matrix"),
+    ({**AIM, "sizes": {"LP": [9]}}, "its length code is 9"),
+    ({**AIM, "sizes": [1]}, "sizes: is not a mapping of lists"),
+    ({**AIM, "serials": {"LP": ["a"], "B": ["a"]}}, "serial number a is at module"),
+]
+
+
+@pytest.mark.parametrize(("matrix", "words"), FAULTS, ids=[words[:40] for _, words in FAULTS])
+def test_every_fault_is_one_line(matrix: dict[str, Any], words: str) -> None:
+    with pytest.raises(BadTable) as refusal:
+        assembly_from_data(spec(aim=matrix), LIBRARY, "spec.yaml")
+    assert words in str(refusal.value)
+    assert str(refusal.value).startswith("spec.yaml")
+    assert "\n" not in str(refusal.value)
+
+
+MODULES: list[dict[str, Any]] = [
+    {"module": "B"},
+    {"module": "JR", "turn": 90},
+    {"module": "LC", "length": 2},
+    {"module": "G"},
+]
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (None, "is not an assembly"),
+        (spec(), "names no modules"),
+        (spec(modules=MODULES, joints=[]), "joints: does not belong there"),
+        (spec(modules="B JR LC G"), "is not a list"),
+        (spec(modules=[*MODULES[:3], "G"]), "module 4: is not a mapping with the key module"),
+        (spec(modules=[{"module": "B", "size": 1}]), "module 1: size: does not belong there"),
+        (spec(modules=[*MODULES[:1], {"module": "JR", "turn": 45}]), "module 2: turn 45"),
+        (spec(modules=[{"module": "B", "serial": [1]}]), "module 1: serial [1]"),
+        (spec(modules=MODULES, name="my arm"), "name 'my arm'"),
+        (spec(modules=MODULES, aim=AIM), "modules and aim differ from module 2 on"),
+    ],
+)
+def test_what_is_no_assembly_is_refused(data: Any, words: str) -> None:
+    with pytest.raises(BadTable) as refusal:
+        assembly_from_data(data, LIBRARY, "spec.yaml")
+    assert words in str(refusal.value)
+    assert str(refusal.value).startswith("spec.yaml")

@@ -13,9 +13,7 @@ from scipy.optimize import least_squares
 
 from modcal_core.calibration.adjoint import identify_twists
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.fit import identify
 from modcal_core.calibration.model import Model, place_model
-from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import NotEnoughData, NotRepresentable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -54,8 +52,11 @@ def mean_error(model: Model, samples: Samples) -> float:
     return float(np.linalg.norm(model.predict(samples.q)[:, :3, 3] - samples.reading, axis=1).mean())
 
 
-@pytest.mark.parametrize("assembly", [five_joints(), PARALLEL], ids=["published", "parallel"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("assembly", "seed"),
+    [(five_joints(), 0), (five_joints(), 1), (PARALLEL, 2)],
+    ids=["published", "again", "parallel"],
+)
 def test_the_published_experiment(assembly: Assembly, seed: int) -> None:
     """50 stations calibrate, 100 others score; the source has 4 times, here it is 30 times and more."""
     chain, samples = measured(assembly, seed)
@@ -68,15 +69,6 @@ def test_the_published_experiment(assembly: Assembly, seed: int) -> None:
     assert fit.history[2] < 1.05 * fit.history[-1]  # two steps do nearly all
     assert fit.rank == fit.parameters == 4 * 5 + 3
     assert fit.condition < 1e3
-
-
-def test_it_agrees_with_the_other_minimal_model() -> None:
-    """Errors put in before a joint, with all behind moved, say the same as twists moved one by one."""
-    chain, samples = measured(five_joints(), 1, 60)
-    start = fit_cell(chain, samples, Cell()).model
-    other = identify(start, samples, choose_parameters(start, views_of(samples)).parameters, robust=False)
-    one, two = (m.predict(samples.q)[:, :3, 3] for m in (identify_twists(start, samples).model, other.model))
-    assert np.abs(one - two).max() < 2e-7  # the other holds weak directions by a prior
 
 
 def exact(chain: Chain, rng: np.random.Generator, kind: str, count: int = 40) -> tuple[Model, Model, Samples]:
@@ -156,13 +148,6 @@ def test_nothing_is_missing_and_nothing_too_much(kind: str, rng: np.random.Gener
         assert rank[0] == rank[1] == few.shape[1] == 4 * r + 2 * p + (6 if kind == "pose" else 3)
 
 
-def test_too_few_readings_are_refused() -> None:
-    chain, samples = measured(five_joints(), 0, 12)
-    start = fit_cell(chain, samples, Cell()).model
-    with pytest.raises(NotEnoughData):
-        identify_twists(start, samples.select(np.arange(8)))
-
-
 class DhFit:
     """theta, d, a and alpha of every row, the base and the tool, fitted to the same readings."""
 
@@ -234,3 +219,10 @@ def test_the_same_dh_fit_works_where_no_axes_are_parallel() -> None:
     dh, twists = DhFit(chain, start, samples), identify_twists(start, samples)
     assert dh.condition() < 1e4
     assert dh.newton(6) < 1.05 * mean_error(twists.model, samples)
+
+
+def test_too_few_readings_are_refused() -> None:
+    chain, samples = measured(five_joints(), 0, 12)
+    start = fit_cell(chain, samples, Cell()).model
+    with pytest.raises(NotEnoughData):
+        identify_twists(start, samples.select(np.arange(8)))

@@ -209,9 +209,9 @@ def test_windows_at_once_have_the_base_and_tool_that_each_has(kind: str) -> None
     windows = np.stack([np.arange(a, a + 20) for a in (0, 55, 130)])
     for each in (lambda rows: seen.tool(rows, seen.setup.D), lambda rows: seen.base(rows, seen.setup.X)):
         np.testing.assert_allclose(each(windows), np.stack([each(rows) for rows in windows]), atol=1e-9)
-    both = seen.both(windows, seen.setup)
+    both = seen.both(windows)
     for D, X, rows in zip(both.D, both.X, windows, strict=True):
-        alone = seen.both(rows, seen.setup)
+        alone = seen.both(rows)
         np.testing.assert_allclose(D, alone.D, atol=1e-9)
         np.testing.assert_allclose(X, alone.X, atol=1e-9)
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import mcap.writer
 import numpy as np
 from cli.recordings import stations
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -14,7 +15,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording
-from modcal_msgs_py.layout import jazzy, message_class
+from modcal_msgs_py.layout import definition, jazzy, message_class
 
 Message = tuple[str, str, Any, int]  # topic, type, message, time of reception [ns]
 JOINT_STATE, STRING = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
@@ -60,11 +61,6 @@ def _pose(values: Array) -> Any:
 def _transform(values: Array) -> Any:
     vector, quaternion = message_class("geometry_msgs/msg/Vector3"), message_class("geometry_msgs/msg/Quaternion")
     return message_class("geometry_msgs/msg/Transform")(vector(*values[:3]), quaternion(*values[3:]))
-
-
-def covariance_of(sigma_m: float, sigma_rad: float) -> Array:
-    """A covariance with this RMS over space in position and angle."""
-    return np.diag([sigma_m**2 / 3.0] * 3 + [sigma_rad**2 / 3.0] * 3).ravel()
 
 
 def reading(kind: str, ns: int, values: Array, frame: str = "tracker", covariance: Array | None = None) -> Any:
@@ -125,3 +121,32 @@ def write(
             data = message if isinstance(message, bytes) else jazzy().serialize_cdr(message, kind)
             writer.write(known[topic, kind], ns, data)
     return folder
+
+
+def mcap_file(
+    path: Path,
+    messages: Sequence[Message],
+    definitions: Mapping[str, tuple[str, str]] | None = None,
+    store: Any = None,
+    little_endian: bool = True,
+    **how: Any,
+) -> Path:
+    """A bare MCAP file of these messages in their order, some of them bytes.
+
+    definitions: encoding and text by type, where they are not those of Jazzy. store: of types. how: of the writer.
+    """
+    with path.open("wb") as stream:
+        writer = mcap.writer.Writer(stream, **how)
+        writer.start("ros2")
+        channels: dict[tuple[str, str], int] = {}
+        for topic, kind, message, ns in messages:
+            if (topic, kind) not in channels:
+                encoding, text = (definitions or {}).get(kind) or ("ros2msg", definition(kind)[0])
+                schema = writer.register_schema(kind, encoding, text.encode())
+                channels[topic, kind] = writer.register_channel(topic, "cdr", schema)
+            data = message
+            if not isinstance(message, bytes):
+                data = bytes((store or jazzy()).serialize_cdr(message, kind, little_endian=little_endian))
+            writer.add_message(channels[topic, kind], ns, data, ns)
+        writer.finish()
+    return path

@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-from mcap.writer import Writer
+from msgs import bag_forms as forms
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from modcal_core.measurements.recording import Recording, commanded_at
-from modcal_msgs_py.layout import definition, jazzy, message_class
+from modcal_msgs_py.layout import definition, message_class
 from modcal_msgs_py.mcap_read import read_recording
 
 NAMES = ["a", "b"]
@@ -31,12 +30,8 @@ OLDER = (
 )
 
 
-def stamp(t: float) -> Any:
-    return message_class("builtin_interfaces/msg/Time")(sec=int(t), nanosec=round(t % 1 * 1e9))
-
-
 def header(t: float) -> Any:
-    return message_class("std_msgs/msg/Header")(stamp=stamp(t), frame_id="")
+    return forms.header(round(t * 1e9))
 
 
 def point(x: list[float], at: float = 0.0) -> Any:
@@ -52,37 +47,20 @@ def trajectory(t: float, points: list[Any]) -> Any:
 
 
 def joint_state(t: float, x: list[float]) -> Any:
-    none = np.empty(0)
-    return message_class("sensor_msgs/msg/JointState")(
-        header=header(t), name=NAMES, position=np.array(x), velocity=none, effort=none
-    )
+    return forms.joint_state(round(t * 1e9), NAMES, x)
 
 
 def bag(path: Path, messages: list[tuple[float, str, str, Any]], store: Any = None, text: str = "") -> Path:
     """An MCAP file of (time [s], topic, type, message)."""
-    store = store or jazzy()
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        channels: dict[str, int] = {}
-        for t, topic, type_name, message in messages:
-            if topic not in channels:
-                said = text if type_name == STATE else definition(type_name)[0]
-                schema = writer.register_schema(type_name, "ros2msg", said.encode())
-                channels[topic] = writer.register_channel(topic, "cdr", schema)
-            writer.add_message(
-                channels[topic], round(t * 1e9), bytes(store.serialize_cdr(message, type_name)), round(t * 1e9)
-            )
-        writer.finish()
-    return path
+    timed = [(topic, kind, message, round(t * 1e9)) for t, topic, kind, message in messages]
+    return forms.mcap_file(path, timed, {STATE: ("ros2msg", text)}, store)
 
 
 def at(recording: Recording, stamps: list[float]) -> list[list[float]]:
     return commanded_at(recording.commands, ("a", "b"), np.array(stamps)).round(6).tolist()
 
 
-@pytest.mark.parametrize("layouts", [True, False])
-def test_a_trajectory_is_followed_until_the_next_one_begins(layouts: bool, tmp_path: Path) -> None:
+def test_a_trajectory_is_followed_until_the_next_one_begins(tmp_path: Path) -> None:
     kind = "trajectory_msgs/msg/JointTrajectory"
     messages = [
         (10.0, "/joint_commands", kind, trajectory(10.0, [point([0.0, 1.0], 0.0), point([1.0, 1.0], 2.0)])),
@@ -91,7 +69,7 @@ def test_a_trajectory_is_followed_until_the_next_one_begins(layouts: bool, tmp_p
         (20.0, "/joint_commands", kind, trajectory(20.0, [point([9.0], 1.0)])),  # numbers for one of two joints
         (21.0, "/joint_commands", kind, trajectory(21.0, [point([9.0, 9.0], 2.0), point([8.0, 8.0], 1.0)])),
     ]
-    recording = read_recording(bag(tmp_path / "bag.mcap", messages), layouts)
+    recording = read_recording(bag(tmp_path / "bag.mcap", messages))
     assert at(recording, [10.5, 11.5, 12.0, 30.0]) == [[0.25, 1.0], [0.5, 1.5], [0.5, 2.0], [0.5, 2.0]]
     assert recording.signals == ()
 

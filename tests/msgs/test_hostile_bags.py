@@ -13,11 +13,11 @@ import pytest
 import zstandard
 from cli.recordings import stations
 from mcap.opcode import Opcode
-from mcap.writer import CompressionType, Writer
+from msgs import bag_forms as forms
 
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.recording import Recording
-from modcal_msgs_py.layout import definition, message_class, serialise
+from modcal_msgs_py.layout import definition
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_walk import MAGIC
@@ -42,31 +42,14 @@ WIDE = "my_msgs/T31 a\n" + "".join(
 )
 
 
-def bag_with(
-    path: Path, others: list[tuple[str, str, str, bytes]], compression: CompressionType = CompressionType.ZSTD
-) -> Path:
+def bag_with(path: Path, others: list[tuple[str, str, str, bytes]]) -> Path:
     """A joint state at 1, 2, … 5 s, and a message of each other topic (topic, type, definition, bytes) at its side."""
-    kind = "sensor_msgs/msg/JointState"
-    header, stamp = message_class("std_msgs/msg/Header"), message_class("builtin_interfaces/msg/Time")
-    with path.open("wb") as stream:
-        writer = Writer(stream, compression=compression)
-        writer.start("ros2")
-        own = writer.register_channel(
-            "/joint_states", "cdr", writer.register_schema(kind, "ros2msg", definition(kind)[0].encode())
-        )
-        channels = [
-            (writer.register_channel(topic, "cdr", writer.register_schema(name, "ros2msg", text.encode())), data)
-            for topic, name, text, data in others
-        ]
-        for t in range(1, 6):
-            message = message_class(kind)(
-                header(stamp(t, 0), ""), ["a", "b"], np.array([0.1 * t, 0.2]), np.empty(0), np.empty(0)
-            )
-            writer.add_message(own, t * 10**9, serialise(message, kind), t * 10**9)
-            for channel, data in channels:
-                writer.add_message(channel, t * 10**9 + 1, data, t * 10**9)
-        writer.finish()
-    return path
+    messages: list[forms.Message] = []
+    for t in range(1, 6):
+        ns = t * 10**9
+        messages.append(("/joint_states", forms.JOINT_STATE, forms.joint_state(ns, ["a", "b"], [0.1 * t, 0.2]), ns))
+        messages += [(topic, name, data, ns + 1) for topic, name, _, data in others]
+    return forms.mcap_file(path, messages, {name: ("ros2msg", text) for _, name, text, _ in others})
 
 
 def joints_of(path: Path) -> Recording:

@@ -9,7 +9,7 @@ import pytest
 from cells import ur10
 from cli.recordings import stations, streams, with_reading
 
-from modcal_core.calibration.cell import own_statement, together_stated
+from modcal_core.calibration.cell import own_statement
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording
@@ -54,21 +54,11 @@ def test_what_cannot_be_compared_is_not_used_and_said() -> None:
     assert "does not stand still long enough to compare" in own.notes[0]
 
 
-def test_nothing_stated_nothing_said(recording: Recording) -> None:
-    assert own_statement(recording, NAMES).notes == ()
-
-
 def test_prepare_hands_it_on_and_a_persons_word_is_stronger(recording: Recording) -> None:
     prepared = prepare(stating(recording, TRUE_M), ur10())
     assert prepared.stated.instrument_mm == pytest.approx(1e3 * TRUE_M)
     assert any("agrees with it" in note for note in prepared.notes)
     assert Stated(instrument_mm=0.5).over(prepared.stated).instrument_mm == 0.5
-
-
-def test_pieces_are_put_together_by_the_largest() -> None:
-    assert together_stated([Stated(instrument_mm=0.1), Stated(instrument_mm=0.2)]).instrument_mm == 0.2
-    assert together_stated([Stated(instrument_mm=0.1), Stated()]).instrument_mm is None
-    assert together_stated([]) == Stated()
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import yaml
-from cli.recordings import streams
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -20,10 +19,8 @@ from rosbags.rosbag2 import Reader
 
 from modcal_core.errors import BadRecording
 from modcal_msgs_py.layout import definition, message_class, serialise
-from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_write import BagWriter
-from modcal_msgs_py.recording_write import write_recording
 
 STRING = "std_msgs/msg/String"
 QOS_OF_OLD = """- history: 3
@@ -282,17 +279,3 @@ def test_what_cannot_be_repaired_is_refused(tmp_path: Path, rng: np.random.Gener
     refused(tmp_path / "bag", tmp_path / "bag" / "new", "lies in the bag")
     (tmp_path / "file").touch()
     refused(cut, tmp_path / "file" / "new", "cannot be written")
-
-
-def test_a_repaired_recording_is_read_like_its_beginning(tmp_path: Path) -> None:
-    write_recording(streams(3), tmp_path / "bag")
-    file = tmp_path / "bag" / "bag_0.mcap"
-    whole = file.read_bytes()
-    file.write_bytes(whole[: len(whole) // 2])
-    repair_bag(tmp_path / "bag", tmp_path / "new")
-    cut, new = read_recording(tmp_path / "bag"), read_recording(tmp_path / "new")
-    assert new.robot_description == cut.robot_description
-    assert np.array_equal(new.joints[0].position, cut.joints[0].position)
-    assert np.array_equal(new.readings[0].values, cut.readings[0].values)
-    assert new.warnings == ()
-    assert cut.warnings

@@ -10,53 +10,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cells import ur10
-from scipy.spatial.transform import Rotation
+from msgs.exported import CHAIN, MIDDLE, joints, named, postures, seen, written
 
-from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.measurements.recording import Recording
-from modcal_core.robots.mechanism import forward
 from modcal_msgs_py.tables import import_tables, read_tables
 from modcal_msgs_py.tables.labels import Label
 from modcal_msgs_py.tables.propose import Proposal, find
-
-CHAIN = ur10()
-TOOL = se3.transform(Rotation.from_euler("xyz", [0.3, 0.4, 0.5]).as_matrix(), [0.05, 0.02, 0.1])
-BASE = se3.transform(Rotation.from_euler("xyz", [1.0, -0.4, 2.0]).as_matrix(), [2.0, 1.0, 0.5])
-MIDDLE = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.4])
-
-
-def seen(q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Poses in a tracker that the nominal arm misses by two millimetres, (N, 4, 4)."""
-    return BASE @ forward(CHAIN, q + 1.5e-3 * rng.standard_normal(CHAIN.n)) @ TOOL
-
-
-def table(folder: Path, columns: dict[str, Any]) -> Path:
-    cells = [[v if isinstance(v, str) else f"{v:.8f}" for v in column] for column in columns.values()]
-    path = folder / "cell.csv"
-    path.write_text("\n".join([",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]) + "\n")
-    return path
-
-
-def named(names: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: values[:, k] for k, name in enumerate(names.split())}
-
-
-def joints(q: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: q[:, k] for k, name in enumerate(CHAIN.names)}
 
 
 def points(T: np.ndarray) -> dict[str, np.ndarray]:
     return named("x y z", T[:, :3, 3])
 
 
-def postures(rng: np.random.Generator, rows: int = 40) -> np.ndarray:
-    return np.asarray(MIDDLE + 1.2 * rng.uniform(-1.0, 1.0, (rows, CHAIN.n)))
-
-
 def proposed(folder: Path, columns: dict[str, Any]) -> tuple[Proposal, dict[str, Any]]:
-    made = find([table(folder, columns)], CHAIN)
+    made = find([written(folder, columns)], CHAIN)
     (entry,) = made.mapping["tables"]
     return made, entry
 
@@ -84,21 +52,6 @@ def test_the_unit_of_speeds_is_told_by_the_motion(
     assert np.abs(read(made, tmp_path).joints[0].velocity - v).max() < 1e-6
 
 
-def test_a_label_that_contradicts_the_motion_is_asked(tmp_path: Path, rng: np.random.Generator) -> None:
-    t, q, v = moving(rng)
-    speeds = {f"velocity {k} [rad/s]": np.degrees(v[:, k - 1]) for k in range(1, 7)}
-    made, _ = proposed(tmp_path, {"t": t, **joints(q), **points(seen(q, rng)), **speeds})
-    assert any("the joints' own motion says deg/s" in question for question in made.open)
-
-
-def test_speeds_of_a_standing_arm_without_a_unit_are_not_used(tmp_path: Path, rng: np.random.Generator) -> None:
-    q = postures(rng)
-    speeds = named("qd1 qd2 qd3 qd4 qd5 qd6", 1e-3 * rng.standard_normal(q.shape))
-    made, entry = proposed(tmp_path, {**joints(q), **points(seen(q, rng)), **speeds})
-    assert "velocity" not in entry["joints"]
-    assert any("neither labels nor the motion tell their unit" in said for said in made.assumed)
-
-
 def test_commanded_joints_in_another_unit(tmp_path: Path, rng: np.random.Generator) -> None:
     q = postures(rng)
     wanted = q + 1e-3 * rng.standard_normal(q.shape)
@@ -124,7 +77,7 @@ def test_efforts_in_per_cent_are_signals_and_torques_are_efforts(tmp_path: Path,
 def test_efforts_of_the_load_change_their_sign(tmp_path: Path, rng: np.random.Generator) -> None:
     q = postures(rng, 12)
     tau = rng.standard_normal(q.shape)
-    table(tmp_path, {**joints(q), **named("x y z", q[:, :3]), **named("a b c d e f", tau)})
+    written(tmp_path, {**joints(q), **named("x y z", q[:, :3]), **named("a b c d e f", tau)})
     effort = {"of_load": True, "unit": "N mm", "columns": dict(zip(CHAIN.names, "abcdef", strict=True))}
     stated = {"unit": "rad", "columns": {n: n for n in CHAIN.names}, "effort": effort}
     point = {"frame": "t", "unit": "m", "position": ["x", "y", "z"]}
@@ -235,13 +188,6 @@ def test_distances_and_heights(unit: str, scale: float, tmp_path: Path, rng: np.
     assert np.abs(kinds["touch"] - h).max() < 1e-6
 
 
-@pytest.mark.slow
-def test_distances_of_something_else_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
-    q = postures(rng)
-    with pytest.raises(BadTable, match="no columns are found"):
-        proposed(tmp_path, {**joints(q), "distance": rng.uniform(1.0, 3.0, len(q))})
-
-
 @pytest.mark.parametrize(
     ("text", "coverage", "told"),
     [("Ux (95%)", "2", ""), ("x 2 sigma", "2", ""), ("z k=3 [mm]", "3", "mm"), ("std_x", "", ""),
@@ -250,3 +196,10 @@ def test_distances_of_something_else_are_refused(tmp_path: Path, rng: np.random.
 def test_labels_of_units_and_coverage(text: str, coverage: str, told: str) -> None:
     label = Label.of(text)
     assert (label.coverage, label.told) == (coverage, told)
+
+
+def test_a_label_that_contradicts_the_motion_is_asked(tmp_path: Path, rng: np.random.Generator) -> None:
+    t, q, v = moving(rng)
+    speeds = {f"velocity {k} [rad/s]": np.degrees(v[:, k - 1]) for k in range(1, 7)}
+    made, _ = proposed(tmp_path, {"t": t, **joints(q), **points(seen(q, rng)), **speeds})
+    assert any("the joints' own motion says deg/s" in question for question in made.open)

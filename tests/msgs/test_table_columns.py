@@ -52,16 +52,6 @@ def test_all_faulty_rows_stand_in_one_message(tmp_path: Path) -> None:
     assert "line 5, column y: 'two' is not a number" in said
 
 
-def test_further_texts_for_no_number(tmp_path: Path) -> None:
-    text = ROWS.replace("nan", "-9999")
-    assert len(read(tmp_path, text, missing="skip", missing_values=["-9999"]).recording.readings[0].stamps) == 2
-
-
-def test_a_label_that_stands_twice_must_be_given_by_number(tmp_path: Path) -> None:
-    with pytest.raises(BadTable, match="has 2 columns x: give the number of the one that is meant: 2, 3"):
-        read(tmp_path, ROWS.replace("x,y,z", "x,x,z"))
-
-
 def test_preamble_units_row_blanks_and_encoding(tmp_path: Path) -> None:
     text = "Größe: 5\n\nt   a   x y z\ns deg mm mm mm\n 1   10  1000  0 0\n2  11\t1000 0    0\n"
     (tmp_path / "t.csv").write_text(text, encoding="utf-16")

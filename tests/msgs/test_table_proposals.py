@@ -6,11 +6,10 @@ bench/imports has a hundred exports drawn by a generator that knows nothing of m
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from cells import ur10
+from msgs.exported import BASE, CHAIN, TOOL, joints, named, postures, seen, written
 from scipy.spatial.transform import Rotation
 
 from modcal_core.errors import BadTable
@@ -21,31 +20,11 @@ from modcal_msgs_py.tables.labels import Label, grouped
 from modcal_msgs_py.tables.propose import Proposal, find
 from modcal_msgs_py.tables.sheet import sniff
 
-CHAIN = ur10()
-TOOL = se3.transform(Rotation.from_euler("xyz", [0.3, 0.4, 0.5]).as_matrix(), [0.05, 0.02, 0.1])
-BASE = se3.transform(Rotation.from_euler("xyz", [1.0, -0.4, 2.0]).as_matrix(), [2.0, 1.0, 0.5])
-
 
 def poses(rng: np.random.Generator, rows: int = 40, spread: float = 1.3) -> tuple[np.ndarray, np.ndarray]:
     """Joint positions, and poses that a nominal arm misses by two millimetres."""
-    q = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.4]) + spread * rng.uniform(-1.0, 1.0, (rows, CHAIN.n))
-    wrong = q + 1.5e-3 * rng.standard_normal(CHAIN.n)
-    return q, BASE @ forward(CHAIN, wrong) @ TOOL
-
-
-def write(
-    folder: Path, columns: dict[str, np.ndarray], head: str = "", separator: str = ",", decimal: str = "."
-) -> Path:
-    rows = [
-        separator.join(f"{v:.7f}".replace(".", decimal) for v in row) for row in np.column_stack(list(columns.values()))
-    ]
-    path = folder / "cell.csv"
-    path.write_text(head + separator.join(columns) + "\n" + "\n".join(rows) + "\n")
-    return path
-
-
-def named(names: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: values[:, k] for k, name in enumerate(names.split())}
+    q = postures(rng, rows, spread)
+    return q, seen(q, rng)
 
 
 def same(made: Proposal, folder: Path, q: np.ndarray, T: np.ndarray) -> None:
@@ -67,7 +46,7 @@ def test_names_units_and_an_inverse_pose(tmp_path: Path, rng: np.random.Generato
         **named("X Y Z", 1e3 * back[:, :3, 3]),
         **named("A B C", Rotation.from_matrix(back[:, :3, :3]).as_euler("ZYX", degrees=True)),
     }
-    path = write(tmp_path, columns, "Measured by us\nToday\n", ";", ",")
+    path = written(tmp_path, columns, head="Measured by us\nToday\n", marks=(";", ","))
     made = find([path], CHAIN)
     same(made, tmp_path, q, T)
     (entry,) = made.mapping["tables"]
@@ -87,7 +66,7 @@ def test_joints_without_names_in_another_order(tmp_path: Path, rng: np.random.Ge
         **named("oak elm ash fir yew box", shuffled), "pressure": 1013.0 + rng.standard_normal(len(q)),
         **named("x y z", T[:, :3, 3]), **named("q0 q1 q2 q3", quaternion),
     }  # fmt: skip
-    same(find([write(tmp_path, columns)], CHAIN), tmp_path, q, T)
+    same(find([written(tmp_path, columns)], CHAIN), tmp_path, q, T)
 
 
 @pytest.mark.slow
@@ -109,33 +88,20 @@ def test_two_files_joined_by_a_station(tmp_path: Path, rng: np.random.Generator)
         **named("x y z", T[:, :3, 3]),
         **named("rx ry rz", Rotation.from_matrix(T[:, :3, :3]).as_rotvec()),
     }
-    write(tmp_path, tracker).rename(tmp_path / "tracker.csv")
+    written(tmp_path, tracker, "tracker.csv")
     robot = {"pose": station[order], **named("J1 J2 J3 J4 J5 J6", q[order])}
-    write(tmp_path, robot, separator=";", decimal=",").rename(tmp_path / "robot.csv")
+    written(tmp_path, robot, "robot.csv", marks=(";", ","))
     same(find([tmp_path / "tracker.csv", tmp_path / "robot.csv"], CHAIN), tmp_path, q, T)
-
-
-def test_orientations_that_hardly_vary_are_asked(tmp_path: Path, rng: np.random.Generator) -> None:
-    """All sequences say nearly the same of angles this small: every one fits, and none is chosen in silence."""
-    q, T = poses(rng, 20, 1e-3)
-    columns = {
-        **{name: q[:, k] for k, name in enumerate(CHAIN.names)},
-        **named("x y z", T[:, :3, 3]), **named("a b c", Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz")),
-    }  # fmt: skip
-    made = find([write(tmp_path, columns)], CHAIN)
-    assert any("cannot tell" in question for question in made.open)
-    with pytest.raises(BadTable, match="undecided"):
-        import_tables(dict(made.mapping), tmp_path, "m")
 
 
 def test_a_pose_that_was_computed_from_the_joints_is_asked(tmp_path: Path, rng: np.random.Generator) -> None:
     q, _ = poses(rng)
     T = BASE @ forward(CHAIN, q) @ TOOL
     columns = {
-        **{name: q[:, k] for k, name in enumerate(CHAIN.names)},
+        **joints(q),
         **named("x y z", T[:, :3, 3]), **named("qx qy qz qw", Rotation.from_matrix(T[:, :3, :3]).as_quat()),
     }  # fmt: skip
-    made = find([write(tmp_path, columns)], CHAIN)
+    made = find([written(tmp_path, columns)], CHAIN)
     assert any("computed from the joints" in question for question in made.open)
 
 
@@ -145,7 +111,7 @@ def goals(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     q, T = poses(rng)
     reached = 1e3 * T[:, :3, 3]
     goal = np.round(1e3 * (BASE @ forward(CHAIN, q) @ TOOL)[:, :3, 3], 1)
-    return q, reached, goal, {name: q[:, k] for k, name in enumerate(CHAIN.names)}
+    return q, reached, goal, joints(q)
 
 
 @pytest.mark.parametrize(("names", "key"), [("x_dif y_dif z_dif", "minus"), ("dX dY dZ", "plus")])
@@ -155,7 +121,7 @@ def test_a_goal_and_a_deviation_are_a_reading_whose_sign_is_asked(
     q, reached, goal, joints = goals(rng)
     sign = 1.0 if key == "plus" else -1.0
     columns = {**named("x_t y_t z_t", goal), **named(names, sign * (reached - goal)), **joints}
-    made = find([write(tmp_path, columns)], CHAIN)
+    made = find([written(tmp_path, columns)], CHAIN)
     (asked,) = made.open
     assert f"what was reached is x_t, y_t, z_t minus {', '.join(names.split())}, or plus it" in asked
     mapping = {name: value for name, value in made.mapping.items() if name != "undecided"}
@@ -169,7 +135,7 @@ def test_a_goal_and_a_deviation_are_a_reading_whose_sign_is_asked(
 def test_a_deviation_beside_what_was_reached_changes_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
     _, reached, goal, joints = goals(rng)
     columns = {**named("X Y Z", reached), **named("err_x err_y err_z", reached - goal), **joints}
-    made = find([write(tmp_path, columns)], CHAIN)
+    made = find([written(tmp_path, columns)], CHAIN)
     assert not made.open
     (entry,) = made.mapping["tables"]
     assert entry["point"]["position"] == ["X", "Y", "Z"]
@@ -183,12 +149,12 @@ def test_labels_that_contradict_the_arm_are_asked(tmp_path: Path, rng: np.random
         **named("J1 J2 J3 J5 J4 J6", q),
         **named("x y z", T[:, :3, 3]), **named("qx qy qz qw", Rotation.from_matrix(T[:, :3, :3]).as_quat()),
     }  # fmt: skip
-    made = find([write(tmp_path, columns)], CHAIN)
+    made = find([written(tmp_path, columns)], CHAIN)
     assert any("labels say that the joints are" in question for question in made.open)
 
 
 def test_a_table_of_something_else_is_refused(tmp_path: Path, rng: np.random.Generator) -> None:
-    path = write(tmp_path, named("a b c d e f g h i j", rng.standard_normal((40, 10))))
+    path = written(tmp_path, named("a b c d e f g h i j", rng.standard_normal((40, 10))))
     with pytest.raises(BadTable, match="no columns are found that could be the joints of this arm"):
         find([path], CHAIN)
     (tmp_path / "prose.txt").write_text("nothing\nbut words\n")
@@ -196,8 +162,16 @@ def test_a_table_of_something_else_is_refused(tmp_path: Path, rng: np.random.Gen
         find([tmp_path / "prose.txt"], CHAIN)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "latin-1"])
-@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", ","), ("\t", ","), (" ", "."), ("|", ".")])
+@pytest.mark.parametrize(
+    ("encoding", "separator", "decimal"),
+    [
+        ("utf-8", ",", "."),
+        ("utf-8-sig", ";", ","),
+        ("utf-16", "\t", ","),
+        ("utf-16-le", " ", "."),
+        ("latin-1", "|", "."),
+    ],
+)
 def test_how_a_file_is_written(encoding: str, separator: str, decimal: str, tmp_path: Path) -> None:
     rows = [[f"{i + k + 0.25:.2f}".replace(".", decimal) for k in range(4)] for i in range(5)]
     rows[2][1] = "nan"
@@ -224,18 +198,6 @@ def labelled(*texts: str) -> dict[int, Label]:
     return {k: Label.of(text) for k, text in enumerate(texts)}
 
 
-@pytest.mark.parametrize(
-    ("text", "axis", "unit"),
-    [
-        ("X [mm]", ("x", ""), "mm"), ("tool_pos_y", ("y", "tool pos"), None), ("Tz", ("z", "t"), None),
-        ("x_mm", ("x", ""), "mm"), ("Rotation X", None, None), ("std_x", None, None), ("rx", None, None),
-    ],
-)  # fmt: skip
-def test_labels_of_positions(text: str, axis: tuple[str, str] | None, unit: str | None) -> None:
-    label = Label.of(text)
-    assert (label.axis("position"), label.unit) == (axis, unit)
-
-
 def test_labels_of_orientations() -> None:
     assert grouped(labelled("Q0", "Qx", "Qy", "Qz"), "quaternion") == [(1, 2, 3, 0)]
     assert grouped(labelled("tool.qw", "tool.qx", "tool.qy", "tool.qz"), "quaternion") == [(1, 2, 3, 0)]
@@ -247,15 +209,14 @@ def test_labels_of_orientations() -> None:
     assert grouped(whole, "homogeneous") == [(3, 7, 11, 0, 1, 2, 4, 5, 6, 8, 9, 10)]
 
 
-@pytest.mark.parametrize(
-    ("text", "role"),
-    [
-        ("actual_q_1", "measured"),
-        ("target_q_1", "commanded"),
-        ("qd 3", "velocity"),
-        ("Torque J1", "effort"),
-        ("Temp1", "other"),
-    ],
-)
-def test_labels_of_what_joints_do(text: str, role: Any) -> None:
-    assert Label.of(text).role == role
+def test_orientations_that_hardly_vary_are_asked(tmp_path: Path, rng: np.random.Generator) -> None:
+    """All sequences say nearly the same of angles this small: every one fits, and none is chosen in silence."""
+    q, T = poses(rng, 20, 1e-3)
+    columns = {
+        **{name: q[:, k] for k, name in enumerate(CHAIN.names)},
+        **named("x y z", T[:, :3, 3]), **named("a b c", Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz")),
+    }  # fmt: skip
+    made = find([written(tmp_path, columns)], CHAIN)
+    assert any("cannot tell" in question for question in made.open)
+    with pytest.raises(BadTable, match="undecided"):
+        import_tables(dict(made.mapping), tmp_path, "m")

@@ -1,11 +1,8 @@
-"""Rows of a track come one by one or many at once; what was handed out of them stays as it is."""
+"""Rows of a track that grow; what was handed out of them stays as it is."""
 
 from __future__ import annotations
 
-from array import array
-
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,7 +12,7 @@ WIDTH = 3
 
 
 @given(
-    steps=st.lists(st.tuples(st.sampled_from(["append", "extend", "look", "forget"]), st.integers(0, 70)), max_size=30),
+    steps=st.lists(st.tuples(st.sampled_from(["extend", "look", "forget"]), st.integers(0, 70)), max_size=30),
     expected=st.sampled_from([0, 1, 40, 10**9]),
 )
 def test_rows_are_those_that_were_added(steps: list[tuple[str, int]], expected: int) -> None:
@@ -25,12 +22,8 @@ def test_rows_are_those_that_were_added(steps: list[tuple[str, int]], expected: 
     count = 0
     for what, n in steps:
         new = 10.0 * np.arange(count, count + n)[:, None] + np.arange(2 + WIDTH)
-        if what == "append":
-            for row in new:
-                rows.append(row[0], row[1], array("d", row[2:]) if count % 2 else tuple(row[2:]))
-        elif what == "extend":
+        if what == "extend":
             rows.extend(new[:, 0], new[:, 1], new[:, 2:3].astype(">f8"), new[:, 3:].astype(np.float32))
-        if what in ("append", "extend"):
             truth, count = np.vstack([truth, new]), count + n
         elif what == "look":
             stamps, received, values = rows.columns()
@@ -45,12 +38,6 @@ def test_rows_are_those_that_were_added(steps: list[tuple[str, int]], expected: 
     assert values.shape == (len(truth), WIDTH)
     seen.append((np.column_stack([stamps, received, values]), truth))
     assert all(np.array_equal(there, then) for there, then in seen)
-
-
-def test_too_few_numbers_are_no_row() -> None:
-    rows = TrackRows(WIDTH)
-    with pytest.raises(AssertionError):
-        rows.extend(np.zeros(2), np.zeros(2), np.zeros((2, WIDTH - 1)))
 
 
 def test_a_number_that_was_wrongly_expected_takes_no_memory() -> None:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from cells import record, samples_of
 from cli.recordings import START, URDF
-from nodes.cell import LATCHED, PlayedCell, Said, Wait
-from nodes.processes import Process, fresh_domain, listener, running
+from nodes.cell import PlayedCell
+from nodes.processes import Process, Wait, fresh_domain, listener, running
+from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
 from std_msgs.msg import String
 
@@ -50,12 +51,12 @@ def part(recording: Recording, rows: slice) -> Recording:
 @contextlib.contextmanager
 def beside_a_cell(
     folder: Path, urdf: Path = URDF, **parameters: Any
-) -> Iterator[tuple[Process, Node, Wait, PlayedCell, Said]]:
+) -> Iterator[tuple[Process, Node, Wait, PlayedCell, Diagnostics]]:
     """A calibrator that has found a cell and heard its description; it must end well."""
     domain = fresh_domain()
     calibrator = Process("calibrator", domain, folder, **parameters)
     with running(calibrator), listener(domain) as (node, wait):
-        cell, said = PlayedCell(node), Said(node)
+        cell, said = PlayedCell(node), Diagnostics(node)
         wait(cell.heard, 60.0)
         cell.describe(urdf.read_text())
         yield calibrator, node, wait, cell, said
@@ -66,3 +67,18 @@ def latched(node: Any, topic: str, kind: type = String) -> list[Any]:
     heard: list[Any] = []
     node.create_subscription(kind, topic, lambda m: heard.append(m.data), LATCHED)
     return heard
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has started, resource trackers included."""
+    try:
+        return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except FileNotFoundError:
+        return []
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False

@@ -6,29 +6,19 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from nodes.processes import SLOWER, meet
+from nodes.processes import SLOWER, Wait, meet
+from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from modcal_core.measurements.recording import Recording
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 BUSY = "a solve is running already"
 _ASK_AGAIN = 20.0  # s
-Wait = Callable[[Callable[[], Any], float], Any]
-
-
-class Health(dict[str, DiagnosticStatus]):
-    """What a node says of its parts in /diagnostics; of one it has said nothing of yet, that it is stale."""
-
-    def __missing__(self, part: str) -> DiagnosticStatus:
-        return DiagnosticStatus(level=DiagnosticStatus.STALE)
 
 
 class PlayedCell:
@@ -38,7 +28,7 @@ class PlayedCell:
         self, node: Node, namespace: str = "", description: QoSProfile = LATCHED, tracker: QoSProfile | int = 100
     ) -> None:
         prefix = f"{namespace}/" if namespace else ""
-        self._said = Said(node)
+        self._said = Diagnostics(node)
         self._sent = [0, 0]
         self._description = node.create_publisher(String, f"{prefix}robot_description", description)
         self.joints = node.create_publisher(JointState, f"{prefix}joint_states", 100)
@@ -98,40 +88,6 @@ def pose_stamped(recording: Recording, i: int) -> PoseStamped:
 def _stamp(message: Any, stamp: float) -> None:
     ns = round(stamp * 1e6) * 1000
     message.header.stamp.sec, message.header.stamp.nanosec = ns // 10**9, ns % 10**9
-
-
-class Said:
-    """The last status of every part of every node."""
-
-    def __init__(self, node: Node) -> None:
-        self.last: dict[str, DiagnosticStatus] = {}
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 50)
-
-    def _hear(self, message: DiagnosticArray) -> None:
-        self.last.update({status.name: status for status in message.status})
-
-    def found(self, topic: str) -> bool:
-        """Whether some node says that it has found a publisher of this topic."""
-        key = f"publishers of {topic}"
-        return any(v.key == key and int(v.value) > 0 for status in self.last.values() for v in status.values)
-
-    def counted(self, topic: str) -> int:
-        """How many messages of this topic some node says it has heard."""
-        key = f"messages of {topic}"
-        return max((int(v.value) for s in self.last.values() for v in s.values if v.key == key), default=0)
-
-    def level(self, name: str) -> int:
-        """0 ok, 1 warning, 2 error; −1 while nothing was said."""
-        return int.from_bytes(self.last[name].level, "little") if name in self.last else -1
-
-    def text(self, name: str) -> str:
-        """What it says."""
-        return self.last[name].message if name in self.last else ""
-
-    def value(self, name: str, key: str) -> str:
-        """One of its facts."""
-        values = self.last[name].values if name in self.last else []
-        return next((v.value for v in values if v.key == key), "")
 
 
 def call(node: Node, wait: Wait, name: str, seconds: float = 120.0) -> Trigger.Response:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nodes.polling import Polled
-from nodes.processes import ROOT, Process, fresh_domain, listener, running
+from nodes.processes import ROOT, Process, Wait, fresh_domain, listener, running
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -223,16 +223,6 @@ def close_the_loop(
                     seen.append(_pose(first))
                 return seen
 
-            def go(goal: Array) -> None:
-                message = JointTrajectory(joint_names=list(chain.names))
-                point = JointTrajectoryPoint(positions=[float(x) for x in goal])
-                set_seconds(point.time_from_start, _TRAVEL)
-                message.points = [point]
-                states.clear()
-                tools.clear()
-                drive.publish(message)
-                arrived(goal)
-
             rng = np.random.default_rng(seed + 1)
             meant = rng.uniform(-_RANGE, _RANGE, (wishes, chain.n))
             meant = np.tile(meant, (visits, 1))
@@ -248,7 +238,7 @@ def close_the_loop(
             with running(corrector):
                 wait(lambda: desire.get_subscription_count() == 1 and "corrects robot" in corrector.output, 60.0)
                 for goal, near in zip(goals, before, strict=True):
-                    go(near)
+                    go_through([near])
                     states.clear()
                     tools.clear()
                     commands.clear()
@@ -285,7 +275,7 @@ def _answer(
     wish: PoseStamped,
     commands: list[JointTrajectory],
     corrector: Process,
-    wait: Callable[[Callable[[], Any], float], Any],
+    wait: Wait,
 ) -> str:
     """What a refusal says, or nothing where there is a command; asked again where a wish was lost on its way."""
     for _ in range(10):

@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 from correction.test_compensation import calibration_of, true_model
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from nodes.cell import Health
-from nodes.processes import ROOT
+from nodes.processes import ROOT, Wait
+from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
@@ -34,9 +33,7 @@ from modcal_msgs_py.readings import set_seconds
 
 URDF = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
 CHAIN = read_chain(URDF)
-Wait = Callable[[Callable[[], Any], float], Any]
 WARN = DiagnosticStatus.WARN
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 AWAY = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])  # from anything singular
 GEAR = Effect("gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint", Shape("sine", {"cycles": 101.0}))
 
@@ -70,9 +67,8 @@ class Arm:
         self.states: list[JointState] = []
         self.commands: list[JointTrajectory] = []
         self.urdfs: list[str] = []
-        self.health = Health()
-        self.said: list[str] = []
         self.who = f"{space}/corrector"
+        self.health = Diagnostics(node, self.who)
         self.joints = node.create_publisher(JointState, f"{space}/joint_states", 10)
         self.description = node.create_publisher(String, f"{space}/robot_description", LATCHED)
         self.desired = node.create_publisher(PoseStamped, f"{space}/desired_pose", 10)
@@ -84,17 +80,9 @@ class Arm:
         ):
             node.create_subscription(kind, f"{self.who}/{topic}", kept.append, 1000)
         node.create_subscription(String, f"{self.who}/robot_description", lambda m: self.urdfs.append(m.data), LATCHED)
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
         self.timer = node.create_timer(1.0 / rate, self.speak)
         if urdf:
             self.description.publish(String(data=urdf))
-
-    def _hear_health(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            who, _, part = status.name.partition(": ")
-            if who == self.who:
-                self.health[part] = status
-                self.said.append(status.message)
 
     def now(self) -> float:
         return 1e-9 * self.node.get_clock().now().nanoseconds
@@ -138,7 +126,7 @@ class Arm:
             with contextlib.suppress(AssertionError):
                 wait(lambda: len(self.commands) > count, 3.0)
                 return self.commands[-1]
-        raise AssertionError(f"no command: {self.health.get('commands')}")
+        raise AssertionError(f"no command: {self.health['commands'].message}")
 
     def refuse(self, wait: Wait, wish: Callable[[], PoseStamped], said: str) -> None:
         """The wish is counted as refused, the reason said, and no command comes of it."""

@@ -17,12 +17,15 @@ from typing import Any, TextIO
 
 import rclpy
 from nodes.forking import Forked, Forker
+from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 ROOT = Path(__file__).resolve().parents[2]
 EXECUTABLES = ROOT / "ros2_ws" / "install" / "modcal_nodes" / "lib" / "modcal_nodes"
+Wait = Callable[[Callable[[], Any], float], Any]  # spins until a condition is true, so many seconds at most
 _domains = itertools.count(1 + os.getpid() % 90)
 _held: list[TextIO] = []
 
@@ -132,7 +135,7 @@ def running(*processes: Process) -> Iterator[None]:
                 process.popen.wait()
 
 
-def meet(wait: Callable[[Callable[[], Any], float], Any], client: Any) -> None:
+def meet(wait: Wait, client: Any) -> None:
     """Wait for a server, and a moment more: one that was just found may not have found the caller, and its answer is lost."""
     if not client.service_is_ready():
         wait(client.service_is_ready, 60.0)
@@ -140,8 +143,30 @@ def meet(wait: Callable[[Callable[[], Any], float], Any], client: Any) -> None:
         wait(lambda: time.monotonic() > found, 10.0)
 
 
+def ask(node: Node, wait: Wait, kind: type, name: str, request: Any = None, patience: float = 30.0) -> Any:
+    """The answer of a service; asked again where the question was lost."""
+    clients = node.__dict__.setdefault("asked_by_tests", {})
+    client = clients.setdefault(name, clients.get(name) or node.create_client(kind, name))
+    meet(wait, client)
+    for _ in range(3):
+        answer = client.call_async(request or kind.Request())
+        with contextlib.suppress(AssertionError):
+            wait(answer.done, 0.5 * patience)
+            return answer.result()
+    raise AssertionError(f"{name} does not answer")
+
+
+def put(node: Node, wait: Wait, who: str, **values: Any) -> str:
+    """Set parameters of a node as `ros2 param set` does; why one was refused, or nothing."""
+    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    request = SetParameters.Request(parameters=parameters)
+    results = ask(node, wait, SetParameters, f"{who}/set_parameters", request).results
+    assert all(result.successful or result.reason for result in results)
+    return "; ".join(result.reason for result in results if not result.successful)
+
+
 @contextlib.contextmanager
-def listener(domain: int, kind: type[Node] = Node) -> Iterator[tuple[Node, Callable[[Callable[[], Any], float], Any]]]:
+def listener(domain: int, kind: type[Node] = Node) -> Iterator[tuple[Node, Wait]]:
     """A node of the test's own, and ``wait(condition, seconds)`` that spins it until the condition is true."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -14,11 +12,10 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStam
 from impedance.toy import PANDA, PERIOD, READY, ROOT, Toy, door
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from nodes.cell import Health
 from nodes.polling import Polled
-from nodes.processes import meet
+from nodes.processes import Wait, ask
+from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -33,8 +30,6 @@ from modcal_msgs_py.readings import seconds, set_seconds
 
 URDF = (ROOT / "examples" / "robots" / "panda.urdf").read_text()
 WHO = "impedance_setpoint"
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-Wait = Callable[[Callable[[], Any], float], Any]
 _PATIENCE, _UNANSWERED = 0.2, 10  # s of wall time for an answer; steps without one, after which none is waited for
 _BEGIN = 1000.0  # s, when simulated time begins
 SPEED, STALE, RATE = 1.5, 0.1, 250.0  # rad/s, s, Hz: the node's own defaults
@@ -54,7 +49,7 @@ class PulledArm:
         self.off: Array | None = (
             None  # where a corrector says that the tool is, from where its joints say; None: silent
         )
-        self.health = Health()
+        self.health = Diagnostics(node, f"/{WHO}")
         self.poses: list[PoseStamped] = []
         self.references: list[JointTrajectoryPoint] = []
         self.trajectories: list[JointTrajectory] = []
@@ -76,9 +71,6 @@ class PulledArm:
             (WrenchStamped, "target_stiffness", self.stiffnesses.append),
         ):
             self._polled.subscribe(kind, f"{WHO}/{topic}", hear)
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
-        self._changes = node.create_client(ChangeState, f"{WHO}/change_state")
-        self._asks = {name: node.create_client(Trigger, f"{WHO}/{name}") for name in ("pull", "stop")}
         self.clock = node.create_publisher(Clock, "/clock", 10)
         self._time, self._answered, self._stepped = _BEGIN, 0.0, time.monotonic()
         if speaks:  # else it only asks: a clock that nobody answers goes as fast as it can
@@ -92,12 +84,6 @@ class PulledArm:
         self.references.append(point)
         self.toy.command = np.array(point.positions)
         self._answered = self._time
-
-    def _hear_health(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            who, _, part = status.name.partition(": ")
-            if who == f"/{WHO}":
-                self.health[part] = status
 
     def speak(self) -> None:
         self._polled.look()
@@ -154,19 +140,11 @@ class PulledArm:
 
     def change(self, wait: Wait, transition: int) -> bool:
         """Ask for a transition of the lifecycle; whether it was done."""
-        return bool(self._call(wait, self._changes, ChangeState.Request(transition=Transition(id=transition))).success)
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(ask(self.node, wait, ChangeState, f"{WHO}/change_state", request).success)
 
     def ask(self, wait: Wait, what: str) -> Trigger.Response:
-        return self._call(wait, self._asks[what], Trigger.Request())
-
-    def _call(self, wait: Wait, client: Any, request: Any) -> Any:
-        meet(wait, client)
-        for _ in range(5):
-            future = client.call_async(request)
-            with contextlib.suppress(AssertionError):
-                wait(future.done, 10.0)
-                return future.result()
-        raise AssertionError(f"{client.srv_name} does not answer")
+        return ask(self.node, wait, Trigger, f"{WHO}/{what}")
 
     def ready(self, wait: Wait) -> None:
         """Configured, active, and heard."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nodes.plain_pulls import Pull
 from nodes.polling import Polled
-from nodes.processes import ROOT, Process, fresh_domain, listener, meet, running
+from nodes.processes import ROOT, Process, Wait, ask, fresh_domain, listener, running
 from nodes.talking import RELIABLE, Diagnostics
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -28,7 +27,6 @@ from modcal_nodes.simulation.furniture import Furniture
 PANDA = ROOT / "examples" / "robots" / "panda.urdf"
 WORLD, ESTIMATOR, SETPOINT = "simulated_furniture", "articulation_estimator", "impedance_setpoint"
 PULL = f"/{SETPOINT}: pull"
-Wait = Callable[[Callable[[], Any], float], Any]
 
 
 @dataclass
@@ -73,21 +71,9 @@ class Opening:
     by_efforts: tuple[str, ...] = ()  # force that the joints' efforts showed, as diagnostics said it
 
 
-def call(node: Node, wait: Wait, kind: type, name: str, request: Any, patience: float = 30.0) -> Any:
-    """The answer of a service; asked again where the question was lost."""
-    client = node.create_client(kind, name)
-    meet(wait, client)
-    for _ in range(3):
-        answer = client.call_async(request)
-        with contextlib.suppress(AssertionError):
-            wait(answer.done, 0.5 * patience)
-            return answer.result()
-    raise AssertionError(f"{name} does not answer")
-
-
 def change(node: Node, wait: Wait, name: str, transition: int) -> None:
     request = ChangeState.Request(transition=Transition(id=transition))
-    answer = call(node, wait, ChangeState, f"{name}/change_state", request)
+    answer = ask(node, wait, ChangeState, f"{name}/change_state", request)
     assert answer.success, f"{name}: transition {transition} failed"
 
 
@@ -174,7 +160,7 @@ def _ended(health: Diagnostics, by_efforts: list[str]) -> bool:
 def begin(node: Node, wait: Wait) -> None:
     """Ask for a pull until it begins: at first the arm may not be known yet."""
     for _ in range(20):
-        answer = call(node, wait, Trigger, f"{SETPOINT}/pull", Trigger.Request())
+        answer = ask(node, wait, Trigger, f"{SETPOINT}/pull", Trigger.Request())
         if answer.success:
             return
         with contextlib.suppress(AssertionError):

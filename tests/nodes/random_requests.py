@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from impedance.toy import Toy, door, drawer
 from lifecycle_msgs.msg import Transition
+from nodes.processes import Wait, put
 from nodes.pulled_arm import NASTY, PulledArm, Witness
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 
 from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT
 from modcal_nodes.setpoint.arm_inputs import WHILE_PULLING
 
-Wait = Callable[[Callable[[], Any], float], Any]
 _BY_ITSELF = 6.0  # s
 LIMIT, LET_GO = 60.0, 10.0  # N: 1.2 times max_force_n; what friction and a soft spring leave in a hand
 _ILLEGAL = (
@@ -35,7 +31,6 @@ class RandomRequests:
     def __init__(self, arm: PulledArm, wait: Wait, rng: np.random.Generator) -> None:
         self.arm, self.wait, self.rng, self.witness = arm, wait, rng, Witness(arm)
         self.count: Counter[str] = Counter()
-        self._set = arm.node.create_client(SetParameters, "impedance_setpoint/set_parameters")
 
     def run(self, requests: int) -> None:
         """So many requests, in pulls at what turns, slides or is locked, each let go at its end."""
@@ -95,14 +90,7 @@ class RandomRequests:
 
     def parameters(self, new: dict[str, float]) -> bool:
         """Set these together; whether all of them were taken."""
-        request = SetParameters.Request(
-            parameters=[
-                Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
-                for name, value in new.items()
-            ]
-        )
-        answer = self.arm._call(self.wait, self._set, request)
-        return all(result.successful for result in answer.results)
+        return not put(self.arm.node, self.wait, "impedance_setpoint", **new)
 
     def _pass(self, seconds: float) -> None:
         """Let so much of the arm's time pass."""

@@ -89,13 +89,14 @@ def strings_on_disk(bag: Path, topic: str) -> list[str]:
 
 
 class Diagnostics:
-    """What nodes have said on /diagnostics, by the name of the status.
+    """What nodes have said on /diagnostics, by the name of the status; of a part of the node ``who``: ``self[part]``.
 
     ``worst`` and ``texts`` over all time; ``at``: stamps of the last [s].
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, who: str = "") -> None:
         """Begin to listen."""
+        self.who = who
         self.last: dict[str, DiagnosticStatus] = {}
         self.at: dict[str, float] = {}
         self.worst: dict[str, bytes] = {}
@@ -108,11 +109,34 @@ class Diagnostics:
             self.worst[status.name] = max(self.worst.get(status.name, b"\0"), status.level)
             self.texts.setdefault(status.name, set()).add(status.message)
 
+    def __contains__(self, part: str) -> bool:
+        return f"{self.who}: {part}" in self.last
+
+    def __getitem__(self, part: str) -> DiagnosticStatus:
+        """The last of this part; one that is stale before there is one."""
+        return self.last.get(f"{self.who}: {part}", DiagnosticStatus(level=DiagnosticStatus.STALE))
+
+    def level(self, name: str) -> int:
+        """0 ok, 1 warning, 2 error; −1 while nothing was said."""
+        return int.from_bytes(self.last[name].level, "little") if name in self.last else -1
+
+    def text(self, name: str) -> str:
+        """The last message of this name."""
+        return self.last[name].message if name in self.last else ""
+
     def value(self, name: str, key: str) -> str:
         """A fact of the last status of this name; empty before there is one."""
-        status = self.last.get(name)
-        return next((pair.value for pair in status.values if pair.key == key), "") if status is not None else ""
+        values = self.last[name].values if name in self.last else []
+        return next((pair.value for pair in values if pair.key == key), "")
 
     def said(self, name: str, words: str) -> bool:
         """Whether a status of this name ever held these words."""
         return any(words in text for text in self.texts.get(name, ()))
+
+    def found(self, topic: str) -> bool:
+        """Whether some node says that it has found a publisher of this topic."""
+        return any(self.value(name, f"publishers of {topic}") not in ("", "0") for name in self.last)
+
+    def counted(self, topic: str) -> int:
+        """How many messages of this topic some node says it has received."""
+        return max((int(self.value(name, f"messages of {topic}") or 0) for name in self.last), default=0)

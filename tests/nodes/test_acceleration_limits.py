@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from nodes.processes import Process, fresh_domain, listener, running
+from nodes.processes import Process, Wait, fresh_domain, listener, put, running
 from nodes.talking import LATCHED, Diagnostics
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from robots.random_arms import Mujoco
 from sensor_msgs.msg import JointState
@@ -38,7 +36,7 @@ STATUS = "/acceleration_limits: limits"
 class Rig:
     """An arm that says where it stands, and what the node says of it."""
 
-    def __init__(self, node: Node, wait: Callable[[Callable[[], Any], float], Any]) -> None:
+    def __init__(self, node: Node, wait: Wait) -> None:
         self.node, self.wait = node, wait
         self.q, self.silent = AWAY.copy(), False
         self.reshape: Callable[[JointState], list[JointState]] = lambda message: [message]
@@ -50,7 +48,7 @@ class Rig:
         node.create_subscription(JointTrajectory, "acceleration_limits/upper", self.upper.append, 1000)
         node.create_subscription(JointTrajectory, "acceleration_limits/lower", self.lower.append, 1000)
         node.create_timer(0.02, self.speak)
-        self.setter = node.create_client(SetParameters, "acceleration_limits/set_parameters")
+        self.set = partial(put, node, wait, "acceleration_limits")
 
     def now(self) -> float:
         return 1e-9 * self.node.get_clock().now().nanoseconds
@@ -79,21 +77,6 @@ class Rig:
             assert not len(point.velocities)
         low, high = (np.array(message.points[0].accelerations) for message in pairs)
         return low, high
-
-    def set(self, name: str, value: float | str | list[str]) -> tuple[bool, str]:
-        """Ask the node for another value of a parameter; whether it took it, and why not."""
-        if isinstance(value, float):
-            stated = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-        elif isinstance(value, str):
-            stated = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-        else:
-            stated = ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=value)
-        self.wait(self.setter.service_is_ready, 30.0)
-        asked = SetParameters.Request(parameters=[ParameterMessage(name=name, value=stated)])
-        future = self.setter.call_async(asked)
-        self.wait(future.done, 30.0)
-        (result,) = future.result().results
-        return result.successful, result.reason
 
     def says(self, level: bytes, words: str) -> None:
         """Wait until the node's status has this level and these words."""
@@ -157,24 +140,16 @@ def test_bounds_hold_and_follow_the_payload(tmp_path: Path, rng: np.random.Gener
         again = arm.bounds()
         assert np.allclose(again, (low, high), rtol=1e-9)
 
-        assert arm.set("payload_kg", 5.0) == (True, "")
+        assert not arm.set(payload_kg=5.0)
         loaded = arm.bounds()
         assert loaded[1][1] < 0.9 * high[1]
-        ok, why = arm.set("payload_kg", -1.0)
-        assert not ok
-        ok, why = arm.set("method", "guess")
-        assert not ok
-        assert "method 'guess': is neither coupled nor equivalent" in why
-        ok, why = arm.set("rotor", ["elbow=1.0"])
-        assert not ok
-        assert "rotor of joint 'elbow': is not of this arm" in why
-        ok, why = arm.set("tip", "tool1")
-        assert not ok
-        assert "read-only" in why
+        assert arm.set(payload_kg=-1.0)
+        assert "method 'guess': is neither coupled nor equivalent" in arm.set(method="guess")
+        assert "rotor of joint 'elbow': is not of this arm" in arm.set(rotor=["elbow=1.0"])
+        assert "read-only" in arm.set(tip="tool1")
         assert np.allclose(arm.bounds(), loaded, rtol=1e-6)  # what was refused changed nothing
 
-        assert arm.set("payload_kg", 0.0)[0]
-        assert arm.set("method", "equivalent")[0]
+        assert not arm.set(payload_kg=0.0, method="equivalent")
         arm.bounds()
         low, high = arm.bounds()
         for j in range(6):
@@ -216,7 +191,7 @@ def test_no_bounds_where_they_would_be_a_guess(tmp_path: Path) -> None:
         arm.silent = False
         arm.recovers()
         arm.q = np.zeros(6)  # stretched out
-        assert arm.set("payload_kg", 60.0)[0]
+        assert not arm.set(payload_kg=60.0)
         arm.says(ERROR, "gravity, friction and speed need")
         arm.nothing_comes()
 
@@ -228,17 +203,7 @@ def test_what_the_description_does_not_say(tmp_path: Path) -> None:
         arm.description.publish(String(data=URDF.replace('effort="150"', 'effort="0"')))
         arm.says(ERROR, "drive of joint elbow_joint: the robot description states no effort")
         arm.nothing_comes()
-        assert arm.set("torque", ["elbow_joint=150"]) == (True, "")
+        assert not arm.set(torque=["elbow_joint=150"])
         arm.recovers()
         arm.description.publish(String(data="<sdf/>"))
         arm.says(ERROR, "is <sdf>, not <robot>")
-
-
-def test_a_payload_that_is_none_ends_it(tmp_path: Path) -> None:
-    parameters = {"payload_inertia": "[1.0, 1.0, 3.0, 0.0, 0.0, 0.0]"}
-    process = Process("acceleration_limits", fresh_domain(), tmp_path, **parameters)
-    with running(process):
-        assert process.popen.wait(60.0) == 2
-    lines = [line for line in process.output.splitlines() if line.startswith("modcal: ")]
-    assert len(lines) == 1
-    assert "payload: inertia: (1, 1, 3, 0, 0, 0) is not physical" in lines[0]

@@ -1,19 +1,19 @@
-"""The estimator as a process: a door is shown to it, and what it says of the door is read by others' means."""
+"""The estimator: a door is shown to it, in order or with stamps that leap, and what it says is read by others' means."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from articulation.objects import Seen, ideal, noisy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
-from nodes.cell import Said
-from nodes.processes import Process, fresh_domain, listener, running
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from nodes.in_process import Pair, spun
+from nodes.processes import Process, Wait, fresh_domain, listener, running
 from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -27,9 +27,12 @@ from modcal_core.articulation.urdf import read
 from modcal_core.geometry import se3
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.commands import fill_pose
 from modcal_msgs_py.readings import seconds, set_seconds
+from modcal_nodes.nodes.articulation_estimator import ArticulationEstimator
 
 pytestmark = pytest.mark.dds
+
 UR10 = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"
 NAME = "articulation_estimator"
 STEP = 0.02  # s between poses, by their stamps
@@ -69,13 +72,13 @@ def shown(seen: Seen, frame: str, begin: float) -> list[PoseStamped]:
     return messages
 
 
-def meet(node: Node, wait: Callable[[Callable[[], Any], float], Any], *publishers: Publisher) -> None:
+def meet(node: Node, wait: Wait, *publishers: Publisher) -> None:
     """Until the estimator and these have found each other, both ways: what is said before may be lost."""
-    said = Said(node)
+    said = Diagnostics(node)
     wait(lambda: all(p.get_subscription_count() and said.found(p.topic_name) for p in publishers), 15.0)
 
 
-def say(publisher: Any, messages: list[Any], wait: Callable[[Callable[[], Any], float], Any], told: Told) -> None:
+def say(publisher: Any, messages: list[Any], wait: Wait, told: Told) -> None:
     """Publish one after the other, each when the one before has been answered."""
     before = int(told.status.get("samples", "0"))
     for k, message in enumerate(messages):
@@ -137,27 +140,6 @@ def test_a_door_is_learned_told_and_forgotten(tmp_path: Path) -> None:
         wait(lambda: told.status.get("kind") == "prismatic" and told.status["trusted"] == "true", 10.0)
         assert told.state.header.frame_id == "table"
         assert estimator.stop() == 0
-
-
-def test_points_alone_are_enough(tmp_path: Path) -> None:
-    rng = np.random.default_rng(4)
-    domain = fresh_domain()
-    estimator = Process(NAME, domain, tmp_path, input="tracker/point")
-    with running(estimator), listener(domain) as (node, wait):
-        told = Told(node)
-        publisher = node.create_publisher(PointStamped, "tracker/point", 100)
-        meet(node, wait, publisher)
-        seen = noisy(ideal("prismatic", np.linspace(0.0, 0.35, 200), rng), rng, 5e-4)
-        messages = []
-        for i, p in enumerate(seen.positions):
-            message = PointStamped()
-            message.header.frame_id = "camera"
-            set_seconds(message.header.stamp, 1e9 + STEP * i)
-            message.point.x, message.point.y, message.point.z = (float(v) for v in p)
-            messages.append(message)
-        say(publisher, messages, wait, told)
-        wait(lambda: told.status.get("kind") == "prismatic" and told.status["trusted"] == "true", 10.0)
-        assert not read(told.description).oriented
 
 
 def test_an_arm_shows_the_handle_by_its_joints(tmp_path: Path) -> None:
@@ -228,8 +210,90 @@ def test_a_weight_that_turns_with_the_gripper_is_not_somebody_who_pulls(
         assert told.status["event"] == "locked"
 
 
-def test_an_input_that_does_not_exist_ends_it(tmp_path: Path) -> None:
-    domain = fresh_domain()
-    estimator = Process(NAME, domain, tmp_path, input="thoughts")
-    assert estimator.popen.wait(60.0) == 2
-    assert "parameter input 'thoughts'" in estimator.output
+BEGIN, APART = 1.7e9, 0.1  # s
+
+
+class Shown:
+    """A drawer's poses, shown to the node one after the other, and what it says."""
+
+    def __init__(self, pair: Pair) -> None:
+        self.pair, self.status, self.health = pair, {}, {}
+        self._publisher = pair.partner.create_publisher(PoseStamped, "tracker/pose", 10)
+        self._silent = pair.partner.create_subscription(DiagnosticArray, "/diagnostics", self._heard, 50)
+        name = pair.node.get_name()
+        self._told = pair.partner.create_subscription(DiagnosticArray, f"{name}/object_status", self._taken, 50)
+        rng = np.random.default_rng(2)
+        seen = noisy(ideal("prismatic", np.linspace(0.0, 0.3, 31), rng), rng, 2e-4, 1e-3)
+        self.poses = se3.transform(seen.rotations, seen.positions)
+        seen = noisy(ideal("revolute", np.linspace(0.0, 1.3, 120), rng, 0.5), rng, 2e-4, 2e-3)
+        self.door = se3.transform(seen.rotations, seen.positions)
+        pair.wait(
+            lambda: self._publisher.get_subscription_count() and pair.node.count_subscribers(self._told.topic), 10.0
+        )
+
+    def _taken(self, message: DiagnosticArray) -> None:
+        self.status = {v.key: v.value for v in message.status[0].values}
+
+    def _heard(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.health[status.name.split(": ")[-1]] = (status.level, status.message)
+
+    def object(self) -> tuple[bytes, str]:
+        """Level and words of what is said of the object."""
+        return self.health.get("object", (b"", ""))
+
+    def show(self, i: int, stamp: float) -> None:
+        message = PoseStamped()
+        message.header.frame_id = "camera"
+        set_seconds(message.header.stamp, stamp)
+        fill_pose(message.pose, self.poses[i])
+        self._publisher.publish(message)
+
+    def taken(self, count: int) -> None:
+        """Wait until the node has learned from so many poses."""
+        self.pair.wait(lambda: self.status.get("samples") == str(count), 5.0)
+
+
+@pytest.fixture
+def drawer() -> Iterator[Shown]:
+    with spun(ArticulationEstimator, input="tracker/pose") as pair:
+        yield Shown(pair)
+
+
+def test_one_pose_stamped_ten_seconds_ahead_wipes_nothing(drawer: Shown) -> None:
+    for i in range(26):
+        drawer.show(i, BEGIN + APART * i)
+        drawer.taken(i + 1)
+    assert drawer.status["trusted"] == "true"
+    for leap in (10.0, -10.0):
+        drawer.show(26, BEGIN + APART * 26 + leap)
+        said = f"its stamp is {10.1 if leap > 0 else 9.9:.1f} s {'ahead of' if leap > 0 else 'behind'} the last"
+        drawer.pair.wait(lambda said=said: said in drawer.health.get("inputs", (b"", ""))[1], 5.0)
+    drawer.show(27, BEGIN + APART * 27)
+    drawer.taken(27)
+    assert (drawer.status["trusted"], drawer.status["kind"]) == (
+        "true",
+        "prismatic",
+    )
+
+
+def test_a_left_handed_frame_is_said_by_name_and_nothing_is_trusted(drawer: Shown) -> None:
+    drawer.poses = drawer.door
+    drawer.poses[:, 1, 3] *= -1.0
+    for i in range(len(drawer.poses)):
+        drawer.show(i, BEGIN + APART * i)
+        drawer.taken(i + 1)
+    level, said = drawer.pair.wait(lambda: "left-handed" in drawer.object()[1] and drawer.object(), 8.0)
+    assert level == DiagnosticStatus.WARN
+    assert "with the sign of y reversed (a left-handed frame) a revolute one: correct the sign of y" in said
+    assert drawer.status["trusted"] == "false"
+    assert "sign of y" in drawer.status["written"]
+
+
+def test_poses_that_stop_coming_are_said(drawer: Shown) -> None:
+    for i in range(8):
+        drawer.show(i, BEGIN + APART * i)
+        drawer.taken(i + 1)
+    level, said = drawer.pair.wait(lambda: "no usable pose" in drawer.object()[1] and drawer.object(), 8.0)
+    assert level == DiagnosticStatus.WARN
+    assert "tracker/pose" in said

@@ -14,7 +14,7 @@ from camera.render import render
 from camera.test_images_verb import VGA
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from nodes.processes import Process, fresh_domain, listener, running
+from nodes.processes import Process, Wait, fresh_domain, listener, running
 from nodes.talking import Diagnostics
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
@@ -31,7 +31,7 @@ T = facing(np.random.default_rng(1), 1, tilt=0.5, near=0.33, far=0.4)[0]
 class Rig:
     """A camera, and what the node says of its images."""
 
-    def __init__(self, node: Node, wait: Callable[[Callable[[], Any], float], Any]) -> None:
+    def __init__(self, node: Node, wait: Wait) -> None:
         self.node, self.wait = node, wait
         self.images = node.create_publisher(Image, "image", 10)
         self.packed = node.create_publisher(CompressedImage, "image/compressed", 10)
@@ -124,10 +124,3 @@ def test_images_to_corners_pose_and_words(rig: Rig, picture: np.ndarray) -> None
     rig.until(last(rig, "mirrored"), rig.images, lambda: rig.image(np.ascontiguousarray(picture[:, ::-1])))
     rig.until(last(rig, "32FC1"), rig.images, lambda: rig.image(picture.astype(np.float32), "32FC1"))
     rig.wait(lambda: level(rig, status) == DiagnosticStatus.WARN, 60.0)
-
-
-def test_without_a_target_it_does_not_start(tmp_path: Path) -> None:
-    process = Process("board_detector", fresh_domain(), tmp_path)
-    with running(process):
-        assert process.popen.wait(60.0) == 2
-        assert "parameter target: names no file" in process.output

@@ -1,23 +1,42 @@
-"""The calibrator in a real cell: what it hears and what it refuses. See test_calibrator_learns.py, test_calibrator_topics.py."""
+"""The calibrator in a real cell: what it hears, of whatever topics, quality of service and commands, and what it refuses."""
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
-from collections.abc import Callable, Iterator
+import signal
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from cells import record
 from cli.recordings import START, URDF
-from nodes.beside_a_cell import HEARING, MODEL, PANDA, SAMPLES, STATIONS, beside_a_cell, part, stations
-from nodes.cell import PlayedCell, Said, Wait, call
-from nodes.processes import Process, fresh_domain, listener, running
+from nodes.beside_a_cell import (
+    HEARING,
+    MODEL,
+    SAMPLES,
+    STATIONS,
+    alive,
+    beside_a_cell,
+    children,
+    latched,
+    part,
+    stations,
+)
+from nodes.cell import PlayedCell, call
+from nodes.processes import Process, Wait, fresh_domain, listener, running
+from nodes.talking import BEST_EFFORT, Diagnostics
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.measurements.dropouts import ALONE, BEYOND, ELSEWHEN, IMPLAUSIBLE
+from modcal_nodes.io.inputs import parse_calibration
 
 pytestmark = pytest.mark.dds
 
@@ -25,7 +44,9 @@ pytestmark = pytest.mark.dds
 class Shared:
     """One calibrator for the tests that need nothing special of it. Each begins with nothing heard, and later stamps."""
 
-    def __init__(self, calibrator: Process, node: Node, wait: Wait, cell: PlayedCell, said: Said, out: Path) -> None:
+    def __init__(
+        self, calibrator: Process, node: Node, wait: Wait, cell: PlayedCell, said: Diagnostics, out: Path
+    ) -> None:
         self.calibrator, self.node, self.wait, self.cell, self.said, self.out = calibrator, node, wait, cell, said, out
         self._begin = START
 
@@ -72,7 +93,7 @@ def test_silence_is_said_by_topic(tmp_path: Path) -> None:
     domain = fresh_domain()
     calibrator = Process("calibrator", domain, tmp_path, silence_timeout_s=1.0)
     with running(calibrator), listener(domain) as (node, wait):
-        said = Said(node)
+        said = Diagnostics(node)
         wait(lambda: said.level(HEARING) == 2, 60.0)
         assert "/joint_states: no node publishes it" in said.text(HEARING)
         assert "/robot_description: no node publishes it" in said.text(HEARING)
@@ -135,27 +156,9 @@ def test_spoiled_messages_are_refused_counted_and_harm_nothing(shared: Shared) -
     assert json.loads((shared.out / "report.json").read_text())["recording"]["stations"] == 48
 
 
-def spoiling(fault: str) -> Callable[[int, Any], Any]:
-    """What makes every message, or one, of a recording useless."""
-
-    def spoiled(i: int, message: Any) -> Any:
-        joints = hasattr(message, "name")
-        if fault == "nan" and not joints and i == 5:
-            message.pose.position.x = float("nan")
-        if fault == "cannot be":
-            _cannot_be(message, i, joints)
-        if fault == "millimetres" and not joints:
-            at = message.pose.position
-            at.x, at.y, at.z = 1e3 * at.x, 1e3 * at.y, 1e3 * at.z
-        if fault == "degrees" and joints:
-            message.position = [float(np.degrees(p)) for p in message.position]
-        return message
-
-    return spoiled
-
-
-def _cannot_be(message: Any, i: int, joints: bool) -> None:
-    """One of each."""
+def cannot_be(i: int, message: Any) -> Any:
+    """The message, or one of each kind that cannot be."""
+    joints = hasattr(message, "name")
     if joints and i == 9:
         message.position[2] = 1e9
     elif joints and i == 14:
@@ -167,57 +170,46 @@ def _cannot_be(message: Any, i: int, joints: bool) -> None:
         message.pose.orientation.y = message.pose.orientation.z = 0.0
     elif not joints and i == 31:
         message.header.stamp.sec = 2**31 - 1
+    elif not joints and i == 37:
+        message.pose.position.x = float("nan")
+    return message
 
 
-def assert_refused(node: Node, wait: Wait, said: str, out: Path) -> None:
-    answer = call(node, wait, "calibrator/solve")
-    assert not answer.success
-    assert said in answer.message
-    assert "\n" not in answer.message
-    assert not out.exists()
-
-
-def test_a_reading_that_is_not_finite_is_left_out_and_said(shared: Shared) -> None:
-    shared.cell.play(stations(begin=shared.again()), spoiling("nan"))
-    shared.wait(shared.cell.taken, 60.0)
-    assert call(shared.node, shared.wait, "calibrator/solve").success
-    report = json.loads((shared.out / "report.json").read_text())
-    assert report["recording"]["stations"] == STATIONS - 1
-    assert any("finite" in note and "1 of 48" in note for note in report["notes"]), report["notes"]
-    assert report["recording"]["dropped"] == {"readings that are not finite": 1}
+def millimetres(_: int, message: Any) -> Any:
+    if not hasattr(message, "name"):
+        at = message.pose.position
+        at.x, at.y, at.z = 1e3 * at.x, 1e3 * at.y, 1e3 * at.z
+    return message
 
 
 def test_messages_that_cannot_be_are_left_out_counted_and_said_as_of_a_bag(shared: Shared) -> None:
     begin = shared.again()
     refused = int(shared.said.value(SAMPLES, "messages refused") or 0)
-    shared.cell.play(stations(begin=begin), spoiling("cannot be"))
+    shared.cell.play(stations(begin=begin), cannot_be)
     shared.wait(shared.cell.taken, 60.0)
     assert call(shared.node, shared.wait, "calibrator/solve").success
     report = json.loads((shared.out / "report.json").read_text())
-    assert report["recording"]["stations"] == STATIONS - 5
+    assert report["recording"]["stations"] == STATIONS - 6
     assert report["recording"]["dropped"] == {
         BEYOND: 1,
         f"joint states {ELSEWHEN}": 1,
         f"readings {ELSEWHEN}": 1,
         IMPLAUSIBLE: 2,
         ALONE: 2,  # whose joint states were left out
+        "readings that are not finite": 1,
     }
-    assert sum("left out" in note for note in report["notes"]) == 4
-    shared.wait(lambda: int(shared.said.value(SAMPLES, "messages refused")) == refused + 5, 10.0)
+    assert sum("left out" in note for note in report["notes"]) == 5
+    shared.wait(lambda: int(shared.said.value(SAMPLES, "messages refused")) == refused + 6, 10.0)
 
 
-@pytest.mark.parametrize(("fault", "said"), [("millimetres", "millimetres"), ("degrees", "degrees")])
-def test_what_cannot_be_calibrated_is_refused_in_one_line(fault: str, said: str, shared: Shared) -> None:
-    shared.cell.play(stations(begin=shared.again()), spoiling(fault))
+def test_what_cannot_be_calibrated_is_refused_in_one_line(shared: Shared) -> None:
+    shared.cell.play(stations(begin=shared.again()), millimetres)
     shared.wait(shared.cell.taken, 60.0)
-    assert_refused(shared.node, shared.wait, said, shared.out)
-
-
-def test_joints_of_another_robot_are_refused_in_one_line(tmp_path: Path) -> None:
-    with beside_a_cell(tmp_path, urdf=PANDA, effects=False, out=tmp_path / "out") as (_, node, wait, cell, _):
-        cell.play(stations())
-        wait(cell.taken, 60.0)
-        assert_refused(node, wait, "does not name panda_joint1", tmp_path / "out")
+    answer = call(shared.node, shared.wait, "calibrator/solve")
+    assert not answer.success
+    assert "millimetres" in answer.message
+    assert "\n" not in answer.message
+    assert not shared.out.exists()
 
 
 def test_reset_forgets_what_was_heard_and_keeps_what_is_trusted(shared: Shared) -> None:
@@ -242,3 +234,113 @@ def test_an_unwritable_folder_is_said(shared: Shared) -> None:
     shared.out.unlink()
     assert not answer.success
     assert "out: is a file" in answer.message
+
+
+def test_any_quality_of_service_is_heard_and_a_mismatch_is_said(tmp_path: Path) -> None:
+    """A description that is not latched, a tracker of best effort."""
+    domain = fresh_domain()
+    calibrator = Process("calibrator", domain, tmp_path, effects=False)
+    volatile = QoSProfile(depth=1, durability=DurabilityPolicy.VOLATILE)
+    with running(calibrator), listener(domain) as (node, wait):
+        said = Diagnostics(node)
+        cell = PlayedCell(node, description=volatile, tracker=BEST_EFFORT)
+        wait(
+            lambda: (
+                "durability does not match" in calibrator.output and "reliability does not match" in calibrator.output
+            ),
+            60.0,
+        )
+        wait(cell.heard, 60.0)
+        for _ in range(5):
+            cell.describe(URDF.read_text())
+        cell.play(stations())
+        wait(lambda: said.counted("/tracker/pose") >= 40, 30.0)  # some may have been lost
+        assert call(node, wait, "calibrator/solve").success
+        assert calibrator.stop() == 0
+
+
+def test_two_publishers_of_one_arms_joints_are_said(shared: Shared) -> None:
+    another = shared.node.create_publisher(JointState, "joint_states", 10)
+    shared.wait(lambda: "/joint_states: 2 publishers at once" in shared.said.text(HEARING), 30.0)
+    assert shared.said.level(HEARING) >= 1
+    shared.node.destroy_publisher(another)
+
+
+def test_a_killed_solver_is_replaced(shared: Shared) -> None:
+    shared.cell.play(stations(begin=shared.again()))
+    shared.wait(shared.cell.taken, 60.0)
+    for child in children(shared.calibrator.popen.pid):
+        if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
+            os.kill(child, signal.SIGKILL)
+            shared.wait(lambda: not alive(child), 20.0)  # noqa: B023
+    answer = call(shared.node, shared.wait, "calibrator/solve")
+    if not answer.success:  # the node had not noticed yet
+        answer = call(shared.node, shared.wait, "calibrator/solve")
+    assert answer.success, answer.message
+
+
+def test_two_robots_in_one_domain(tmp_path: Path) -> None:
+    domain = fresh_domain()
+    sides = ("left", "right")
+    nodes = [Process("calibrator", domain, tmp_path, "-r", f"__ns:=/{s}", effects=False) for s in sides]
+    with running(*nodes), listener(domain) as (node, wait):
+        cells = [PlayedCell(node, f"/{side}") for side in sides]
+        wait(lambda: all(cell.heard() for cell in cells), 60.0)
+        for seed, cell in enumerate(cells):
+            cell.describe(URDF.read_text())
+            cell.play(stations(seed=21 + seed))
+            wait(cell.taken, 60.0)
+        texts = [latched(node, f"/{side}/calibrator/calibration") for side in sides]
+        for side in sides:
+            assert call(node, wait, f"/{side}/calibrator/solve").success
+        wait(lambda: all(texts), 20.0)
+        assert [process.stop() for process in nodes] == [0, 0]
+    models = [parse_calibration(text[-1], side) for text, side in zip(texts, sides, strict=True)]
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 6))
+    for seed, model in enumerate(models):
+        truth = record(21 + seed, 2).world.tool_in_tracker(q)
+        assert np.abs(model.calibrated.predict(q)[:, :3, 3] - truth[:, :3, 3]).max() < 3e-4
+        other = record(21 + 1 - seed, 2).world.tool_in_tracker(q)
+        assert np.abs(model.calibrated.predict(q)[:, :3, 3] - other[:, :3, 3]).max() > 1e-2
+
+
+ELBOW, COUNT = 2, 80
+
+
+def test_a_joint_that_logs_late_is_named(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    made = stations(COUNT)
+    joints = made.joints[0]
+    apart = 1e-5 * rng.standard_normal(joints.position.shape)
+    apart[:, ELBOW] += 1e-3 * rng.standard_normal(COUNT)
+    logged = joints.position - np.where(np.arange(6) == ELBOW, apart, 0.0)
+    played = replace(made, joints=(replace(joints, position=logged),))
+    told = logged + apart
+    with beside_a_cell(tmp_path, out=tmp_path / "out") as (_, node, wait, cell, said):
+        commands = node.create_publisher(JointTrajectory, "joint_commands", 100)
+        wait(lambda: said.found("/joint_commands"), 60.0)
+
+        def with_commands(i: int, message: Any) -> Any:
+            if isinstance(message, JointState):
+                row = int(
+                    np.argmin(np.abs(joints.stamps - message.header.stamp.sec - 1e-9 * message.header.stamp.nanosec))
+                )
+                positions = told[row].tolist()
+                command = JointTrajectory(header=message.header, joint_names=list(joints.names))
+                command.points = [JointTrajectoryPoint(positions=positions)]
+                commands.publish(command)
+            return message
+
+        cell.play(played, with_commands)
+        wait(lambda: cell.taken() and said.counted("/joint_commands") >= COUNT, 60.0)
+        answer = call(node, wait, "calibrator/solve")
+        assert answer.success, answer.message
+        node.destroy_publisher(commands)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    (effect,) = report["effects"]
+    assert (effect["family"], effect["place"], effect["driver"]) == (
+        "joint_lag",
+        "elbow_joint",
+        "following:elbow_joint",
+    )
+    assert effect["parameters"]["stale_share"]["value"] == pytest.approx(1.0, abs=0.1)

@@ -17,8 +17,9 @@ from deltas import FILE, record_delta
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped, Vector3Stamped
 from instruments.worlds import gauge, postures, theodolite, wire, world
 from nodes.beside_a_cell import HEARING, MODEL, latched
-from nodes.cell import LATCHED, Said, call
+from nodes.cell import call
 from nodes.processes import Process, fresh_domain, listener, running
+from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, Range
 from std_msgs.msg import String
@@ -32,7 +33,7 @@ pytestmark = pytest.mark.dds
 Send = tuple[Any, Callable[[int], Any]]  # publisher, and its message at a station
 
 
-def play(said: Said, wait: Any, joints: Any, names: tuple[str, ...], q: Array, readings: list[Send]) -> None:
+def play(said: Diagnostics, wait: Any, joints: Any, names: tuple[str, ...], q: Array, readings: list[Send]) -> None:
     """Finished stations: a joint state and readings of the same stamp, two seconds apart."""
     wait(lambda: joints.get_subscription_count() > 0 and said.found(joints.topic_name), 60.0)
     for i in range(len(q)):
@@ -74,7 +75,7 @@ def test_ranges_bearings_and_heights_calibrate_an_arm(tmp_path: Path) -> None:
     domain = fresh_domain()
     calibrator = Process("calibrator", domain, tmp_path, effects=False)
     with running(calibrator), listener(domain) as (node, wait):
-        said = Said(node)
+        said = Diagnostics(node)
         joints = node.create_publisher(JointState, "joint_states", 500)
         node.create_publisher(String, "robot_description", LATCHED).publish(String(data=URDF.read_text()))
         noise = 2e-5 * rng.standard_normal((5, len(q), 3))
@@ -103,7 +104,7 @@ def test_a_delta_is_calibrated_and_corrected_live(tmp_path: Path) -> None:
     domain = fresh_domain()
     nodes = [Process(name, domain, tmp_path, delta=FILE) for name in ("calibrator", "corrector")]
     with running(*nodes), listener(domain) as (node, wait):
-        said = Said(node)
+        said = Diagnostics(node)
         joints = node.create_publisher(JointState, "joint_states", 500)
         tracker = node.create_publisher(PointStamped, "tracker/point", 500)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import time
@@ -13,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from cli.recordings import START, URDF
-from nodes.beside_a_cell import HEARING, MODEL, beside_a_cell, latched, part, stations
-from nodes.cell import LATCHED, PlayedCell, Said, call
+from nodes.beside_a_cell import HEARING, MODEL, alive, beside_a_cell, children, latched, part, stations
+from nodes.cell import PlayedCell, call
 from nodes.processes import SLOWER, Process, fresh_domain, listener, running
+from nodes.talking import LATCHED, Diagnostics
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -33,7 +33,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     domain, whole = fresh_domain(), stations(64)
     first = Process("calibrator", domain, folder, effects=False, state=folder / "state")
     with running(first), listener(domain) as (node, wait):
-        cell, said = PlayedCell(node), Said(node)
+        cell, said = PlayedCell(node), Diagnostics(node)
         wait(cell.heard, 60.0)
         cell.describe(URDF.read_text())
         cell.play(part(whole, slice(0, 48)))
@@ -53,8 +53,10 @@ def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(saved: Path,
 
     second = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
     with running(second), listener(domain) as (node, wait):
-        cell, said = PlayedCell(node), Said(node)
+        cell, said = PlayedCell(node), Diagnostics(node)
         models, trusted = latched(node, "calibrator/calibration"), latched(node, "calibrator/trusted", Bool)
+        names, estimates = latched(node, "calibrator/estimate_names"), list[Any]()
+        node.create_subscription(Float64MultiArray, "calibrator/estimate", estimates.append, 10)
         wait(cell.heard, 60.0)
         cell.describe(URDF.read_text())
         cell.play(part(whole, slice(56, 64)))
@@ -65,9 +67,16 @@ def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(saved: Path,
         assert (said.level(MODEL) == 0) == (status == "at_floor")
         # the stations from before the restart are there, too
         assert call(node, wait, "calibrator/solve").success
+        report = json.loads((tmp_path / "state" / "report.json").read_text())
+        # what follows makes the running estimate surer
+        wait(lambda: estimates and names, 10.0)
+        std = np.array(estimates[-1].data).reshape(2, -1)[1]
+        assert len(names[-1].split("\n")) == len(std)
+        assert any(name.startswith(read_chain(URDF.read_text()).names[2]) for name in names[-1].split("\n"))
+        cell.play(stations(200, begin=START + 500.0))
+        wait(lambda: np.array(estimates[-1].data).reshape(2, -1)[1].max() < 0.8 * std.max(), 20.0)
         assert second.stop() == 0
     assert f"robot: {kept.robot}" in models[0]
-    report = json.loads((tmp_path / "state" / "report.json").read_text())
     assert report["recording"]["stations"] == 48
 
 
@@ -78,7 +87,7 @@ def test_ten_stations_say_what_has_changed_since_the_saved_model(saved: Path, tm
     # a change is not followed up by itself, so that the worker is free for the check
     again = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state", after_change=0)
     with running(again), listener(domain) as (node, wait):
-        cell, said = PlayedCell(node), Said(node)
+        cell, said = PlayedCell(node), Diagnostics(node)
         checked = latched(node, "calibrator/checked")
         wait(cell.heard, 60.0)
         refused = call(node, wait, "calibrator/check")
@@ -109,7 +118,7 @@ def test_a_saved_model_of_another_robot_is_neither_used_nor_overwritten(saved: P
     assert longer != URDF.read_text()
     second = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
     with running(second), listener(domain) as (node, wait):
-        cell, said = PlayedCell(node), Said(node)
+        cell, said = PlayedCell(node), Diagnostics(node)
         models = latched(node, "calibrator/calibration")
         wait(cell.heard, 60.0)
         cell.describe(longer)
@@ -124,24 +133,10 @@ def test_a_saved_model_of_another_robot_is_neither_used_nor_overwritten(saved: P
 def test_a_killed_calibrator_leaves_no_process_behind(tmp_path: Path) -> None:
     calibrator = Process("calibrator", fresh_domain(), tmp_path)
     with running(calibrator):
-        children = _eventually(lambda: _children(calibrator.popen.pid), 60.0)
+        workers = _eventually(lambda: children(calibrator.popen.pid), 60.0)
         calibrator.popen.send_signal(signal.SIGKILL)
         calibrator.popen.wait()
-        _eventually(lambda: not any(_alive(child) for child in children), 20.0)
-
-
-def test_a_killed_solver_is_replaced(tmp_path: Path) -> None:
-    with beside_a_cell(tmp_path) as (calibrator, node, wait, cell, _):
-        cell.play(stations())
-        wait(cell.taken, 60.0)
-        for child in _children(calibrator.popen.pid):
-            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
-                os.kill(child, signal.SIGKILL)
-                wait(lambda: not _alive(child), 20.0)  # noqa: B023
-        answer = call(node, wait, "calibrator/solve")
-        if not answer.success:  # the node had not noticed yet
-            answer = call(node, wait, "calibrator/solve")
-        assert answer.success, answer.message
+        _eventually(lambda: not any(alive(child) for child in workers), 20.0)
 
 
 def test_a_bumped_tool_is_noticed_named_and_learned(tmp_path: Path) -> None:
@@ -201,40 +196,6 @@ def test_callbacks_keep_up_while_a_solve_runs(tmp_path: Path) -> None:
             wait(lambda: said.value(HEARING, "messages of /joint_states") == str(heard), 10.0)  # noqa: B023
             extra = stations(40, seed=1, begin=START + 1000.0 + 100.0 * heard)
         assert done[0].result().success
-
-
-def test_the_running_estimate_is_published(tmp_path: Path) -> None:
-    with beside_a_cell(tmp_path, effects=False) as (calibrator, node, wait, cell, _):
-        estimates: list[Any] = []
-        node.create_subscription(Float64MultiArray, "calibrator/estimate", estimates.append, 10)
-        names = latched(node, "calibrator/estimate_names")
-        cell.play(stations(60))
-        wait(cell.taken, 60.0)
-        assert call(node, wait, "calibrator/solve").success
-        # where there is no folder for it, no page of a report is drawn
-        assert not any("markupsafe" in Path(f"/proc/{p}/maps").read_text() for p in _children(calibrator.popen.pid))
-        wait(lambda: estimates and names, 10.0)
-        std = np.array(estimates[-1].data).reshape(2, -1)[1]
-        cell.play(stations(200, begin=START + 500.0, seed=1))
-        wait(lambda: np.array(estimates[-1].data).reshape(2, -1)[1].max() < 0.8 * std.max(), 20.0)
-        assert len(names[-1].split("\n")) == len(std)
-    chain = read_chain(URDF.read_text())
-    assert any(name.startswith(chain.names[2]) for name in names[-1].split("\n"))
-
-
-def _children(pid: int) -> list[int]:
-    """Processes of the workshop: those a process has started, resource trackers included."""
-    try:
-        return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except FileNotFoundError:
-        return []
-
-
-def _alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
 
 
 def _eventually(condition: Any, seconds: float) -> Any:

@@ -1,16 +1,21 @@
-"""What a ROS 2 developer expects of every node: parameters that mean what they say, log levels, QoS overrides, --help."""
+"""What a ROS 2 developer expects of every node: parameters, log levels, QoS overrides, --help, refusals in one line."""
 
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
+from cli.recordings import URDF
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nodes.cell import call
 from nodes.in_process import spun
-from nodes.processes import EXECUTABLES, environment, fresh_domain
+from nodes.processes import EXECUTABLES, Process, environment, fresh_domain, listener, running
+from nodes.talking import LATCHED
 from nodes.test_guarding import NODES as MADE
 from nodes.test_guarding import PLANNED
 from rcl_interfaces.msg import LoggerLevel
@@ -18,11 +23,17 @@ from rcl_interfaces.srv import GetLoggerLevels, SetLoggerLevels
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from robots.test_urdf_size import row
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
+from modcal_nodes.nodes.acceleration_limits import AccelerationLimits
+from modcal_nodes.nodes.articulation_estimator import ArticulationEstimator
 from modcal_nodes.nodes.calibrator import Calibrator
 from modcal_nodes.nodes.corrector import Corrector
-from modcal_nodes.nodes.recorder import Recorder
+from modcal_nodes.nodes.impedance_setpoint import ImpedanceSetpoint
 from modcal_nodes.nodes.viewer import Viewer
+from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.parameters import NODES
 from modcal_nodes.ros.running import SENSOR, answered
 from modcal_nodes.simulation.plant import SWITCHES
@@ -66,35 +77,6 @@ def test_what_is_read_once_is_read_only_and_the_rest_is_taken(
                 assert result.reason or result.successful, key
     if name == "simulated_cell":
         assert {key for key, declared in NODES[name].items() if declared.live} == set(SWITCHES)
-
-
-@pytest.mark.dds
-def test_parameters_that_may_change_take_effect(tmp_path: Path) -> None:
-    def put(node: Node, **values: Any) -> None:
-        for result in node.set_parameters([Parameter(name, value=value) for name, value in values.items()]):
-            assert result.successful, result.reason
-
-    with spun(Calibrator, after_change=7) as pair:
-        node: Any = pair.node
-        put(node, silence_timeout_s=0.25, after_change=3, first_solve=12, accept="asked")
-        assert {subscription.patience for subscription in node._inputs} == {0.25}
-        assert (node._supervisor.policy.after_change, node._supervisor.policy.accept) == (3, "asked")
-        assert node._supervisor._wait == 12
-        pair.wait(lambda: any(subscription.complaint() for subscription in node._inputs if subscription.needed), 2.0)
-        (refused,) = node.set_parameters([Parameter("accept", value="perhaps")])
-        assert "better and asked are known" in refused.reason
-        assert node._chosen["accept"] == "asked"
-    with spun(Recorder, out=tmp_path / "bag") as pair:
-        put(pair.node, patience_s=0.3, min_free_mb=1.0)
-        assert {recorder.patience for recorder in pair.node._recorders} == {0.3}  # type: ignore[attr-defined]
-    with spun(Corrector) as pair:
-        put(pair.node, target="tool", horizon_s=0.2)
-        assert pair.node._commander.settings.target == "tool"  # type: ignore[attr-defined]
-        assert pair.node._commander.settings.horizon == 0.2  # type: ignore[attr-defined]
-    with spun(Viewer) as pair:
-        pair.node._dirty = False  # type: ignore[attr-defined]
-        put(pair.node, arrow_scale=7.0)
-        assert pair.node._dirty  # type: ignore[attr-defined]
 
 
 @pytest.mark.dds
@@ -154,8 +136,6 @@ def run(name: str, *words: str) -> subprocess.CompletedProcess[str]:
     ("words", "code", "said"),
     [
         (("--help",), 0, ""),
-        (("--hlep",), 2, "is not an argument"),
-        (("--ros-args", "-p", "horizon_s:=1e9"), 2, "horizon_s"),
         (("--ros-args", "-p"), 2, ""),
         (("--ros-args", "--params-file", "no_such.yaml"), 2, "no_such.yaml"),
     ],
@@ -166,3 +146,105 @@ def test_exit_codes_of_an_executable(words: tuple[str, ...], code: int, said: st
     assert said in done.stderr
     assert "Traceback" not in done.stderr
     assert os.linesep in (done.stdout if code == 0 else done.stderr)
+
+
+@pytest.mark.dds
+def test_a_misspelt_parameter_is_said_with_the_one_that_is_meant(capfd: pytest.CaptureFixture[str]) -> None:
+    """In the log and on /diagnostics; what is known is not."""
+    given = {"max_forse_n": 33.0, "colour": "red", "max_moment_nm": 7.0, "use_sim_time": True, "timeout_s": 0.2}
+    said = "parameters without effect: colour is not known; max_forse_n is not known, max_force_n is"
+    with spun(ImpedanceSetpoint, **given) as pair:
+        heard: list[DiagnosticStatus] = []
+        pair.partner.create_subscription(DiagnosticArray, "/diagnostics", lambda m: heard.extend(m.status), 50)
+        pair.wait(lambda: any(one.name.endswith(": parameters") for one in heard), 10.0)
+        status = next(one for one in heard if one.name.endswith(": parameters"))
+        assert status.level == DiagnosticStatus.WARN
+        assert said in status.message
+    assert said in " ".join(capfd.readouterr().err.split())
+
+
+@pytest.mark.dds
+def test_parameters_that_are_known_are_not_spoken_of() -> None:
+    """Nor those of another node: a file under /** gives all nodes all parameters."""
+    with spun(ImpedanceSetpoint, max_force_n=33.0, max_stations=100) as pair:
+        assert not pair.node.parameters_without_effect
+
+
+@pytest.mark.dds
+def test_solving_nothing_is_refused_and_the_node_lives_on(tmp_path: Path) -> None:
+    domain = fresh_domain()
+    calibrator = Process("calibrator", domain, tmp_path, out=tmp_path / "out")
+    with running(calibrator), listener(domain) as (node, wait):
+        for _ in range(2):
+            answer = call(node, wait, "calibrator/solve")
+            assert not answer.success
+            assert "robot_description: not received yet" in answer.message
+        assert calibrator.stop(signal.SIGINT) == 0
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.dds
+@pytest.mark.parametrize(
+    ("name", "parameters", "said"),
+    [
+        ("recorder", {"out": "taken"}, "taken: exists already"),
+        ("recorder", {"out": "bag", "min_free_mb": 1e11}, "less than min_free_mb = 1e+11: make room"),
+        ("simulated_cell", {"urdf": "no_such.urdf"}, "urdf 'no_such.urdf': is not a file"),
+        ("simulated_cell", {"urdf": URDF, "joint_compliance_rad_per_nm": "[1e-5, 2e-5]"}, "1 or 6 numbers"),
+        (
+            "simulated_cell",
+            {"urdf": URDF, "publish_clock": True, "use_sim_time": True},
+            "the cell would wait for itself",
+        ),
+        ("simulated_cell", {"joint_rate_hz": 1e9}, "joint_rate_hz"),
+        ("corrector", {"calibration": "nowhere"}, "nowhere: does not exist"),
+        ("corrector", {"target": "elbow"}, "target 'elbow'"),
+        (
+            "acceleration_limits",
+            {"payload_inertia": "[1.0, 1.0, 3.0, 0.0, 0.0, 0.0]"},
+            "(1, 1, 3, 0, 0, 0) is not physical",
+        ),
+        ("articulation_estimator", {"input": "thoughts"}, "parameter input 'thoughts'"),
+        ("board_detector", {}, "parameter target: names no file"),
+        ("viewer", {"arrow_scale": -1.0}, "arrow_scale"),
+        ("impedance_setpoint", {"rate_hz": 1e6}, "rate_hz"),
+    ],
+)
+def test_wrong_parameters_end_a_node_with_one_line(
+    name: str, parameters: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "taken").mkdir()
+    process = Process(name, fresh_domain(), tmp_path, **parameters)
+    with running(process):
+        assert process.popen.wait(60.0) == 2
+    (line,) = [line for line in process.output.splitlines() if line.startswith("modcal: ")]
+    assert said in line
+    assert "Traceback" not in process.output
+    assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == ["taken"]
+    assert not list((tmp_path / "taken").iterdir())
+
+
+READERS = [AccelerationLimits, ArticulationEstimator, Calibrator, ImpedanceSetpoint, Viewer]
+LARGE = row(3) + " " * 6_000_000
+
+
+@pytest.mark.dds
+@pytest.mark.parametrize("make", READERS)
+def test_a_node_refuses_it_and_goes_on(make: type[GuardedNode]) -> None:
+    """No fault, no delay: one sentence on /diagnostics; then a sound description is still taken up by the topic."""
+    with spun(make, **({"autostart": True} if make is ImpedanceSetpoint else {})) as pair:
+        heard: list[DiagnosticStatus] = []
+        pair.partner.create_subscription(DiagnosticArray, "/diagnostics", lambda m: heard.extend(m.status), 50)
+        description = pair.partner.create_publisher(String, "robot_description", LATCHED)
+        joints = pair.partner.create_publisher(JointState, "joint_states", 10)
+        pair.wait(lambda: description.get_subscription_count() and joints.get_subscription_count(), 5.0)
+        for text, said in ((row(3000), "has 3001 links, 2000"), (row(600), "600 joints in a row"), (LARGE, "million")):
+            description.publish(String(data=text))
+            state = JointState(name=["j1", f"another {said}"], position=[0.0, 0.0])  # once anew: it is looked at again
+
+            def told(said: str = said, state: JointState = state) -> bool:
+                joints.publish(state)
+                return any(said in s.message for s in heard)
+
+            pair.wait(told, 5.0)
+        assert not pair.node.faults.counts

@@ -34,6 +34,7 @@ from modcal_nodes.ros.tf_frames import (
 URDF = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
 
 
+@pytest.mark.slow
 def test_the_frames_lead_from_the_tracker_to_what_it_sees() -> None:
     """Tracker → base → corrected tip → tool is what MuJoCo's tracker reads."""
     cell = record(3, 60)

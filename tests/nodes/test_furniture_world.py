@@ -1,7 +1,9 @@
-"""The world in which doors are pulled: its physics against formulas, and the node that runs it at the clock's pace."""
+"""The world in which doors are pulled, the node that runs it, and pulls at what is hard to open or felt by a broken sensor."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -9,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
-from nodes.plain_pulls import PERIOD, learnt_wrong, pull, straight
+from nodes import own_pull
+from nodes.plain_pulls import PERIOD, Pull, learnt_wrong, pull, straight
 from nodes.processes import ROOT, Process, fresh_domain, listener, running
 from robots.test_kinematics import chain_of, urdf
 from sensor_msgs.msg import JointState
@@ -20,8 +23,8 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.bodies import STANDARD_GRAVITY
 from modcal_core.robots.inverse_kinematics import inverse
-from modcal_nodes.simulation.furniture import KINDS, Furniture, draw
-from modcal_nodes.simulation.mjcf import GRASP_STIFFNESS
+from modcal_nodes.simulation.furniture import KINDS, KNOWN, Furniture, draw, resistance
+from modcal_nodes.simulation.mjcf import GRASP_STIFFNESS, Servo
 from modcal_nodes.simulation.pulling import Pulling, effort_limits
 
 URDF = urdf("panda")
@@ -271,3 +274,153 @@ def test_the_grasp_gives_way_like_a_spring() -> None:
         made.advance(PERIOD)
     gap = (se3.inverse(made.handle()) @ made.tool())[0, 3]
     assert made.contact()[0] / gap == pytest.approx(GRASP_STIFFNESS, rel=0.12)
+
+
+@cache
+def door(seed: int, **chosen: object) -> Furniture:
+    return draw(CHAIN, np.random.default_rng(seed), {"kind": "door", "spring": 0.0, **chosen})
+
+
+def pulled(seed: int, stated: float = 50.0, **chosen: object) -> Pull:
+    scene = door(seed, friction=0.5, mass_kg=40.0, **chosen)
+    return own_pull.pull(
+        Pulling.of(URDF, CHAIN, scene, np.random.default_rng(seed)),
+        URDF,
+        max_force_n=stated,
+    )
+
+
+@pytest.mark.slow
+def test_a_door_with_a_closer_is_opened_by_a_hand_that_does_not_turn_with_it() -> None:
+    """The way turns by 60° as the hand sees it. Where the hand's gains stay as they were, it comes to pull beside the
+    way: 50 N are felt after 25° then, of a closer that takes 34.
+    """
+    done = pulled(2004, grasp="ball", resistance="closer 32")
+    assert done.done, done
+    assert done.peak < 45.0
+
+
+@pytest.mark.slow
+def test_what_is_stated_is_the_one_number_that_decides_how_hard_is_pulled() -> None:
+    """A gasket that takes 31 N: not with 25, but with 80."""
+    gentle, firm = (pulled(1013, stated, grasp="weld", resistance="gasket 30") for stated in (25.0, 80.0))
+    assert not gentle.done
+    assert "does not move" in gentle.said
+    assert gentle.peak < 1.2 * 25.0
+    assert firm.done, firm
+    assert firm.peak < 80.0
+
+
+@pytest.mark.parametrize("name", list(KNOWN))
+def test_a_law_is_as_large_as_it_says(name: str) -> None:
+    """Pulled slowly, over a third of a metre."""
+    law = resistance(f"{name} 20")
+    assert max(law.force(s, 5e-3) for s in np.linspace(0.0, 0.35, 701)) == pytest.approx(20.0, rel=0.15)
+
+
+def test_a_closer_closes_and_friction_only_resists() -> None:
+    back = {name: resistance(f"{name} 20").force(0.05, -0.1) for name in ("closer", "stick_slip")}  # type: ignore[union-attr]
+    assert back["closer"] > 10.0
+    assert back["stick_slip"] < 0.0
+
+
+@pytest.mark.parametrize("text", ["closer", "closer much", "closer -3", "closer nan", "glue 20"])
+def test_a_law_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(BadTable, match="resistance"):
+        resistance(text)
+
+
+LEADS = re.compile("wrench: .* (the setpoint leads the tool|a joint leads by)")  # by more than what is felt explains
+
+
+class Stuck:
+    """Says what is so until a force [N] beyond the first readings is felt, and that for ever after."""
+
+    def __init__(self, force: float) -> None:
+        self._force, self._first, self._last = force, None, None
+
+    def __call__(self, w: Array) -> Array:
+        self._first = w if self._first is None else self._first
+        if self._last is None and np.linalg.norm(w[:3] - self._first[:3]) > self._force:
+            self._last = w
+        return w if self._last is None else self._last
+
+
+class StuckWithNoise(Stuck):
+    """The same, and its noise goes on: nothing repeats itself."""
+
+    def __call__(self, w: Array) -> Array:
+        said = super().__call__(w)
+        if self._last is None:
+            return said
+        self._rng = getattr(self, "_rng", np.random.default_rng(0))
+        return said + self._rng.normal(0.0, [0.2] * 3 + [0.01] * 3)
+
+
+class Unconnected:
+    """Says what it said at first, with its noise: it hangs beside what is held."""
+
+    def __init__(self) -> None:
+        self._first, self._rng = None, np.random.default_rng(0)
+
+    def __call__(self, w: Array) -> Array:
+        self._first = w if self._first is None else self._first
+        return self._first + self._rng.normal(0.0, [0.2] * 3 + [0.01] * 3)
+
+
+@cache
+def handle_at(seed: int, kind: str, grasp: str, stop: float) -> Furniture:
+    """A door or drawer, drawn once for all sensors: to find one that the arm can follow takes as long as a pull."""
+    return draw(CHAIN, np.random.default_rng(seed), {"kind": kind, "grasp": grasp, "stop": stop})
+
+
+def pulled_by(
+    sensed: Callable[[Array], Array], drawn: Furniture, servo: float = 4000.0, stated: float = 100e3
+) -> tuple[Pull, float]:
+    """A pull at a door or drawer, and the force that is left in the hand [N]. servo: of the joints [N m/rad]."""
+    servos = Servo(effort_limits(URDF, CHAIN.names), servo)
+    world = Pulling.of(URDF, CHAIN, drawn, np.random.default_rng(1), servos)
+    done = own_pull.pull(world, URDF, sensed, arm_stiffness_n_m=stated)
+    for _ in range(50):  # as the arm stands where it was sent last
+        world.forget()
+        world.advance(0.004)
+    return done, float(np.linalg.norm(world.peak()[:3]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "grasp", "seed", "sensed"),
+    [
+        ("door", "weld", 1, Stuck(0.0)),
+        ("door", "weld", 2, StuckWithNoise(12.0)),
+        ("drawer", "ball", 1, Stuck(3.0)),
+        ("drawer", "ball", 1, Unconnected()),
+    ],
+)
+def test_what_is_locked_is_let_go_below_60_n_whatever_the_sensor_says(
+    kind: str, grasp: str, seed: int, sensed: Callable[[Array], Array]
+) -> None:
+    """Nothing is stated of the arm: the drawer is pulled_by along an outstretched one, three to five times as stiff."""
+    done, left = pulled_by(sensed, handle_at(seed, kind, grasp, 0.0))
+    assert LEADS.match(done.said), done.said
+    assert done.peak < 60.0
+    assert left < 10.0
+    assert not done.done
+
+
+@pytest.mark.slow
+def test_servos_three_times_as_stiff_let_go_below_60_n_where_that_is_stated() -> None:
+    """Along an outstretched arm; 228 N where neither was stated nor learned how little it yields."""
+    done, left = pulled_by(StuckWithNoise(3.0), handle_at(1, "drawer", "weld", 0.0), 12e3, 300e3)
+    assert LEADS.match(done.said), done.said
+    assert done.peak < 60.0
+    assert left < 15.0
+
+
+@pytest.mark.slow
+def test_a_drawer_that_jams_is_let_go_by_a_sensor_that_is_stuck() -> None:
+    done, left = pulled_by(Stuck(0.0), handle_at(1, "drawer", "weld", 0.12))
+    assert LEADS.match(done.said), done.said
+    assert done.opened == pytest.approx(0.12, abs=2e-3)
+    assert done.peak < 60.0
+    assert left < 10.0

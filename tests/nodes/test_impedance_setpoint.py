@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from impedance.toy import PANDA, READY, Toy, door
 from lifecycle_msgs.msg import Transition
-from nodes.processes import Process, fresh_domain, listener, running
+from nodes.processes import Process, Wait, fresh_domain, listener, running
 from nodes.pulled_arm import URDF, PulledArm, Witness, fuzz, reached
 from std_msgs.msg import String
 
@@ -31,7 +31,7 @@ class Cell:
 
     process: Process
     arm: PulledArm
-    wait: Callable[[Callable[[], Any], float], Any]
+    wait: Wait
 
 
 def pose_of(message: Any) -> np.ndarray:
@@ -103,7 +103,7 @@ def test_it_opens_a_door_and_says_nothing_before_and_after(cell: Cell) -> None:
     assert "stopped" in arm.ask(wait, "stop").message
 
 
-def test_an_arm_that_falls_silent_or_is_stuck_is_left_alone(cell: Cell) -> None:
+def test_an_arm_that_falls_silent_is_left_alone(cell: Cell) -> None:
     arm, wait = cell.arm, cell.wait
     arm.again(wait, Toy(door(), locked=True))
     arm.pull(wait)
@@ -112,12 +112,6 @@ def test_an_arm_that_falls_silent_or_is_stuck_is_left_alone(cell: Cell) -> None:
     wait(lambda: arm.health["pull"].level == DiagnosticStatus.ERROR, 20.0)
     assert "no message in the last 0.1 s" in arm.said()
     Witness(arm).nothing_after(arm.spoke)
-    arm.again(wait, Toy(door(), locked=True))
-    arm.pull(wait)
-    wait(lambda: arm.health["pull"].level == DiagnosticStatus.ERROR and "last 0.1 s" not in arm.said(), 60.0)
-    # a machine that is busy makes forces come late, and then their limit may be what ends it
-    assert "does not move" in arm.said() or "N is the limit" in arm.said()
-    assert arm.toy.peak < 60.0
 
 
 def test_a_pull_is_refused_for_what_its_wrench_is_refused_for(cell: Cell) -> None:
@@ -135,11 +129,11 @@ def test_a_pull_is_refused_for_what_its_wrench_is_refused_for(cell: Cell) -> Non
 
 
 def test_nothing_hostile_makes_it_send_what_it_should_not(cell: Cell, rng: np.random.Generator) -> None:
-    """A few thousand messages; bench/control_tick.py sends a hundred thousand and more."""
+    """A thousand messages; bench/control_tick.py sends a hundred thousand and more."""
     arm, wait = cell.arm, cell.wait
     arm.again(wait, Toy(door()))
     arm.pull(wait)
-    seen, pulls = fuzz(arm, wait, rng, 2_000)
+    seen, pulls = fuzz(arm, wait, rng, 1_000, burst=100)
     assert pulls > 2
     assert seen > 50
     # and it is sound afterwards

@@ -1,20 +1,45 @@
-"""What launch files start, and whose parameters win. ``launch`` itself cannot be run here: its adapter is read only."""
+"""What launch files and config files state, what RViz and Foxglove show, and what a node imports."""
 
 from __future__ import annotations
 
 import ast
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
 import yaml
+from cli.recordings import URDF
 from nodes.processes import fresh_domain
+from rclpy.node import Node
 
 from modcal_core.errors import BadTable
+from modcal_nodes.calibrating.publishers import Publishers
+from modcal_nodes.nodes.articulation_estimator import ArticulationEstimator
 from modcal_nodes.nodes.corrector import Corrector
+from modcal_nodes.nodes.simulated_cell import SimulatedCell
+from modcal_nodes.nodes.viewer import Viewer
 from modcal_nodes.ros.launch_files import LAUNCHES, arguments, nodes
-from modcal_nodes.ros.parameters import NODES
+from modcal_nodes.ros.parameters import (
+    ACCELERATION_LIMITS,
+    ARTICULATION_ESTIMATOR,
+    BOARD_DETECTOR,
+    CALIBRATOR,
+    CORRECTOR,
+    IMPEDANCE_SETPOINT,
+    NODES,
+    RECORDER,
+    SIMULATED_CELL,
+    SIMULATED_FURNITURE,
+    VIEWER,
+)
+from modcal_nodes.ros.subscriptions import Health
+from modcal_nodes.viewing import drawing
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_nodes"
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "robots"
@@ -98,9 +123,11 @@ def test_the_demonstrations_robot_is_the_examples() -> None:
 
 
 @pytest.mark.dds
-@pytest.mark.parametrize("key", ["/**", "corrector", "/arm/corrector", "/arm/*", "/**/corrector"])
-@pytest.mark.parametrize("first", [[], ["-p", "use_sim_time:=true"]])
-def test_the_users_file_wins_over_the_packages(key: str, first: list[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("key", "first"),
+    [("/**", True), ("corrector", False), ("/arm/corrector", True), ("/arm/*", False), ("/**/corrector", True)],
+)
+def test_the_users_file_wins_over_the_packages(key: str, first: bool, tmp_path: Path) -> None:
     """In a namespace, under every way to name the node, whether or not use_sim_time comes first."""
     user = tmp_path / "user.yaml"
     user.write_text(yaml.safe_dump({key: {"ros__parameters": {"rate_hz": 7.0}}}))
@@ -110,12 +137,173 @@ def test_the_users_file_wins_over_the_packages(key: str, first: list[str], tmp_p
     stated: dict[str, Any] = yaml.safe_load(shipped.read_text())["/**"]["ros__parameters"]
     assert stated["rate_hz"] != 7.0
     files = ["--params-file", str(shipped), "--params-file", str(user)]
-    rclpy.init(args=["--ros-args", *first, *files, *namespace], domain_id=fresh_domain())
+    rclpy.init(
+        args=["--ros-args", *(["-p", "use_sim_time:=true"] if first else []), *files, *namespace],
+        domain_id=fresh_domain(),
+    )
     try:
         node = Corrector()
         assert node.get_parameter("rate_hz").value == 7.0
         assert node.get_parameter("horizon_s").value == stated.get("horizon_s", NODES["corrector"]["horizon_s"].default)
-        assert node.get_parameter("use_sim_time").value == bool(first)
+        assert node.get_parameter("use_sim_time").value == first
         node.destroy_node()
     finally:
         rclpy.try_shutdown()
+
+
+KNOWN = {
+    "recorder": RECORDER,
+    "board_detector": BOARD_DETECTOR,
+    "calibrator": CALIBRATOR,
+    "corrector": CORRECTOR,
+    "articulation_estimator": ARTICULATION_ESTIMATOR,
+    "impedance_setpoint": IMPEDANCE_SETPOINT,
+    "acceleration_limits": ACCELERATION_LIMITS,
+    "simulated_cell": SIMULATED_CELL,
+    "simulated_furniture": SIMULATED_FURNITURE,
+    "viewer": VIEWER,
+}
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_config_files_name_declared_parameters(name: str) -> None:
+    stated = yaml.safe_load((PACKAGE / "config" / f"{name}.yaml").read_text())["/**"]["ros__parameters"]
+    for key, value in stated.items():
+        parameter = KNOWN[name][key]
+        assert type(value) is type(parameter.default), key
+        if parameter.low is not None and parameter.high is not None:
+            assert parameter.low <= value <= parameter.high, key
+
+
+def test_defaults_lie_within_their_bounds() -> None:
+    for parameters in KNOWN.values():
+        for name, parameter in parameters.items():
+            assert parameter.description.endswith("."), name
+            if parameter.low is not None and parameter.high is not None:
+                assert parameter.low <= parameter.default <= parameter.high, name
+
+
+CONFIG = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_nodes" / "config"
+SHOWS = {
+    "rviz_default_plugins/MarkerArray": "visualization_msgs/msg/MarkerArray",
+    "rviz_default_plugins/Pose": "geometry_msgs/msg/PoseStamped",
+    "rviz_default_plugins/PoseWithCovariance": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "rviz_default_plugins/RobotModel": "std_msgs/msg/String",
+}
+IN_3D = {"std_msgs/msg/String", *SHOWS.values()}
+SPACES = {
+    "/viewer/residuals": {drawing.CALIBRATED, drawing.NOMINAL, drawing.SCALE},
+    "/viewer/stations": {drawing.RECORDED, drawing.FITTING, drawing.REJECTED, drawing.WAITING},
+    "/viewer/axes": {drawing.CALIBRATED, drawing.NOMINAL},
+    "/viewer/uncertainty": {drawing.PRESENT, drawing.STATIONS},
+    "/articulation_estimator/object_axis": {"object"},
+}
+
+
+@pytest.fixture(scope="module")
+def published() -> Iterator[dict[str, str]]:
+    """Types of all topics that our nodes publish, by name."""
+    rclpy.init(args=["--ros-args", "-p", f"urdf:={URDF}"], domain_id=fresh_domain())
+    calibrator = Node("calibrator")
+    Publishers(calibrator)
+    Health(calibrator, lambda: [])
+    nodes = [calibrator, ArticulationEstimator(), Corrector(), SimulatedCell(), Viewer()]
+    yield {
+        topic: types[0]
+        for node in nodes
+        for topic, types in node.get_publisher_names_and_types_by_node(node.get_name(), "/")
+    }
+    for node in nodes:
+        if hasattr(node, "close"):
+            node.close()
+        node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def rviz() -> dict[str, Any]:
+    return yaml.safe_load((CONFIG / "modcal.rviz").read_text())["Visualization Manager"]
+
+
+def foxglove() -> dict[str, Any]:
+    return json.loads((CONFIG / "modcal_foxglove.json").read_text())
+
+
+@pytest.mark.slow
+def test_rviz_shows_what_is_published(published: dict[str, str]) -> None:
+    shown = set()
+    for display in rviz()["Displays"]:
+        topic = display.get("Topic") or display.get("Description Topic")
+        if topic is None:
+            assert display["Class"] in ("rviz_default_plugins/Grid", "rviz_default_plugins/TF")
+            continue
+        assert published[topic["Value"]] == SHOWS[display["Class"]], topic["Value"]
+        shown.add(topic["Value"])
+        if "Namespaces" in display:
+            assert set(display["Namespaces"]) == SPACES[topic["Value"]]
+    assert set(SPACES) <= shown
+    assert rviz()["Global Options"]["Fixed Frame"] == "base_link"
+
+
+def test_rviz_asks_for_what_is_latched(published: dict[str, str]) -> None:
+    """A latched topic that is asked for as volatile shows nothing until something changes."""
+    durability = {d["Topic"]["Value"]: d["Topic"]["Durability Policy"] for d in rviz()["Displays"] if "Topic" in d}
+    for topic, asked in durability.items():
+        latched = topic in ("/viewer/residuals", "/viewer/stations")
+        assert asked == ("Transient Local" if latched else "Volatile"), topic
+        assert topic in published
+
+
+def test_foxglove_shows_what_is_published(published: dict[str, str]) -> None:
+    panels = foxglove()["configById"]
+    topics = panels["3D!modcal"]["topics"]
+    assert set(SPACES) <= set(topics)
+    for topic, settings in topics.items():
+        assert published[topic] in IN_3D, topic
+        if "namespaces" in settings:
+            assert set(settings["namespaces"]) == SPACES[topic]
+    paths = [p["value"] for panel in panels.values() for p in panel.get("paths", ())]
+    paths += [panel["topicPath"] for panel in panels.values() if "topicPath" in panel]
+    assert len(paths) >= 7
+    for path in paths:
+        topic, _, rest = path.partition(".")
+        _require_field(published[topic], rest)
+    summaries = [panel for panel in panels.values() if "topicToRender" in panel]
+    assert [published[panel["topicToRender"]] for panel in summaries] == ["diagnostic_msgs/msg/DiagnosticArray"]
+
+
+def _require_field(kind: str, path: str) -> None:
+    """A message of this type has what the path names."""
+    for name in filter(None, re.sub(r"\[\d+\]", "", path).split(".")):
+        package, _, message = kind.partition("/msg/")
+        fields = getattr(__import__(f"{package}.msg", fromlist=[message]), message).get_fields_and_field_types()
+        assert name in fields, (kind, name)
+        kind = fields[name].removeprefix("sequence<").removesuffix(">").replace("/", "/msg/")
+
+
+def test_every_panel_is_in_the_layout() -> None:
+    data = foxglove()
+
+    def leaves(part: Any) -> list[str]:
+        return [part] if isinstance(part, str) else [*leaves(part["first"]), *leaves(part["second"])]
+
+    assert sorted(leaves(data["layout"])) == sorted(data["configById"])
+
+
+DRAWING = {"matplotlib", "jinja2"}
+COMPUTING = {"scipy.linalg", "scipy.special", "scipy.optimize"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("node", "unwanted"),
+    [
+        ("corrector", DRAWING | COMPUTING | {"mujoco", "mcap"}),
+        ("simulated_cell", DRAWING | COMPUTING | {"ssl", "mcap"}),
+        ("calibrator", DRAWING | {"mujoco", "mcap", "scipy.stats"}),
+        ("station_runner", DRAWING | {"scipy.stats"}),
+    ],
+)
+def test_a_node_imports_what_it_needs(node: str, unwanted: set[str]) -> None:
+    code = f"import sys, modcal_nodes.nodes.{node}; print(*sorted(set(sys.modules) & {unwanted!r}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []

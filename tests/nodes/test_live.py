@@ -1,21 +1,19 @@
-"""The whole of it live: a cell, a recorder and a calibrator as processes, then the recorded bag once more.
-
-Longer than 20 s, for stations take time: the one test from messages to files, and of the replay against it.
-"""
+"""The whole of it live: a cell, a recorder and a calibrator, the bag once more, and a link that warms up on the way."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from nodes.cell import call
-from nodes.processes import ROOT, Process, fresh_domain, listener, running
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from nodes.processes import ROOT, Process, fresh_domain, listener, put, running
+from nodes.talking import LATCHED, Diagnostics
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Bool, Float64, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.calibration.model import Model
@@ -33,7 +31,6 @@ POSTURES = 36
 WAY = 12  # s, the last travel
 FACTOR = 4.0  # times as fast as the wall's clock
 TOPICS = ("joint_states", "tracker/pose", "robot_description")
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def tour(names: list[str]) -> JointTrajectory:
@@ -136,3 +133,60 @@ def _between(now: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
     along = (end - start) / np.linalg.norm(end - start)
     off = (now - start) - along * float(along @ (now - start))
     return bool(np.linalg.norm(off) < 1e-3)
+
+
+MODEL, SAMPLES = "/calibrator: model", "/calibrator: samples"
+
+
+@pytest.mark.dds
+@pytest.mark.slow
+def test_a_link_warms_up_while_running(tmp_path: Path) -> None:
+    """Longer than 20 s, for stations take time: nowhere else does a running calibrator open the diagnosis by itself."""
+    domain = fresh_domain()
+    calibrator = Process("calibrator", domain, tmp_path, after_change=36, use_sim_time="true")
+    with running(calibrator), listener(domain) as (node, wait):
+        said = Diagnostics(node)
+        heard: dict[str, list[Any]] = {}
+        for topic, kind in {
+            "residual": Float64, "residual_before": Float64, "change": String, "report": String, "trusted": Bool,
+            "robot_description": String,
+        }.items():  # fmt: skip
+            heard[topic] = []
+            node.create_subscription(kind, f"calibrator/{topic}", lambda m, t=topic: heard[t].append(m.data), LATCHED)
+        wait(lambda: said.level(SAMPLES) >= 0, 60.0)
+        cell = Process(
+            "simulated_cell", domain, tmp_path, urdf=URDF, seed=5, start_delay_s=12.0, stations=60, repeat="true",
+            dwell_s=0.75, travel_s=0.2, joint_rate_hz=40.0, tracker_rate_hz=20.0, publish_clock="true",
+            clock_rate_hz=40.0, time_factor=6.0,  # each tick wakes every node
+            warm_up_link="forearm_link", warm_up_s=15.0,
+        )  # fmt: skip
+        with running(cell):
+            wait(lambda: int(said.text(SAMPLES).split()[0]) >= 50, 120.0)
+            assert call(node, wait, "calibrator/solve", 120.0).success
+            wait(lambda: said.value(MODEL, "state") == "trusted" and heard["residual"], 20.0)
+            assert not put(node, wait, "simulated_cell", warm_up_m=4e-4)
+
+            # noticed, and the model that stands is marked
+            wait(lambda: any(change != "{}" for change in heard["change"]) and heard["trusted"][-1] is False, 120.0)
+            wait(lambda: said.value(MODEL, "state") == "suspected" and said.level(MODEL) == 1, 20.0)
+            assert "the last trusted model is still published" in said.text(MODEL)
+            models = len(heard["robot_description"])
+
+            # the diagnosis is opened again by itself, and its result trusted
+            wait(lambda: heard["trusted"][-1] is True, 240.0)
+            wait(lambda: len(heard["robot_description"]) > models and said.value(MODEL, "state") == "trusted", 20.0)
+            wait(lambda: len(heard["residual"]) == len(heard["residual_before"]) >= 2, 20.0)
+            assert cell.stop() == 0
+        assert calibrator.stop() == 0
+
+    report = json.loads(heard["report"][-1])
+    found = {(e["family"], e["place"]): e for e in report["effects"]}
+    before, after = heard["residual_before"][-1], heard["residual"][-1]
+    suspected = json.loads([change for change in heard["change"] if change != "{}"][-1])
+    # the link before this joint grows with what the thermometer says
+    assert found["thermal", "wrist_1_joint"]["driver"] == "temperature:forearm_link"
+    assert suspected["place"] == "wrist_1_joint"
+    # to the noise of the readings from an error that many times as large
+    assert before > 8e-5
+    assert after < 0.25 * before
+    assert after < 2.5e-5

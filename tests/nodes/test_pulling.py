@@ -31,25 +31,6 @@ def opened(folder: Path, seed: int, share: float = 0.35, **chosen: Any) -> Openi
 
 
 @pytest.mark.slow
-def test_a_screw_held_by_a_ball_opens_gently(tmp_path: Path) -> None:
-    """Of bench/doors a part; the stiff, straight pull takes 100 to 800 N there. A drawer: below; a door: test_door_demo."""
-    pull = opened(tmp_path, 3, kind="screw", grasp="ball").pull
-    assert pull.done, pull
-    assert pull.peak <= 40.0
-    assert pull.mean <= 12.0
-
-
-@pytest.mark.slow
-def test_a_locked_door_is_let_alone(tmp_path: Path) -> None:
-    opening = opened(tmp_path, 1, kind="door", grasp="weld", stop=0.0)
-    assert "does not move" in opening.pull.said
-    assert opening.pull.opened < 0.01
-    assert 5.0 < opening.pull.peak < 60.0
-    # and then it does not hang on
-    assert opening.forces[-10:, 1].mean() < 0.7 * opening.pull.peak
-
-
-@pytest.mark.slow
 def test_a_drawer_that_jams_is_felt_below_the_limit_and_let_go(tmp_path: Path) -> None:
     """At a hard stop, half way and at full speed; up to there it opens gently."""
     # the goal, 0.15 m, lies beyond the stop

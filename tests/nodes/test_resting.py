@@ -1,8 +1,10 @@
-"""A node that rests between two looks hears everything, in order, and its timers and services go on."""
+"""A node that rests between two looks hears everything in order; a solve yields to the nodes beside it."""
 
 from __future__ import annotations
 
+import os
 import time
+from typing import Any
 
 import pytest
 import rclpy
@@ -16,12 +18,12 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from modcal_nodes.ros.guarded import GuardedNode, Refusals
+from modcal_nodes.calibrating.worker import SolveWorker
+from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.resting import RestingExecutor
 from modcal_nodes.ros.running import FRESH, SENSOR
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, always
 
-pytestmark = pytest.mark.dds
 REST, PERIOD, COUNT = 0.01, 0.02, 600
 
 
@@ -55,6 +57,7 @@ def ended(executors: tuple[Executor, ...], *nodes: Node) -> None:
     rclpy.try_shutdown()
 
 
+@pytest.mark.dds
 def test_hears_everything_while_it_ticks_and_answers() -> None:
     rclpy.init(domain_id=fresh_domain())
     node, partner = Resting(), rclpy.create_node("partner")
@@ -108,6 +111,7 @@ class Newest(GuardedNode):
         )
 
 
+@pytest.mark.dds
 def test_of_what_waited_together_the_newest_is_handed_on_and_all_are_counted() -> None:
     rclpy.init(domain_id=fresh_domain())
     node, partner = Newest(), rclpy.create_node("partner")
@@ -163,6 +167,7 @@ class Slow(GuardedNode):
         self.most_behind = max(self.most_behind, message.header.stamp.nanosec // 1_000_000 - now // 1_000_000)
 
 
+@pytest.mark.dds
 def test_simulated_time_is_no_more_behind_than_messages_wait() -> None:
     """A topic that never runs dry held the time up for a hundred messages, and what came was refused as ahead of it."""
     rclpy.init(domain_id=fresh_domain())
@@ -186,23 +191,17 @@ def test_simulated_time_is_no_more_behind_than_messages_wait() -> None:
     assert len(node.moments) >= COUNT / (2 * FRESH.depth), "time went on all the while"
 
 
-def test_refusing_everything_costs_less_than_a_tenth_of_saying_it() -> None:
-    rclpy.init(domain_id=fresh_domain())
-    node = GuardedNode("refusing")
+@pytest.mark.slow
+def test_a_solve_yields_to_the_nodes_beside_it() -> None:
+    brought, said = list[Any](), list[str]()
+    worker = SolveWorker(said.append)
     try:
-        refusals = Refusals(node)
-        took = []
-        for say in (
-            lambda: refusals.refuse("joint_states", "its stamp is 1 s ahead"),
-            lambda: node.get_logger().warning("its stamp is 1 s ahead", throttle_duration_sec=2.0),
-        ):
-            say()
-            begun = time.process_time()
-            for _ in range(COUNT):
-                say()
-            took.append(time.process_time() - begun)
+        worker.give("asking", os.nice, 0, finish=brought.append, fail=said.append)
+        end = time.monotonic() + 60.0
+        while worker.poll():
+            assert time.monotonic() < end
+            time.sleep(0.01)
     finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-    assert refusals.counts == {"joint_states": COUNT + 1}
-    assert took[0] < 0.1 * took[1]
+        worker.close()
+    assert not said
+    assert brought[0] > os.nice(0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,12 @@ import numpy as np
 import pytest
 from deltas import FILE
 from geometry_msgs.msg import PoseStamped
+from nodes import processes
+from nodes.cell import call
 from nodes.processes import ROOT, Process, fresh_domain, listener, running
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
-from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import se3, so3
@@ -32,7 +31,6 @@ from modcal_nodes.simulation.plant import Plant, make_world
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 CHAIN = read_chain(URDF.read_text())
 SEED = 3
-Wait = Callable[[Callable[[], Any], float], Any]
 
 pytestmark = pytest.mark.dds
 
@@ -61,30 +59,6 @@ def hear(node: Node, kind: type, topic: str) -> list[Any]:
     return heard
 
 
-class Settings:
-    """Changes parameters of the cell, as `ros2 param set` does."""
-
-    def __init__(self, node: Node, wait: Wait) -> None:
-        self._client = node.create_client(SetParameters, "simulated_cell/set_parameters")
-        self._wait = wait
-        wait(self._client.service_is_ready, 60.0)
-
-    def __call__(self, name: str, value: str | float | list[float]) -> str:
-        """Why it was refused, or nothing."""
-        if isinstance(value, str):
-            packed = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-        elif isinstance(value, list):
-            packed = ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=value)
-        else:
-            packed = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-        request = SetParameters.Request(parameters=[Parameter(name=name, value=packed)])
-        answer = self._client.call_async(request)
-        self._wait(answer.done, 30.0)
-        (result,) = answer.result().results
-        assert result.successful or result.reason
-        return "" if result.successful else str(result.reason)
-
-
 def test_effects_are_switched_on_while_it_runs(tmp_path: Path) -> None:
     domain = fresh_domain()
     parameters = {"urdf": URDF, "seed": SEED, "noise_m": 0.0, "noise_rad": 0.0, "publish_effort": True}
@@ -95,7 +69,7 @@ def test_effects_are_switched_on_while_it_runs(tmp_path: Path) -> None:
         true = hear(node, PoseStamped, "simulated_cell/true_tool")
         in_base = hear(node, PoseStamped, "simulated_cell/true_tool_in_base")
         warmth = hear(node, Temperature, "temperature")
-        put = Settings(node, wait)
+        put = partial(processes.put, node, wait, "simulated_cell")
         wait(lambda: states and readings and true and in_base and warmth, 60.0)
 
         # as a world of the same seed has it
@@ -119,15 +93,15 @@ def test_effects_are_switched_on_while_it_runs(tmp_path: Path) -> None:
             return world.tool_in_tracker(q)
 
         move, turn = [1e-3, 0.0, -2e-3], [0.01, -0.02, 0.0]
-        assert not put("tool_bump_m", move)
-        assert not put("tool_turn_rad", turn)
+        assert not put(tool_bump_m=move)
+        assert not put(tool_turn_rad=turn)
         world.bump(move, turn)
         until(expected)
-        assert not put("payload_kg", 3.0)
+        assert not put(payload_kg=3.0)
         world.carry(3.0)
         until(expected)
         wait(lambda: np.abs(np.array(states[-1].effort) - world.holding(q)).max() < 1e-9, 30.0)
-        assert not put("tracker_move_m", [0.0, 0.1, 0.0])
+        assert not put(tracker_move_m=[0.0, 0.1, 0.0])
         world.move_tracker([0.0, 0.1, 0.0])
         until(expected)
         wait(lambda: in_base[-1].header.stamp == true[-1].header.stamp, 30.0)
@@ -136,7 +110,7 @@ def test_effects_are_switched_on_while_it_runs(tmp_path: Path) -> None:
         # warming up, against the clock of the stamps
         assert (warmth[-1].header.frame_id, warmth[-1].temperature) == ("upper_arm_link", 20.0)
         cold, count = transform(true[-1])[:3, 3], len(true)
-        assert not put("warm_up_m", 5e-4)
+        assert not put(warm_up_m=5e-4)
         world.grow("upper_arm_link", 5e-4)
         wait(lambda: np.abs(transform(true[-1]) - expected()).max() < 1e-7, 60.0)
         hot = expected()[:3, 3] - cold
@@ -157,7 +131,7 @@ def test_effects_are_switched_on_while_it_runs(tmp_path: Path) -> None:
             ("tracker_rate_hz", 10.0, "read-only"),
             ("urdf", "other.urdf", "read-only"),
         ):
-            reason = put(name, value)
+            reason = put(**{name: value})
             assert reason
             assert said in reason
         count = len(true)
@@ -179,6 +153,9 @@ def test_its_own_tour_goes_on_and_is_held_up_without_loss(tmp_path: Path) -> Non
     with running(cell), listener(domain) as (node, wait):
         states, readings = hear(node, JointState, "joint_states"), hear(node, PoseStamped, "tracker/pose")
         wait(lambda: len(states) > 500 and len(readings) > 50, 60.0)
+        refused = call(node, wait, "simulated_cell/restart")  # time that is not its own is not set back
+        assert not refused.success
+        assert "publish_clock" in refused.message
         cell.popen.send_signal(signal.SIGSTOP)
         stopped = time.monotonic()
         wait(lambda: time.monotonic() - stopped > 1.0, 30.0)
@@ -199,35 +176,6 @@ def test_its_own_tour_goes_on_and_is_held_up_without_loss(tmp_path: Path) -> Non
     assert len(np.unique(np.round(rest, 9), axis=0)) > 4  # two stations a tour
 
 
-def test_a_trajectory_is_replaced_in_the_middle(tmp_path: Path) -> None:
-    domain = fresh_domain()
-    cell = Process("simulated_cell", domain, tmp_path, urdf=URDF, measurement="point", gear_joint="elbow_joint")
-    with running(cell), listener(domain) as (node, wait):
-        states = hear(node, JointState, "joint_states")
-        drive = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
-        wait(lambda: states and drive.get_subscription_count() == 1, 60.0)
-
-        def go(goal: list[float], after: int, names: tuple[str, ...] = CHAIN.names) -> None:
-            message = JointTrajectory(joint_names=list(names))
-            message.points = [JointTrajectoryPoint(positions=goal)]
-            message.points[0].time_from_start.sec = after
-            drive.publish(message)
-
-        go([1.0] * 6, 3)
-        wait(lambda: states[-1].position[0] > 0.3, 60.0)
-        go([-0.5, -0.4, -0.3, -0.2, -0.1, 0.0], 2, CHAIN.names[::-1])
-        wait(lambda: np.allclose(states[-1].position, [0.0, -0.1, -0.2, -0.3, -0.4, -0.5], atol=1e-12, rtol=0), 60.0)
-        go([0.0] * 6, 1, ("arm", *CHAIN.names[1:]))
-        wait(lambda: "not followed" in cell.output, 30.0)
-        assert cell.stop() == 0
-    q, v = np.array([m.position for m in states]), np.array([m.velocity for m in states])
-    t = np.array([seconds(m) for m in states])
-    assert not v[-1].any()
-    # neither position nor velocity jump: no step is longer than the speed allows, nor any change of it sudden
-    assert np.abs(np.diff(q, axis=0) - 0.5 * (v[1:] + v[:-1]) * np.diff(t)[:, None]).max() < 1e-3
-    assert np.abs(np.diff(v, axis=0)).max() < 0.2 * np.abs(v).max()
-
-
 def test_simulated_time_runs_at_its_own_pace_and_begins_anew(tmp_path: Path) -> None:
     domain = fresh_domain()
     cell = Process(
@@ -237,8 +185,7 @@ def test_simulated_time_runs_at_its_own_pace_and_begins_anew(tmp_path: Path) -> 
     with running(cell), listener(domain) as (node, wait):
         states, clock = hear(node, JointState, "joint_states"), hear(node, Clock, "/clock")
         readings = hear(node, PoseStamped, "tracker/pose")
-        restart = node.create_client(Trigger, "simulated_cell/restart")
-        wait(lambda: states and clock and readings and restart.service_is_ready(), 60.0)
+        wait(lambda: states and clock and readings, 60.0)
         begun, first = time.monotonic(), clock[-1].clock.sec
         wait(lambda: clock[-1].clock.sec >= first + 12, 60.0)
         took = time.monotonic() - begun
@@ -246,9 +193,7 @@ def test_simulated_time_runs_at_its_own_pace_and_begins_anew(tmp_path: Path) -> 
         assert seconds(states[0]) >= 500.0
         ticks = [1_000_000_000 * m.clock.sec + m.clock.nanosec for m in clock]
         assert set(np.diff(ticks)) == {20_000_000}
-        answer = restart.call_async(Trigger.Request())
-        wait(answer.done, 30.0)
-        assert answer.result().success
+        assert call(node, wait, "simulated_cell/restart").success
         for messages in (states, readings):
             wait(lambda messages=messages: len(jumps(messages)) == 1, 30.0)
         (back,) = jumps(states)
@@ -256,19 +201,6 @@ def test_simulated_time_runs_at_its_own_pace_and_begins_anew(tmp_path: Path) -> 
         # the tour of two postures had ended and starts over as well
         assert not np.any(states[back - 1].velocity)
         wait(lambda: any(np.any(m.velocity) for m in states[back:]), 30.0)
-        assert cell.stop() == 0
-
-
-def test_time_that_is_not_its_own_is_not_set_back(tmp_path: Path) -> None:
-    domain = fresh_domain()
-    cell = Process("simulated_cell", domain, tmp_path, urdf=URDF)
-    with running(cell), listener(domain) as (node, wait):
-        restart = node.create_client(Trigger, "simulated_cell/restart")
-        wait(restart.service_is_ready, 60.0)
-        answer = restart.call_async(Trigger.Request())
-        wait(answer.done, 30.0)
-        assert not answer.result().success
-        assert "publish_clock" in answer.result().message
         assert cell.stop() == 0
 
 
@@ -291,22 +223,6 @@ def test_what_cannot_be_simulated(parameters: dict[str, Any], said: str) -> None
         Plant(chosen | parameters)
     assert said in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-def test_a_cell_that_cannot_be_ends_with_one_line(tmp_path: Path) -> None:
-    cells = {
-        "1 or 6 numbers": Process(
-            "simulated_cell", fresh_domain(), tmp_path, urdf=URDF, joint_compliance_rad_per_nm="[1.0e-5, 2.0e-5]"
-        ),
-        "the cell would wait for itself": Process(
-            "simulated_cell", fresh_domain(), tmp_path, urdf=URDF, publish_clock=True, use_sim_time=True
-        ),
-    }
-    with running(*cells.values()):
-        for said, cell in cells.items():
-            assert cell.popen.wait(60.0) == 2
-            (line,) = [line for line in cell.output.splitlines() if line.startswith("modcal: ")]
-            assert said in line
 
 
 def test_repeatability_scatters_arrivals_only(tmp_path: Path) -> None:

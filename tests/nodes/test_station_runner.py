@@ -13,7 +13,7 @@ import yaml
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from measuring.shaped import with_spheres
-from nodes.processes import ROOT, Process, fresh_domain, listener, meet, running
+from nodes.processes import ROOT, Process, ask, fresh_domain, listener, running
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -22,14 +22,6 @@ from modcal_core.robots.urdf import read_chain
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 MIDDLE, HALF = np.array([0.0, -1.2, 1.2, -0.5, 0.6, 0.3]), 0.35  # rad
-
-
-def call(node: Any, wait: Any, name: str) -> Any:
-    client = node.create_client(Trigger, f"station_runner/{name}")
-    meet(wait, client)
-    future = client.call_async(Trigger.Request())
-    wait(future.done, 20.0)
-    return future.result()
 
 
 def stations(folder: Path) -> list[dict[str, Any]]:
@@ -73,19 +65,19 @@ def test_an_arm_measures_itself_until_the_goal_is_proven(tmp_path: Path) -> None
         runner = Process("station_runner", domain, tmp_path, *remap, **asked)
         with running(runner):
             wait(lambda: "dry run:" in runner.output, 60.0)
-            refused = call(node, wait, "start")
+            refused = ask(node, wait, Trigger, "station_runner/start")
             assert not refused.success
             assert "nobody has looked at the dry run" in refused.message
-            dry = call(node, wait, "dry_run")
+            dry = ask(node, wait, Trigger, "station_runner/dry_run")
             assert dry.success
             assert "the shapes of the description" in dry.message
             assert "Nothing has moved" in dry.message
             assert not sent
             assert np.abs(np.array(joints[-1].position) - MIDDLE).max() < 1e-6
 
-            assert call(node, wait, "start").success
+            assert ask(node, wait, Trigger, "station_runner/start").success
             wait(lambda: sent, 20.0)
-            stopped = call(node, wait, "stop")
+            stopped = ask(node, wait, Trigger, "station_runner/stop")
             assert stopped.message == "held"
             wait(lambda: len(sent[-1].points) == 1, 5.0)  # where the arm was, and no more
             stood = np.array(joints[-1].position)
@@ -95,7 +87,7 @@ def test_an_arm_measures_itself_until_the_goal_is_proven(tmp_path: Path) -> None
             assert len(sent) == count
             assert np.abs(np.array(joints[-1].position) - stood).max() < 0.2
 
-            assert call(node, wait, "start").success
+            assert ask(node, wait, Trigger, "station_runner/start").success
             wait(lambda: len(measured(out)) >= 3, 60.0)
             runner.stop(signal.SIGKILL)
         before = measured(out)
@@ -135,8 +127,6 @@ def test_an_arm_is_held_when_another_moves_it_when_the_node_rests_and_when_it_fa
         node.create_subscription(JointTrajectory, "joint_trajectory", sent.append, 10)
         node.create_subscription(JointState, "joint_states", joints.append, 10)
         mover = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
-        changes = node.create_client(ChangeState, "station_runner/change_state")
-        meet(wait, changes)
 
         def stand(q: np.ndarray) -> None:
             wait(lambda: mover.get_subscription_count() >= 2 and joints, 60.0)
@@ -145,7 +135,7 @@ def test_an_arm_is_held_when_another_moves_it_when_the_node_rests_and_when_it_fa
             sent.clear()
 
         def begin() -> None:
-            assert call(node, wait, "start").success
+            assert ask(node, wait, Trigger, "station_runner/start").success
             wait(lambda: any(len(m.points) > 1 for m in sent), 30.0)
 
         def held(said: str) -> None:
@@ -156,15 +146,14 @@ def test_an_arm_is_held_when_another_moves_it_when_the_node_rests_and_when_it_fa
             assert len(sent) == again
 
         def change(transition: int) -> None:
-            asked = changes.call_async(ChangeState.Request(transition=Transition(id=transition)))
-            wait(asked.done, 20.0)
-            assert asked.result().success
+            request = ChangeState.Request(transition=Transition(id=transition))
+            assert ask(node, wait, ChangeState, "station_runner/change_state", request).success
 
         stand(MIDDLE)
         wait(lambda: "dry run:" in runner.output, 60.0)
-        assert call(node, wait, "dry_run").success
+        assert ask(node, wait, Trigger, "station_runner/dry_run").success
         begin()
-        second = call(node, wait, "start")
+        second = ask(node, wait, Trigger, "station_runner/start")
         assert not second.success
         assert "it is measuring already" in second.message
 
@@ -175,15 +164,15 @@ def test_an_arm_is_held_when_another_moves_it_when_the_node_rests_and_when_it_fa
         begin()
         change(Transition.TRANSITION_DEACTIVATE)
         held("held: deactivated")
-        assert "not active" in call(node, wait, "start").message
+        assert "not active" in ask(node, wait, Trigger, "station_runner/start").message
         dry = runner.output.count("dry run:")
         change(Transition.TRANSITION_ACTIVATE)
         wait(lambda: runner.output.count("dry run:") > dry, 60.0)
-        refused = call(node, wait, "start")
+        refused = ask(node, wait, Trigger, "station_runner/start")
         assert not refused.success
         assert "nobody has looked at the dry run" in refused.message
 
-        assert call(node, wait, "dry_run").success
+        assert ask(node, wait, Trigger, "station_runner/dry_run").success
         sent.clear()
         begin()
         cell.popen.send_signal(signal.SIGSTOP)

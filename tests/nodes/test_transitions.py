@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import pytest
 from impedance.toy import PANDA, Toy, door
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import GetState
-from nodes.processes import Process, fresh_domain, listener, running
+from nodes.processes import Process, Wait, ask, fresh_domain, listener, put, running
 from nodes.pulled_arm import PulledArm, Witness
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
+from nodes.random_requests import RandomRequests
 
 pytestmark = pytest.mark.dds
 UNKNOWN = 99
@@ -22,18 +21,12 @@ UNKNOWN = 99
 class Cell:
     """A node that runs, an arm for it to talk to, and what may be asked of it."""
 
-    def __init__(self, process: Process, arm: PulledArm, wait: Callable[[Callable[[], Any], float], Any]) -> None:
+    def __init__(self, process: Process, arm: PulledArm, wait: Wait) -> None:
         self.process, self.arm, self.wait = process, arm, wait
-        self._state = arm.node.create_client(GetState, "impedance_setpoint/get_state")
-        self._set = arm.node.create_client(SetParameters, "impedance_setpoint/set_parameters")
+        self.set = partial(put, arm.node, wait, "impedance_setpoint")
 
     def state(self) -> int:
-        return int(self.arm._call(self.wait, self._state, GetState.Request()).current_state.id)
-
-    def set(self, name: str, value: float) -> tuple[bool, str]:
-        stated = Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
-        result = self.arm._call(self.wait, self._set, SetParameters.Request(parameters=[stated])).results[0]
-        return result.successful, result.reason
+        return int(ask(self.arm.node, self.wait, GetState, "impedance_setpoint/get_state").current_state.id)
 
     def pull(self) -> None:
         """Be pulling at a locked door, with force in the hand."""
@@ -96,7 +89,7 @@ def test_illegal_transitions_are_answered_in_every_state(cell: Cell) -> None:
     assert arm.health["faults"].level == b"\0"
 
 
-@pytest.mark.parametrize("transition", [Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, UNKNOWN])
+@pytest.mark.parametrize("transition", [Transition.TRANSITION_ACTIVATE, UNKNOWN])
 def test_in_the_middle_of_a_pull_it_lets_go(cell: Cell, transition: int) -> None:
     """The last setpoints go back to where the tool is, and the force with them; the node can pull again."""
     arm, wait = cell.arm, cell.wait
@@ -139,19 +132,29 @@ def test_a_limit_that_is_changed_holds_at_once(cell: Cell) -> None:
     """max_speed_m_s is a limit of safety; what is no limit cannot change while it pulls, and says so."""
     arm, wait = cell.arm, cell.wait
     arm.again(wait, Toy(door()))
-    assert cell.set("max_speed_m_s", 0.004) == (True, "")
+    assert not cell.set(max_speed_m_s=0.004)
     arm.pull(wait)
-    assert "cannot change while it pulls" in cell.set("blend_s", 0.25)[1]
+    assert "cannot change while it pulls" in cell.set(blend_s=0.25)
     wait(lambda: len(arm.poses) > 150, 60.0)
     assert 0.0 < fastest(arm, 0, 150) < 1.05 * 0.004
-    assert cell.set("max_speed_m_s", 0.001) == (True, "")
+    assert not cell.set(max_speed_m_s=0.001)
     since = len(arm.poses) + 25  # a tenth of a second to brake
     wait(lambda: len(arm.poses) > since + 100, 60.0)
     assert 0.0 < fastest(arm, since, since + 100) < 1.05 * 0.001
-    assert cell.set("max_speed_m_s", 0.25) == (True, "")
+    assert not cell.set(max_speed_m_s=0.25)
     arm.ask(wait, "stop")
-    assert "is read when the node is configured" in cell.set("tool_mass", 1.0)[1]
-    assert "must rise" in cell.set("slowdown_force_n", 400.0)[1]
+    assert "is read when the node is configured" in cell.set(tool_mass=1.0)
+    assert "must rise" in cell.set(slowdown_force_n=400.0)
+
+
+def test_limits_are_kept_and_the_hand_lets_go_whatever_it_is_asked(cell: Cell, rng: np.random.Generator) -> None:
+    """Requests at random while it pulls, some seconds a pull; bench/control_tick.py asks for hundreds."""
+    if cell.state() == State.PRIMARY_STATE_UNCONFIGURED:
+        cell.arm.ready(cell.wait)
+    asked = RandomRequests(cell.arm, cell.wait, rng)
+    asked.run(4)
+    assert asked.count["pulls"] >= 1
+    assert asked.witness.count > 100
 
 
 def test_told_to_end_in_the_middle_of_a_pull_it_lets_go(cell: Cell) -> None:

@@ -13,10 +13,10 @@ import pytest
 from cells import NOISE_M, record
 from cli.recordings import START, URDF
 from nodes.beside_a_cell import PANDA, stations
-from nodes.cell import LATCHED, PlayedCell, Said, call
+from nodes.cell import PlayedCell, call
 from nodes.corrected_arm import AWAY, CHAIN, Arm, calibration, text
 from nodes.processes import Process, fresh_domain, listener, running
-from nodes.test_simulated_cell import Settings
+from nodes.talking import LATCHED, Diagnostics
 from nodes.test_watch import watched
 from nodes.viewed import Pictures
 from sensor_msgs.msg import JointState
@@ -51,7 +51,7 @@ def test_arrows_are_as_long_as_the_tool_is_off(tmp_path: Path) -> None:
     calibrator = Process("calibrator", domain, tmp_path, effects=False, after_change=0)
     viewer = Process("viewer", domain, tmp_path, arrow_scale=SCALE, stations=SHOWN)
     with running(calibrator, viewer), listener(domain) as (node, wait):
-        cell, said, seen = PlayedCell(node), Said(node), Pictures(node)
+        cell, said, seen = PlayedCell(node), Diagnostics(node), Pictures(node)
         wait(lambda: cell.heard() and cell.joints.get_subscription_count() == 2 and VIEW in said.last, 60.0)
         wait(lambda: cell.tracker.get_subscription_count() == 2, 60.0)
         cell.describe(URDF.read_text())
@@ -111,44 +111,6 @@ def test_arrows_are_as_long_as_the_tool_is_off(tmp_path: Path) -> None:
         assert viewer.stop() == 0
 
 
-def test_a_bump_while_the_cell_runs(tmp_path: Path) -> None:
-    """Cell, calibrator and viewer as a user has them: the arrows are noise, and from the bump on as long as it is."""
-    bump, noise = [5e-4, -6e-4, 3e-4], 2e-5
-    domain = fresh_domain()
-    simulated = {"publish_clock": "true", "time_factor": 5.0, "stations": 60, "repeat": "true", "dwell_s": 0.75}
-    cell = {"urdf": URDF, "seed": 5, "noise_m": noise, "joint_rate_hz": 40.0, "tracker_rate_hz": 20.0, "travel_s": 0.2}
-    cell |= {"clock_rate_hz": 40.0}  # each tick wakes every node
-    processes = (
-        Process("calibrator", domain, tmp_path, use_sim_time="true", effects=False, first_solve=24, after_change=0),
-        Process("viewer", domain, tmp_path, use_sim_time="true", arrow_scale=SCALE, timeout_s=10.0),
-        Process("simulated_cell", domain, tmp_path, start_delay_s=4.0, **simulated, **cell),
-    )
-    with running(*processes), listener(domain) as (node, wait):
-        said, seen, put = Said(node), Pictures(node), Settings(node, wait)
-
-        def sizes() -> Array:
-            return np.linalg.norm(seen.arrows("residuals", "calibrated")[1], axis=1) / SCALE
-
-        # two dozen stations of which half are held out leave parameters unsure by as much as the noise of one reading
-        wait(lambda: len(sizes()) >= 24, 180.0)
-        assert np.sqrt(np.mean(sizes() ** 2)) < math.sqrt(3.0) * noise
-        nominal = np.linalg.norm(seen.arrows("residuals", "nominal")[1], axis=1) / SCALE
-        assert np.sqrt(np.mean(nominal**2)) > 5e-4
-        wait(lambda: len(seen.of("axes", "calibrated")) == CHAIN.n and seen.of("uncertainty", "present"), 30.0)
-
-        assert not put("tool_bump_m", bump)
-        for _ in range(2):  # of the first, one may be of a stand in which it happened
-            many = len(sizes())
-            assert call(node, wait, "viewer/reset").success
-            # a picture without any may be replaced before it is seen
-            wait(lambda many=many: len(sizes()) < many, 20.0)
-            wait(lambda: len(sizes()) >= 6, 60.0)
-        assert sizes() == pytest.approx(np.linalg.norm(bump), abs=5.0 * noise)
-        wait(lambda: seen.dots("rejected") == len(sizes()), 20.0)  # two topics, one after the other
-        wait(lambda: said.level(VIEW) == 0, 20.0)
-        assert not seen.faults
-
-
 def test_the_posture_is_shown_while_it_is_known(tmp_path: Path) -> None:
     """Hostile joint states, texts that are no calibration, another robot's: all said, nothing wrong drawn."""
     made = calibration()
@@ -157,7 +119,7 @@ def test_the_posture_is_shown_while_it_is_known(tmp_path: Path) -> None:
     remap = ("-r", "calibrator/calibration:=calibration")
     viewer = Process("viewer", domain, tmp_path, *remap, arrow_scale=SCALE, timeout_s=1.0, rate_hz=10.0)
     with running(viewer), listener(domain) as (node, wait):
-        arm, said, seen = Arm(node), Said(node), Pictures(node)
+        arm, said, seen = Arm(node), Diagnostics(node), Pictures(node)
         wait(lambda: len(seen.of("axes", "nominal")) == CHAIN.n, 60.0)
         assert not seen.of("axes", "calibrated")
         assert not seen.of("uncertainty", "present")
@@ -212,7 +174,7 @@ def test_readings_in_a_frame_that_nobody_calibrated_are_said(tmp_path: Path) -> 
     domain = fresh_domain()
     viewer = Process("viewer", domain, tmp_path)
     with running(viewer), listener(domain) as (node, wait):
-        cell, said, seen = PlayedCell(node), Said(node), Pictures(node)
+        cell, said, seen = PlayedCell(node), Diagnostics(node), Pictures(node)
         model = node.create_publisher(String, "calibrator/calibration", LATCHED)
         change = node.create_publisher(String, "calibrator/change", LATCHED)
         model.publish(String(data=text(made)))
@@ -234,10 +196,3 @@ def test_readings_in_a_frame_that_nobody_calibrated_are_said(tmp_path: Path) -> 
         wait(lambda: not seen.last["residuals"], 20.0)
         assert not seen.faults
         assert viewer.stop() == 0
-
-
-def test_parameters_are_bounded(tmp_path: Path) -> None:
-    viewer = Process("viewer", fresh_domain(), tmp_path, arrow_scale=-1.0)
-    with running(viewer):
-        assert viewer.popen.wait(240.0) == 2
-        assert "arrow_scale" in viewer.output

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from nodes.cell import LATCHED
+from nodes.talking import LATCHED
 from rclpy.node import Node
 from visualization_msgs.msg import Marker, MarkerArray
 

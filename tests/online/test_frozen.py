@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from calibration.test_linearise import SHIFT, TURN, cell
 from cells import slider_arm, ur10
-from numpy.random import Generator
 
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.parameters import ordered_candidates
 from modcal_core.calibration.structure import views_of
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
-from modcal_core.geometry import so3
-from modcal_core.online.fixed_linearisation import FixedLinearisation, small_log
+from modcal_core.online.fixed_linearisation import FixedLinearisation
 from modcal_core.robots.chain import Chain
 
 
@@ -39,10 +37,3 @@ def test_rows_are_those_of_all_samples_at_once(chain: Chain, bent: bool) -> None
         residual, J = frozen(samples.select(np.array([i])))
         assert np.abs(residual - at.residual[rows]).max() < 1e-12
         assert np.abs(J - at.J[:, rows].T).max() < 1e-12
-
-
-def test_logarithms_of_any_size(rng: Generator) -> None:
-    for size in (0.0, 1e-12, 1e-9, 1e-4, 0.3, 0.6, 2.0, 3.1):
-        axis = rng.normal(size=3)
-        w = size * axis / np.linalg.norm(axis)
-        assert np.abs(small_log(so3.exp(w)) - w).max() < 1e-12

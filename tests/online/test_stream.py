@@ -130,7 +130,7 @@ def test_memory_is_bounded() -> None:
         stream.joint_state(START + 1e-3 * i, np.full(6, 1e-3 * i))
         if i % 5 == 0:
             stream.reading("pose", "tracker", START + 1e-3 * i + 1e-4, pose)
-    assert len(stream._t) <= 20_000
+    assert len(stream._states._t) <= 20_000
     assert all(len(r.waiting) <= 10_000 for r in stream._readings.values())
 
 

@@ -11,7 +11,7 @@ from online.test_stream import NAMES, play
 
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.measurements.samples import cut_stations
-from modcal_core.online.stream import RecentCommands, SampleStream
+from modcal_core.online.stream import LatestRows, SampleStream
 
 
 @pytest.mark.slow
@@ -39,7 +39,7 @@ def test_following_is_that_of_the_recording(dwell: float) -> None:
 
 
 def test_a_new_trajectory_takes_the_place_of_the_rest_of_the_old() -> None:
-    told = RecentCommands(("a", "b"))
+    told = LatestRows(2, 4096)
     told.add(np.array([0.0, 1.0, 2.0, 3.0]), np.array([[0.0, 5.0], [0.1, 5.0], [0.2, 5.0], [0.3, 5.0]]))
     told.add(np.array([1.5]), np.array([[0.05, np.nan]]))  # b is not named and stays
     t = np.arange(0.0, 4.0, 0.5)
@@ -50,7 +50,7 @@ def test_a_new_trajectory_takes_the_place_of_the_rest_of_the_old() -> None:
 
 
 def test_commands_do_not_fill_memory() -> None:
-    told = RecentCommands(("a",))
+    told = LatestRows(1, 4096)
     for k in range(300):
         told.add(0.1 * (100 * k + np.arange(100)), np.full((100, 1), 1e-3 * k))
     t = np.array([0.1 * (100 * 299 + 50)])

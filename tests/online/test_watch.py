@@ -110,7 +110,7 @@ EXPECTED = {"tool": "tool", "base": "base", "joint": "elbow_joint", "link": "elb
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 3])
 @pytest.mark.parametrize("what", CHANGES)
 def test_a_change_is_noticed_and_named(what: str, seed: int) -> None:
     world, fit = trusted(seed)

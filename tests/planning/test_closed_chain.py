@@ -21,16 +21,9 @@ from modcal_core.planning.closed_chain import (
     one_frame_model,
     sizes_of,
 )
-from modcal_core.planning.designs import sobol_postures
+from modcal_core.planning.sensitivity_study import sobol_postures
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
-
-
-def test_thirty_three_parameters() -> None:
-    closed = dh_closed_chain(irb1410(), point=POINT)
-    assert len(closed.factors) == 33
-    assert sum(f.is_length for f in closed.factors) == 18
-    assert len({*closed.names}) == 33
 
 
 def test_errors_move_the_point_as_in_an_arm_written_by_hand(rng: np.random.Generator) -> None:

@@ -10,7 +10,7 @@ from cells import slider_arm, ur10
 from planning.arms import irb1410
 
 from modcal_core.errors import BadTable
-from modcal_core.planning.designs import array_postures, design, orthogonal_array, sobol_postures
+from modcal_core.planning.sensitivity_study import array_postures, design, orthogonal_array, sobol_postures
 
 
 @pytest.mark.parametrize(
@@ -35,12 +35,6 @@ def test_l25_is_the_one_in_the_books() -> None:
     assert {tuple(c) for c in array[:, 2:].T} == {tuple((i + k * j) % 5) for k in range(1, 5)}
 
 
-@pytest.mark.parametrize("levels", [1, 4, 6, 9])
-def test_levels_that_are_no_prime_are_refused(levels: int) -> None:
-    with pytest.raises(BadTable, match="the number is not a prime"):
-        orthogonal_array(3, levels)
-
-
 def test_an_array_that_would_be_huge_is_refused() -> None:
     with pytest.raises(BadTable, match="20000 are the limit"):
         orthogonal_array(40, 31)
@@ -62,23 +56,6 @@ def test_levels_are_different_angles() -> None:
     for k in range(6):
         assert len(np.unique(np.round(np.exp(1j * q[:, k]), 9))) == 5
         assert (q[:, k] >= ur10().lower[k]).all()
-
-
-def test_l25_is_refused_for_seven_joints() -> None:
-    from dataclasses import replace
-
-    arm = ur10()
-    seven = replace(
-        arm,
-        names=(*arm.names, "more"),
-        origins=np.concatenate([arm.origins, np.eye(4)[None]]),
-        axes=np.r_[arm.axes, arm.axes[:1]],
-        revolute=np.r_[arm.revolute, True],
-        lower=np.r_[arm.lower, -1.0],
-        upper=np.r_[arm.upper, 1.0],
-    )
-    with pytest.raises(BadTable, match="it has 6 columns, the arm 7 joints"):
-        design(seven, "l25", np.random.default_rng(0))
 
 
 def test_sobol_postures_fill_the_range_evenly() -> None:

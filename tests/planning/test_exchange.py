@@ -11,10 +11,8 @@ from cells import samples_of, ur10
 from planning.sites import ground, hall
 
 from modcal_core.calibration.equations import normal_equations
-from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.criteria import CRITERIA, Criterion, observability
-from modcal_core.planning.exchange import Search, exchange, grown, information
+from modcal_core.planning.exchange import CRITERIA, Criterion, Search, exchange, grown, information, observability
 
 
 def small(rng: np.random.Generator, N: int = 12, c: int = 3, P: int = 5) -> Array:
@@ -80,40 +78,6 @@ def test_of_few_candidates_the_best_set_of_all_is_found(name: str) -> None:
         assert len(set(found.tolist())) == 5
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CRITERIA)
-def test_no_single_exchange_makes_it_better(name: str) -> None:
-    rng, there = np.random.default_rng(6), ground()
-    base = there.outlook.search(there.outlook.rows(there.pool.q), name)
-    found = exchange(base, 24, rng, starts=1, passes=20)
-    good, J, H = base.criterion, base.J, base.H + of(base.J, found)
-    value = float(good.value(H))
-    for out in found[::5]:
-        others = J[np.setdiff1d(np.arange(len(J)), found)]
-        without = H - of(J, [out])
-        assert good.value(without + others.transpose(0, 2, 1) @ others).max() <= value + 1e-5 * abs(value)
-    drawn = [of(J, rng.choice(len(J), 24, replace=False)) for _ in range(200)]
-    assert value > max(float(good.value(base.H + told)) for told in drawn)
-
-
-def test_what_is_known_already_is_not_measured_again() -> None:
-    rows = small(np.random.default_rng(7))
-    known = np.zeros((5, 5))
-    known[:3, :3] = 1e6 * np.eye(3)
-    base = Search.of(rows, Criterion("d", np.eye(5)), np.eye(5) + known)
-    found = exchange(base, 3, np.random.default_rng(0), starts=8)
-    best = max(
-        combinations(range(12), 3),
-        key=lambda s: np.linalg.slogdet(np.eye(5) + known + of(rows, np.array(s)))[1],
-    )
-    assert tuple(found) == best
-
-
-def test_a_criterion_that_is_not_known_is_refused() -> None:
-    with pytest.raises(BadTable, match="is not known"):
-        Criterion("o6", np.eye(2))
-
-
 @pytest.mark.parametrize("name", ["accuracy", "d"])
 @pytest.mark.parametrize("c", [3, 6])
 def test_what_candidates_are_worth_is_kept_up_as_stations_come_and_go(name: str, c: int) -> None:
@@ -141,3 +105,19 @@ def test_what_is_not_likely_to_be_read_counts_by_its_chance() -> None:
     chance = np.array([0.5, 0.9, 0.0, 1e-9, 1e-9, 1e-9])
     assert grown(base, 6, chance)[0] == 1
     assert sorted(grown(base, 6, chance)) == [0, 1, 3, 4, 5]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CRITERIA)
+def test_no_single_exchange_makes_it_better(name: str) -> None:
+    rng, there = np.random.default_rng(6), ground()
+    base = there.outlook.search(there.outlook.rows(there.pool.q), name)
+    found = exchange(base, 24, rng, starts=1, passes=20)
+    good, J, H = base.criterion, base.J, base.H + of(base.J, found)
+    value = float(good.value(H))
+    for out in found[::5]:
+        others = J[np.setdiff1d(np.arange(len(J)), found)]
+        without = H - of(J, [out])
+        assert good.value(without + others.transpose(0, 2, 1) @ others).max() <= value + 1e-5 * abs(value)
+    drawn = [of(J, rng.choice(len(J), 24, replace=False)) for _ in range(200)]
+    assert value > max(float(good.value(base.H + told)) for told in drawn)

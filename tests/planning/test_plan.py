@@ -11,10 +11,8 @@ from planning.sites import HALL, ground, hall
 from planning.studies import Arm
 
 from modcal_core.errors import BadTable, NotEnoughData, NotPlannable
-from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
-from modcal_core.planning.exchange import exchange
-from modcal_core.planning.planner import Planner, PlanRequest, min_stations, plan
+from modcal_core.planning.planner import PlanRequest, min_stations, plan
 from modcal_core.planning.site import clearance, site_from_data, visible
 
 _ARMS = 12
@@ -44,20 +42,6 @@ def test_what_is_promised_comes_true_and_beats_random_postures(reading: str) -> 
 
 
 @pytest.mark.slow
-def test_what_is_chosen_lowers_the_claim() -> None:
-    """The score of a set is the claim's: less is claimed of what it chooses than of what geometry alone would."""
-    accuracy = ground()
-    determinant = Planner(accuracy.pool, PlanRequest(criterion="d"), np.random.default_rng(1))
-    random = accuracy.pool.q[np.random.default_rng(2).choice(300, 30, replace=False)]
-    sets = accuracy.best(30, 1), determinant.best(30, 1), random
-    errors = [accuracy.outlook.beside(accuracy.outlook.rows(q)).error() for q in sets]
-    claims = [accuracy.claim(q).mm["rms"].ci95[1] for q in sets]
-    assert errors[0] < errors[1] < errors[2]
-    assert claims[0] < claims[2]
-    assert np.argsort(claims).tolist() == np.argsort(errors).tolist()
-
-
-@pytest.mark.slow
 def test_as_many_stations_as_the_accuracy_needs_and_fewer_with_a_better_tracker() -> None:
     counts, wished = [], 1.3e-4
     for size in (2e-5, 3e-5):
@@ -69,18 +53,6 @@ def test_as_many_stations_as_the_accuracy_needs_and_fewer_with_a_better_tracker(
         assert found.expected.ratios["model_rms"] < found.expected.ratios["total_rms"] < 1.0
         counts.append(len(found.q))
     assert counts[0] < counts[1]
-
-
-@pytest.mark.slow
-def test_refining_never_loses() -> None:
-    planner = Planner(ground().pool, PlanRequest(criterion="d"), np.random.default_rng(4))
-
-    def value(q: Array) -> float:
-        return planner.outlook.beside(planner.outlook.rows(q)).search(planner.outlook.rows(q), "d").value
-
-    rows = planner.outlook.rows(planner.pool.q)
-    start = exchange(planner.outlook.search(rows, "d"), 24, np.random.default_rng(4), 1)
-    assert value(planner.best(24, 1)) > value(planner.pool.q[start])
 
 
 @pytest.mark.slow
@@ -113,14 +85,6 @@ def test_as_few_stations_as_calibrate_takes(reading: str) -> None:
 def test_without_a_number_twice_as_many_as_the_fewest() -> None:
     made = plan(ur10(), hall(), PlanRequest(candidates=60, starts=1, returns=0), np.random.default_rng(5))
     assert made.distinct == 2 * min_stations(len(made.parameters), "point")
-
-
-@pytest.mark.slow
-def test_fixed_parameters_are_not_planned_for() -> None:
-    request = PlanRequest(stations=24, candidates=60, starts=1, fixed=("tool", "wrist_*"))
-    names = plan(ur10(), hall(), request, np.random.default_rng(5)).parameters
-    assert names
-    assert not [name for name in names if name.startswith(("tool/", "wrist_"))]
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def test_stations_in_every_form(site_file: Path, tmp_path: Path, capfd: pytest.C
     assert "24 stations. To be claimed of a usual arm: 95 % of the errors over the workspace are below" in told
     assert "6 of them are visited twice, from different sides: 30 stops in all" in told
     assert "drawn at random" in told
-    written = {"plan.yaml", "stations.csv", "trajectory.yaml", "stations.svg", "report.html"}
+    written = {"plan.yaml", "stations.csv", "trajectory.yaml", "report.html"}
     assert {p.name for p in out.iterdir()} == written
     plan = yaml.safe_load((out / "plan.yaml").read_text())
     q = np.array([s["position"] for s in plan["stations"]])

@@ -11,7 +11,7 @@ from cells import ur10
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.dwells import returns
 from modcal_core.measurements.inspection import inspect
-from modcal_core.planning.route import RETURNS, route, with_returns
+from modcal_core.planning.route import RETURNS, with_returns
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.simulation.program import tour
@@ -76,15 +76,6 @@ def test_what_is_a_return_and_what_is_none() -> None:
     assert returns(q[[3, 0, 0, 4, 0]] + 1e-5 * postures(5, 1))[0].tolist() == [1, 4]
     never_left = q[[3, 0, 0, 0]] + 1e-2 * np.array([0.0, 0.0, 1.0, 0.0])[:, None]
     assert returns(never_left) == []
-
-
-def test_the_way_of_a_plan_comes_back() -> None:
-    q = postures(30)
-    way = route(q, lambda p: np.ones(len(p), dtype=bool), postures(10, 2), returns=RETURNS)
-    assert len(way.order) == 30 + RETURNS
-    assert len(way.ways) == len(way.order) - 1
-    assert set(way.order) == set(range(30))
-    assert len(way.returns) == RETURNS
 
 
 def test_the_simulated_tour_keeps_its_postures_and_comes_back() -> None:

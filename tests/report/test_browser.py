@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from report.browser import Page, browser
-from report.reports import REPORTS
 from report.test_page import page
 
 pytestmark = pytest.mark.slow
@@ -29,17 +28,6 @@ def opened(tab: Page, tmp_path: Path) -> Iterator[Page]:
     tab.open(tmp_path / "report.html")
     yield tab
     assert not tab.complaints()
-
-
-@pytest.mark.parametrize("name", REPORTS)
-def test_nothing_is_fetched_and_nothing_fails(tab: Page, tmp_path: Path, name: str) -> None:
-    (tmp_path / "report.html").write_text(page(name))
-    tab.open(tmp_path / "report.html", 360, 740, mobile=True)
-    assert not tab.complaints()
-    assert tab.requests() == [(tmp_path / "report.html").resolve().as_uri()]
-    assert tab.run("document.documentElement.scrollWidth") == 360
-    tab.run("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
-    assert tab.run("document.documentElement.scrollWidth") == 360
 
 
 def test_a_complaint_would_be_heard(tab: Page, tmp_path: Path) -> None:

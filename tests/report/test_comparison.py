@@ -17,8 +17,8 @@ from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.outcome.contents import Outcome
 from modcal_core.report.as_json import to_json_data
+from modcal_core.report.blocks import text
 from modcal_core.report.comparison import Side, compare, comparison_data, comparison_summary
-from modcal_core.report.terminal import text
 from modcal_nodes.simulation.world import World
 
 

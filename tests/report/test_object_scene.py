@@ -13,7 +13,7 @@ from report.browser import Page, browser
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.track import Track
 from modcal_core.report.articulation import Articulation, articulation_data, articulation_html, object_scene
-from modcal_core.report.scene import Scene3D
+from modcal_core.report.blocks import Scene3D
 
 
 def found(kind: str) -> tuple[Seen, Articulation]:

@@ -76,11 +76,3 @@ def test_derivatives_by_rods_and_radius(kind: str) -> None:
         return -linearise(start, parameters, whole, cell.samples, jacobian=False).position.ravel()
 
     assert_jacobian(positions, at.J[moving, :N].T, values[moving], tolerance=2e-6)
-
-
-def test_a_file_keeps_the_radius() -> None:
-    delta = nominal()
-    assert delta.platform_radius == pytest.approx(0.05)
-    again = delta_from_data(delta_to_data(delta), "again")
-    assert again.platform_radius == delta.platform_radius
-    assert (again.constants == delta.constants).all()

@@ -11,7 +11,7 @@ from robots.test_kinematics import urdf
 from robots.test_tables import PUBLISHED, table_of
 from scipy.spatial.transform import Rotation
 
-from modcal_core.errors import BadTable, NotRepresentable
+from modcal_core.errors import NotRepresentable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
@@ -115,8 +115,3 @@ def test_it_is_nearest() -> None:
                 other = {**found.table, "joints": [dict(row) for row in found.table["joints"]]}
                 other["joints"][k][key] += sign * 5e-4
                 assert missed(other) > best, (k, key)
-
-
-def test_cpc_has_no_nearest() -> None:
-    with pytest.raises(BadTable, match="cpc holds every arm"):
-        nearest_dh(bent_ur10(5e-4)[0], "cpc")

@@ -99,15 +99,6 @@ def test_torques_are_used_up_and_not_exceeded(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_more_torque_is_faster_and_more_payload_slower() -> None:
-    job = PickAndPlace()
-    full = job.by_torque().duration
-    assert within_torque(job.chain, job.inertias, job.drives, job.path, 0.7).duration > full
-    heavier = with_payload(job.inertias, job.chain, Payload.checked(3.0))
-    assert within_torque(job.chain, heavier, job.drives, job.path, SHARE).duration > full
-
-
-@pytest.mark.slow
 def test_pick_and_place_in_mujoco(rng: np.random.Generator) -> None:
     """Faster than by the constant bounds of the workspace, and of this very path, and no drive is ever asked too much."""
     job = PickAndPlace()

@@ -42,19 +42,3 @@ def test_a_payload_pulls_with_its_lever() -> None:
         d[j] = 1e-6
         rise = (chain_forward(chain, q + d)[:, 2, 3] - chain_forward(chain, q - d)[:, 2, 3]) / 2e-6
         assert np.abs(found[:, j] + STANDARD_GRAVITY * rise).max() < 1e-7
-
-
-def test_the_weight_is_that_beyond_the_joint_and_turns_with_the_arm() -> None:
-    chain = chain_of("ur10")
-    inertias = read_inertias(urdf("ur10"), chain)
-    q = random_postures(chain, 30, np.random.default_rng(3))
-    wrench = chain_gravity_wrench(chain, inertias, q)
-    assert (
-        np.abs(
-            np.linalg.norm(wrench[:, :3], axis=1) - STANDARD_GRAVITY * np.cumsum(inertias.mass[::-1])[::-1, None]
-        ).max()
-        < 1e-9
-    )
-    turned = q.copy()
-    turned[:, 0] += 1.0  # about the vertical: nothing changes as seen from the arm
-    assert np.abs(chain_gravity_wrench(chain, inertias, turned)[1:] - wrench[1:]).max() < 1e-9

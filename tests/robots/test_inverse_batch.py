@@ -1,4 +1,4 @@
-"""Many starts at once: they end where single ones do, and what is met is met."""
+"""Many starts at once: what is met is met, and what is not is missed by the least."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from cells import slider_arm
 
-from modcal_core.errors import NotReachable
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inverse_kinematics import inverse, inverse_batch
+from modcal_core.robots.inverse_kinematics import inverse_batch
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 
@@ -19,31 +18,10 @@ ARMS = {name: read_chain((ROBOTS / f"{name}.urdf").read_text()) for name in ("ur
     "sliders": slider_arm()
 }
 arms = pytest.mark.parametrize("chain", ARMS.values(), ids=ARMS)
-NO_TURN = (True, True, True, True, True, False)
 
 
 def drawn(chain: Chain, count: int, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi), (count, chain.n))
-
-
-@pytest.mark.slow
-@arms
-@pytest.mark.parametrize("mask", [(True,) * 6, NO_TURN, (True,) * 3 + (False,) * 3], ids=["pose", "axis", "point"])
-def test_it_ends_where_single_starts_do(chain: Chain, mask: tuple[bool, ...], rng: np.random.Generator) -> None:
-    """Row by row the same descent, so nearly always the same answer, and the same verdict."""
-    goals, starts = chain_forward(chain, drawn(chain, 40, rng)), drawn(chain, 40, rng)
-    found = inverse_batch(chain, goals, starts, mask)
-    same = 0
-    for goal, start, q, met in zip(goals, starts, found.q, found.met, strict=True):
-        try:
-            alone = inverse(chain, goal, start, mask)
-        except NotReachable:
-            same += int(not met)
-            continue
-        # inverse() takes whole turns off to be near its seed; so the pose is compared, and the joints to whole turns
-        turns = (alone - q) / (2 * np.pi) * chain.revolute
-        same += int(met and np.abs(turns - np.round(turns)).max() < 1e-6)
-    assert same >= 38
 
 
 @pytest.mark.slow
@@ -62,7 +40,7 @@ def test_many_starts_for_each_pose(chain: Chain, rng: np.random.Generator) -> No
     # what it says of itself is what the arm does
     left = chain_forward(chain, found.q)
     distance = np.linalg.norm(left[..., :3, 3] - goals[:, None, :3, 3], axis=-1)
-    assert np.abs(found.position - distance).max() < 1e-12
+    assert np.abs(np.linalg.norm(found.error[..., :3], axis=-1) - distance).max() < 1e-12
     assert (found.met == (np.abs(found.error).max(axis=-1) <= 1e-10)).all()
 
 
@@ -76,7 +54,7 @@ def test_what_cannot_be_reached_is_missed_by_the_least(chain: Chain, rng: np.ran
     assert not found.met
     assert found.error[3:] == pytest.approx(0.0)
     nearest = np.linalg.norm(chain_forward(chain, drawn(chain, 2000, rng))[:, :3, 3] - goal[:3, 3], axis=1).min()
-    assert found.position < nearest
+    assert np.linalg.norm(found.error[:3]) < nearest
 
 
 def test_a_posture_that_is_there_already_stays(rng: np.random.Generator) -> None:

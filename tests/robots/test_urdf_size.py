@@ -9,7 +9,7 @@ import pytest
 
 from modcal_core.articulation.urdf import read
 from modcal_core.errors import BadRobot, ModcalError
-from modcal_core.robots.loaded_arm import LoadedArm
+from modcal_core.robots.acceleration import LoadedArm
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.io.inputs import parse_calibration
 

@@ -8,17 +8,15 @@ import numpy as np
 import pytest
 from robots.test_kinematics import chain_of, urdf
 
-from modcal_core.errors import BadTable, NotRepresentable
+from modcal_core.errors import BadTable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.makers import (
-    franka_kinematics,
     from_ur_kinematics,
     kinematics_yaml_data,
     lacks_hash,
-    ur_kinematics,
 )
 from modcal_core.robots.tables import from_table, from_ur_conf
 from modcal_core.robots.urdf import joint_origins, read_chain
@@ -158,14 +156,6 @@ def test_any_other_arm_by_joint_name(arm: str) -> None:
     for name, values in data.items():
         assert np.abs(pose(values) - joint_origins(text)[name]).max() < 1e-15 * 4
     assert all(type(value) is float for values in data.values() for value in values.values())
-
-
-def test_another_arm_has_no_maker_form() -> None:
-    origins = joint_origins(urdf("xarm7"))
-    with pytest.raises(NotRepresentable, match="needs joints shoulder_pan_joint"):
-        ur_kinematics(origins)
-    with pytest.raises(NotRepresentable, match="needs joints"):
-        franka_kinematics(origins)
 
 
 # -- a controller's differences from its model ------------------------------------------------------------------------

@@ -6,6 +6,8 @@ import ast
 from collections import defaultdict
 from pathlib import Path
 
+import pytest
+
 SRC = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
 PACKAGES = ("modcal_core", "modcal_msgs_py", "modcal_nodes")
 
@@ -24,6 +26,7 @@ def twice(sources: dict[str, str]) -> dict[str, list[str]]:
     return {name: found for name, found in places.items() if len(found) > 1}
 
 
+@pytest.mark.slow
 def test_no_class_name_has_two_meanings() -> None:
     files = [f for package in PACKAGES for f in sorted((SRC / package / package).rglob("*.py"))]
     assert len(files) > 300

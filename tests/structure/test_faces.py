@@ -39,6 +39,7 @@ def past_the_face(module: str, imported: str) -> bool:
     return inside not in ROOTS and not taken_as_module
 
 
+@pytest.mark.slow
 def test_other_packages_are_imported_by_their_faces() -> None:
     broken = [
         f"{module}:{found.line} imports {found.module}"
@@ -68,6 +69,7 @@ def declared(source: str) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", FACES)
 def test_a_face_shows_what_it_names(package: str) -> None:
     source = (SRC / package.split(".")[0] / Path(*package.split("."))).joinpath("__init__.py").read_text()

@@ -90,6 +90,7 @@ def test_every_folder_of_modules_is_a_package(package: str) -> None:
     assert (SRC / package / package / "py.typed").is_file()
 
 
+@pytest.mark.slow
 def test_in_the_shell_of_env_bash_the_nodes_are_commands(root: Path, tmp_path: Path) -> None:
     """Which stands in for `ros2 run`; `modcal` is the one that ignores another ROS, and a closed pipe is no fault."""
     clean = {"HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import BLEND, Calibration, Cell, Errors, curved_joints, errors, with_frames, with_sockets
+from modcal_core.calibration import BLEND, Calibration, Cell, Errors, curved_joints, errors, with_sockets
 from modcal_core.checking import (
     PATTERN,
     UNTRIED,
@@ -20,6 +20,7 @@ from modcal_core.checking import (
     alike_everywhere,
     beyond_ranges,
     frozen,
+    in_known_frames,
     named,
     new_frames,
     noticed,
@@ -36,7 +37,7 @@ from modcal_core.evaluation import evaluate
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import recognised
 from modcal_core.measurements import Samples
-from modcal_core.moves import CheckState, FoundChanges, search
+from modcal_core.moves import FoundChanges, search
 from modcal_core.outcome import Outcome, unseen_note
 from modcal_core.verdict import Applied, applicable, own_rows
 
@@ -137,11 +138,12 @@ def checkup(
         raise NotEnoughData(f"{samples.stations} stations{again}", said, remedy)
     new = new_frames(calibration, samples)
     placed = _placed(calibration, samples, new)
-    known = recognised(with_frames(placed[1].model, samples.frames), samples, calibration.noise)
+    samples = in_known_frames(samples, placed[0])
+    known = recognised(placed[1].model, samples, calibration.noise)
     if new and known.undone is not None:  # they were placed by what was undone
         placed = _placed(calibration, known.samples, new)
     samples, (calibration, applied) = known.samples, placed
-    begin = frozen(calibration, applied.model, samples, pattern)
+    begin = frozen(calibration, applied.model, pattern)
     inside = _where_curves_are_known(calibration, samples)
     part = calibration.with_scatter(spread_out(inside, MAX))
     require_own_rows(begin.model, part)
@@ -155,7 +157,7 @@ def checkup(
         ) from None
     require_one_setting(found)
     if known.doubt is not None:
-        require_accounted(found, known.doubt)
+        require_accounted(found, known.doubt, begin.model)
     fixed = None if found.more else repaired(calibration, found, begin.index)
     alike = [alike_everywhere(c, calibration, begin.model, found.samples) for c in found.changes]
     N = len(found.samples)
@@ -179,7 +181,7 @@ def checkup(
         expected=_expected(found),
         stations=part.stations,
         aside=tuple(int(part.station[i]) + 1 for i in found.aside),
-        noticed=noticed(found.opened, CheckState(begin.model, found.samples, begin.known), found.asked),
+        noticed=noticed(found),
         advice=advise(found, calibration, begin, alike, untried),
         repaired=fixed,
         report=report,
@@ -196,7 +198,7 @@ def checkup(
             errors(begin.model, found.samples).position_norm,
             errors(found.state.model, found.samples).position_norm,
         ),
-        far_apart=found.start.null.weight * part.stations,
+        far_apart=found.null.weight * part.stations,
         placed=new,
         beyond=beyond,
     )
@@ -257,7 +259,7 @@ def _size(e: Errors) -> tuple[float | None, float | None]:
 
 def _expected(found: FoundChanges) -> tuple[float | None, float | None]:
     """RMS that the frozen model should show while nothing has changed."""
-    null = found.start.null
+    null = found.null
     variance = np.diag(null.covariances[null.reference])
     turned = null.rows.component >= 3
     position = 1e3 * float(np.sqrt(3.0 * variance[~turned].mean()))
@@ -271,8 +273,8 @@ def _each_by_the_others(report: Outcome, found: FoundChanges, begin: FrozenCalib
     if not sized:
         return report
     A = np.concatenate([state.columns(h) for h in sized], axis=1)
-    V = found.start.null.covariances[found.left.best]
-    residual, rows = state.residual, found.start.null.rows
+    V = found.null.covariances[found.stages[2].judge.best]
+    residual, rows = state.residual, found.null.rows
     station = found.samples.station[rows.sample]
     left = residual.copy()
     for one in np.unique(station):
@@ -299,7 +301,7 @@ def _notes(
         out.append(f"{gone} of {samples.stations} stations were left out: learned curves have not been seen there.")
     if part.stations < inside.stations:
         out.append(f"{part.stations} of {inside.stations} stations, spread over time and postures, were looked at.")
-    if 2.0 * (far := found.start.null.weight * part.stations) < part.stations:
+    if 2.0 * (far := found.null.weight * part.stations) < part.stations:
         out.append(
             f"These {part.stations} stations stand close together and say as much as {far:.1f} far apart: only larger "
             "changes are named. Spread them over the ranges of all joints."

@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from modcal_msgs_py.images import CLOUD, TAGS, RawImage, chosen_topic, corner_topics, fill_corners, image_topics
     from modcal_msgs_py.images import info_topic, lens_data, raw_image, read_corners, read_messages, size_of, stamp_of
     from modcal_msgs_py.images import stamps_of, tag_topics
-    from modcal_msgs_py.layout import jazzy
+    from modcal_msgs_py.layout import OneMessage, jazzy
     from modcal_msgs_py.mcap_read import list_topics, read_recording
     from modcal_msgs_py.mcap_repair import Repair, repair_bag
     from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
     from modcal_msgs_py.messages import RecordingBuilder, why_left_out
-    from modcal_msgs_py.objects import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_expected
-    from modcal_msgs_py.objects import fill_markers, fill_object_state, fill_picture, seen, status_values
-    from modcal_msgs_py.readings import READING, SignalsHeard, seconds, set_seconds
+    from modcal_msgs_py.commands import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_expected
+    from modcal_msgs_py.commands import fill_markers, fill_object_state, fill_picture, seen, status_values
+    from modcal_msgs_py.readings import SignalsHeard, reading_of, seconds, set_seconds
     from modcal_msgs_py.recording_write import write_recording
     from modcal_msgs_py.topics import JOINT_COMMANDS, JOINT_STATES, READINGS, TYPES, AddedTopic, Joints, Signal, Topics
     from modcal_msgs_py.topics import accepted, role_of
@@ -30,13 +30,13 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["CLOUD", "FLUSH_SECONDS", "JOINT_COMMANDS", "JOINT_STATES", "READING", "READINGS", "SUFFIXES", "TAGS"]
-__all__ += ["TYPES", "AddedTopic", "Bag", "BagWriter", "Colour", "Commands", "JointInput", "JointStateBytes", "Joints"]
-__all__ += ["ObjectInput", "RawImage", "RecordingBuilder", "Repair", "Signal", "SignalsHeard", "Topics", "accepted"]
-__all__ += ["arrows", "caption", "chosen_topic", "colour_of", "corner_topics", "desired_pose", "dots", "ellipsoids"]
-__all__ += ["fill_accelerations", "fill_corners", "fill_expected", "fill_markers", "fill_object_state", "fill_picture"]
-__all__ += ["fill_point", "fill_pose", "fill_target", "fill_wrench", "image_topics", "info_topic", "jazzy"]
-__all__ += ["lens_data", "list_topics", "qos_profile", "raw_image", "read_bag", "read_corners", "read_messages"]
-__all__ += ["read_recording", "repair_bag", "require_new", "role_of", "seconds", "seen", "set_seconds", "size_of"]
-__all__ += ["stamp_of", "stamps_of", "status_values", "tag_topics", "why_left_out", "wrench_numbers"]
-__all__ += ["write_recording"]
+__all__ = ["CLOUD", "FLUSH_SECONDS", "JOINT_COMMANDS", "JOINT_STATES", "READINGS", "SUFFIXES", "TAGS", "TYPES"]
+__all__ += ["AddedTopic", "Bag", "BagWriter", "Colour", "Commands", "JointInput", "JointStateBytes", "Joints"]
+__all__ += ["ObjectInput", "OneMessage", "RawImage", "RecordingBuilder", "Repair", "Signal", "SignalsHeard", "Topics"]
+__all__ += ["accepted", "arrows", "caption", "chosen_topic", "colour_of", "corner_topics", "desired_pose", "dots"]
+__all__ += ["ellipsoids", "fill_accelerations", "fill_corners", "fill_expected", "fill_markers", "fill_object_state"]
+__all__ += ["fill_picture", "fill_point", "fill_pose", "fill_target", "fill_wrench", "image_topics", "info_topic"]
+__all__ += ["jazzy", "lens_data", "list_topics", "qos_profile", "raw_image", "read_bag", "read_corners"]
+__all__ += ["read_messages", "read_recording", "reading_of", "repair_bag", "require_new", "role_of", "seconds"]
+__all__ += ["seen", "set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics", "why_left_out"]
+__all__ += ["wrench_numbers", "write_recording"]

@@ -13,6 +13,7 @@ Those of the contract's topics are written down here; others come out of the def
 from __future__ import annotations
 
 import contextlib
+import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,6 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+
+from modcal_core.geometry import Array
 
 _MAX_STEPS = 20_000  # fields of one message that are looked at; more, and it has no layout
 _MAX_GAPS = 16  # between numbers, that are compared one by one; where there are more, word by word is quicker
@@ -57,21 +60,25 @@ class Column:
 class MessageLayout:
     """Where everything stands in messages of ``size`` bytes. columns, texts: by path, such as ``pose/position/x``.
 
-    counts: how many fields that are not numbers (texts, messages) there are, by path.
+    counts: how many fields that are not numbers (texts, messages) there are, by path. fixed: spans of bytes that must
+    be the same in all of them.
     """
 
     size: int
     columns: dict[str, Column] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
-    _fixed: list[tuple[int, int]] = field(default_factory=list)
+    fixed: list[tuple[int, int]] = field(default_factory=list)
     _same: NDArray[np.uint64] | None = None
     _mask: NDArray[np.uint64] | None = None
     _gaps: list[tuple[int, bytes]] | None = None
 
     @classmethod
-    def of(cls, fields: Fields, sample: bytes) -> MessageLayout | None:
-        """The layout of a message of these fields; None for bytes that are no such message, or not plain CDR."""
+    def of(cls, fields: Fields, sample: bytes, spare: int = 3) -> MessageLayout | None:
+        """The layout of a message of these fields; None for bytes that are no such message, or not plain CDR.
+
+        spare: how many bytes may follow the message.
+        """
         if len(sample) < _HEAD or sample[0] != 0 or sample[1] not in (0, 1):
             return None
         made = cls(len(sample))
@@ -79,16 +86,16 @@ class MessageLayout:
             end = _LayoutWalk(made, sample, "<" if sample[1] else ">").fields(fields, "", _HEAD)
         except (struct.error, UnicodeDecodeError, ValueError):
             return None
-        if not len(sample) - 3 <= end <= len(sample):
+        if not len(sample) - spare <= end <= len(sample):
             return None
-        made._fixed.append((0, 2))
+        made.fixed.append((0, 2))
         made._compare(sample)
         return made
 
     def _compare(self, sample: bytes) -> None:
         """Remember the bytes that must be the same, in words of eight."""
         mask = np.zeros(self.width, np.uint8)
-        for start, stop in self._fixed:
+        for start, stop in self.fixed:
             mask[_HEAD + start : _HEAD + stop] = 0xFF
         same = np.zeros(self.width, np.uint8)
         same[_HEAD : _HEAD + self.size] = np.frombuffer(sample, np.uint8)
@@ -179,14 +186,14 @@ class _LayoutWalk:
         (count,) = struct.unpack_from(f"{self.order}I", self.data, at)
         if count > len(self.data):
             raise ValueError("more than there is room for")
-        self.made._fixed.append((at, at + 4))
+        self.made.fixed.append((at, at + 4))
         return int(count), at + 4
 
     def text(self, path: str, at: int) -> int:
         length, at = self.count(at)
         if at + length > len(self.data):
             raise ValueError("ends too early")
-        self.made._fixed.append((at, at + length))
+        self.made.fixed.append((at, at + length))
         self.made.texts[path] = self.data[at : at + length].rstrip(b"\0").decode()
         return at + length
 
@@ -207,23 +214,110 @@ def _aligned(at: int, size: int) -> int:
 _NO_SIGNAL = frozenset(("header", "stamp", "sec", "nanosec", "seq", "id", "goal_id", "line", "level"))
 
 
-def is_signal(path: str) -> bool:
+_MOST = 32  # numbers of an array that are signals
+
+
+def _is_signal(path: str) -> bool:
     """Whether a number at this path may be a signal: no stamp, counter or name of something."""
     return not _NO_SIGNAL & set(path.split("/"))
 
 
-def numeric_paths(layout: MessageLayout) -> Iterator[tuple[str, int | None]]:
-    """Every number that a signal is made of: (path, place in its array or None), the header left out.
+@dataclass(frozen=True)
+class MessageRows:
+    """Messages of one layout: rows (n, width) of bytes."""
 
-    As for messages taken one by one: arrays of up to 32 numbers, and nothing out of arrays of messages.
-    """
-    for path, column in layout.columns.items():
-        if not is_signal(path) or "]" in path:
-            continue
-        if not column.many:
-            yield path, None
-        elif 0 < column.count <= 32:
-            yield from ((path, i) for i in range(column.count))
+    layout: MessageLayout
+    rows: Bytes
+
+    def has(self, path: str) -> bool:
+        """Whether there are numbers at this path."""
+        return path in self.layout.columns
+
+    def column(self, path: str) -> Array:
+        """The numbers at a path, (n, k)."""
+        return self.layout.numbers(self.rows, path).astype(float, copy=False)
+
+    def text(self, path: str) -> str:
+        """The text at a path; "" where there is none."""
+        return self.layout.texts.get(path, "")
+
+    def texts(self, path: str) -> tuple[str, ...]:
+        """The texts of an array."""
+        return tuple(self.layout.texts[f"{path}[{i}]"] for i in range(self.count(path)))
+
+    def count(self, path: str) -> int:
+        """How many fields an array has that are no numbers."""
+        return self.layout.counts.get(path, 0)
+
+    def signals(self) -> Iterator[tuple[str, Array]]:
+        """Every number that a signal is made of, by its path, (n,): none of the header, nor of arrays of messages."""
+        for path, column in self.layout.columns.items():
+            if not _is_signal(path) or "]" in path or (column.many and column.count > _MOST):
+                continue
+            values = self.column(path)
+            yield from ((f"{path}[{i}]" if column.many else path, values[:, i]) for i in range(column.count))
+
+
+@dataclass(frozen=True)
+class OneMessage:
+    """The same of one message object, of rclpy or decoded from a bag."""
+
+    message: Any
+
+    def has(self, path: str) -> bool:
+        """Whether there is anything at this path."""
+        return self._at(path) is not None
+
+    def column(self, path: str) -> Array:
+        """The numbers at a path, (1, k)."""
+        return np.atleast_2d(np.asarray(self._at(path), dtype=float))
+
+    def text(self, path: str) -> str:
+        """The text at a path; "" where there is none."""
+        found = self._at(path)
+        return "" if found is None else str(found)
+
+    def texts(self, path: str) -> tuple[str, ...]:
+        """The texts of an array."""
+        return tuple(self._at(path))
+
+    def count(self, path: str) -> int:
+        """How many fields an array has."""
+        return len(self._at(path) or ())
+
+    def signals(self) -> Iterator[tuple[str, Array]]:
+        """Every number that a signal is made of, by its path, (1,)."""
+        return self._signals(self.message, "")
+
+    def _at(self, path: str) -> Any:
+        value = self.message
+        for name in _names(path):
+            value = value[name] if isinstance(name, int) else getattr(value, name, None)
+        return value
+
+    def _signals(self, message: Any, path: str) -> Iterator[tuple[str, Array]]:
+        fields = getattr(message, "__dataclass_fields__", None)
+        names = fields if fields is not None else getattr(message, "get_fields_and_field_types", dict)()
+        for name in names:
+            if not _is_signal(name) or (fields is not None and hasattr(type(message), name)):  # or a constant
+                continue
+            value, at = getattr(message, name), f"{path}{name}"
+            if isinstance(value, bool | int | float | np.number):
+                yield at, np.array([float(value)])
+            elif hasattr(value, "__dataclass_fields__") or hasattr(value, "get_fields_and_field_types"):
+                yield from self._signals(value, f"{at}/")
+            elif not isinstance(value, str | bytes) and hasattr(value, "__len__") and 0 < len(value) <= _MOST:
+                numbers = ((i, x) for i, x in enumerate(value) if isinstance(x, int | float | np.number))
+                yield from ((f"{at}[{i}]", np.array([float(x)])) for i, x in numbers)
+
+
+Messages: TypeAlias = MessageRows | OneMessage
+
+
+@cache
+def _names(path: str) -> tuple[str | int, ...]:
+    """Fields and places in arrays on the way that a path leads."""
+    return tuple(int(word) if word.isdigit() else word for word in re.findall(r"[^/\[\]]+", path))
 
 
 # --- ROS 2 Jazzy message types without ROS: definitions, serialisation, type hashes

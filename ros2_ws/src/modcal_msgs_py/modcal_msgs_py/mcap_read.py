@@ -1,7 +1,7 @@
 """Bags as recordings.
 
-Messages of one topic nearly always have one layout, and are decoded many at once (see ``layout``); those that have
-not, or whose type is not plain numbers and texts, are decoded one by one. Both ways give the same recording.
+Messages of one topic nearly always have one layout, and are decoded many at once (see ``layout``); those that have not
+are decoded one by one.
 """
 
 from __future__ import annotations
@@ -10,20 +10,24 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.errors import BadRecording
-from modcal_core.measurements import Listed, Recording, Stretch, elsewhen
+from modcal_core.measurements import UNREAD, Listed, Recording, Stretch, elsewhen
 from modcal_msgs_py.bag_files import bag_files
 from modcal_msgs_py.bag_open import BagFile, bag_file, message_unpacked, topics_of, unpacked
-from modcal_msgs_py.layout import KNOWN, Bytes, Fields, MessageLayout, fields_of
-from modcal_msgs_py.mcap_walk import Block, McapFile
+from modcal_msgs_py.layout import Bytes, Fields, MessageLayout, MessageRows, Messages, OneMessage, fields_of, store_with
+from modcal_msgs_py.mcap_walk import PADDING, Block, McapFile
 from modcal_msgs_py.messages import RecordingBuilder, gathered, why_left_out
-from modcal_msgs_py.topics import ADDED, TRANSFORMS, Topics, resolve
+from modcal_msgs_py.topics import ADDED, Topics, resolve
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 # Of these nothing is a signal: images, what programs log and ask of one another, and what is drawn
 _LEFT_OUT = re.compile(
@@ -37,24 +41,22 @@ _MAX_LAYOUTS = 8  # of one topic in one block; more than that, and one by one is
 _MAX_KEPT = 64
 _NAMED = 3  # topics of other encodings
 _HOPELESS = 1000  # messages of a topic in a row that cannot be decoded, after which the rest of a block is not tried
-_SHORTEST_RUN = 4  # messages of one layout in a row, on the average, below which one by one is quicker
-_FEW_RUNS = 8  # which take less than reading the definitions of all types, without which nothing goes one by one
+_FIRST = np.array([len(PADDING)])  # where a message begins behind it
 
 
-def read_recording(path: Path, layouts: bool = True, topics: Topics = _NO_TOPICS) -> Recording:
+def read_recording(path: Path, topics: Topics = _NO_TOPICS) -> Recording:
     """The recording in a bag folder or a bare file, MCAP or SQLite, packed with zstd or not.
 
-    A cut file is read to its last whole message, with a warning in the recording. layouts: False decodes all messages
-    one by one, which gives the same. topics: what is said of them. Raises BadRecording for what is no bag.
+    A cut file is read to its last whole message, with a warning in the recording. topics: what is said of them. Raises
+    BadRecording for what is no bag.
     """
-    (whole,) = read_pieces(path, None, layouts, topics=topics)
+    (whole,) = read_pieces(path, None, topics=topics)
     return whole.recording
 
 
 def read_pieces(
     path: Path,
     most: int | None = PIECE,
-    layouts: bool = True,
     heard: Callable[[float], None] = lambda _: None,
     topics: Topics = _NO_TOPICS,
 ) -> Iterator[Stretch]:
@@ -73,7 +75,7 @@ def read_pieces(
         for i, name in enumerate(files):
             file = waiting.pop(0)
             try:
-                reader = _Reader(file, builder, layouts)
+                reader = _Reader(file, builder)
                 for block in gathered(file.blocks()):
                     reader.take(block)
                     heard((i + file.share) / len(files))
@@ -99,7 +101,7 @@ def read_pieces(
             what, remedy = _unread(unread)
             if total == 0:
                 raise BadRecording(str(path), f"holds {what}", remedy)
-            warnings.append(f"It holds {what}: {remedy}.")
+            warnings.append(f"{UNREAD}{what}: {remedy}.")
         if total == 0:
             why = f" ({file.cut})" if file.cut else ""
             remedy = "check that the topics were published while recording"
@@ -164,11 +166,9 @@ class _Reader:
     brings along can lead astray.
     """
 
-    def __init__(self, file: BagFile, builder: RecordingBuilder, layouts: bool) -> None:
+    def __init__(self, file: BagFile, builder: RecordingBuilder) -> None:
         self._file, self._builder = file, builder
-        self._use_layouts = layouts
         self._layouts: dict[tuple[str, str], list[MessageLayout]] = {}
-        self._said: set[tuple[str, str]] = set()
 
     def take(self, block: Block) -> None:
         """Decode a block, topic by topic."""
@@ -187,75 +187,65 @@ class _Reader:
         self._file.count += len(channels)
 
     def _topic(self, topic: str, type_name: str, block: Block, which: NDArray[np.int64]) -> None:
-        role = self._builder.role(topic, type_name)
-        own = role in ADDED  # a package's, which takes messages one by one
-        fields = None if own else fields_of(type_name, self._file.schemas)
-        if own or (fields is not None and not self._use_layouts):
-            self._one_by_one(topic, type_name, block, which)
+        if self._builder.role(topic, type_name) in ADDED:  # a package's, which takes messages one by one
+            store = store_with(type_name, self._file.schemas.get(type_name, ""))
+            if type_name in store.types:
+                self._one_by_one(topic, type_name, block, which, partial(_decoded, store, type_name))
             return
+        fields = fields_of(type_name, self._file.schemas)
         if fields is None:
             return
-        met = self._layouts.setdefault((topic, type_name), [])
-        pieces = _sorted(block, which, fields, met) or [_LayoutRun(None, which, np.empty((0, 0), np.uint8))]
-        for piece in pieces:
+        for piece in _sorted(block, which, fields, self._layouts.setdefault((topic, type_name), [])):
             if piece.layout is not None:
                 received = 1e-9 * block.heads["received"][piece.which]
-                self._rows(topic, type_name, piece.layout, piece.rows, received)
-            elif type_name in KNOWN and type_name != TRANSFORMS:
-                self._one_by_one(topic, type_name, block, piece.which)
+                self._take(topic, type_name, MessageRows(piece.layout, piece.rows), received)
             else:
-                self._row_by_row(topic, type_name, fields, block, piece.which)
+                self._one_by_one(topic, type_name, block, piece.which, partial(_of_own_layout, fields))
 
-    def _rows(
-        self, topic: str, type_name: str, layout: MessageLayout, rows: Bytes, received: NDArray[np.float64]
-    ) -> None:
+    def _take(self, topic: str, type_name: str, said: Messages, received: NDArray[np.float64]) -> None:
         try:
-            self._builder.add_rows(topic, type_name, layout, rows, received)
+            self._builder.take(topic, type_name, said, received)
         except BadRecording as error:
-            self._builder.lose(topic, why_left_out(error), len(rows))
+            self._builder.lose(topic, why_left_out(error), len(received))
 
-    def _row_by_row(self, topic: str, type_name: str, fields: Fields, block: Block, which: NDArray[np.int64]) -> None:
-        """Messages whose layouts change from one to the next."""
-        content = np.frombuffer(block.content, np.uint8)
+    def _one_by_one(
+        self,
+        topic: str,
+        type_name: str,
+        block: Block,
+        which: NDArray[np.int64],
+        decode: Callable[[bytes], Messages | None],
+    ) -> None:
+        """decode: None for bytes that are no such message."""
         failed = 0
         for k, i in enumerate(which.tolist()):
-            start, stop = int(block.starts[i]), int(block.stops[i])
-            layout = MessageLayout.of(fields, bytes(block.content[start:stop]))
-            if layout is None:
-                failed += 1
-                if self._hopeless(topic, type_name, failed, len(which) - k):
-                    return
-                continue
-            failed = 0
-            rows = layout.rows(content, np.array([start]))
-            self._rows(topic, type_name, layout, rows, np.array([1e-9 * int(block.heads["received"][i])]))
-
-    def _one_by_one(self, topic: str, type_name: str, block: Block, which: NDArray[np.int64]) -> None:
-        from modcal_msgs_py.layout import store_with  # reading the definitions of all types takes half a second
-
-        store = store_with(type_name, self._file.schemas.get(type_name, ""))
-        if type_name not in store.types:
-            return
-        failed = 0
-        for k, i in enumerate(which.tolist()):
-            try:
-                message = store.deserialize_cdr(bytes(block.content[block.starts[i] : block.stops[i]]), type_name)
-            except Exception:  # the decoder raises whatever the bytes lead it to
-                failed += 1
-                if self._hopeless(topic, type_name, failed, len(which) - k):
-                    return
-                continue
-            failed = 0
-            try:
-                self._builder.add(topic, type_name, message, 1e-9 * int(block.heads["received"][i]))
-            except BadRecording as error:
-                self._builder.lose(topic, why_left_out(error))
+            said = decode(bytes(block.content[block.starts[i] : block.stops[i]]))
+            failed = failed + 1 if said is None else 0
+            if said is not None:
+                self._take(topic, type_name, said, np.array([1e-9 * int(block.heads["received"][i])]))
+            elif self._hopeless(topic, type_name, failed, len(which) - k):
+                return
 
     def _hopeless(self, topic: str, type_name: str, failed: int, left: int) -> bool:
         """Count a message that cannot be decoded; after many in a row, all that are left, this one included."""
         hopeless = failed >= _HOPELESS
         self._builder.lose(topic, f"they are not of type {type_name}", left if hopeless else 1)
         return hopeless
+
+
+def _decoded(store: Typestore, type_name: str, data: bytes) -> OneMessage | None:
+    try:
+        return OneMessage(store.deserialize_cdr(data, type_name))
+    except Exception:  # the decoder raises whatever the bytes lead it to
+        return None
+
+
+def _of_own_layout(fields: Fields, data: bytes) -> MessageRows | None:
+    """A message whose layout changes from one to the next."""
+    layout = MessageLayout.of(fields, data)
+    if layout is None:
+        return None
+    return MessageRows(layout, layout.rows(np.frombuffer(PADDING + data + bytes(layout.width), np.uint8), _FIRST))
 
 
 class _LayoutRun(NamedTuple):
@@ -267,7 +257,7 @@ class _LayoutRun(NamedTuple):
 
 
 def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[MessageLayout]) -> list[_LayoutRun]:
-    """These messages of a block, in their order, by layout; nothing where that does not pay.
+    """These messages of a block, in their order, by layout.
 
     met: the layouts of this topic so far; new ones are added.
     """
@@ -297,8 +287,6 @@ def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[Me
         if not len(left):
             break
     ends = np.flatnonzero(np.r_[number[1:] != number[:-1], True]) + 1
-    if len(ends) > _FEW_RUNS and len(ends) * _SHORTEST_RUN > len(which) + _SHORTEST_RUN:
-        return []
     pieces = []
     for start, stop in zip(np.r_[0, ends[:-1]].tolist(), ends.tolist(), strict=True):
         layout = met[number[start]] if number[start] >= 0 else None

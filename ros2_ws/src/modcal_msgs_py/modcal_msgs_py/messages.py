@@ -1,6 +1,6 @@
 """Messages to a recording: one path for a bag and for the wire.
 
-Everything here works on attributes, so that a message from rclpy and one decoded from a bag are the same to it.
+Messages come as objects, of rclpy or decoded, or many of one layout at once; they are read by the same paths.
 
 Recorders that write several times a second, so that little is lost when they are killed, leave a block each time.
 """
@@ -18,9 +18,9 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import PART, Listed, Recording
 from modcal_core.measurements.kinds import kinds
 from modcal_msgs_py.descriptions import Descriptions, is_link
-from modcal_msgs_py.layout import Bytes, MessageLayout, is_signal, numeric_paths
+from modcal_msgs_py.layout import Messages, OneMessage
 from modcal_msgs_py.mcap_walk import Block
-from modcal_msgs_py.readings import READING, columns_of, seconds, stated_by, stated_in
+from modcal_msgs_py.readings import Transforms, columns_of, stated_in
 from modcal_msgs_py.topics import (
     ADDED,
     COMMANDS,
@@ -41,7 +41,6 @@ from modcal_msgs_py.topics import (
     role_of,
 )
 from modcal_msgs_py.track_rows import Commands, TrackRows, joint_track, reading_track, signal_track
-from modcal_msgs_py.transforms import Transforms
 
 Key = TypeVar("Key", bound=tuple[Any, ...])  # of a track; the topic comes first
 NO_POSITIONS = "it holds names without positions"
@@ -89,76 +88,41 @@ class RecordingBuilder:
 
     def add(self, topic: str, type_name: str, message: Any, received: float = math.nan) -> None:
         """Take one message, received at this time [s]. Raises BadRecording for one that contradicts itself."""
+        self.take(topic, type_name, OneMessage(message), np.array([received]))
+
+    def take(self, topic: str, type_name: str, said: Messages, received: Array) -> None:
+        """Take messages received at these times (n,) [s]; of a package's topics one at a time. Raises BadRecording."""
         role = self.role(topic, type_name)
+        stamps, frame = self._stamps(topic, said, received), said.text("header/frame_id")
         if type_name == TRANSFORMS:
-            self._add_transforms(topic, message, received)
+            self._take_transforms(topic, said, received)
         elif role == JOINT_STATES:
-            self._add_joints(topic, message, self._stamp(topic, message, received), received)
+            columns = [said.column(path) for path in ("position", "velocity", "effort")]
+            self._take_joints(topic, said.texts("name"), stamps, received, columns)
         elif role in COMMANDS:
             self._commanded.setdefault(topic, _rank(topic, role))
-            self._commands.add(topic, type_name, message, self._stamp(topic, message, received), received)
-        elif role in READINGS:
-            self._add_reading(topic, READINGS[role], message, received)
-        elif role == ROBOT_DESCRIPTION:
-            self._descriptions.add(topic, str(message.data))
-        elif role == NOTES:
-            self._notes.append(str(message.data))
-        elif role == TEMPERATURE:
-            stamp = self._stamp(topic, message, received)
-            self._signal(topic, f"temperature:{message.header.frame_id}", stamp, received, [message.temperature])
-        elif role in ADDED:
-            stamp = self._stamp(topic, message, received)
-            for said in ADDED[role].take(message):
-                self._add_said(topic, said, stamp, received)
-        else:
-            stamp = self._stamp(topic, message, received)
-            numbers = list(_numbers(message))
-            for path, value in numbers:
-                part = f"{PART}{path[1:]}" if len(numbers) > 1 else ""
-                self._signal(topic, f"signal:{topic}{part}", stamp, received, [value])
-
-    def add_rows(self, topic: str, type_name: str, layout: MessageLayout, rows: Bytes, received: Array) -> None:
-        """Take messages of one layout, as rows (n, bytes), received at these times (n,) [s]: ``add`` for each."""
-        role = self.role(topic, type_name)
-
-        def column(path: str) -> Array:
-            return layout.numbers(rows, path).astype(float, copy=False)
-
-        stamps = received
-        if "header/stamp/sec" in layout.columns:
-            stamps = column("header/stamp/sec")[:, 0] + 1e-9 * column("header/stamp/nanosec")[:, 0]
-            without = (stamps == 0.0) & np.isfinite(received)
-            if without.any():
-                self._unstamped[topic] = self._unstamped.get(topic, 0) + int(without.sum())
-                stamps = np.where(without, received, stamps)
-        frame = layout.texts.get("header/frame_id", "")
-        if type_name == TRANSFORMS:
-            self._add_transform_rows(topic, layout, received, column)
-        elif role == JOINT_STATES:
-            columns = [column(path) for path in ("position", "velocity", "effort")]
-            self._add_joint_rows(topic, layout, stamps, received, columns)
-        elif role in COMMANDS:
-            self._commanded.setdefault(topic, _rank(topic, role))
-            self._commands.add_rows(topic, type_name, layout, stamps, received, column)
+            self._commands.take(topic, type_name, said, stamps, received)
         elif role in READINGS:
             kind = READINGS[role]
-            values = columns_of(kind, type_name, layout, column)
-            own = stated_in(type_name, len(stamps), column)
+            values = columns_of(kind, type_name, said)
+            own = stated_in(type_name, len(stamps), said)
             self._rows(self._readings, (topic, kind, frame), kinds()[kind].width + 2).extend(
                 stamps, received, *values, own
             )
         elif role == ROBOT_DESCRIPTION:
-            self._descriptions.add(topic, layout.texts["data"])
+            self._descriptions.add(topic, said.text("data"))
         elif role == NOTES:
-            self._notes += [layout.texts["data"]] * len(rows)
+            self._notes += [said.text("data")] * len(received)
         elif role == TEMPERATURE:
-            self._signals_at(topic, f"temperature:{frame}", stamps, received, column("temperature")[:, 0])
+            self._take_signal(topic, f"temperature:{frame}", stamps, received, said.column("temperature")[:, 0])
+        elif role in ADDED and isinstance(said, OneMessage):
+            for one in ADDED[role].take(said.message):
+                self._take_said(topic, one, stamps, received)
         else:
-            numbers = list(numeric_paths(layout))
-            for path, i in numbers:
-                name = path if i is None else f"{path}[{i}]"
-                part = f"{PART}{name}" if len(numbers) > 1 else ""
-                self._signals_at(topic, f"signal:{topic}{part}", stamps, received, column(path)[:, i or 0])
+            numbers = list(said.signals())
+            for path, numbers_of in numbers:
+                part = f"{PART}{path}" if len(numbers) > 1 else ""
+                self._take_signal(topic, f"signal:{topic}{part}", stamps, received, numbers_of)
 
     @property
     def joint_states(self) -> int:
@@ -243,105 +207,72 @@ class RecordingBuilder:
             for one in (() if self._roles is None else self._roles.listed)
         )
 
-    def _add_joints(self, topic: str, message: Any, stamp: float, received: float) -> None:
-        names = tuple(message.name)
-        rows = self._joints.get((topic, names))
-        if rows is None or len(message.position) != len(names):  # else there was one with these names before
-            n = _require_joints(topic, names, len(message.position), stamp)
-            rows = self._rows(self._joints, (topic, names), 3 * n)
-        n = len(names)
-        # a column that was not sent, or not for every joint, is unknown for all of them
-        sent = (message.velocity, message.effort)
-        rest = [values if len(values) == n else np.full(n, np.nan) for values in sent]
-        rows.append(stamp, received, np.concatenate([message.position, *rest]))
-
     def _rows(self, tracks: dict[Key, TrackRows], key: Key, width: int) -> TrackRows:
         """The rows of a track, which begins here where there is none. Of readings, the last two numbers are stated."""
         if key not in tracks:
             tracks[key] = TrackRows(width, self._expected.get(key[0], 0))
         return tracks[key]
 
-    def _add_joint_rows(
-        self, topic: str, layout: MessageLayout, stamps: Array, received: Array, columns: list[Array]
+    def _take_joints(
+        self, topic: str, names: tuple[str, ...], stamps: Array, received: Array, columns: list[Array]
     ) -> None:
-        names = tuple(layout.texts[f"name[{i}]"] for i in range(layout.counts["name"]))
-        n = _require_joints(topic, names, columns[0].shape[1], float(stamps[0]))
+        n, positions = len(names), columns[0].shape[1]
+        if positions != n or len(set(names)) != n:
+            said = f"{positions} positions for {n} names, {len(set(names))} of them distinct"
+            said = NO_POSITIONS if not positions else said
+            raise BadRecording(f"{topic} at stamp {stamps[0]:.3f} s", said, "publish one position for every name")
+        # a column that was not sent, or not for every joint, is unknown for all of them
         known = [c if c.shape[1] == n else np.full((len(c), n), np.nan) for c in columns]
         self._rows(self._joints, (topic, names), 3 * n).extend(stamps, received, *known)
 
-    def _add_reading(self, topic: str, kind: str, message: Any, received: float) -> None:
-        values = (*READING[kind](message), *stated_by(message))
-        key = topic, kind, str(message.header.frame_id)
-        rows = self._rows(self._readings, key, kinds()[kind].width + 2)
-        rows.append(self._stamp(topic, message, received), received, values)
-
-    def _add_transforms(self, topic: str, message: Any, received: float) -> None:
+    def _take_transforms(self, topic: str, said: Messages, received: Array) -> None:
         if self._transforms is None:
             return
-        for one in message.transforms:
-            values = np.array([READING["pose"](one)], dtype=float)
-            stamp = np.array([seconds(one.header.stamp)])
-            frames = str(one.header.frame_id), str(one.child_frame_id)
-            self._transforms.add(*frames, stamp, np.array([received]), values, topic == TF_STATIC)
-
-    def _add_transform_rows(self, topic: str, layout: MessageLayout, received: Array, column: Any) -> None:
-        if self._transforms is None:
-            return
-        for i in range(layout.counts["transforms"]):
+        for i in range(said.count("transforms")):
             at = f"transforms[{i}]"
-            stamps = column(f"{at}/header/stamp/sec")[:, 0] + 1e-9 * column(f"{at}/header/stamp/nanosec")[:, 0]
+            stamps = _seconds(said, f"{at}/header/stamp")
             paths = [f"translation/{a}" for a in "xyz"] + [f"rotation/{a}" for a in "xyzw"]
-            values = np.hstack([column(f"{at}/transform/{path}") for path in paths])
-            frames = layout.texts[f"{at}/header/frame_id"], layout.texts[f"{at}/child_frame_id"]
+            values = np.hstack([said.column(f"{at}/transform/{path}") for path in paths])
+            frames = said.text(f"{at}/header/frame_id"), said.text(f"{at}/child_frame_id")
             self._transforms.add(*frames, stamps, received, values, topic == TF_STATIC)
 
-    def _add_said(self, topic: str, said: Said, stamp: float, received: float) -> None:
+    def _take_said(self, topic: str, said: Said, stamps: Array, received: Array) -> None:
         """Take what a package makes of its own message. Raises BadTable where it makes no sense of it."""
         if isinstance(said, Signal):
-            self._signal(topic, said.name, stamp, received, [float(said.value)])
+            self._take_signal(topic, said.name, stamps, received, np.array([float(said.value)]))
         elif isinstance(said, Joints):
-            self._add_joints(topic, said, stamp, received)
+            columns = [np.atleast_2d(np.asarray(c, dtype=float)) for c in (said.position, said.velocity, said.effort)]
+            self._take_joints(topic, tuple(said.name), stamps, received, columns)
         elif isinstance(said, Reading) and said.kind in kinds() and len(said.values) == kinds()[said.kind].width:
             rows = self._rows(self._readings, (topic, said.kind, said.frame), kinds()[said.kind].width + 2)
-            rows.append(stamp, received, (*map(float, said.values), math.nan, math.nan))
+            rows.extend(stamps, received, np.array([[*map(float, said.values), math.nan, math.nan]]))
         else:
             raise BadTable(
                 f"topic {topic}", f"its package made {said!r} of a message", "yield Signal, Joints or Reading of a kind"
             )
 
-    def _signals_at(self, topic: str, name: str, stamps: Array, received: Array, values: Array) -> None:
+    def _take_signal(self, topic: str, name: str, stamps: Array, received: Array, values: Array) -> None:
         self._rows(self._signals, (topic, name), 1).extend(stamps, received, values[:, None])
 
-    def _signal(self, topic: str, name: str, stamp: float, received: float, values: list[float]) -> None:
-        self._rows(self._signals, (topic, name), len(values)).append(stamp, received, values)
+    def _stamps(self, topic: str, said: Messages, received: Array) -> Array:
+        """The stamps of messages (n,) [s], or when they were received where they have none."""
+        if not said.has("header/stamp/sec"):
+            return received
+        stamps = _seconds(said, "header/stamp")
+        without = (stamps == 0.0) & np.isfinite(received)
+        if without.any():
+            self._unstamped[topic] = self._unstamped.get(topic, 0) + int(without.sum())
+        return np.where(without, received, stamps)
 
-    def _stamp(self, topic: str, message: Any, received: float) -> float:
-        header = getattr(message, "header", None)
-        if header is None:
-            return received
-        stamp = seconds(header.stamp)
-        if stamp == 0.0 and math.isfinite(received):
-            self._unstamped[topic] = self._unstamped.get(topic, 0) + 1
-            return received
-        return stamp
+
+def _seconds(said: Messages, path: str) -> Array:
+    """Times (n,) [s] at a path."""
+    return np.asarray(said.column(f"{path}/sec")[:, 0] + 1e-9 * said.column(f"{path}/nanosec")[:, 0])
 
 
 def why_left_out(error: ModcalError) -> str:
     """Why a message was refused, without what is of this message alone."""
     return NO_POSITIONS if error.limit == NO_POSITIONS else "names and positions do not go together"
-
-
-def _require_joints(topic: str, names: tuple[str, ...], positions: int, stamp: float) -> int:
-    """How many joints there are. Raises BadRecording unless every name has one position."""
-    if not positions and names:
-        raise BadRecording(f"{topic} at stamp {stamp:.3f} s", NO_POSITIONS, "publish one position for every name")
-    if positions != len(names) or len(set(names)) != len(names):
-        raise BadRecording(
-            f"{topic} at stamp {stamp:.3f} s",
-            f"{positions} positions for {len(names)} names, {len(set(names))} of them distinct",
-            "publish one position for every name",
-        )
-    return len(names)
 
 
 def _of_robot(topic: str, joint_topics: set[str]) -> bool:
@@ -353,24 +284,6 @@ def _of_robot(topic: str, joint_topics: set[str]) -> bool:
 def _rank(topic: str, role: str) -> int:
     """Which topic of commands is asked first: the contract's own name, then by role."""
     return 2 * COMMANDS.index(role) + (topic != f"/{role}")
-
-
-def _numbers(message: Any, path: str = "") -> Iterator[tuple[str, float]]:
-    """(path, value) of every number in a message, its header left out; short arrays are unrolled."""
-    fields = getattr(message, "__dataclass_fields__", None)
-    names = fields if fields is not None else getattr(message, "get_fields_and_field_types", dict)()
-    for name in names:
-        if not is_signal(name) or (fields is not None and hasattr(type(message), name)):  # or a constant of the type
-            continue
-        value = getattr(message, name)
-        if isinstance(value, bool | int | float | np.number):
-            yield f"{path}/{name}", float(value)
-        elif hasattr(value, "__dataclass_fields__") or hasattr(value, "get_fields_and_field_types"):
-            yield from _numbers(value, f"{path}/{name}")
-        elif not isinstance(value, str | bytes) and hasattr(value, "__len__") and 0 < len(value) <= 32:
-            for i, item in enumerate(value):
-                if isinstance(item, int | float | np.number):
-                    yield f"{path}/{name}[{i}]", float(item)
 
 
 # --- Small blocks of messages put together: a block costs as much to look at as some hundred messages do

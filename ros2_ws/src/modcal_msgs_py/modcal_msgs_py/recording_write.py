@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, reduce
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,15 @@ import numpy as np
 from modcal_core.errors import BadRecording
 from modcal_core.measurements import PART, POINT, POSE, JointTrack, ReadingTrack, Recording
 from modcal_msgs_py.bag_files import appearing
-from modcal_msgs_py.layout import message_class
+from modcal_msgs_py.layout import jazzy, message_class, serialise
 from modcal_msgs_py.mcap_write import BagWriter
+from modcal_msgs_py.readings import paths_of
 from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, TYPES
 
 _WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-_SIGNAL = "std_msgs/msg/Float64"
+_SIGNAL, _RANGE = "std_msgs/msg/Float64", "sensor_msgs/msg/Range"
+_ORIGIN = dict(zip(paths_of(POSE, _WITH_COVARIANCE), (*[0.0] * 6, 1.0), strict=True))  # where only a point is known
 _TOPIC_OF = {kind: role for role, kind in READINGS.items()}
-_NO_NUMBERS = np.empty(0)
 _MANY = 500  # messages between two words of how far it is
 
 
@@ -53,120 +55,90 @@ def _write(
     stamped.sort(key=lambda m: m[0])
     start = stamped[0][0] if stamped else 0
     with BagWriter(folder) as bag:
-        String = message_class("std_msgs/msg/String")
-        if recording.robot_description is not None:
-            bag.write(
-                f"/{ROBOT_DESCRIPTION}", TYPES[ROBOT_DESCRIPTION], String(data=recording.robot_description), start
-            )
-        for note in recording.warnings:
-            bag.write(f"/{NOTES}", TYPES[NOTES], String(data=note), start)
-        for i, (stamp, topic, type_name, message) in enumerate(stamped):
-            bag.write(topic, type_name, message, stamp)
+        texts = [] if recording.robot_description is None else [(ROBOT_DESCRIPTION, recording.robot_description)]
+        for role, text in (*texts, *((NOTES, note) for note in recording.warnings)):
+            bag.write(f"/{role}", TYPES[role], message_class(TYPES[role])(data=text), start)
+        for i, (stamp, topic, type_name, cdr) in enumerate(stamped):
+            bag.add_topic(topic, type_name)
+            bag.write_raw(topic, cdr, stamp)
             if i % _MANY == 0:
                 heard(0.5 * (1.0 + i / len(stamped)))
 
 
-def _messages(recording: Recording, commanded: JointTrack | None) -> Iterator[tuple[int, str, str, Any]]:
-    """(time [ns], topic, type, message) of everything."""
-    for track in recording.joints:
-        yield from _joint_states(track, f"/{JOINT_STATES}")
-    for told in (*recording.commands, *(() if commanded is None else (commanded,))):
-        yield from _joint_states(told, told.topic)
+_Message = tuple[int, str, str, bytes]  # time [ns], topic, type, CDR bytes
+
+
+def _messages(recording: Recording, commanded: JointTrack | None) -> Iterator[_Message]:
+    """Everything but texts."""
+    told = (*recording.commands, *(() if commanded is None else (commanded,)))
+    for topic, track in (*((f"/{JOINT_STATES}", t) for t in recording.joints), *((t.topic, t) for t in told)):
+        for i, stamp in enumerate(track.stamps):
+            velocity, effort = (
+                row if np.isfinite(row).all() else row[:0] for row in (track.velocity[i], track.effort[i])
+            )
+            values = {"name": list(track.names), "position": track.position[i], "velocity": velocity, "effort": effort}
+            yield _message(stamp, topic, TYPES[JOINT_STATES], "", values)
     for reading in recording.readings:  # a topic has one type
         own = any(r.stated is not None for r in recording.readings if r.kind == reading.kind)
-        yield from _reading_messages(reading, own and reading.kind in (POSE, POINT))
-    Temperature, Float64 = message_class(TYPES[TEMPERATURE]), message_class(_SIGNAL)
+        yield from _readings(reading, own and reading.kind in (POSE, POINT))
     for signal in recording.signals:
         role, _, name = signal.name.partition(":")
-        for stamp, value in zip(signal.stamps, signal.values[:, 0], strict=True):
-            ns = _ns(stamp)
+        for stamp, value in zip(signal.stamps.tolist(), signal.values[:, 0].tolist(), strict=True):
             if role == TEMPERATURE:
-                message = Temperature(header=_header(ns, name), temperature=float(value), variance=0.0)
-                yield ns, f"/{TEMPERATURE}", TYPES[TEMPERATURE], message
+                yield _message(stamp, f"/{TEMPERATURE}", TYPES[TEMPERATURE], name, {"temperature": value})
             elif PART not in name:  # what was one of many numbers of a message of another type is not made up again
-                yield ns, name, _SIGNAL, Float64(data=float(value))
+                yield _message(stamp, name, _SIGNAL, None, {"data": value})
 
 
-def _joint_states(track: JointTrack, topic: str) -> Iterator[tuple[int, str, str, Any]]:
-    JointState = message_class(TYPES[JOINT_STATES])
-    for i, stamp in enumerate(track.stamps):
-        ns = _ns(stamp)
-        message = JointState(
-            header=_header(ns, ""),
-            name=list(track.names),
-            position=np.ascontiguousarray(track.position[i]),
-            velocity=_known(track.velocity[i]),
-            effort=_known(track.effort[i]),
-        )
-        yield ns, topic, TYPES[JOINT_STATES], message
-
-
-def _reading_messages(reading: ReadingTrack, with_covariance: bool) -> Iterator[tuple[int, str, str, Any]]:
+def _readings(reading: ReadingTrack, with_covariance: bool) -> Iterator[_Message]:
     role = _TOPIC_OF[reading.kind]
-    for i, (stamp, values) in enumerate(zip(reading.stamps, reading.values, strict=True)):
-        ns = _ns(stamp)
-        numbers = [float(v) for v in values]
-        if not with_covariance:
-            yield ns, f"/{role}", TYPES[role], _reading_message(TYPES[role], _header(ns, reading.frame), numbers)
-            continue
-        own = np.full(2, np.nan) if reading.stated is None else reading.stated[i]
-        pose = numbers if reading.kind == POSE else [*numbers, 0.0, 0.0, 0.0, 1.0]
-        yield ns, f"/{role}", _WITH_COVARIANCE, _pose_with_covariance(_header(ns, reading.frame), pose, own)
+    type_name = _WITH_COVARIANCE if with_covariance else TYPES[role]
+    paths = paths_of(reading.kind, type_name)
+    for i, (stamp, row) in enumerate(zip(reading.stamps, reading.values.tolist(), strict=True)):
+        values: dict[str, Any] = dict(zip(paths, row, strict=True))
+        if with_covariance:
+            # RMS over space of position [m] and angle [rad], spread evenly over the axes; zeros where it is unknown
+            own = np.zeros(2) if reading.stated is None else np.nan_to_num(reading.stated[i], posinf=0.0)
+            values = {**_ORIGIN, **values, "pose/covariance": np.diag(np.repeat(own**2 / 3.0, 3)).ravel()}
+        elif type_name == _RANGE:
+            values["radiation_type"] = 1  # infrared: of a gauge nothing is known, and the message has no type for one
+        yield _message(stamp, f"/{role}", type_name, reading.frame, values)
 
 
-def _ns(stamp: float) -> int:
-    """Nanoseconds of a stamp in seconds, which as a float is exact to a fifth of a microsecond."""
-    return round(stamp * 1e6) * 1000
+def _message(stamp: float, topic: str, type_name: str, frame: str | None, values: Mapping[str, Any]) -> _Message:
+    """A message with these values at their paths, and zeros elsewhere. frame: None where there is no header."""
+    ns = round(stamp * 1e6) * 1000  # seconds as a float are exact to a fifth of a microsecond
+    if frame is not None:
+        values = {
+            "header/stamp/sec": ns // 10**9,
+            "header/stamp/nanosec": ns % 10**9,
+            "header/frame_id": frame,
+            **values,
+        }
+    for path, value in values.items():
+        owner, name = _field(type_name, path)
+        setattr(owner, name, np.ascontiguousarray(value) if isinstance(value, np.ndarray) else value)
+    return ns, topic, type_name, serialise(_blank(type_name), type_name)
 
 
-def _header(ns: int, frame: str) -> Any:
-    Time = message_class("builtin_interfaces/msg/Time")
-    return message_class("std_msgs/msg/Header")(stamp=Time(sec=ns // 10**9, nanosec=ns % 10**9), frame_id=frame)
+@cache
+def _field(type_name: str, path: str) -> tuple[Any, str]:
+    """The part of the message of this type that is filled again and again which has a field, and the field's name."""
+    *way, name = path.split("/")
+    return reduce(getattr, way, _blank(type_name)), name
 
 
-def _known(row: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(row) if np.isfinite(row).all() else _NO_NUMBERS
+@cache
+def _blank(type_name: str) -> Any:
+    """A message of zeros, whose parts are its own."""
+    described = jazzy().fielddefs[type_name][1]
+    return message_class(type_name)(**{name: _zero(what) for name, what in described})
 
 
-def _point(values: list[float]) -> Any:
-    return message_class("geometry_msgs/msg/Point")(x=values[0], y=values[1], z=values[2])
-
-
-def _pose(values: list[float]) -> Any:
-    x, y, z, w = values[3:]
-    orientation = message_class("geometry_msgs/msg/Quaternion")(x=x, y=y, z=z, w=w)
-    return message_class("geometry_msgs/msg/Pose")(position=_point(values), orientation=orientation)
-
-
-def _pose_with_covariance(header: Any, values: list[float], deviations: np.ndarray) -> Any:
-    """deviations: RMS over space of position [m] and angle [rad], spread evenly over the axes; NaN: unknown, zeros."""
-    variance = np.repeat(np.where(np.isfinite(deviations), deviations, 0.0) ** 2 / 3.0, 3)
-    pose = message_class("geometry_msgs/msg/PoseWithCovariance")(
-        pose=_pose(values), covariance=np.diag(variance).ravel()
-    )
-    return message_class(_WITH_COVARIANCE)(header=header, pose=pose)
-
-
-def _vector(values: list[float]) -> Any:
-    return message_class("geometry_msgs/msg/Vector3")(x=values[0], y=values[1], z=values[2])
-
-
-def _range(header: Any, values: list[float]) -> Any:
-    make = message_class("sensor_msgs/msg/Range")
-    # of a gauge nothing is known but what it reads; the message has no type for one
-    unknown = dict.fromkeys(("field_of_view", "min_range", "max_range", "variance"), 0.0)
-    return make(header=header, radiation_type=make.INFRARED, range=values[0], **unknown)
-
-
-_STAMPED: dict[str, tuple[str, Callable[[list[float]], Any]]] = {
-    "geometry_msgs/msg/PoseStamped": ("pose", _pose),
-    "geometry_msgs/msg/PointStamped": ("point", _point),
-    "geometry_msgs/msg/Vector3Stamped": ("vector", _vector),
-}
-
-
-def _reading_message(type_name: str, header: Any, values: list[float]) -> Any:
-    if type_name not in _STAMPED:
-        return _range(header, values)
-    name, make = _STAMPED[type_name]
-    return message_class(type_name)(header=header, **{name: make(values)})
+def _zero(described: Any) -> Any:
+    node, what = described
+    if node.name == "NAME":
+        return _blank.__wrapped__(what)
+    if node.name == "BASE":
+        return "" if what[0] == "string" else 0.0 if what[0].startswith("float") else 0
+    return np.zeros(what[1] if node.name == "ARRAY" else 0)

@@ -9,7 +9,6 @@ Commands come as joint states or trajectories, and become the course that was co
 from __future__ import annotations
 
 import struct
-from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 from modcal_core.geometry import Array
 from modcal_core.measurements import JointTrack, ReadingTrack, SignalTrack
-from modcal_msgs_py.layout import MessageLayout
+from modcal_msgs_py.layout import KNOWN, MessageLayout, MessageRows, Messages
 
 _MAX_GROWTH = 16  # times the rows that there are, where more are expected: an index that lies fills no memory
 
@@ -35,54 +34,15 @@ class TrackRows:
         """Rows of ``width`` numbers. expected: how many rows there may be, where that is known; it may be wrong."""
         self.width = width
         self._expected = expected
-        self._waiting = array("d"), array("d"), array("d")  # stamps, received and values that came one by one
-        self._forget()
+        self._count = 0
+        self._stamps, self._received, self._values = np.empty(0), np.empty(0), np.empty((0, width))
 
     def __len__(self) -> int:
         """How many rows there are."""
-        return self._count + len(self._waiting[0])
-
-    def append(self, stamp: float, received: float, values: Any) -> None:
-        """Add one row of ``width`` numbers."""
-        stamps, times, numbers = self._waiting
-        stamps.append(stamp)
-        times.append(received)
-        if isinstance(values, array):
-            numbers.extend(values)
-        else:
-            numbers.frombytes(np.asarray(values, dtype=float).tobytes())
+        return self._count
 
     def extend(self, stamps: Array, received: Array, *values: NDArray[Any]) -> None:
-        """Add many rows: stamps and received (n,), and numbers side by side, (n, k) each and ``width`` together."""
-        self._settle()
-        self._write(stamps, received, values)
-
-    def forget_before(self, received: float) -> None:
-        """Forget all rows but those since the first that was received at this time or later."""
-        stamps, times, values = self.columns()
-        late = np.flatnonzero(times >= received)
-        first = int(late[0]) if len(late) else len(times)
-        self._forget()
-        self._write(stamps[first:], times[first:], (values[first:],))
-
-    def columns(self) -> tuple[Array, Array, Array]:
-        """(stamps (N,), received (N,), values (N, width)) of the rows so far."""
-        self._settle()
-        return self._stamps[: self._count], self._received[: self._count], self._values[: self._count]
-
-    def _forget(self) -> None:
-        self._count = 0
-        self._stamps, self._received, self._values = np.empty(0), np.empty(0), np.empty((0, self.width))
-
-    def _settle(self) -> None:
-        """Write the rows that came one by one behind the others."""
-        n = len(self._waiting[0])
-        if n:
-            stamps, received, values = (np.frombuffer(numbers) if numbers else np.empty(0) for numbers in self._waiting)
-            self._waiting = array("d"), array("d"), array("d")
-            self._write(stamps, received, (values.reshape(n, self.width),))
-
-    def _write(self, stamps: Array, received: Array, values: tuple[NDArray[Any], ...]) -> None:
+        """Add rows: stamps and received (n,), and numbers side by side, (n, k) each and ``width`` together."""
         begin, end = self._count, self._count + len(stamps)
         if end > len(self._stamps):
             room = max(2 * end, min(self._expected, _MAX_GROWTH * end))
@@ -98,6 +58,19 @@ class TrackRows:
             left = right
         assert left == self.width
         self._count = end
+
+    def forget_before(self, received: float) -> None:
+        """Forget all rows but those since the first that was received at this time or later."""
+        stamps, times, values = self.columns()
+        late = np.flatnonzero(times >= received)
+        first = int(late[0]) if len(late) else len(times)
+        kept = TrackRows(self.width, self._expected)
+        kept.extend(stamps[first:], times[first:], values[first:])
+        vars(self).update(vars(kept))
+
+    def columns(self) -> tuple[Array, Array, Array]:
+        """(stamps (N,), received (N,), values (N, width)) of the rows so far."""
+        return self._stamps[: self._count], self._received[: self._count], self._values[: self._count]
 
 
 def _with_room(rows: Array, room: int) -> Array:
@@ -132,7 +105,8 @@ def signal_track(name: str, rows: TrackRows, topic: str) -> SignalTrack:
 _PLAIN = b"\0\1"  # little-endian CDR, as DDS sends it on every machine that ROS 2 runs on
 _BODY = 4  # bytes that say how the rest is encoded; alignment counts from there
 _STAMP = struct.Struct("<iI")
-_COUNT = struct.Struct("<I")
+_COUNT, _DOUBLE = 4, 8  # bytes
+_SPARE = 2 * _DOUBLE  # bytes that rclpy leaves behind a message for velocities and efforts that are not there
 _AFTER_STAMP = _BODY + _STAMP.size
 _MAX = 16  # layouts of one subscription, of as many publishers; others take the long way
 _EMPTY = np.empty(0)
@@ -235,58 +209,20 @@ class JointStateBytes:
 
 def _layout(cdr: bytes) -> _Layout | None:
     """Where everything stands; None for bytes that are no whole JointState."""
-    walk = _JointStateWalk(cdr)
-    try:
-        frame = walk.text()
-        count = walk.count()
-        names = tuple(walk.text() for _ in range(min(count, len(cdr))))
-        spans, counts = [], []
-        for _ in range(3):
-            count, at = walk.count(), walk.at
-            counts.append((at - _COUNT.size, cdr[at - _COUNT.size : at]))
-            spans.append(walk.doubles(count))
-    except (struct.error, UnicodeDecodeError):
+    made = MessageLayout.of(KNOWN[JOINT_STATE], cdr, _SPARE)
+    if made is None:
         return None
+    columns = [made.columns[name] for name in ("position", "velocity", "effort")]
+    spans = tuple((c.at, c.at + c.count * _DOUBLE) for c in columns)
+    counted = bytearray(len(cdr))  # 255 for each byte that says something
+    for start, stop in made.fixed:
+        counted[start:stop] = b"\xff" * (stop - start)
     first = spans[0][0]
-    head, mask = cdr[_AFTER_STAMP:first], int.from_bytes(walk.counted[_AFTER_STAMP:first], "little")
-    return _Layout(frame, names, head, int.from_bytes(head, "little") & mask, mask, tuple(spans), tuple(counts[1:]))
-
-
-class _JointStateWalk:
-    """A walk through a message. counted: 255 for each byte that says something."""
-
-    def __init__(self, cdr: bytes) -> None:
-        self.cdr, self.at = cdr, _AFTER_STAMP
-        self.counted = bytearray(len(cdr))
-
-    def count(self) -> int:
-        self._align(4)
-        (out,) = _COUNT.unpack_from(self.cdr, self.at)
-        self._step(_COUNT.size)
-        return int(out)
-
-    def text(self) -> str:
-        length, at = self.count(), self.at
-        text = self.cdr[at : at + length]
-        if len(text) < length or not text.endswith(b"\0"):
-            raise struct.error
-        self._step(length)
-        return text[:-1].decode()
-
-    def doubles(self, count: int) -> tuple[int, int]:
-        if count:
-            self._align(8)
-        start, self.at = self.at, self.at + 8 * count
-        if self.at > len(self.cdr):
-            raise struct.error
-        return start, self.at
-
-    def _align(self, size: int) -> None:
-        self.at += -(self.at - _BODY) % size
-
-    def _step(self, size: int) -> None:
-        self.counted[self.at : self.at + size] = b"\xff" * size
-        self.at += size
+    head, mask = cdr[_AFTER_STAMP:first], int.from_bytes(counted[_AFTER_STAMP:first], "little")
+    counts = tuple((at, cdr[at : at + _COUNT]) for at in (-(-end // _COUNT) * _COUNT for _, end in spans[:2]))
+    names = MessageRows(made, np.empty((0, 0), np.uint8)).texts("name")
+    same = int.from_bytes(head, "little") & mask
+    return _Layout(made.texts["header/frame_id"], names, head, same, mask, spans, counts)
 
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -305,44 +241,23 @@ class Commands:
     _points: dict[tuple[str, tuple[str, ...]], TrackRows] = field(default_factory=dict)
     _plans: dict[tuple[str, tuple[str, ...]], list[tuple[float, Array, Array]]] = field(default_factory=dict)
 
-    def add(self, topic: str, type_name: str, message: Any, stamp: float, received: float) -> None:
-        """Take one message. What names other joints than it has numbers for says nothing, and is passed over."""
+    def take(self, topic: str, type_name: str, said: Messages, stamps: Array, received: Array) -> None:
+        """Take messages with these stamps (n,) [s]. What names other joints than it has numbers for is passed over."""
+        names = said.texts("name" if type_name == JOINT_STATE else "joint_names")
         if type_name == TRAJECTORY:
-            times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points]
-            self._plan(topic, tuple(message.joint_names), stamp, received, times, [p.positions for p in message.points])
-            return
-        names, positions = message.name if type_name == JOINT_STATE else message.joint_names, ()
-        if type_name == JOINT_STATE:
-            positions = message.position
-        else:
-            told = (getattr(getattr(message, name, None), "positions", ()) for name in _REFERENCE)
-            positions = next((p for p in told if len(p)), ())
-        self._state(topic, tuple(names), np.array([stamp]), np.array([received]), np.atleast_2d(positions))
-
-    def add_rows(
-        self, topic: str, type_name: str, layout: MessageLayout, stamps: Array, received: Array,
-        column: Callable[[str], Array],
-    ) -> None:  # fmt: skip
-        """Take messages of one layout: ``add`` for each."""
-        of = "name" if type_name == JOINT_STATE else "joint_names"
-        names = tuple(layout.texts[f"{of}[{i}]"] for i in range(layout.counts.get(of, 0)))
-        if type_name == TRAJECTORY:
-            at = [f"points[{i}]" for i in range(layout.counts.get("points", 0))]
-            clock = [column(f"{p}/time_from_start/sec") + 1e-9 * column(f"{p}/time_from_start/nanosec") for p in at]
-            positions = [column(f"{p}/positions") for p in at]
+            at = [f"points[{i}]" for i in range(said.count("points"))]
+            seconds = [f"{p}/time_from_start/sec" for p in at]
+            nanoseconds = [f"{p}/time_from_start/nanosec" for p in at]
+            clock = [said.column(s) + 1e-9 * said.column(ns) for s, ns in zip(seconds, nanoseconds, strict=True)]
+            positions = [said.column(f"{p}/positions") for p in at]
             for k, (stamp, came) in enumerate(zip(stamps.tolist(), received.tolist(), strict=True)):
                 self._plan(topic, names, stamp, came, [float(c[k, 0]) for c in clock], [p[k] for p in positions])
             return
         paths = ("position",) if type_name == JOINT_STATE else tuple(f"{name}/positions" for name in _REFERENCE)
-        found = (column(path) for path in paths if path in layout.columns)
+        found = (said.column(path) for path in paths if said.has(path))
         told = next((values for values in found if values.shape[1]), None)
-        if told is not None:
-            self._state(topic, names, stamps, received, told)
-
-    def _state(self, topic: str, names: tuple[str, ...], stamps: Array, received: Array, positions: Array) -> None:
-        if names and positions.shape[1] == len(names) == len(set(names)):
-            rows = self._points.setdefault((topic, names), TrackRows(len(names)))
-            rows.extend(stamps, received, positions)
+        if told is not None and names and told.shape[1] == len(names) == len(set(names)):
+            self._points.setdefault((topic, names), TrackRows(len(names))).extend(stamps, received, told)
 
     def _plan(
         self, topic: str, names: tuple[str, ...], stamp: float, received: float, times: list[float], points: list[Any]

@@ -9,22 +9,19 @@ if TYPE_CHECKING:
     from modcal_core.camera.bundle import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, MARKER_CORNERS, TAG, BoardView
     from modcal_core.camera.bundle import BundleMarker, MarkerBundle, PrintedTarget
     from modcal_core.camera.causes import CameraCause
-    from modcal_core.camera.claim import ALL_BUT_IMAGES, ToolError
+    from modcal_core.camera.claim import ALL_BUT_IMAGES, APPLY, CANNOT_TELL, ToolError
     from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, SHAPE_NAMES
     from modcal_core.camera.corners import CameraState, CornerTable, corner_rows, grams
     from modcal_core.camera.fit import CameraFit, uncertainty_about
-    from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens, homography
+    from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
     from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, STATED, Lens
     from modcal_core.camera.mounting import MIN_VIEWS
     from modcal_core.camera.other_readings import ReadingsBeside, beside
-    from modcal_core.camera.plan import plan_images
-    from modcal_core.camera.outliers import MIN_CORNERS, distances_of_views, enough_corners
-    from modcal_core.camera.images import CameraImages, PreparedImages
-    from modcal_core.camera.decision import APPLY, CANNOT_TELL
+    from modcal_core.camera.prepared import MIN_CORNERS, CameraImages, PreparedImages, enough_corners, view_distances
     from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
     from modcal_core.camera.target_file import read_any_target, read_target, target_from_data, target_to_data
-    from modcal_core.camera.views import covered, tilt_and_distance
-    from modcal_core.camera.watching import CameraWatch, Moved
+    from modcal_core.camera.views import covered, plan_images, tilt_and_distance
+    from modcal_core.camera.changes import CameraWatch, Moved
 else:
     from modcal_core.lazy import lazy_face
 
@@ -36,6 +33,6 @@ __all__ += ["POSE", "READOUT", "SCALE", "SHAPE", "SHAPE_NAMES", "STATED", "TAG",
 __all__ += ["CameraCause", "CameraFit", "CameraImages", "CameraProblem", "CameraSolution", "CameraState"]
 __all__ += ["CameraWatch", "CornerTable", "ImageMoments", "Lens", "MarkerBundle", "Moved", "PreparedImages"]
 __all__ += ["PrintedTarget", "ReadingsBeside", "ToolError", "beside", "board_poses", "corner_rows", "covered"]
-__all__ += ["distances_of_views", "enough_corners", "first_lens", "fit_lens", "grams", "homography", "plan_images"]
+__all__ += ["enough_corners", "first_lens", "fit_lens", "grams", "plan_images"]
 __all__ += ["read_any_target", "read_target", "solve_camera", "target_from_data", "target_to_data"]
-__all__ += ["tilt_and_distance", "uncertainty_about"]
+__all__ += ["tilt_and_distance", "uncertainty_about", "view_distances"]

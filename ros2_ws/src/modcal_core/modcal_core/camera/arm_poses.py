@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -30,6 +31,7 @@ from modcal_core.calibration import (
     View,
     choose_parameters,
     drop_fixed,
+    exact_samples,
     general_samples,
     linearise,
     model_at,
@@ -37,11 +39,11 @@ from modcal_core.calibration import (
 )
 from modcal_core.camera.corners import CLOCK_S, CameraState, CommonPrior, CornerTable
 from modcal_core.camera.other_readings import BesideRows, ReadingsBeside
-from modcal_core.effects import Drivers, Effect, NominalArm, prior_stds
+from modcal_core.effects import Drivers, Effect, prior_stds
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POSE, Samples, SignalTrack
 from modcal_core.measurements.kinds import KIND_NAMES
-from modcal_core.robots import Chain, Inertias, body_jacobian
+from modcal_core.robots import body_jacobian
 
 
 @dataclass(frozen=True)
@@ -56,18 +58,14 @@ class ArmFaults:
     stated: float | None = None
 
     @cached_property
-    def lengths(self) -> Array:
-        """Covariance of the parameters by faults of lengths, (A, A)."""
-        return np.asarray(self.moves[:, ~self.turns] @ self.moves[:, ~self.turns].T)
-
-    @cached_property
-    def angles(self) -> Array:
-        """Covariance of the parameters by faults of angles, (A, A)."""
-        return np.asarray(self.moves[:, self.turns] @ self.moves[:, self.turns].T)
+    def _each(self) -> tuple[Array, Array]:
+        """Covariances of the parameters by faults of lengths, and of angles, (A, A)."""
+        lengths, angles = self.moves[:, ~self.turns], self.moves[:, self.turns]
+        return lengths @ lengths.T, angles @ angles.T
 
     def covariance(self, ratio: float = 1.0) -> Array:
         """Prior covariance of the parameters, (A, A). ratio: scale of length faults over that of angle faults."""
-        return ratio**2 * self.lengths + self.angles
+        return np.asarray(ratio**2 * self._each[0] + self._each[1])
 
     def information(self, size: float, ratio: float) -> Array:
         """Its inverse, for faults of this size."""
@@ -109,49 +107,28 @@ class ImageMoments:
         stamps, approach, effort, stop = (a[rows] if len(a) else a for a in each)
         return ImageMoments(stamps, approach, effort, self.signals, stop)
 
-    def samples(self, q: Array, velocity: Array, names: tuple[str, ...], frames: tuple[str, ...]) -> Samples:
-        """Pose samples (N) at these moments, whose readings say nothing: for drivers and derivatives."""
+    def samples(self, model: Model, q: Array, velocity: Array) -> Samples:
+        """Pose samples (N) of a model at these moments: for drivers and derivatives."""
         N = len(q)
+        known = {name: value for name in ("approach", "effort") if len(value := getattr(self, name)) == N}
         timed = len(self.stamps) == N and N > 0
-        return Samples(
-            names=names,
-            frames=frames,
-            q=q,
-            stamps=self.stamps if timed else np.arange(N, dtype=float),
-            station=np.arange(N),
-            frame=np.zeros(N, int),
-            kind=np.full(N, POSE, dtype=KIND_NAMES),
-            reading=np.zeros((N, 3)),
-            R=np.broadcast_to(np.eye(3), (N, 3, 3)),
-            sigma_position=np.full(N, np.nan),
-            sigma_rotation=np.full(N, np.nan),
-            velocity=velocity,
-            moving=np.zeros(N, bool),
-            approach=self.approach if len(self.approach) == N else np.empty((0, 0)),
-            effort=self.effort if len(self.effort) == N else np.empty((0, 0)),
-            signals=self.signals,
-            clock=timed,
-        )
+        known |= {"stamps": self.stamps if timed else np.arange(N, dtype=float), "velocity": velocity}
+        exact = exact_samples(model, q, np.zeros(N, int), np.full(N, POSE, dtype=KIND_NAMES))
+        return replace(exact, signals=self.signals, clock=timed, **known)
 
 
 NOTHING_KNOWN = ImageMoments()
 
-FREE_M, FREE_RAD = 10.0, 10.0  # standard deviations of what nothing is known of
+_FREE = 10.0  # m, rad; standard deviation of what nothing is known of
 _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
-@dataclass(frozen=True)
-class ValuePrior:
+class ValuePrior(NamedTuple):
     """start: of values, in a fit (V,). mean, information: of their prior, (V,) and (V, V)."""
 
     start: Array
     mean: Array
     information: Array
-
-    @classmethod
-    def of(cls, std: Array) -> ValuePrior:
-        """Deviations of which nothing is known but how large they usually are."""
-        return cls(np.zeros(len(std)), np.zeros(len(std)), np.diag(std**-2))
 
 
 @dataclass(frozen=True)
@@ -189,6 +166,11 @@ class ArmPoses:
         return replace(self, model=self.model.with_effects(tuple(effects)))
 
     @property
+    def arm_stated(self) -> float | None:
+        """The size of the arm's faults, where it is stated."""
+        return self.faults.stated if self.faults is not None else None
+
+    @property
     def placed(self) -> tuple[ModelParameter, ...]:
         """Parameters of base and tool alone."""
         return tuple(p for p in self.parameters if not p.of_arm)
@@ -196,11 +178,12 @@ class ArmPoses:
     @property
     def count(self) -> int:
         """P."""
-        return self.of_model + self._of_beside + sum(len(c.own) for c in self.further)
+        return self._of_first + sum(len(c.own) for c in self.further)
 
     @property
-    def _of_beside(self) -> int:
-        return len(self.beside.own) if self.beside else 0
+    def _of_first(self) -> int:
+        """How many of the values are not those of further cameras."""
+        return self.of_model + (len(self.beside.own) if self.beside else 0)
 
     @property
     def of_model(self) -> int:
@@ -210,16 +193,16 @@ class ArmPoses:
     @cached_property
     def values(self) -> ValuePrior:
         """What is expected of the P values. Base and tool are free; ``faults`` refines what is expected of the arm."""
-        own = [p.prior_std if p.of_arm else (FREE_RAD if p.turns else FREE_M) for p in self.parameters]
-        parts = [ValuePrior.of(np.array(own, dtype=float))]
+        own = np.array([p.prior_std if p.of_arm else _FREE for p in self.parameters])
+        first: list[tuple[Array, Array, Array]] = [(np.zeros(len(own)), np.zeros(len(own)), own)]
         for effect in self.model.effects:  # settings are expected to be as they were found
             settings = np.where(np.arange(len(effect.values)) < len(effect.amplitudes), 0.0, effect.values)
-            parts.append(replace(ValuePrior.of(prior_stds(effect, self.drivers())), start=effect.values, mean=settings))
-        if self.beside is not None:
-            parts.append(ValuePrior.of(self.beside.prior_std))
-        parts += [one.values for one in self.further]
-        start, mean = (np.concatenate(each) for each in zip(*((p.start, p.mean) for p in parts), strict=True))
-        return ValuePrior(start, mean, block_diag(*(p.information for p in parts)))
+            first.append((effect.values, settings, prior_stds(effect, self.drivers())))
+        if (beside := self.beside) is not None:
+            first.append((np.zeros(len(beside.own)), np.zeros(len(beside.own)), beside.prior_std))
+        parts = [(start, mean, np.diag(std**-2.0)) for start, mean, std in first] + [one.values for one in self.further]
+        starts, means, known = zip(*parts, strict=True)
+        return ValuePrior(np.concatenate(starts), np.concatenate(means), block_diag(*known))
 
     @property
     def moves(self) -> bool:
@@ -236,14 +219,13 @@ class ArmPoses:
     def drivers(self, offset_s: float = 0.0) -> Drivers:
         """What effects depend on, at the images."""
         q = self.q + offset_s * self.velocity
-        samples = self.moments.samples(q, self.velocity, self.model.chain.names, self.model.frames)
-        return Drivers(samples, self.model.arm or NominalArm(self.model.chain))
+        return self.model.drivers(self.moments.samples(self.model, q, self.velocity))
 
     def further_at(self, state: CameraState) -> list[tuple[FurtherCamera, np.ndarray, CameraState]]:
         """(further camera, where each of its parameters stands among all, −1 for one that is not fitted, its state) of
         each, at a state of all.
         """
-        out, first = [], self.of_model + self._of_beside
+        out, first = [], self._of_first
         for one in self.further:
             own = replace(one, poses=one.poses.with_effects(self.model.effects))
             out.append((own, *one.at(self, state, first)))
@@ -259,7 +241,7 @@ class ArmPoses:
         if self.beside is None:
             return None
         arm = np.flatnonzero([p.of_arm for p in self.parameters])
-        columns = np.r_[arm, np.arange(len(self.parameters), self.of_model + self._of_beside)]
+        columns = np.r_[arm, np.arange(len(self.parameters), self._of_first)]
         among = [self.parameters[i] for i in arm]
         return self.beside.rows(among, values[columns], self.model.effects, columns, count)
 
@@ -278,9 +260,8 @@ class ArmPoses:
 
     def of_root(self, now: Model, motions: Array) -> Array:
         """Motions (K, 6, N) of the tool, position and turn as seen from the root, along the frame, (N, 6, K)."""
-        turn = self.R_frame_root(now)
-        parts = (turn @ part.transpose(2, 1, 0) for part in (motions[:, :3], motions[:, 3:]))
-        return np.concatenate(list(parts), axis=1)
+        K, _, N = motions.shape
+        return np.asarray(self.R_frame_root(now) @ motions.transpose(2, 1, 0).reshape(N, 2, 3, K)).reshape(N, 6, K)
 
     @staticmethod
     def R_frame_root(now: Model) -> Array:
@@ -301,19 +282,16 @@ class ArmPoses:
         by_world = np.block([[eye, -so3.hat(p)], [zero, eye]])
         return self.as_twists(T, by_world), self.as_twists(T, np.block([[R, zero], [zero, R]]))
 
-    def joint_motions(self, values: Array, T: Array) -> Array:
-        """Motion of the tool per unit of each joint, (N, 6, n), as in :meth:`tool_motions`. T: T_frame_tool."""
-        now = self.model_at(values)
-        at_tip = body_jacobian(now.serial, self.q)
-        at_tool = se3.adjoint(se3.inverse(now.T_tip_tool)) @ at_tip
-        R = T[:, :3, :3]
-        return np.concatenate([R @ at_tool[:, :3], R @ at_tool[:, 3:]], axis=1)
-
-    def shifts(self, values: Array) -> Array:
-        """Motions of the tool along the axes of the arm's root, which all cameras share, (N, 6, 3)."""
-        out = np.zeros((len(self.q), 6, 3))
-        out[:, :3] = self.R_frame_root(self.model_at(values))
-        return out
+    def own_motions(self, values: Array, T: Array) -> Array:
+        """Motion of the tool, as in :meth:`tool_motions`, per unit of each joint, and per shift along the axes of the
+        arm's root, which all cameras share, (N, 6, n + 3). T: T_frame_tool.
+        """
+        now, R = self.model_at(values), T[:, None, :3, :3]
+        at_tool = se3.adjoint(se3.inverse(now.T_tip_tool)) @ body_jacobian(now.serial, self.q)
+        joints = (R @ at_tool.reshape(len(R), 2, 3, -1)).reshape(at_tool.shape)
+        shifts = np.zeros((len(R), 6, 3))
+        shifts[:, :3] = self.R_frame_root(now)
+        return np.concatenate([joints, shifts], axis=2)
 
     def seen(self, T: Array) -> Array:
         """T_camera_target of T_frame_tool, (N, 4, 4)."""
@@ -323,39 +301,21 @@ class ArmPoses:
         """Twists (N, 6, K) of the target seen from the camera, for motions of the tool (N, 6, K) at T_frame_tool."""
         shift, turn = motions[:, :3], motions[:, 3:]
         if self.camera_on_tip:
-            Rt = np.swapaxes(T[:, :3, :3], 1, 2)
-            return np.concatenate([-Rt @ shift, -Rt @ turn], axis=1)
+            back = -np.swapaxes(T[:, :3, :3], 1, 2)
+            return np.concatenate([back @ shift, back @ turn], axis=1)
         return np.concatenate([shift + so3.hat(T[:, :3, 3]) @ turn, turn], axis=1)
 
 
-def arm_poses(
-    chain: Chain,
-    q: Array,
-    velocity: Array,
-    T_frame_base: Array,
-    T_tip_tool: Array,
-    camera_on_tip: bool,
-    fixed: Sequence[str] = (),
-    moments: ImageMoments = NOTHING_KNOWN,
-    inertias: Inertias | None = None,
-) -> ArmPoses:
-    """The nominal arm, base and tool where they were found first, with the parameters that a fit may change.
-
-    fixed: names, places or patterns that stay as they are. moments, inertias: for effects.
-    """
-    frame = "target" if camera_on_tip else "camera"
-    arm_drawn = NominalArm(chain, inertias)
-    model = Model(chain, (frame,), np.asarray(T_frame_base)[None], np.asarray(T_tip_tool), arm=arm_drawn)
-    views = (View(POSE, 0),)
+def with_parameters(poses: ArmPoses, fixed: Sequence[str] = ()) -> ArmPoses:
+    """The poses of an arm with the parameters that a fit may change. fixed: names, places or patterns that stay."""
+    model, views = poses.model, (View(POSE, 0),)
     # All of base and tool, and beside them all of the arm, though some of it is the same motion: a shift along the
     # first joint is base or arm. Were it the arm's alone, its prior would hold the base where it was found first.
     placed = choose_parameters(model, views, fixed, among=lambda p: not p.of_arm).parameters
     arm = choose_parameters(model, views, fixed, among=lambda p: p.of_arm).parameters
     parameters = sorted((*placed, *arm), key=lambda p: (p.place, p.direction))
     faults = arm_faults(model, [p for p in parameters if p.of_arm], views, fixed) if arm else None
-    return ArmPoses(
-        *(model, tuple(parameters), np.asarray(q), np.asarray(velocity), camera_on_tip, moments), faults=faults
-    )
+    return replace(poses, parameters=tuple(parameters), faults=faults)
 
 
 def with_stated(poses: ArmPoses, error_m: float | None) -> ArmPoses:
@@ -418,8 +378,8 @@ class FurtherCamera:
         columns[self.own] = place + np.arange(len(self.own))
         x = np.where(columns >= 0, np.r_[state.values, state.offset_s, state.common][columns], _vector(self.begin))
         effects = np.arange(len(first.parameters), first.of_model)
-        there = replace(self.begin, values=np.r_[x[:P], state.values[effects]], offset_s=float(x[P]))
-        return np.insert(columns, P, effects), there.with_common(x[P + 1 :])
+        there = CameraState(np.r_[x[:P], state.values[effects]], float(x[P]), x[P + 1 :], self.begin.kind)
+        return np.insert(columns, P, effects), there
 
 
 def _vector(state: CameraState) -> Array:

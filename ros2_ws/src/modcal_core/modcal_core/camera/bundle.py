@@ -16,6 +16,7 @@ is one of the sizes that the data decide.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -30,6 +31,12 @@ CHARUCO, CHESSBOARD, ARUCO_GRID, APRIL_GRID, TAG = "charuco", "chessboard", "aru
 MARKER_CORNERS = 4  # of a square marker
 _LARGEST = 200  # squares or markers a side; more is a slip of the pen, and would take all memory
 _LARGEST_M = 10.0  # m; a square, marker or body of that size is in millimetres
+
+
+def require(ok: bool, offender: str, said: str, remedy: str) -> None:
+    """Raises BadTable unless something is so."""
+    if not ok:
+        raise BadTable(offender, said, remedy)
 
 
 @dataclass(frozen=True)
@@ -83,18 +90,19 @@ class PrintedTarget:
     def __post_init__(self) -> None:
         """Raises BadTable for a target that cannot be printed."""
         least = {CHARUCO: 3, CHESSBOARD: 4}.get(self.kind, 1)  # a chessboard is found by nine corners or more
-        if not (least <= self.columns <= _LARGEST and least <= self.rows <= _LARGEST):
-            said = f"has {self.columns} × {self.rows} squares, {least} to {_LARGEST} a side are allowed"
-            raise BadTable(f"target {self.kind}", said, "count the squares, or markers, of the sheet")
-        if not 0.0 < self.square < _LARGEST_M or not 0.0 <= self.marker < _LARGEST_M:
-            said = f"has a side of {self.square:g} m, 0 to {_LARGEST_M:g} m is allowed"
-            raise BadTable(f"target {self.kind}", said, "give lengths in metres")
-        if self.kind == CHARUCO and not 0.0 < self.marker < self.square:
-            said = f"has markers of {1e3 * self.marker:g} mm in squares of {1e3 * self.square:g} mm"
-            raise BadTable("target charuco", said, "give markers that fit into the squares")
-        if self.kind == CHESSBOARD and (self.columns - self.rows) % 2 == 0:
-            said = f"{self.columns} × {self.rows} squares look the same turned by half a turn"
-            raise BadTable("target chessboard", said, "use one odd and one even number of squares, or a ChArUco board")
+        name, squares = f"target {self.kind}", f"{self.columns} × {self.rows} squares"
+        said = f"has {squares}, {least} to {_LARGEST} a side are allowed"
+        allowed = least <= min(self.columns, self.rows) and max(self.columns, self.rows) <= _LARGEST
+        require(allowed, name, said, "count the squares, or markers, of the sheet")
+        said = f"has a side of {self.square:g} m, 0 to {_LARGEST_M:g} m is allowed"
+        lengths = 0.0 < self.square < _LARGEST_M and 0.0 <= self.marker < _LARGEST_M
+        require(lengths, name, said, "give lengths in metres")
+        said = f"has markers of {1e3 * self.marker:g} mm in squares of {1e3 * self.square:g} mm"
+        fits = self.kind != CHARUCO or 0.0 < self.marker < self.square
+        require(fits, name, said, "give markers that fit into the squares")
+        differs = self.kind != CHESSBOARD or (self.columns - self.rows) % 2 == 1
+        remedy = "use one odd and one even number of squares, or a ChArUco board"
+        require(differs, name, f"{squares} look the same turned by half a turn", remedy)
 
     @property
     def ids(self) -> np.ndarray:
@@ -155,12 +163,27 @@ _RANK = 1e-9  # of the largest; a motion below it moves no marker, as a turn abo
 
 @dataclass(frozen=True)
 class PlacePrior:
-    """apart, held: information of the markers' places (Z, Z) [1/m², 1/rad²], at the stated tolerance: of what they are
-    off apart from each other, and of what they are off together.
+    """What is expected of the places of K markers, v values each. white: takes offsets of each to units of its
+    tolerances, (K, v, v). motion: of each by the six motions of them all as one body, (K, v, 6).
     """
 
-    apart: Array
-    held: Array
+    white: Array
+    motion: Array
+
+    @cached_property
+    def held(self) -> Array:
+        """Information about what all are off together, whatever their offsets, (Z, Z) [1/m², 1/rad²]."""
+        K, values, _ = self.motion.shape
+        U, singular, _ = np.linalg.svd((self.white @ self.motion).reshape(-1, 6), full_matrices=False)
+        U = (self.white @ U[:, singular > _RANK * singular[0]].reshape(K, values, -1)).reshape(K * values, -1)
+        return np.asarray(_HELD * U @ U.T)
+
+    @cached_property
+    def apart(self) -> Array:
+        """The same about what they are off apart from each other, at the stated tolerances."""
+        from scipy.linalg import block_diag  # where a bag is only looked into, nothing loads SciPy
+
+        return np.asarray(block_diag(*(self.white @ self.white)) - self.held / _HELD)
 
     def information(self, size: float) -> Array:
         """Information matrix of the marker places, (Z, Z). size: scale of the offsets in units of the tolerances."""
@@ -192,11 +215,6 @@ class BoardView:
     def select(self, rows: np.ndarray) -> BoardView:
         """The view with these corners only (mask or indices)."""
         return BoardView(self.name, self.ids[rows], self.pixels[rows], self.cov[rows], self.sharpness, self.stamp)
-
-
-def whitening(cov: Array) -> Array:
-    """Matrices L (m, 2, 2) that make errors of these covariances (m, 2, 2) white: L cov Lᵀ = 1."""
-    return np.linalg.inv(np.linalg.cholesky(cov))
 
 
 BUNDLE = "bundle"
@@ -252,26 +270,20 @@ class MarkerBundle:
 
     def __post_init__(self) -> None:
         """Raises BadTable for a body that no fit can place."""
-        if not 1 <= len(self.markers) <= _MAX:
-            said = f"has {len(self.markers)} markers, 1 to {_MAX} are allowed"
-            raise BadTable(f"target {BUNDLE}", said, "list the markers")
-        ids = [m.id for m in self.markers]
-        if len(set(ids)) < len(ids):
-            twice = next(i for i in ids if ids.count(i) > 1)
-            raise BadTable(f"target {BUNDLE}", f"has marker {twice} twice", "give each marker a number of its own")
-        middles = self.middles
-        if not np.isfinite(middles).all() or np.abs(middles).max() > _LARGEST_M:
-            raise BadTable(f"target {BUNDLE}", f"reaches beyond {_LARGEST_M:g} m", "give lengths in metres")
-        if any(not 0.0 <= m.size < _LARGEST_M for m in self.markers):
-            raise BadTable(f"target {BUNDLE}", "has a marker whose side is no length", "give lengths in metres")
-        if sorted(self.corners) != sorted(_CORNERS):
-            said = f"has corner_order {' '.join(self.corners)[:40]}"
-            raise BadTable(f"target {BUNDLE}", said, f"name each of {', '.join(_CORNERS)} once, in their order")
-        normal_m = self.place_m if self.normal_m is None else self.normal_m
-        if not (0.0 < self.place_m < _LARGEST_M and 0.0 < normal_m < _LARGEST_M and 0.0 < self.turn_rad < np.pi):
-            raise BadTable(
-                f"target {BUNDLE}", "has a tolerance that is none", "give small positive numbers in SI units"
-            )
+        name, count = f"target {BUNDLE}", Counter(m.id for m in self.markers)
+        said = f"has {len(self.markers)} markers, 1 to {_MAX} are allowed"
+        require(1 <= len(self.markers) <= _MAX, name, said, "list the markers")
+        often, times = count.most_common(1)[0]
+        require(times == 1, name, f"has marker {often} twice", "give each marker a number of its own")
+        near = bool((np.abs(self.middles) <= _LARGEST_M).all())
+        require(near, name, f"reaches beyond {_LARGEST_M:g} m", "give lengths in metres")
+        sides = all(0.0 <= m.size < _LARGEST_M for m in self.markers)
+        require(sides, name, "has a marker whose side is no length", "give lengths in metres")
+        said, remedy = f"has corner_order {' '.join(self.corners)[:40]}", f"name each of {', '.join(_CORNERS)} once"
+        require(sorted(self.corners) == sorted(_CORNERS), name, said, f"{remedy}, in their order")
+        known = self.place_m if self.normal_m is None else self.normal_m
+        small = min(self.place_m, known) > 0.0 and max(self.place_m, known) < _LARGEST_M and 0.0 < self.turn_rad < np.pi
+        require(small, name, "has a tolerance that is none", "give small positive numbers in SI units")
 
     @cached_property
     def middles(self) -> Array:
@@ -293,6 +305,11 @@ class MarkerBundle:
             lever.append(own)
             normal += [out] * len(own)
         return np.array(marker), np.concatenate(lever), np.array(normal)
+
+    @cached_property
+    def _ids(self) -> np.ndarray:
+        """Number of the marker of each point, (C,)."""
+        return np.array([m.id for m in self.markers])[self._layout[0]]
 
     @property
     def points(self) -> Array:
@@ -335,34 +352,24 @@ class MarkerBundle:
 
     def point(self, marker: int, corner: int | None) -> int | None:
         """The number of a point: a marker's corner, 0 to 3, or its middle; None where the body has none such."""
-        for k, one in enumerate(self.markers):
-            if one.id == marker:
-                first = int(np.searchsorted(self._layout[0], k))
-                if corner is None:
-                    return first + (MARKER_CORNERS if one.size else 0)
-                return first + corner if one.size and 0 <= corner < MARKER_CORNERS else None
-        return None
+        own = np.flatnonzero(self._ids == marker)
+        if not len(own) or not (corner is None or 0 <= corner < len(own) - 1):
+            return None
+        return int(own[-1 if corner is None else corner])
 
     def place_prior(self) -> PlacePrior:
         """What is expected of the places of its K markers."""
         K, values = len(self.markers), self.values_of_place
-        white = np.zeros((K, values, values))  # offsets of each to units of its tolerances, symmetric
+        white, motion = np.zeros((K, values, values)), np.zeros((K, values, 6))
         for k, one in enumerate(self.markers):
             R = one.T_body_marker[:3, :3]
             off_face = self.place_m if self.normal_m is None or not one.size else self.normal_m
             white[k, :3, :3] = R / np.array([self.place_m, self.place_m, off_face]) @ R.T
             white[k, 3:, 3:] = np.eye(values - 3) / self.turn_rad
-        body = np.zeros((K, values, 6))
-        body[:, :3, :3] = np.eye(3)
-        body[:, :3, 3:] = -so3.hat(self.middles - self.middles.mean(axis=0))
-        if values > 3:
-            body[:, 3:, 3:] = np.eye(3)
-        U, singular, _ = np.linalg.svd((white @ body).reshape(-1, 6), full_matrices=False)
-        U = (white @ U[:, singular > _RANK * singular[0]].reshape(K, values, -1)).reshape(K * values, -1)
-        together = U @ U.T
-        every = np.zeros((K, values, K, values))
-        every[np.arange(K), :, np.arange(K)] = white @ white
-        return PlacePrior(every.reshape(len(U), len(U)) - together, _HELD * together)
+        motion[:, :3, :3] = np.eye(3)
+        motion[:, :3, 3:] = -so3.hat(self.middles - self.middles.mean(axis=0))
+        motion[:, 3:, 3:] = np.eye(3)[: values - 3]
+        return PlacePrior(white, motion)
 
     def of_points(self, ids: np.ndarray) -> MarkerBundle:
         """The body with those of its markers only that have some of these points, turning where corners are among them.
@@ -373,19 +380,16 @@ class MarkerBundle:
         kept = np.unique(marker[ids])
         turning = bool((np.abs(lever[ids]).max(axis=1) > 0.0).any())
         spread = np.linalg.svd(self.middles[kept] - self.middles[kept].mean(axis=0), compute_uv=False)
-        if not turning and (len(kept) < _MIN_MARKERS or spread[1] < 0.01 * spread[0]):
-            said = f"shows {len(kept)} points, at least {_MIN_MARKERS} that are not on one line are needed"
-            raise BadTable(self.label, said, "give more of them, or the corners of the markers")
+        enough = turning or (len(kept) >= _MIN_MARKERS and spread[1] >= 0.01 * spread[0])
+        said = f"shows {len(kept)} points, at least {_MIN_MARKERS} that are not on one line are needed"
+        require(enough, self.label, said, "give more of them, or the corners of the markers")
         return replace(self, markers=tuple(self.markers[k] for k in kept), turning=turning)
 
     def renumbered(self, views: Sequence[BoardView], before: MarkerBundle) -> list[BoardView]:
         """These views of the body as it was before, their points numbered as they are in this one."""
-        at = {one.id: k for k, one in enumerate(self.markers)}
-        own_marker, old_marker = self._layout[0], before._layout[0]
-        new = np.full(len(old_marker), -1)
-        for k, one in enumerate(before.markers):
-            if one.id in at:
-                new[old_marker == k] = np.flatnonzero(own_marker == at[one.id])
+        new = np.full(len(before._ids), -1)
+        for one in self.markers:
+            new[before._ids == one.id] = np.flatnonzero(self._ids == one.id)
         return [replace(v, ids=new[v.ids]) for v in views]
 
 

@@ -16,15 +16,14 @@ a link's length. What is left of it, beside all that is fitted, has to stand out
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from modcal_core.calibration import Model, RowView
 from modcal_core.camera.corners import POSE, CornerTable
-from modcal_core.camera.fit import CameraFit, equations_at, fit_camera, missed_pixels
-from modcal_core.camera.mounting import MIN_VIEWS
+from modcal_core.camera.fit import CameraFit, camera_rows, equations_at, fit_camera
 from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, Scanner, Space, choose
 from modcal_core.effects import AXIS, Drivers, Effect, candidates
 from modcal_core.geometry import Array
@@ -42,20 +41,15 @@ class WithModel:
 
 @dataclass(frozen=True)
 class CameraSpace(Space):
-    """Rows of images: of each six, whitened. now: the model. T: T_frame_tool, (N, 4, 4). white: (N, 6, 6)."""
+    """Rows of images, six of each. whitened: of a motion of the tool, seen from the root (6, N), that of the target in
+    the image, white, (6, N).
+    """
 
-    fit: CameraFit | None = None
-    now: Model | None = None
-    T: Array = field(default_factory=lambda: np.empty((0, 4, 4)))
-    white: Array = field(default_factory=lambda: np.empty((0, 6, 6)))
+    whitened: Callable[[Array], Array] = np.asarray
 
     def column(self, place: int, direction: int) -> Array:
         """Motion of the target in the image per unit of a direction at a place, whitened, (6, N)."""
-        assert self.fit is not None
-        assert self.now is not None
-        N = len(self.T)
-        motion = self.fit.poses.of_root(self.now, self.view.unit_column(place, direction).reshape(1, 6, N))
-        return np.asarray((self.white @ self.fit.poses.as_twists(self.T, motion))[:, :, 0].T)
+        return self.whitened(self.view.unit_column(place, direction).reshape(6, -1))
 
 
 class CameraScanner(Scanner):
@@ -84,7 +78,7 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
         poses = fit.poses.with_effects(asked.model.effects)
         parameters, own = np.split(fit.state.values, [len(poses.parameters)])[0], fit.state.values[fit.poses.of_model :]
         values = np.concatenate([parameters, *(e.values for e in asked.model.effects), own])
-        state = fit.state.with_values(values)
+        state = replace(fit.state, values=values)
         fit = replace(fit, poses=poses, state=state, equations=equations_at(fit.table, poses, fit.prior, state))
     solved = fit.equations.solve(fit.sizes)
     moved = fit.equations.cameras[0].moved
@@ -106,13 +100,17 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
     T = now.predict_samples(drivers.samples)
     view = RowView.of(now, drivers.samples, drivers)
     freedom = round(POSE * N - float(np.sum(Q**2)))
-    return CameraSpace(view, np.ones((POSE, N)), residual, Q, freedom, fit=fit, now=now, T=T, white=white)
+
+    def whitened(motion: Array) -> Array:
+        return np.asarray((white @ fit.poses.as_twists(T, fit.poses.of_root(now, motion[None])))[:, :, 0].T)
+
+    return CameraSpace(view, np.ones((POSE, N)), residual, Q, freedom, whitened=whitened)
 
 
 _MAX = 6  # effects, for time
 _REFUSED = 2  # choices that did not hold, before the search ends
 _GAIN = 6.0  # of −2 log likelihood, the price of the amplitudes taken off: odds of 20 : 1
-_PARTS = 4  # each of which is predicted from the others
+_PARTS, _ENOUGH = 4, 6  # each of which is predicted from the others; images, of which enough for a mounting are left
 _NOT_HERE = ("tracker", "base", "tool")  # lens and sheet have parameters; moves are looked for on their own
 
 
@@ -182,26 +180,22 @@ def _valued(fit: CameraFit) -> tuple[Effect, ...]:
 def _with(fit: CameraFit, effect: Effect) -> CameraFit:
     """Everything fitted again, with one more effect."""
     poses = fit.poses.with_effects((*_valued(fit), effect))
-    begin = fit.state.with_values(np.insert(fit.state.values, fit.poses.of_model, effect.values))
+    begin = replace(fit.state, values=np.insert(fit.state.values, fit.poses.of_model, effect.values))
     return fit_camera(fit.table, poses, fit.prior, begin, fit.sizes)
 
 
 def _unseen(fit: CameraFit, part: int) -> tuple[np.ndarray, CornerTable, Array]:
     """(every fourth image, mask (N,); its corners; how far these are from where a fit of the others has them [px])."""
     held = np.arange(fit.table.views) % _PARTS == part
-    table = fit.table.select(held)
-    return held, table, missed_pixels(table, fit.poses.select(held), fit.of_part(~held).state)
-
-
-def _parted(fit: CameraFit) -> bool:
-    """Whether enough images are left without every fourth."""
-    N = fit.table.views
-    return N >= _PARTS and N - -(-N // _PARTS) >= MIN_VIEWS
+    table, poses = fit.table.select(held), fit.poses.select(held)
+    others = fit.table.select(~held), fit.poses.select(~held)
+    state = fit_camera(*others, fit.prior, fit.state, fit.sizes, fixed_sizes=True).state
+    return held, table, camera_rows(table, poses, state, np.empty(0, int)).pixels
 
 
 def held_out(*fits: CameraFit) -> tuple[float, ...]:
     """RMS of each fit on every fourth image, fitted to the others at the same sizes [px]; NaN for too few images."""
-    if not _parted(fits[0]):
+    if fits[0].table.views < _ENOUGH:
         return (float("nan"),) * len(fits)
     return tuple(table.rms(gap) for _, table, gap in (_unseen(fit, _PARTS - 1) for fit in fits))
 
@@ -211,7 +205,7 @@ def predicted(fit: CameraFit) -> float:
 
     Each image counts by no more than a few times the median, so that none rules alone. NaN for too few images.
     """
-    if not _parted(fit):
+    if fit.table.views < _ENOUGH:
         return float("nan")
     square = np.empty(fit.table.views)
     for part in range(_PARTS):
@@ -255,7 +249,7 @@ def hidden_springs(fit: CameraFit) -> tuple[HiddenSpring, ...]:
     if not scanner.enough(asked):  # type: ignore[arg-type]
         return ()
     T = fit.poses.tool_at(fit.state.values)
-    joints = fit.at_flange(T, fit.poses.joint_motions(fit.state.values, T))
+    joints = fit.at_flange(T, fit.poses.own_motions(fit.state.values, T))
     out = []
     for effect in effects:
         information = scanner.information(asked, effect)

@@ -1,38 +1,41 @@
-"""What changed among the images of a fit: a half that was moved, another focal length, or a focus that hunts.
+"""What changed: a half that was moved, another focal length, a focus that hunts; among the images of a fit, or since.
 
 A change moves the target in the images, or scales them, by a few numbers: the same from one image on, or another in
 each image. Everything else integrated out, the images have a likelihood with these numbers drawn from what is usual,
-and without them; the sizes of all errors are found again for both, for a change makes the images' own errors look
-large. The likelihood has the price of the numbers in it: six of a half that was moved, one of a focal length.
+and without them; among the images of a fit the sizes of all errors are found again for both, for a change makes the
+images' own errors look large. The likelihood has the price of the numbers in it: six of a half that was moved, one of a
+focal length.
 
 A lens that bends as no parameter of the model does also makes images differ in size, and as much in shape. So a focus
 that hunts is held against heights and widths that differ against each other from image to image.
+
+While the robot works, the last few images are equations like those of a fit, about the calibrated model and with all
+that it knows as a prior. Images of several cameras are judged together: each camera may have been moved by itself,
+while joints, and a target that cameras see from the same side, are one for all. The likeliest change is named where it
+beats nothing by far and the next one clearly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.linalg
 
-from modcal_core.camera.corners import POSE
+from modcal_core.camera.bundle import BoardView, PrintedTarget
+from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.equations import ALONE, CameraRows, SolvedEquations, stops_of
-from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.fit import CameraFit, camera_rows
 from modcal_core.geometry import Array
 
-WORLD, TIP, _FOCAL, _EACH = (
-    "world",
-    "tip",
-    "focal length",
-    "focus",
-)  # what changes: the half in the world, that on the arm, …
-GAIN = 20.0  # of −2 log likelihood: odds of 1 : 20 000, for some hundred places in two halves
+WORLD, TIP = "world", "tip"  # halves that may be moved: that in the world, and that on the arm
+_GAIN = 20.0  # of −2 log likelihood: odds of 1 : 20 000, for some hundred places in two halves
 _SCREEN = 0.0  # the same at the sizes of the fit, which take some of a change for noise; below it there is none
 _EDGE = 3  # images on either side
-USUAL = np.r_[[0.01] * 3, [0.02] * 3]  # m, rad; how far something is moved that is kicked, or a joint that slips
-_USUAL_FOCAL = 0.02  # relative, of a focus or zoom that was touched
+_USUAL = np.r_[[0.01] * 3, [0.02] * 3]  # m, rad; how far something is moved that is kicked, or a joint that slips
+_USUAL_FOCAL = np.array([0.02])  # relative, of a focus or zoom that was touched
 _SPREADS = np.geomspace(2e-4, 0.1, 28)  # relative, from what no image shows to another lens
 _LEAST = 1e-3  # relative; lenses breathe by more than that when they focus again, and a fixed one by less as it warms
 
@@ -77,19 +80,23 @@ class FoundChange:
 @dataclass(frozen=True)
 class Change:
     """A change of images from one stop of the arm on. columns: by camera, what its k numbers do to twist, lens and all
-    else of its images, (N, 21 + Z, k). usual: standard deviations of the numbers, (k,). each: whether they differ from
-    stop to stop, by a spread that the images decide. order: the stops in order of time.
+    else of its images, (N, 21 + Z, k). usual: standard deviations of the numbers, (k,). order: the stops in order of
+    time. each: whether the numbers differ from stop to stop, by a spread that the images decide. name: for a person.
+    half: world or tip, empty of what is none. places: of the tool in the images that show it, (N, 3).
     """
 
     columns: Mapping[int, Array]
     usual: Array
     order: np.ndarray
     each: bool = False
+    name: str = ""
+    half: str = ""
+    places: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
-    def best(self, solved: SolvedEquations, places: np.ndarray) -> tuple[float, int, Array]:
+    def best(self, solved: SolvedEquations, at: np.ndarray) -> tuple[float, int, Array]:
         """(gain of −2 log likelihood, first stop after it, its values, or their spread) of the likeliest change.
 
-        places: those of the first stop after it that are tried, (M,), counted in order of time.
+        at: places of the first stop after it that are tried, (M,), counted in order of time.
         """
         own, cross = (part[self.order] for part in solved.equations.by_change(solved.sizes, self.columns))
         score, cross = cross[:, :, -1], cross[:, :, solved.use]
@@ -103,22 +110,27 @@ class Change:
             gains = (square * _SPREADS[:, None] ** 2 / inside - np.log(inside)).sum(axis=1)
             best = int(np.argmax(gains))
             return float(gains[best]), 0, _SPREADS[best : best + 1]
-        own, cross, score = (np.cumsum(part[::-1], axis=0)[::-1][places] for part in (own, cross, score))
+        own, cross, score = (np.cumsum(part[::-1], axis=0)[::-1][at] for part in (own, cross, score))
         back = scipy.linalg.cho_solve(factor, cross.reshape(-1, cross.shape[2]).T).reshape(-1, *cross.shape[:2])
         C = self.usual[:, None] * (own - cross @ back.transpose(1, 0, 2)) * self.usual + np.eye(len(self.usual))
         values = np.linalg.solve(C, (self.usual * score)[:, :, None])[:, :, 0]
         gains = (self.usual * score * values).sum(axis=1) - np.linalg.slogdet(C)[1]
         best = int(np.argmax(gains))
-        return float(gains[best]), int(places[best]), self.usual * values[best]
+        return float(gains[best]), int(at[best]), self.usual * values[best]
 
-    def weighed(self, fit: CameraFit, places: np.ndarray) -> tuple[float, Array]:
+    def weighed(self, fit: CameraFit, at: np.ndarray) -> tuple[float, Array]:
         """(−2 log likelihood with it, the sizes of all errors found again, and its values with these)."""
+        solved, least = fit.weighed(misfit_of=lambda solved: solved.misfit() - self.best(solved, at)[0])
+        return least, self.best(solved, at)[2]
 
-        def misfit(solved: SolvedEquations) -> float:
-            return solved.misfit() - self.best(solved, places)[0]
-
-        solved, least = fit.weighed(misfit_of=misfit)
-        return least, self.best(solved, places)[2]
+    def size(self, values: Array) -> tuple[float, float]:
+        """(shift [m], turn [rad]) of a half, or of a joint, that was moved by these values."""
+        if not self.half:
+            return 0.0, float(np.linalg.norm(values))
+        shift = values[:3]
+        if self.half == WORLD:
+            shift = shift + np.cross(values[3:], self.places.mean(axis=0))
+        return float(np.linalg.norm(shift)), float(np.linalg.norm(values[3:]))
 
 
 def of_twist(rows: CameraRows, twists: Array) -> Array:
@@ -126,12 +138,6 @@ def of_twist(rows: CameraRows, twists: Array) -> Array:
     out = np.zeros((len(twists), rows.grams.shape[1] - 1, twists.shape[2]))
     out[:, :POSE] = twists
     return out
-
-
-def shift_of(half: str, values: Array, places: Array) -> float:
-    """How far a half that was moved by these values (6,) is from where it was [m]. places: of the tool, (N, 3)."""
-    shift = values[:3] + np.cross(values[3:], places.mean(axis=0)) if half == WORLD else values[:3]
-    return float(np.linalg.norm(shift))
 
 
 def find_change(fit: CameraFit) -> FoundChange | None:
@@ -143,26 +149,155 @@ def find_change(fit: CameraFit) -> FoundChange | None:
     N = len(T)
     if N < 2 * _EDGE:
         return None
-    wider, apart = of_twist(rows, np.zeros((N, POSE, 1))), of_twist(rows, np.zeros((N, POSE, 1)))
+    wider = of_twist(rows, np.zeros((N, POSE, 1)))
     wider[:, POSE : POSE + 2, 0] = fit.state.lens.values[:2]
-    apart[:, POSE : POSE + 2, 0] = fit.state.lens.values[:2] * [1.0, -1.0]
-    order, focal = stops_of(cameras)[0], np.array([_USUAL_FOCAL])
-    halves = dict(zip((WORLD, TIP), fit.poses.half_motions(T), strict=True))
-    changes = {half: Change({0: of_twist(rows, moved)}, USUAL, order) for half, moved in halves.items()}
-    changes |= {_FOCAL: Change({0: wider}, focal, order), _EACH: Change({0: wider}, focal, order, each=True)}
+    order = stops_of(cameras)[0]
+    changes = [
+        Change({0: of_twist(rows, moved)}, _USUAL, order, half=half, places=T[:, :3, 3])
+        for half, moved in zip((WORLD, TIP), fit.poses.half_motions(T), strict=True)
+    ]
+    changes += [Change({0: wider}, _USUAL_FOCAL, order), Change({0: wider}, _USUAL_FOCAL, order, each=True)]
     solved, places = fit.equations.solve(fit.sizes), np.arange(_EDGE, N - _EDGE + 1)
-    screened = [(what, one, *one.best(solved, places)[:2]) for what, one in changes.items()]
-    weighed = [(what, at, *one.weighed(fit, np.array([at]))) for what, one, gain, at in screened if gain >= _SCREEN]
+    screened = [(one, *one.best(solved, places)[:2]) for one in changes]
+    weighed = [(one, at, *one.weighed(fit, np.array([at]))) for one, gain, at in screened if gain >= _SCREEN]
     nothing = fit.weighed()[1] if weighed else 0.0
-    for what, at, misfit, x in sorted(weighed, key=lambda found: found[2]):
+    for one, at, misfit, x in sorted(weighed, key=lambda found: found[2]):
         gain = nothing - misfit
-        if gain < GAIN:
+        if gain < _GAIN:
             break
-        if what in halves:
-            shift, turn = shift_of(what, x, T[:, :3, 3]), float(np.linalg.norm(x[3:]))
-            return FoundChange(gain, what == WORLD, at, shift, turn)
-        shape = Change({0: apart}, focal, order, each=True)
-        if what == _EACH and (x[0] < _LEAST or shape.weighed(fit, places)[0] - misfit < GAIN):
-            continue
-        return FoundChange(gain, not fit.poses.camera_on_tip, at, focal=float(x[0]), each=what == _EACH)
+        if one.half:
+            return FoundChange(gain, one.half == WORLD, at, *one.size(x))
+        if one.each:
+            apart = wider.copy()
+            apart[:, POSE + 1] *= -1.0
+            shape = replace(one, columns={0: apart})
+            if x[0] < _LEAST or shape.weighed(fit, places)[0] - misfit < _GAIN:
+                continue
+        return FoundChange(gain, not fit.poses.camera_on_tip, at, focal=float(x[0]), each=one.each)
     return None
+
+
+_WINDOW = 8  # images that are looked back on
+_CLEAR = 6.0  # of −2 log likelihood against the next likeliest: odds of 20 : 1
+_SAME = 1e-3  # rad or m by which joints differ within a stop
+
+
+@dataclass(frozen=True)
+class Moved:
+    """what: "camera", "target" or the name of a joint; "camera or arm", and so on, where images do not tell. since: the
+    stamp, or number, of the first image after it. shift_m, turn_rad: by how much. gain: of −2 log likelihood.
+    """
+
+    what: str
+    since: float
+    shift_m: float
+    turn_rad: float
+    gain: float
+
+    @property
+    def sentence(self) -> str:
+        """The finding as a sentence."""
+        size = f"{np.degrees(self.turn_rad):.2f}°"
+        if self.shift_m > 0.0:
+            size = f"{1e3 * self.shift_m:.1f} mm and {size}"
+        return f"The {self.what} was moved by {size}"
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """An image. stamp: or its number. stop: number of the stop of the arm at which it was taken."""
+
+    camera: str
+    view: BoardView
+    q: Array
+    stamp: float
+    stop: int
+
+
+class CameraWatch:
+    """Watches the images of a calibrated cell; give it each as it comes."""
+
+    def __init__(self, fit: CameraFit, target: PrintedTarget) -> None:
+        """fit: the calibration, of one camera or several. target: as it was calibrated with, by all of them."""
+        self._fit, self._target = fit, target
+        # poses, state, and where each parameter stands among those of all
+        self._cameras = {"": (fit.poses, fit.state, np.arange(len(fit.covariance)))}
+        for one, columns, state in fit.poses.further_at(fit.state):
+            self._cameras[one.name] = one.poses, state, columns
+        known, information = fit.equations.solve(fit.sizes), np.zeros_like(fit.covariance)
+        information[np.ix_(known.use, known.use)] = known.H
+        known_only = replace(fit.equations, beside=None, faults=None, places=None)
+        self._known = replace(known_only, offset=np.zeros(len(information)), information=information)
+        self._seen: deque[_Seen] = deque(maxlen=_WINDOW * len(self._cameras))
+        self._count = self._stop = 0
+
+    def image(self, view: BoardView, q: Array, camera: str = "") -> Moved | None:
+        """What was moved by this image, the arm standing at q (n,); None while nothing stands out.
+
+        camera: of a further one its name. One that is not in the calibration says nothing.
+        """
+        self._count += 1
+        if camera in self._cameras and len(view) >= POSE:
+            if self._seen and np.abs(np.asarray(q) - self._seen[-1].q).max() > _SAME:
+                self._stop += 1
+            stamp = view.stamp if np.isfinite(view.stamp) else float(self._count)
+            self._seen.append(_Seen(camera, view, np.asarray(q), stamp, self._stop))
+        return self._judge()
+
+    def forget(self) -> None:
+        """Begin again, with the next image: after something was put right."""
+        self._seen.clear()
+
+    def _judge(self) -> Moved | None:
+        stops = sorted({one.stop for one in self._seen})
+        if len(stops) < 2:
+            return None
+        solved, changes = self._weighed(list(self._seen))
+        places = np.arange(len(stops) - 1)  # a change that one stop alone shows may be a misread board
+        found = sorted(((*change.best(solved, places), change) for change in changes), key=lambda f: -f[0])
+        gain, first, x, change = found[0]
+        if gain < _GAIN or self._least_without(change.name, stops[first:]) < 0.5 * _GAIN:
+            return None
+        names = [change.name, *(other.name for rival, *_, other in found[1:2] if gain - rival < _CLEAR)]
+        since = next(one.stamp for one in self._seen if one.stop == stops[first])
+        return Moved(" or ".join(dict.fromkeys(names)), since, *change.size(x), gain)
+
+    def _least_without(self, name: str, after: Sequence[int]) -> float:
+        """The least gain of a change before these stops that is left without any one of them: a single one may be
+        misread, or its joints be of another moment, which is no move.
+        """
+        out = []
+        for stop in after:
+            seen = [one for one in self._seen if one.stop != stop]
+            solved, changes = self._weighed(seen)
+            same = next((one for one in changes if one.name == name), None)
+            first = sum(s < after[0] for s in {one.stop for one in seen})
+            out.append(same.best(solved, np.array([first]))[0] if same and len(after) > 1 else 0.0)
+        return min(out)
+
+    def _weighed(self, seen: Sequence[_Seen]) -> tuple[SolvedEquations, list[Change]]:
+        """(the equations of these images, what may have been changed among them)."""
+        halves: dict[tuple[str, str], dict[int, Array]] = {}
+        rows: list[CameraRows] = []
+        tools = []
+        for camera in dict.fromkeys(one.camera for one in seen):
+            own, (poses, state, columns) = [one for one in seen if one.camera == camera], self._cameras[camera]
+            at = poses.at_postures(np.stack([one.q for one in own]))
+            here = camera_rows(CornerTable.of([one.view for one in own], self._target), at, state, columns)
+            T = at.tool_at(state.values)
+            label = "camera" if len(self._cameras) == 1 else f"camera {camera}" if camera else "first camera"
+            for half, twists in zip((WORLD, TIP), at.half_motions(T), strict=True):
+                name = label if (half == TIP) == poses.camera_on_tip else "target"
+                halves.setdefault((half, name), {})[len(rows)] = of_twist(here, twists)
+            rows.append(replace(here, stop=np.array([one.stop for one in own])))
+            tools.append(T[:, :3, 3])
+        solved = replace(self._known, cameras=tuple(rows)).solve(self._fit.sizes)
+        order = np.arange(len({one.stop for one in seen}))
+        changes = [
+            Change(moved, _USUAL, order, name=name, half=half, places=np.concatenate([tools[k] for k in moved]))
+            for (half, name), moved in halves.items()
+        ]
+        for j, joint in enumerate(self._fit.poses.model.chain.names):
+            slipped = {k: of_twist(one, one.own[:, :, j : j + 1]) for k, one in enumerate(rows)}
+            changes.append(Change(slipped, _USUAL[3:4], order, name=f"joint {joint}"))
+        return solved, changes

@@ -7,7 +7,9 @@ those that the fit leaves out as well. The same draws say how far the nominal ar
 the same images, so that the two can be compared draw by draw. What joints do not repeat is part of both.
 
 A statement in doubt has draws of its own, and the interval holds whether it is right or wrong. In the chance of an arm
-made worse it always counts, by its likelihood.
+made worse it always counts, by its likelihood. The advice compares the arms draw by draw, not interval by interval:
+what is open of lens, sheet and the camera's place moves both alike, so that one may be the better beyond doubt where
+their intervals overlap. What the user states of the nominal arm is no draw, and there the interval has to be below it.
 """
 
 from __future__ import annotations
@@ -18,8 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from modcal_core.camera.corners import COMMON, POSE, READOUT
-from modcal_core.camera.equations import Equations, Sizes
+from modcal_core.camera.corners import BOW as BENT
+from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE
+from modcal_core.camera.equations import SolvedEquations
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.statements import IN_DOUBT, SIZE, DoubtedStatement
@@ -37,23 +40,21 @@ ALL_BUT_IMAGES = "lens, sheet and clock"
 @dataclass(frozen=True)
 class DrawnErrors:
     """RMS errors at the tool over postures [m] in D draws, (D,) each: of the calibrated arm, of its model without what
-    joints do not repeat, and of the nominal arm. chance: of what was drawn from.
+    joints do not repeat, and of the nominal arm. chance: of what was drawn from. holds: whether intervals hold with it.
     """
 
     calibrated: Array
     model: Array
     nominal: Array
     chance: float = 1.0
+    holds: bool = True
 
 
 @dataclass(frozen=True)
 class ToolError:
-    """by: errors if all is as stated, and if one statement is wrong, by its name. in_doubt: statements of which the
-    intervals hold either way.
-    """
+    """by: errors if all is as stated, and if one statement is wrong, by its name."""
 
     by: Mapping[str, DrawnErrors]
-    in_doubt: tuple[str, ...] = ()
 
     @property
     def interval(self) -> tuple[float, float, float]:
@@ -72,7 +73,7 @@ class ToolError:
 
     def _holding(self, arm: str) -> tuple[float, float, float]:
         """The interval whether the statements in doubt are right or wrong."""
-        every = [self.by[what] for what in (AS_STATED, *self.in_doubt)]
+        every = [one for one in self.by.values() if one.holds]
         middle, low, high = np.transpose([np.quantile(getattr(one, arm), _ENDS) for one in every])
         likeliest = int(np.argmax([one.chance for one in every]))
         return float(middle[likeliest]), float(low.min()), float(high.max())
@@ -88,7 +89,7 @@ class ToolError:
 
     def either_way(self, what: str) -> ToolError:
         """The same with intervals that hold also if this statement is wrong."""
-        return self if what in self.in_doubt else replace(self, in_doubt=(*self.in_doubt, what))
+        return ToolError({**self.by, what: replace(self.by[what], holds=True)})
 
     @property
     def as_stated(self) -> ToolError:
@@ -96,30 +97,25 @@ class ToolError:
         return ToolError({AS_STATED: replace(self.by[AS_STATED], chance=1.0)})
 
 
-@dataclass(frozen=True)
-class ArmDraws:
-    """values: what the P parameters of the arm are off by in D draws (D, P), by what they are drawn from, its chance
-    beside it. in_doubt: as of a ToolError.
-    """
-
-    values: Mapping[str, tuple[Array, float]]
-    in_doubt: tuple[str, ...] = ()
+ArmDraws = dict[str, tuple[Array, float, bool]]
 
 
 def arm_draws(fit: CameraFit, rng: np.random.Generator, doubted: Sequence[DoubtedStatement] = ()) -> ArmDraws:
-    """Draws of the true arm by a fit, and by each of the statements being wrong."""
-    out = {AS_STATED: (_drawn(fit, fit.equations, fit.sizes, rng), 1.0 - sum(d.counted for d in doubted))}
-    out |= {d.what: (_drawn(fit, d.equations, d.sizes, rng), d.counted) for d in doubted}
-    return ArmDraws(out, tuple(d.what for d in doubted if d.chance > IN_DOUBT))
+    """What the P parameters of the true arm are off by in D draws (D, P), the chance of what they are drawn from, and
+    whether intervals hold with it: by the fit, and by each of the statements being wrong.
+    """
+    stated = 1.0 - sum(d.counted for d in doubted)
+    out = {AS_STATED: (_drawn(fit, fit.equations.solve(fit.sizes), rng), stated, True)}
+    return out | {d.what: (_drawn(fit, d.solved, rng), d.counted, d.chance > IN_DOUBT) for d in doubted}
 
 
-def _drawn(fit: CameraFit, equations: Equations, sizes: Sizes, rng: np.random.Generator) -> Array:
-    """Draws (D, P) by these equations of the fit, with errors of these sizes.
+def _drawn(fit: CameraFit, solved: SolvedEquations, rng: np.random.Generator) -> Array:
+    """Draws (D, P) by these equations of the fit.
 
     Faults of the arm are drawn for all of its links and brought to the parameters that the fit has; where nobody states
     their size, it is drawn about that of the fit.
     """
-    solved, faults = equations.solve(sizes), fit.poses.faults
+    equations, sizes, faults = solved.equations, solved.sizes, fit.poses.faults
     of_arm = np.isin(solved.use, equations.arm)
     order = np.r_[np.flatnonzero(of_arm), np.flatnonzero(~of_arm)]
     data, known = (part[np.ix_(order, order)] for part in (solved.H - solved.P, solved.P))
@@ -168,22 +164,22 @@ def tool_error(fit: CameraFit, nominal: CameraFit, q: Array, draws: ArmDraws, ar
     T, motions = at.tool_motions(fit.state.values)
     placed = se3.apply(T, fit.flange)
     # the mean square over postures is a form of second order in the parameters, however many postures there are
-    apart = (se3.apply(nominal.poses.at_postures(q).tool_at(nominal.state.values), fit.flange) - placed).reshape(-1)
+    apart = (se3.apply(nominal.tool_at(q), fit.flange) - placed).reshape(-1)
     rows = fit.at_flange(T, motions).reshape(len(apart), -1)
     if arm_alone:
         basis = frame_basis(placed)
         rows, apart = rows - basis @ (basis.T @ rows), apart - basis @ (basis.T @ apart)
     gram, cross, square = rows.T @ rows, rows.T @ apart, float(apart @ apart)
-    throw = fit.at_flange(T, at.joint_motions(fit.state.values, T))
+    throw = fit.at_flange(T, at.own_motions(fit.state.values, T))[:, :, :-3]
     scatter = fit.sizes.joint**2 * float((throw**2).sum() / len(q)) + 3.0 * fit.sizes.shift**2
 
-    def errors(values: Array, chance: float) -> DrawnErrors:
+    def errors(values: Array, chance: float, holds: bool) -> DrawnErrors:
         own = np.maximum(((values @ gram) * values).sum(axis=1), 0.0)
         other = np.maximum(own - 2.0 * values @ cross + square, 0.0)
         calibrated, nominal = (np.sqrt(x / len(q) + scatter) for x in (own, other))
-        return DrawnErrors(calibrated, np.sqrt(own / len(q)), nominal, chance)
+        return DrawnErrors(calibrated, np.sqrt(own / len(q)), nominal, chance, holds)
 
-    return ToolError({what: errors(*drawn) for what, drawn in draws.values.items()}, draws.in_doubt)
+    return ToolError({what: errors(*drawn) for what, drawn in draws.items()})
 
 
 def frame_basis(at_frame: Array) -> Array:
@@ -220,16 +216,13 @@ def rests_on(fit: CameraFit, doubted: Sequence[DoubtedStatement], q: Array, erro
     """The sheet's stated size, where the images by themselves hardly show it, and what it is worth at the tool over
     postures q (M, n); None where they show it as well. error: over these postures.
     """
-    doubt = next(d for d in doubted if d.what == SIZE)
     P = fit.poses.count
-    x = P + 1 + LENS
-    C = doubt.equations.solve(doubt.sizes).covariance()
-    both = np.array([0.5, 0.5])
-    free = float(np.sqrt(both @ C[x : x + 2, x : x + 2] @ both))
-    held = float(np.sqrt(both @ fit.covariance[x : x + 2, x : x + 2] @ both))
+    size = slice(P + 1 + SCALE.start, P + 1 + SCALE.stop)
+    C = next(d for d in doubted if d.what == SIZE).solved.covariance()
+    free, held = (float(np.sqrt(known[size, size].mean())) for known in (C, fit.covariance))
     if free < _RESTS * held:
         return None
-    per_unit = C[:P, x : x + 2] @ both / free**2
+    per_unit = C[:P, size].mean(axis=1) / free**2
     moved = fit.flange_motions(q) @ per_unit
     return RestsOn(free, float(np.sqrt((moved**2).sum() / len(q))), error.if_wrong(SIZE))
 
@@ -238,20 +231,11 @@ def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
     """For lens, print scale, flatness, clock and places of markers, and for all of these at once: (mean square error at
     the tool that is known [m²], the same if that thing were known exactly), over postures q (M, n).
     """
-    J = fit.flange_motions(q)
+    J, C = fit.flange_motions(q), fit.covariance
     P = J.shape[2]
-    C = fit.covariance
-    lens = np.arange(P + 1, P + 1 + LENS)
-    places = np.arange(P + 1 + COMMON, len(C))
-    groups = {
-        "lens": lens,
-        "print scale": lens[-1] + 1 + np.arange(2),
-        "flatness": lens[-1] + 3 + np.arange(3),
-        "clock": np.array([P]),
-        "readout": np.array([P + 1 + READOUT]),
-        "places of markers": places,
-        ALL_BUT_IMAGES: np.r_[lens, lens[-1] + 1 + np.arange(5), P, P + 1 + READOUT, places],
-    }
+    common = np.arange(P + 1, len(C))
+    groups = {"lens": common[:LENS], "print scale": common[SCALE], "flatness": common[BENT], "clock": np.array([P])}
+    groups |= {"readout": common[[READOUT]], "places of markers": common[COMMON:], ALL_BUT_IMAGES: np.arange(P, len(C))}
     whole = mean_square(J, C[:P, :P])
     out = {}
     for name, rows in groups.items():
@@ -265,3 +249,77 @@ def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
 def mean_square(J: Array, C: Array) -> float:
     """Mean square of motions J (M, 3, P) of parameters with covariance C (P, P)."""
     return float(np.einsum("mip,pq,miq->", J, C, J) / len(J))
+
+
+APPLY, DO_NOT_APPLY, CANNOT_TELL = "apply", "do not apply", "cannot tell"
+# Chance of an arm made worse that may be taken. Few calibrations come near it: with 1 %, the chances of a hundred of
+# them add up to 0.05 arms that are made worse (38 simulated cells), with 2 % to 0.1, with 5 % to 0.4.
+_WORSE = 0.01
+_WHAT_TELLS = (
+    "measure the two rulers on the sheet (modcal target --measured), state the arm's accuracy (--arm-mm), "
+    "or add a second target at another distance, two scale marks, a ball in a socket or a few tracker points"
+)
+
+_BODY_TELLS = (
+    "state how well the body's size is known (size_tolerance in the target file: a calliper across it tells), state "
+    "the arm's accuracy (--arm-mm), or add a few tracker points"
+)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """word: one of apply, do not apply, cannot tell. because: sentences. chance_worse: of an arm worse than drawn.
+    problems: those sentences that say what contradicts the fit.
+    """
+
+    word: str
+    because: tuple[str, ...]
+    chance_worse: float
+    problems: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DecisionGrounds:
+    """What a decision is made from beside the errors at the tool.
+
+    metric: whether anything states a length beyond the arm's own drawing. problems: what contradicts the fit. stated_m:
+    RMS error of the nominal arm, as the user states it [m]. doubtful: statements in doubt, in sentences. size: what to
+    do about the sheet's size, where it is what keeps the arm from being clearly better; nothing where it is not. body:
+    whether the target is a body with markers, and the error that of the arm by itself.
+    """
+
+    metric: bool = True
+    problems: tuple[str, ...] = ()
+    stated_m: float | None = None
+    doubtful: tuple[str, ...] = ()
+    size: str = ""
+    body: bool = False
+
+
+def decide(error: ToolError, on: DecisionGrounds) -> Decision:
+    """The decision over the postures that were asked for."""
+    worse = error.chance_worse
+    middle, _, high = error.interval
+    drawn, drawn_low, _ = error.nominal_interval
+    if on.problems:
+        return Decision(DO_NOT_APPLY, on.problems, worse, on.problems)
+    if not on.metric:
+        said = "Nothing in these images has a length that somebody measured: "
+        return Decision(CANNOT_TELL, (said + (_BODY_TELLS if on.body else _WHAT_TELLS) + ".",), worse)
+    whose = "By itself, wherever camera and body stand, the" if on.body else "The"
+    compared = (
+        f"{whose} calibrated arm is off by {1e3 * middle:.2f} mm RMS at the tool (95 %: up to {1e3 * high:.2f} mm), "
+        f"the nominal arm by {1e3 * drawn:.2f} mm (95 %: at least {1e3 * drawn_low:.2f} mm)"
+    )
+    if worse > _WORSE or (on.stated_m is not None and high >= on.stated_m):
+        if on.size:
+            return Decision(CANNOT_TELL, (f"{compared}. {on.size}", *on.doubtful), worse)
+        stated = "" if on.stated_m is None else f", and {1e3 * on.stated_m:.2f} mm is stated of it"
+        return Decision(DO_NOT_APPLY, (f"{compared}{stated}: that is not clearly better.", *on.doubtful), worse)
+    alike = ""
+    if high >= drawn:
+        alike = (
+            " What is open of lens, sheet and places moves both alike; the chance that the calibrated arm is no better "
+            f"is {max(100.0 * worse, 0.1):.1f} %."
+        )
+    return Decision(APPLY, (f"{compared}.{alike}", *on.doubtful), worse)

@@ -16,12 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from modcal_core.camera.bundle import BoardView, CalibrationTarget, PlacePrior, PrintScale, whitening
+from modcal_core.camera.bundle import BoardView, CalibrationTarget, PlacePrior, PrintScale
 from modcal_core.camera.lens import COUNT as LENS
-from modcal_core.camera.lens import FISHEYE, Lens
+from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
 from modcal_core.geometry import Array, so3
 
 POSE = 6  # values of a pose
@@ -35,46 +36,26 @@ BEHIND = 1e-3  # m in front of the camera at least; a corner behind it has no im
 
 @dataclass(frozen=True)
 class CornerTable:
-    """M corners of N images.
-
-    names: of the images. view: image of each corner, ascending, (M,). ids: (M,). points: on the target as stated,
-    (M, 3) [m]. modes: how each moves per unit of what a target's shape is, (M, 3, 5). pixels: (M, 2). white: (M, 2, 2),
-    makes errors white. weight: 1 used, 0 left out, (M,). marker: whose each is, (M,), lever: where it is from the
-    middle of that, (M, 3); places: values of each marker's place, markers: number of markers, 0 of a flat sheet.
+    """M corners of N images: names of the images, and by row view: image, ascending, (M,). ids: number on the target,
+    (M,). pixels: (M, 2). white: (M, 2, 2), makes errors white. weight: 1 used, 0 left out, (M,).
     """
 
     names: tuple[str, ...]
+    target: CalibrationTarget
     view: np.ndarray
     ids: np.ndarray
-    points: Array
-    modes: Array
     pixels: Array
     white: Array
     weight: Array
-    marker: np.ndarray
-    lever: Array
-    places: int = 0
-    markers: int = 0
 
     @classmethod
     def of(cls, views: Sequence[BoardView], target: CalibrationTarget) -> CornerTable:
         """The corners of these views of this target."""
         ids = np.concatenate([v.ids for v in views]).astype(int)
-        marker, lever = target.on_markers()
-        return cls(
-            tuple(v.name for v in views),
-            np.repeat(np.arange(len(views)), [len(v) for v in views]),
-            ids,
-            target.points[ids],
-            target.shape_modes()[ids],
-            np.concatenate([v.pixels for v in views]),
-            whitening(np.concatenate([v.cov for v in views])),
-            np.ones(len(ids)),
-            marker[ids],
-            lever[ids],
-            target.values_of_place,
-            target.marker_count,
-        )
+        view = np.repeat(np.arange(len(views)), [len(v) for v in views])
+        white = np.linalg.inv(np.linalg.cholesky(np.concatenate([v.cov for v in views])))
+        names, pixels = tuple(v.name for v in views), np.concatenate([v.pixels for v in views])
+        return cls(names, target, view, ids, pixels, white, np.ones(len(ids)))
 
     def __len__(self) -> int:
         return len(self.view)
@@ -84,15 +65,41 @@ class CornerTable:
         """Number of images."""
         return len(self.names)
 
+    @cached_property
+    def points(self) -> Array:
+        """On the target as stated, (M, 3) [m]."""
+        return self.target.points[self.ids]
+
+    @cached_property
+    def modes(self) -> Array:
+        """How each moves per unit of what a target's shape is, (M, 3, 5)."""
+        return self.target.shape_modes()[self.ids]
+
+    @cached_property
+    def on_markers(self) -> tuple[np.ndarray, Array]:
+        """(marker of each, (M,), where it is from the middle of that, (M, 3))."""
+        marker, lever = self.target.on_markers()
+        return marker[self.ids], lever[self.ids]
+
+    @property
+    def marker(self) -> np.ndarray:
+        """Marker of each, (M,)."""
+        return self.on_markers[0]
+
+    @property
+    def places(self) -> int:
+        """Values of each marker's place, 0 of a flat sheet."""
+        return self.target.values_of_place
+
+    @property
+    def markers(self) -> int:
+        """Number of markers."""
+        return self.target.marker_count
+
     @property
     def bow(self) -> Array:
         """How far each leaves the plane of a flat sheet per unit of the three modes of its bow, (M, 3)."""
         return self.modes[:, 2, 2:]
-
-    @property
-    def unshaped(self) -> Array:
-        """The shape as stated, with all markers in their places: zeros, (5 + Z,)."""
-        return np.zeros(SHAPE + self.places * self.markers)
 
     def rms(self, gap: Array) -> float:
         """RMS of residuals (M, 2) of the corners in use."""
@@ -103,19 +110,12 @@ class CornerTable:
         """Share of corners left out."""
         return 1.0 - float(self.weight.mean())
 
-    def with_weight(self, weight: Array) -> CornerTable:
-        """The same corners, those with weight 0 left out."""
-        return replace(self, weight=weight)
-
     def select(self, views: np.ndarray) -> CornerTable:
         """The corners of these images (mask (N,)), the images renumbered."""
-        keep = np.flatnonzero(views)
-        rows = np.isin(self.view, keep)
-        number = np.full(self.views, -1)
-        number[keep] = np.arange(len(keep))
-        arrays = ("ids", "points", "modes", "pixels", "white", "weight", "marker", "lever")
-        some = {name: getattr(self, name)[rows] for name in arrays}
-        return replace(self, names=tuple(self.names[i] for i in keep), view=number[self.view[rows]], **some)
+        rows, number = np.asarray(views, bool)[self.view], np.cumsum(views) - 1
+        some = {name: getattr(self, name)[rows] for name in ("ids", "pixels", "white", "weight")}
+        names = tuple(name for name, keep in zip(self.names, views, strict=True) if keep)
+        return replace(self, names=names, view=number[self.view[rows]], **some)
 
     def of_view(self, i: int) -> slice:
         """Rows of an image."""
@@ -123,22 +123,20 @@ class CornerTable:
         return slice(int(first), int(last))
 
     def on_target(self, shape: Array) -> Array:
-        """Where the corners are on a target of this shape and with its markers so placed (5 + Z,), (M, 3) [m]."""
+        """Where the corners are on a target of this shape (5,), and with its markers so placed (5 + Z,), (M, 3) [m]."""
         out = self.points + self.modes @ shape[:SHAPE]
-        if self.places:
-            moved = shape[SHAPE:].reshape(self.markers, self.places)[self.marker]
-            out += moved[:, :3]
-            if self.places == POSE:
-                out += np.cross(moved[:, 3:], self.lever)
+        if len(shape) > SHAPE:
+            marker, lever = self.on_markers
+            moved = shape[SHAPE:].reshape(self.markers, self.places)[marker]
+            out += moved[:, :3] + (np.cross(moved[:, 3:], lever) if self.places == POSE else 0.0)
         return out
 
     def by_places(self, on: Array) -> Array:
         """Derivatives (M, 2, Z) by the places of all markers. on: by the corners on the target, (M, 2, 3)."""
-        out = np.zeros((len(self), 2, self.places * self.markers))
-        if self.places:
-            own = on if self.places != POSE else np.concatenate([on, -on @ so3.hat(self.lever)], axis=2)
-            columns = self.places * self.marker[:, None] + np.arange(self.places)
-            np.put_along_axis(out, np.broadcast_to(columns[:, None], own.shape), own, axis=2)
+        (marker, lever), out = self.on_markers, np.zeros((len(self), 2, self.places * self.markers))
+        own = on if self.places != POSE else np.concatenate([on, -on @ so3.hat(lever)], axis=2)
+        columns = self.places * marker[:, None] + np.arange(self.places)
+        np.put_along_axis(out, np.broadcast_to(columns[:, None], own.shape), own, axis=2)
         return out
 
 
@@ -166,8 +164,8 @@ def corner_rows(
 ) -> CornerRows:
     """The rows of all corners, the target being at T_camera_target (N, 4, 4) in each image, at its middle row.
 
-    shape: with the places of markers behind it, (5 + Z,). readout_s: of a rolling shutter. sweep: twist of the target a
-    second, seen from the camera, (N, 6); None: it stands.
+    shape: (5,), or with the places of markers behind it, (5 + Z,). readout_s: of a rolling shutter. sweep: twist of the
+    target a second, seen from the camera, (N, 6); None: it stands.
     """
     T = T_camera_target[table.view]
     R = T[:, :3, :3]
@@ -187,12 +185,10 @@ def corner_rows(
     on = by_point @ R
     by_pose = np.concatenate([by_point, -by_point @ so3.hat(still)], axis=2)
     gap = table.pixels - seen
-    return CornerRows(
-        (table.white @ gap[:, :, None])[:, :, 0],
-        by_pose,
-        np.concatenate([table.white @ by_lens, on @ table.modes, by_readout, table.by_places(on)], axis=2),
-        gap,
-    )
+    by_common = [table.white @ by_lens, on @ table.modes, by_readout]
+    by_common += [table.by_places(on)] if len(shape) > SHAPE else []
+    white = (table.white @ gap[:, :, None])[:, :, 0]
+    return CornerRows(white, by_pose, np.concatenate(by_common, axis=2), gap)
 
 
 def grams(table: CornerTable, rows: CornerRows) -> Array:
@@ -208,35 +204,35 @@ def grams(table: CornerTable, rows: CornerRows) -> Array:
 
 @dataclass(frozen=True)
 class CameraState:
-    """values: of the arm's parameters, (P,). offset_s: of the clock. lens: as elsewhere. shape: of the target, the
-    places of its markers behind it, (5 + Z,). readout_s: in which a rolling shutter goes down an image.
+    """values: of the arm's parameters, (P,). offset_s: of the clock. common: lens, shape, readout and places of
+    markers, (15 + Z,). kind: a lens of this kind.
     """
 
     values: Array
     offset_s: float
-    lens: Lens
-    shape: Array
-    readout_s: float = 0.0
+    common: Array
+    kind: Lens
+
+    @cached_property
+    def lens(self) -> Lens:
+        """As elsewhere."""
+        return replace(self.kind, values=self.common[:LENS])
 
     @property
-    def common(self) -> Array:
-        """Lens, shape, readout and places of markers, (15 + Z,)."""
-        return np.r_[self.lens.values, self.shape[:SHAPE], self.readout_s, self.shape[SHAPE:]]
+    def shape(self) -> Array:
+        """Of the target, the places of its markers behind it, (5 + Z,)."""
+        return shape_of(self.common)
 
-    def with_common(self, common: Array) -> CameraState:
-        """The same with other values of lens, shape, readout and places of markers (15 + Z,)."""
-        lens = replace(self.lens, values=common[:LENS])
-        return replace(self, lens=lens, shape=shape_of(common), readout_s=float(common[READOUT]))
+    @property
+    def readout_s(self) -> float:
+        """In which a rolling shutter goes down an image."""
+        return float(self.common[READOUT])
 
     def moved(self, step: Array) -> CameraState:
         """The state a step (P + 1 + 15 + Z,) farther."""
         P = len(self.values)
-        there = replace(self, values=self.values + step[:P], offset_s=self.offset_s + float(step[P]))
-        return there.with_common(self.common + step[P + 1 :])
-
-    def with_values(self, values: Array) -> CameraState:
-        """The same with other values of the arm's parameters."""
-        return replace(self, values=values)
+        there = self.values + step[:P], self.offset_s + float(step[P]), self.common + step[P + 1 :]
+        return CameraState(*there, self.kind)
 
 
 def shape_of(common: Array) -> Array:
@@ -245,10 +241,14 @@ def shape_of(common: Array) -> Array:
 
 
 FREE, TOLERANCE, FIXED = "free", "tolerance", "fixed"  # what becomes of stated intrinsics
-_FOCAL, _CENTRE = 0.5, 0.1  # of the focal length and of the image's width: nothing is known of them
-_RADIAL, _TANGENTIAL = (0.5, 0.5, 0.3), 0.01  # k1 k2 k3, p1 and p2 of lenses that are no fisheyes
-_FISHEYE = 0.1  # k1 … k4 of fisheyes, of which most are within 0.05
-_STATED_FOCAL, _STATED_CENTRE, _STATED_RADIAL, _STATED_TANGENTIAL = 0.005, 0.005, 0.02, 0.001  # of a usual calibration
+# Standard deviations of a lens's values: fx and fy of the focal length, cx and cy of the image's width, distortion. Of
+# those that nothing is known of (most fisheyes are within half of that), and of those that a usual calibration states.
+_LENS_STD = {
+    (PINHOLE, False): np.array([0.5, 0.5, 0.1, 0.1, 0.5, 0.5, 0.01, 0.01, 0.3]),
+    (FISHEYE, False): np.array([0.5, 0.5, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1]),
+    (PINHOLE, True): np.array([0.005, 0.005, 0.005, 0.005, 0.02, 0.02, 0.001, 0.001, 0.02]),
+    (FISHEYE, True): np.array([0.005, 0.005, 0.005, 0.005, 0.02, 0.02, 0.02, 0.02, 0.02]),
+}
 BOW_M = 3e-4  # of a sheet glued to a board, at its corner; 0.5 mm is common
 READOUT_S = 0.02  # of a rolling shutter: an image's rows fill most of the 16 to 33 ms between two; none of a global one
 CLOCK_S = 0.05  # of stamps of a camera that nothing synchronises
@@ -293,22 +293,11 @@ def common_prior(lens: Lens, scale: PrintScale, stated: str | None = None, flat:
     stated: what becomes of the lens's values; None: they are a start, no statement. flat: whether the sheet is known to
     be flat (glass, aluminium).
     """
-    width = float(lens.size[0])
+    width, f = float(lens.size[0]), float(lens.values[:2].mean())
     mean = np.r_[lens.values, scale.x - 1.0, scale.y - 1.0, np.zeros(COMMON - SCALE.stop)]
-    std = np.empty(LENS)
-    f = lens.values[:2].mean()
-    if stated == TOLERANCE:
-        std[:4] = [_STATED_FOCAL * f] * 2 + [_STATED_CENTRE * width] * 2
-        std[4:] = [_STATED_RADIAL] * 2 + [_STATED_TANGENTIAL] * 2 + [_STATED_RADIAL]
-        if lens.model == FISHEYE:
-            std[4:] = _STATED_RADIAL
-    else:
-        std[:4] = [_FOCAL * f] * 2 + [_CENTRE * width] * 2
-        std[4:] = [_RADIAL[0], _RADIAL[1], _TANGENTIAL, _TANGENTIAL, _RADIAL[2]]
-        if lens.model == FISHEYE:
-            std[4:] = _FISHEYE
-        if stated != FIXED:
-            mean[2:LENS] = [0.5 * (width - 1.0), 0.5 * (lens.size[1] - 1.0), 0.0, 0.0, 0.0, 0.0, 0.0]
+    if stated not in (TOLERANCE, FIXED):
+        mean[2:LENS] = [0.5 * (width - 1.0), 0.5 * (lens.size[1] - 1.0), 0.0, 0.0, 0.0, 0.0, 0.0]
+    std = _LENS_STD[lens.model, stated == TOLERANCE] * np.r_[f, f, width, width, np.ones(LENS - 4)]
     information = np.zeros((COMMON, COMMON))
     information[:LENS, :LENS] = np.diag(std**-2)
     information[SCALE, SCALE] = np.linalg.inv(scale.covariance)

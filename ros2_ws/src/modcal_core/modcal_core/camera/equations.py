@@ -20,7 +20,7 @@ those that make the data likeliest, the parameters integrated out (evidence, typ
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -56,8 +56,11 @@ class Sizes:
     @property
     def logs(self) -> Array:
         """Their logarithms, (7,)."""
-        values = (self.noise, self.joint, self.shift, self.arm, self.other, self.lengths, self.places)
-        return np.log(np.array(values))
+        return np.log(list(vars(self).values()))
+
+    def off(self, count: int) -> Array:
+        """Standard deviations of what joints and, behind them, the tool are off by, (count,)."""
+        return np.r_[np.full(count - 3, self.joint), np.full(3, self.shift)]
 
     @classmethod
     def of_logs(cls, logs: Array) -> Sizes:
@@ -70,7 +73,7 @@ class CameraRows:
     """The images of one camera at one state, the factors of a fit.
 
     grams (N, 22 + Z, 22 + Z): products of each image's columns, at noise 1. moved (N, 6, K): twists by the K parameters
-    of arm and clock. joints (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. columns (K + 15 + Z,):
+    of arm and clock. own (N, 6, n + 3): twists by joints and shifts of an image's own. columns (K + 15 + Z,):
     where its parameters stand among those of all cameras, −1 for one that is not fitted. corners: number in use. stop
     (N,): number of each image's stop, which images of other cameras may share; ALONE where unknown. pixels (M, 2): by
     how much corners are elsewhere than the model has them [px].
@@ -78,8 +81,7 @@ class CameraRows:
 
     grams: Array
     moved: Array
-    joints: Array
-    shifts: Array
+    own: Array
     columns: np.ndarray
     corners: int
     stop: np.ndarray
@@ -87,8 +89,8 @@ class CameraRows:
 
     def covariance_of_views(self, sizes: Sizes) -> Array:
         """Q of each image's own twist, (N, 6, 6)."""
-        joints, shifts = sizes.joint * self.joints, sizes.shift * self.shifts
-        return joints @ np.swapaxes(joints, 1, 2) + shifts @ np.swapaxes(shifts, 1, 2)
+        own = self.own * sizes.off(self.own.shape[2])
+        return np.asarray(own @ np.swapaxes(own, 1, 2))
 
     def own_twists(self, sizes: Sizes) -> Array:
         """S of each image, (N, 6, 6)."""
@@ -112,15 +114,14 @@ class _Sums:
     def of(cls, cameras: Sequence[CameraRows], size: int) -> _Sums:
         """Of all cameras. size: number of all columns."""
         stops = stops_of(cameras)
-        count, m = 1 + max(int(stop.max()) for stop in stops), cameras[0].joints.shape[2] + 3
+        count, m = 1 + max(int(stop.max()) for stop in stops), cameras[0].own.shape[2]
         inner, rows = np.zeros((count, m, m)), np.zeros((count, m, size + 1))
         whole = np.zeros((size + 1, size + 1))
         for one, stop in zip(cameras, stops, strict=True):
             K = one.moved.shape[2]
-            own = np.concatenate([one.joints, one.shifts], axis=2)  # twists per unit of what is off
             G = one.grams[:, :POSE]
-            to_pose = np.swapaxes(own, 1, 2) @ G
-            np.add.at(inner, stop, to_pose[:, :, :POSE] @ own)
+            to_pose = np.swapaxes(one.own, 1, 2) @ G
+            np.add.at(inner, stop, to_pose[:, :, :POSE] @ one.own)
             by = np.concatenate([to_pose[:, :, :POSE] @ one.moved, to_pose[:, :, POSE:]], axis=2)
             A = one.moved.reshape(-1, K)
             cross = A.T @ G[:, :, POSE:].reshape(len(A), -1)
@@ -160,12 +161,10 @@ def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequenc
     Images are of one stop where their joints are the same and they were taken at nearly the same time; without times,
     where they have one name, or no other images of these cameras have these joints.
     """
-    cameras = np.concatenate([np.full(len(one), k) for k, one in enumerate(q)])
-    joints = np.concatenate(list(q))
+    cameras, joints = np.repeat(np.arange(len(q)), [len(one) for one in q]), np.concatenate(list(q))
     called = np.array([name for one in names for name in one], dtype=object)
     at = np.concatenate([t if len(t) else np.full(len(one), np.nan) for t, one in zip(stamps, q, strict=True)])
     stop = np.full(len(joints), ALONE)
-    count = 0
     for i in range(len(joints)):
         if stop[i] != ALONE:
             continue
@@ -180,8 +179,7 @@ def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequenc
         near = near[(cameras[near] != cameras[i]) | (near == i)]
         first = near[np.unique(cameras[near], return_index=True)[1]]
         if len(first) > 1:
-            stop[first] = count
-            count += 1
+            stop[first] = stop.max() + 1
     return np.split(stop, np.cumsum([len(one) for one in q])[:-1])
 
 
@@ -219,9 +217,18 @@ class Equations:
             out[first:, first:] = self.places.information(sizes.places)
         return out
 
+    def with_block(
+        self, rows: np.ndarray, information: Array, offset: Array, free: np.ndarray | bool = True
+    ) -> Equations:
+        """The equations with another prior of these parameters, which the state has off its mean by so much."""
+        every, off, use = self.information.copy(), self.offset.copy(), self.free.copy()
+        every[rows], every[:, rows] = 0.0, 0.0
+        every[np.ix_(rows, rows)], off[rows], use[rows] = information, offset, free
+        return replace(self, information=every, offset=off, free=use)
+
     def _inner(self, sizes: Sizes) -> tuple[Array, Array]:
         """(standard deviations of what joints and tool are off by at a stop, (m,); M of each stop, (S, m, m))."""
-        off = np.r_[np.full(len(self.sums.inner[0]) - 3, sizes.joint), np.full(3, sizes.shift)]
+        off = sizes.off(len(self.sums.inner[0]))
         scale = off / sizes.noise
         return off, np.eye(len(off)) + scale[:, None] * self.sums.inner * scale
 
@@ -242,7 +249,7 @@ class Equations:
             full = np.concatenate([by[:, :, :POSE] @ one.moved, by[:, :, POSE:]], axis=2)
             every = np.r_[one.columns, size]
             np.add.at(cross, stop, _spread(full[:, :, every >= 0], every[every >= 0], size + 1))
-            np.add.at(back, stop, by[:, :, :POSE] @ np.concatenate([one.joints, one.shifts], axis=2))
+            np.add.at(back, stop, by[:, :, :POSE] @ one.own)
         back *= off
         taken = back @ np.linalg.inv(inner)
         own -= taken @ np.swapaxes(back, 1, 2)

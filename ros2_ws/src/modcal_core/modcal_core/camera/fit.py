@@ -42,7 +42,6 @@ _USUAL_LOGS = START.logs  # asked for with every step of the search
 _FACTOR = np.log([10.0, 10.0, 10.0, 10.0, 10.0, 2.0, 10.0])
 _MIN = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
 _MAX = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
-_ARM, _OTHER, _LENGTHS, _PLACES = 3, 4, 5, 6
 _EVALUATIONS = 400  # many times what a search takes
 _NO_SIZES = 1e12  # of −2 log likelihood
 _DOWNHILL: Any = {"ftol": 1e-7, "gtol": 0.02, "eps": 1e-4}  # −2 log likelihood moves by 1 at a standard deviation
@@ -68,15 +67,9 @@ def likeliest(
     """
     faults = equations.faults
     begin = start if faults is None or faults.stated is None else replace(start, arm=faults.stated)
-    unknown = [0, 1, 2]
-    if faults is not None and faults.stated is None:
-        unknown += [_ARM, _LENGTHS]
-    if equations.beside is not None:
-        unknown.append(_OTHER)
-    if equations.places is not None:
-        unknown.append(_PLACES)
-
-    known = begin.logs
+    free = faults is not None and faults.stated is None
+    asked = [True] * 3 + [free, equations.beside is not None, free, equations.places is not None]  # as Sizes has them
+    unknown, known = np.flatnonzero(asked), begin.logs
 
     def inside(logs: Array) -> Array:
         full = known.copy()
@@ -85,12 +78,11 @@ def likeliest(
 
     def misfit(logs: Array) -> float:
         full = inside(logs)
-        sizes = Sizes.of_logs(full)
         try:
-            found = misfit_of(equations.solve(sizes))
+            found = misfit_of(equations.solve(Sizes.of_logs(full)))
         except np.linalg.LinAlgError:  # far beyond what errors are, rounding is all that is left of an equation
             found = _NO_SIZES
-        return found + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
+        return found + usual(Sizes.of_logs(full)) + float(np.abs(logs - full[unknown]).sum())
 
     first = known[unknown]
     around = np.vstack([first, first + np.eye(len(first))])
@@ -145,6 +137,14 @@ class CameraFit:
         """T_frame_tool at every image, (N, 4, 4)."""
         return self.poses.tool_motions(self.state.values, self.state.offset_s)[0]
 
+    def tool_at(self, q: Array) -> Array:
+        """T_frame_tool at postures q (M, n), the arm standing, (M, 4, 4)."""
+        return self.poses.at_postures(q).tool_at(self.state.values)
+
+    def seen_at(self, q: Array) -> Array:
+        """T_camera_target at postures q (M, n), the arm standing, (M, 4, 4)."""
+        return self.poses.seen(self.tool_at(q))
+
     @property
     def flange(self) -> Array:
         """The flange in the frame of whatever the arm carries, (3,) [m]."""
@@ -158,16 +158,6 @@ class CameraFit:
     def flange_motions(self, q: Array) -> Array:
         """Motion of the flange at postures q (M, n) per parameter of arm, effects and other instruments, (M, 3, P)."""
         return self.at_flange(*self.poses.at_postures(q).tool_motions(self.state.values))
-
-    @property
-    def arm_stated(self) -> bool:
-        """Whether the size of the arm's faults is stated."""
-        return self.poses.faults is not None and self.poses.faults.stated is not None
-
-    def of_part(self, rows: np.ndarray) -> CameraFit:
-        """A fit of these images only (mask (N,)), with the same sizes of errors."""
-        some = self.table.select(rows), self.poses.select(rows)
-        return fit_camera(*some, self.prior, self.state, self.sizes, fixed_sizes=True)
 
     def of_further(self) -> list[tuple[CameraState, Array, float]]:
         """(state; standard deviations of lens, shape, readout and places, (15 + Z,), those of the first camera as in
@@ -192,6 +182,9 @@ class CameraFit:
         return solved, misfit_of(solved) + usual(sizes)
 
 
+_Place = tuple[CameraState, SolvedEquations]
+
+
 def fit_camera(
     table: CornerTable,
     poses: ArmPoses,
@@ -204,25 +197,30 @@ def fit_camera(
 
     sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
-    state = CameraState(poses.values.start, 0.0, begin, prior.shape) if isinstance(begin, Lens) else begin
+    if isinstance(begin, Lens):
+        begin = CameraState(poses.values.start, 0.0, np.r_[begin.values, prior.mean[len(begin.values) :]], begin)
+    state = begin
     afar = sizes == START
-    if poses.faults is not None and poses.faults.stated is not None:
-        sizes = replace(sizes, arm=poses.faults.stated)
+    if poses.arm_stated is not None:
+        sizes = replace(sizes, arm=poses.arm_stated)
 
-    def stepped(here: _At, damping: float) -> _At | None:
-        there = here.state.moved(here.solved.step(damping))
-        if not _possible(poses, there):
-            return None
-        return _At(there, equations_at(table, poses, prior, there).solve(sizes))
+    def at(state: CameraState) -> tuple[_Place, float]:
+        solved = equations_at(table, poses, prior, state).solve(sizes)
+        return (state, solved), solved.cost
 
-    equations, converged, settled = equations_at(table, poses, prior, state), False, fixed_sizes
+    def stepped(here: _Place, damping: float) -> tuple[_Place, float] | None:
+        there = here[0].moved(here[1].step(damping))
+        every = [there, *(own for *_, own in poses.further_at(there))]
+        possible = all((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all() for s in every)
+        return at(there) if possible else None
+
+    settled = fixed_sizes
     for k in range(_ROUNDS + 1):
-        met, converged = damped(_At(state, equations.solve(sizes)), stepped, _FIT_MET, 1e-6 * _FIT_MET, _STEPS)
-        state, equations = met.state, met.solved.equations
+        (state, solved), converged = damped(at(state), stepped, _FIT_MET, 1e-6 * _FIT_MET, _STEPS)
+        equations = solved.equations
         if settled or k == _ROUNDS:
             break
-        new = likeliest(equations, sizes, afar=afar)
-        afar = False
+        new, afar = likeliest(equations, sizes, afar=afar), False
         settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
         sizes = new
     covariance = equations.solve(sizes).covariance()
@@ -251,44 +249,20 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
 def camera_rows(table: CornerTable, poses: ArmPoses, state: CameraState, columns: np.ndarray) -> CameraRows:
     """The factors of one camera. columns: where its parameters stand among those of all."""
     T, motions = poses.tool_motions(state.values, state.offset_s)
-    joints = poses.joint_motions(state.values, T)
-    by_clock = np.einsum("nij,nj->ni", joints, poses.velocity)[:, :, None]
+    own = poses.own_motions(state.values, T)
+    by_clock = own[:, :, :-3] @ poses.velocity[:, :, None]
     moved = poses.as_twists(T, np.concatenate([motions, by_clock], axis=2))
     sweep = moved[:, :, -1] if poses.moves else None
     rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
     return CameraRows(
         grams(table, rows),
         moved,
-        poses.as_twists(T, joints),
-        poses.as_twists(T, poses.shifts(state.values)),
+        poses.as_twists(T, own),
         columns,
         int((table.weight > 0.0).sum()),
         poses.moments.stop if len(poses.moments.stop) else np.full(len(T), ALONE),
         rows.pixels,
     )
-
-
-def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Array:
-    """By how much corners (M, 2) are elsewhere than the model has them [px]."""
-    return camera_rows(table, poses, state, np.empty(0, int)).pixels
-
-
-def _possible(poses: ArmPoses, state: CameraState) -> bool:
-    """Whether all lenses have a focal length."""
-    every = [state, *(there for *_, there in poses.further_at(state))]
-    return all(bool((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all()) for s in every)
-
-
-@dataclass(frozen=True)
-class _At:
-    """A state, and its equations with the sizes of a fit."""
-
-    state: CameraState
-    solved: SolvedEquations
-
-    @property
-    def cost(self) -> float:
-        return self.solved.cost
 
 
 def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:

@@ -32,8 +32,10 @@ COUNT = 9  # the last of a fisheye's stays zero
 DISTORTIONS = {PINHOLE: 5, FISHEYE: 4}  # how many coefficients are fitted
 STATED = {PINHOLE: 8, FISHEYE: 4}  # and how many a file may state
 _WIDEST = 1.5  # rad from the axis, the farthest that a ray x, y, 1 can show
-_ON_AXIS = 1e-9  # of the depth; nearer the axis, a fisheye is a pinhole
+_ON_AXIS = 1e-6  # of the depth; nearer the axis, a fisheye is a pinhole
 _STEPS = 20  # of Newton's method; three are enough near the middle
+_HALVINGS = 52  # of the angles that a pixel of a fisheye may show, to the last bit
+_ODD = np.array([3.0, 5.0, 7.0, 9.0])  # powers of the angle
 
 
 @dataclass(frozen=True)
@@ -84,52 +86,36 @@ class Lens:
     def project(self, X: ArrayLike) -> Array:
         """Pixels (..., 2) of points (..., 3) [m] in the camera's frame, z along its view."""
         X = np.asarray(X, dtype=float)
-        if self.model == FISHEYE:
-            return self._fisheye(X.reshape(-1, 3))[0].reshape(*X.shape[:-1], 2)
-        xd, yd = _distort(X[..., 0] / X[..., 2], X[..., 1] / X[..., 2], self)[:2]
-        fx, fy, cx, cy = self.values[:4]
-        return np.stack([fx * xd + cx, fy * yd + cy], axis=-1)
+        bent = self._bent((X[..., :2] / X[..., 2:]).reshape(-1, 2))[0]
+        return np.asarray(bent * self.values[:2] + self.values[2:4]).reshape(*X.shape[:-1], 2)
 
     def linearise(self, X: Array) -> tuple[Array, Array, Array]:
         """Pixels (N, 2) of points (N, 3) [m], and their derivatives by the points (N, 2, 3) and by values (N, 2, 9)."""
-        if self.model == FISHEYE:
-            return self._fisheye(X)
-        fx, fy, cx, cy = self.values[:4]
-        z = 1.0 / X[:, 2]
-        x, y = X[:, 0] * z, X[:, 1] * z
-        xd, yd, r2, D = _distort(x, y, self)
-        xx, xy, yy = _slopes(x, y, r2, D, self)
-        zero = np.zeros_like(x)
-        by_point = np.stack(
-            [
-                np.stack([fx * xx * z, fx * xy * z, -fx * z * (xx * x + xy * y)], axis=1),
-                np.stack([fy * xy * z, fy * yy * z, -fy * z * (xy * x + yy * y)], axis=1),
-            ],
-            axis=1,
-        )
-        by_values = np.empty((len(X), 2, COUNT))
-        over = r2 / _below(r2, self.below)
-        u = (xd, zero, zero + 1.0, zero, x * over, x * over * r2, 2.0 * x * y, r2 + 2.0 * x * x, x * over * r2**2)
-        v = (zero, yd, zero, zero + 1.0, y * over, y * over * r2, r2 + 2.0 * y * y, 2.0 * x * y, y * over * r2**2)
-        for j, (a, b) in enumerate(zip(u, v, strict=True)):
-            by_values[:, 0, j], by_values[:, 1, j] = (a, b) if j < 4 else (fx * a, fy * b)
-        return np.stack([fx * xd + cx, fy * yd + cy], axis=1), by_point, by_values
+        focal, over = self.values[:2], 1.0 / X[:, 2:]
+        xy = X[:, :2] * over
+        bent, by_xy, by_distortion = self._bent(xy)
+        by_xy = focal[:, None] * by_xy * over[:, :, None]
+        by_values = np.zeros((len(X), 2, COUNT))
+        by_values[:, [0, 1], [0, 1]], by_values[:, [0, 1], [2, 3]] = bent, 1.0
+        by_values[:, :, 4:] = focal[:, None] * by_distortion
+        return bent * focal + self.values[2:4], np.concatenate([by_xy, -by_xy @ xy[:, :, None]], axis=2), by_values
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Directions x, y at z = 1, (N, 2), that these pixels (N, 2) show, by Newton's method."""
-        fx, fy, cx, cy = self.values[:4]
-        goal = (np.asarray(pixels, dtype=float) - [cx, cy]) / [fx, fy]
+        """Directions x, y at z = 1, (N, 2), that these pixels (N, 2) show."""
+        goal = (np.asarray(pixels, dtype=float) - self.values[2:4]) / self.values[:2]
         if self.model == FISHEYE:
-            return self._fisheye_rays(goal)
+            far = np.linalg.norm(goal, axis=1)
+            low, high = np.zeros(len(goal)), np.full(len(goal), _WIDEST)
+            for _ in range(_HALVINGS):
+                angle = 0.5 * (low + high)
+                beyond = angle + angle[:, None] ** _ODD @ self.values[4:8] > far
+                low, high = np.where(beyond, low, angle), np.where(beyond, angle, high)
+            return np.asarray(goal * (np.tan(high) / np.maximum(far, 1e-12))[:, None])
         xy = goal.copy()
         for _ in range(_STEPS):
-            x, y = xy.T
-            xd, yd, r2, D = _distort(x, y, self)
-            a, b, d = _slopes(x, y, r2, D, self)
-            gap = goal - np.stack([xd, yd], axis=1)
-            det = a * d - b * b
-            det = np.where(np.abs(det) < 1e-6, 1.0, det)
-            step = np.stack([d * gap[:, 0] - b * gap[:, 1], a * gap[:, 1] - b * gap[:, 0]], axis=1) / det[:, None]
+            bent, by_xy, _ = self._bent(xy)
+            by_xy[np.abs(np.linalg.det(by_xy)) < 1e-6] = np.eye(2)
+            step = np.linalg.solve(by_xy, (goal - bent)[:, :, None])[:, :, 0]
             xy = xy + np.clip(step, -0.5, 0.5)
             if np.abs(step).max(initial=0.0) < 1e-13:
                 break
@@ -139,72 +125,35 @@ class Lens:
         """The lens with its values changed by (9,)."""
         return replace(self, values=self.values + np.asarray(change))
 
-    def _fisheye(self, X: Array) -> tuple[Array, Array, Array]:
-        """As :meth:`linearise`."""
-        fx, fy, cx, cy = self.values[:4]
-        z = X[:, 2]
-        rho = np.maximum(np.hypot(X[:, 0], X[:, 1]), _ON_AXIS * np.abs(z))
-        angle = np.arctan2(rho, z)
-        powers = angle[:, None] ** np.array([3, 5, 7, 9])
-        bent = angle + powers @ self.values[4:8]
-        slope = 1.0 + (powers * [3.0, 5.0, 7.0, 9.0] / angle[:, None]) @ self.values[4:8]
-        ux, uy = X[:, 0] / rho, X[:, 1] / rho
-        square = rho * rho + z * z
-        # along the radius, across it, and along the axis
-        out, across, back = slope * z / square, bent / rho, -slope * rho / square
-        by_point = np.empty((len(X), 2, 3))
-        by_point[:, 0, 0] = fx * (out * ux * ux + across * uy * uy)
-        by_point[:, 0, 1] = fx * (out - across) * ux * uy
-        by_point[:, 1, 0] = fy * (out - across) * ux * uy
-        by_point[:, 1, 1] = fy * (out * uy * uy + across * ux * ux)
-        by_point[:, 0, 2], by_point[:, 1, 2] = fx * back * ux, fy * back * uy
-        xd, yd = bent * ux, bent * uy
-        by_values = np.zeros((len(X), 2, COUNT))
-        by_values[:, 0, 0], by_values[:, 1, 1] = xd, yd
-        by_values[:, 0, 2] = by_values[:, 1, 3] = 1.0
-        by_values[:, 0, 4:8], by_values[:, 1, 4:8] = fx * ux[:, None] * powers, fy * uy[:, None] * powers
-        return np.stack([fx * xd + cx, fy * yd + cy], axis=1), by_point, by_values
-
-    def _fisheye_rays(self, goal: Array) -> Array:
-        """Directions x, y at z = 1 of distorted x, y (N, 2)."""
-        bent = np.linalg.norm(goal, axis=1)
-        angle = np.minimum(bent, _WIDEST)
-        odd = np.array([3, 5, 7, 9])
-        for _ in range(_STEPS):
-            powers = angle[:, None] ** odd
-            gap = bent - angle - powers @ self.values[4:8]
-            slope = 1.0 + (odd * angle[:, None] ** (odd - 1)) @ self.values[4:8]
-            step = gap / np.where(slope > 0.1, slope, 0.1)
-            angle = np.clip(angle + np.clip(step, -0.3, 0.3), 0.0, _WIDEST)
-            if np.abs(step).max(initial=0.0) < 1e-13:
-                break
-        stretch = np.where(bent > 1e-12, np.tan(angle) / np.maximum(bent, 1e-12), 1.0)
-        return np.asarray(goal * stretch[:, None])
-
-
-def _below(r2: Array, below: Array) -> Array:
-    """What a rational polynomial divides by."""
-    k4, k5, k6 = below
-    return np.asarray(1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-
-
-def _distort(x: Array, y: Array, lens: Lens) -> tuple[Array, Array, Array, Array]:
-    """Distorted x and y, r², and the radial factor."""
-    k1, k2, p1, p2, k3 = lens.values[4:]
-    r2 = x * x + y * y
-    D = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / _below(r2, lens.below)
-    xd = x * D + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-    yd = y * D + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    return xd, yd, r2, D
-
-
-def _slopes(x: Array, y: Array, r2: Array, D: Array, lens: Lens) -> tuple[Array, Array, Array]:
-    """Derivatives of distorted x by x, of either by the other, and of distorted y by y."""
-    (k1, k2, p1, p2, k3), (k4, k5, k6) = lens.values[4:], lens.below
-    slope = k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2) - D * (k4 + r2 * (2.0 * k5 + 3.0 * k6 * r2))
-    slope = slope / _below(r2, lens.below)
-    return (
-        D + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
-        2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y,
-        D + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x,
-    )
+    def _bent(self, xy: Array) -> tuple[Array, Array, Array]:
+        """(distorted x, y (N, 2), their derivatives by x, y (N, 2, 2) and by the five of distortion (N, 2, 5))."""
+        r2 = (xy**2).sum(axis=1)
+        by = np.zeros((len(xy), COUNT - 4))
+        if self.model == FISHEYE:
+            r2 = np.maximum(r2, _ON_AXIS**2)
+            r = np.sqrt(r2)
+            angle = np.arctan(r)
+            powers = angle[:, None] ** _ODD
+            by[:, :4] = powers / r[:, None]
+            stretch = angle / r + by[:, :4] @ self.values[4:8]
+            along = (1.0 + (powers * _ODD / angle[:, None]) @ self.values[4:8]) / (1.0 + r2)
+            slope = 0.5 * (along - stretch) / r2
+        else:
+            k1, k2, p1, p2, k3 = self.values[4:]
+            k4, k5, k6 = self.below
+            below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+            by[:, 0], by[:, 1], by[:, 4] = r2 / below, r2**2 / below, r2**3 / below
+            stretch = 1.0 / below + by @ [k1, k2, 0.0, 0.0, k3]
+            slope = k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2) - stretch * (k4 + r2 * (2.0 * k5 + 3.0 * k6 * r2))
+            slope = slope / below
+        by_xy = stretch[:, None, None] * np.eye(2) + 2.0 * slope[:, None, None] * xy[:, :, None] * xy[:, None]
+        bent, by_values = stretch[:, None] * xy, by[:, None] * xy[:, :, None]
+        if self.model == PINHOLE:
+            x, y = xy.T
+            by_values[:, 0, 2] = by_values[:, 1, 3] = 2.0 * x * y
+            by_values[:, 0, 3], by_values[:, 1, 2] = r2 + 2.0 * x * x, r2 + 2.0 * y * y
+            bent = bent + by_values[:, :, 2:4] @ [p1, p2]
+            by_xy[:, 0, 0] += 2.0 * p1 * y + 6.0 * p2 * x
+            by_xy[:, 1, 1] += 6.0 * p1 * y + 2.0 * p2 * x
+            by_xy[:, [0, 1], [1, 0]] += (2.0 * p1 * x + 2.0 * p2 * y)[:, None]
+        return bent, by_xy, by_values

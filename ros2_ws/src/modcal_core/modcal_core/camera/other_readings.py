@@ -35,7 +35,7 @@ MIN = 3  # readings, from which base and tool of an instrument can be placed abo
 _LEVER = 0.3  # m; an instrument that scatters by so much in position scatters by as much over this in orientation
 _FAR = 8.0  # standard deviations, beyond which a reading is left out
 _MEDIAN = 2.366  # of a χ² of three
-_PLACED_M, _PLACED_RAD = 1.0, 1.0  # how far base and tool may be from where the nominal arm puts them
+_PLACED = 1.0  # m, rad; how far base and tool may be from where the nominal arm puts them
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,7 @@ class ReadingsBeside:
     @property
     def prior_std(self) -> Array:
         """Prior standard deviations of the readings' own parameters."""
-        placed = [_PLACED_RAD if p.turns else _PLACED_M for p in self.own]
-        return np.array([p.prior_std if p.place == INSTRUMENT else s for p, s in zip(self.own, placed, strict=True)])
+        return np.array([p.prior_std if p.place == INSTRUMENT else _PLACED for p in self.own])
 
     @property
     def metric(self) -> bool:
@@ -89,27 +88,23 @@ class ReadingsBeside:
         """The rows with the arm's parameters, effects and own ones at these values, in that order. columns: where each
         of these stands among ``count``.
         """
-        own = len(self.own)
-        parameters = (*self.own, *arm)
-        order = np.r_[values[len(values) - own :], values[: len(values) - own]]
+        order, samples = np.roll(np.arange(len(values)), len(self.own)), self.samples
         model = self.model.with_effects(tuple(effects))
-        at = linearise(model, parameters, order, self.samples)
+        at = linearise(model, (*self.own, *arm), values[order], samples)
         J = np.zeros((at.residual.size, count))
-        mine = np.r_[columns[len(columns) - own :], columns[: len(columns) - own]]
-        J[:, mine] = at.J.T
-        pose = self.samples.is_pose
-        sigma_p = np.nan_to_num(self.samples.sigma_position)
-        sigma_r = np.nan_to_num(self.samples.sigma_rotation[pose])
-        seen = np.where(pose, 3.0, dimensions(self.samples))
-        turned = np.array([kinds()[str(k)].unit == "rad" for k in self.samples.kind])
-        unit = np.where(turned, _LEVER**-2.0, 1.0)
-        M = int(pose.sum())
+        J[:, columns[order]] = at.J.T
+        pose = samples.is_pose
+        turned = np.array([kinds()[str(k)].unit == "rad" for k in samples.kind])
+
+        def rows(of_position: Array, of_rotation: Array | float) -> Array:
+            return np.r_[np.tile(of_position, 3), np.tile(np.broadcast_to(of_rotation, (int(pose.sum()),)), 3)]
+
         return BesideRows(
             J,
             at.residual,
-            np.r_[np.tile(sigma_p**2, 3), np.tile(sigma_r**2, 3)],
-            np.r_[np.tile(unit, 3), np.full(3 * M, _LEVER**-2.0)],
-            np.r_[np.tile(seen / 3.0, 3), np.ones(3 * M)],
+            rows(np.nan_to_num(samples.sigma_position) ** 2, np.nan_to_num(samples.sigma_rotation[pose]) ** 2),
+            rows(np.where(turned, _LEVER**-2.0, 1.0), _LEVER**-2.0),
+            rows(np.where(pose, 3.0, dimensions(samples)) / 3.0, 1.0),
         )
 
     def far(self, rows: BesideRows, size: float) -> np.ndarray:

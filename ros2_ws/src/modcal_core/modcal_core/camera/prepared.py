@@ -1,62 +1,147 @@
-"""The images of one camera, made ready for a fit: its lens, the target's pose in each image, mounting, the start."""
+"""Images of a camera: as given, made ready for a fit, and fitted first, without what is not where it should be.
+
+Of a sheet every image shows a pose, and the lens is fitted to these before the arm is asked. An image of a body may
+show three points, which fit any pose, so it is the arm that points are held against: those that are off by far more
+than the others, each image's own error counted, are out, and where most of an image is, the image. Misreadings of a
+body are spread over markers and images, and what is left of its points says as much as if they had not been read. A
+marker most of whose points are out has another number, or another place, than the target's file states, or came loose.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from modcal_core.camera.arm_poses import arm_poses
-from modcal_core.camera.body_start import body_poses, images_with_pose, require_order, start_of_body
-from modcal_core.camera.bundle import BoardView, MarkerBundle
-from modcal_core.camera.corners import SHAPE, CommonPrior, CornerTable, common_prior, corner_rows
-from modcal_core.camera.images import CameraImages, PreparedImages
-from modcal_core.camera.intrinsics import LensFit, board_poses, first_lens, fit_lens
+from modcal_core.calibration import Model, exceeded_chi2, median_chi2
+from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, ImageMoments, with_parameters
+from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
+from modcal_core.camera.corners import FREE, POSE, SHAPE, CommonPrior, CornerTable, common_prior, corner_rows
+from modcal_core.camera.equations import numbered
+from modcal_core.camera.fit import START, CameraFit, fit_camera
+from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
-from modcal_core.camera.mounting import MIN_VIEWS, Mounting, explained, find_mounting
-from modcal_core.camera.outliers import (
-    ELSEWHERE,
-    bad_images,
-    corner_weights,
-    enough_corners,
-    gross,
-    mostly_out,
+from modcal_core.camera.mounting import (
+    MIN_VIEWS,
+    Mounting,
+    explained,
+    find_mounting,
+    images_with_pose,
+    require_order,
+    start_of_body,
 )
+from modcal_core.effects import NominalArm
 from modcal_core.errors import BadRecording, NotEnoughData
+from modcal_core.geometry import Array
 from modcal_core.robots import Chain, Inertias, chain_forward
-
-_NOWHERE, _NOWHERE_TIMES = 0.1, 10.0  # of the reach, and of the others' misfit: an image of elsewhere, or turned round
-_APART_OF_REACH = 0.03  # misfit of images and arm, as a share of the reach: no arm is built that badly
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """Images, the corners in them, and images that are left out, by reason."""
+class CameraImages:
+    """What one camera saw. name: of its topic, for messages. q, velocity: of the joints at each view, (N, n); None:
+    they stood. size: of the images [px]. lens: as stated, with what becomes of it: free (a start), tolerance, fixed;
+    None: found from the images. camera_on_tip: the mounting where it is stated. flat: the sheet is known to be flat.
+    moments: for effects. fisheye: whether the lens is one, where nothing is stated of it.
+    """
 
-    images: CameraImages
+    q: Array
+    views: Sequence[BoardView]
+    target: CalibrationTarget
+    size: tuple[int, int]
+    velocity: Array | None = None
+    lens: Lens | None = None
+    stated: str = FREE
+    camera_on_tip: bool | None = None
+    flat: bool = False
+    moments: ImageMoments = NOTHING_KNOWN
+    fisheye: bool = False
+    name: str = "images"
+
+
+def together(cameras: Sequence[CameraImages]) -> list[CameraImages]:
+    """The same images with what cameras share: of bodies those markers only that some camera saw, and a number for
+    images that were taken at one stop of the arm. Raises BadTable for a body of which too little was seen.
+    """
+    out = []
+    for one in cameras:
+        if isinstance(one.target, MarkerBundle):
+            ids = [v.ids for other in cameras if other.target == one.target for v in other.views]
+            target = one.target.of_points(np.unique(np.concatenate([np.empty(0, int), *ids])).astype(int))
+            one = replace(one, target=target, views=target.renumbered(one.views, one.target))
+        out.append(one)
+    if len(out) == 1:
+        return out
+    names = [[v.name for v in one.views] for one in out]
+    stops = numbered([one.q for one in out], names, [one.moments.stamps for one in out])
+    return [replace(one, moments=replace(one.moments, stop=stop)) for one, stop in zip(out, stops, strict=True)]
+
+
+_NOWHERE, _NOWHERE_TIMES = 0.1, 10.0  # of the reach, and of the others' misfit: an image of elsewhere, or turned round
+_APART_OF_REACH = 0.03  # misfit of images and arm, as a share of the reach: no arm is built that badly
+_TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
+_CORNER = 6.0  # robust standard deviations: one good corner in a billion
+_CORNER_PX = 0.1  # where printers put a square's corner: 0.03 mm, in an image of a third of a millimetre a pixel
+_IMAGE_PX, _IMAGE_TIMES = 1.0, 5.0  # RMS of an image that is blurred or misread: more than a pixel, and than the others
+_ONE_LINE = 0.1  # of its length, how wide a group of corners is that is none
+_ALL_BUT_ONE = 0.03  # the same once any one of them is left out; of a board's corners on a line nothing, of others 0.05
+MIN_CORNERS = 4  # of an image, not on one line: the fewest that a homography is taken from
+MOSTLY = 0.5  # of the points of an image, or of a marker, beyond which it is not where it should be
+_GROSS = 10.0  # times the median distance from where corners should be: errors that are no one's share never reach it
+ELSEWHERE = "far from where the arm has it"
+
+
+@dataclass(frozen=True)
+class PreparedImages:
+    """given: all images. table: corners of those in use. poses: the nominal arm at these, base and tool as found.
+    lens: to begin with. prior: of lens and sheet. mounting: as found. left_out: images by reason.
+    """
+
+    given: CameraImages
+    table: CornerTable
+    poses: ArmPoses
+    lens: Lens
+    prior: CommonPrior
+    mounting: Mounting
+    left_out: dict[str, str]
+
+    def without(self, bad: np.ndarray, why: str) -> PreparedImages:
+        """Without these images (N,). why: they are left out."""
+        out = {name: why for name, b in zip(self.table.names, bad, strict=True) if b}
+        return replace(self, table=self.table.select(~bad), poses=self.poses.select(~bad), left_out=self.left_out | out)
+
+    def fitted(self, last: CameraFit | None = None, fixed_sizes: bool = False) -> CameraFit:
+        """A fit of these images. last: one to begin with. fixed_sizes: take the sizes of errors as they are there."""
+        begin, sizes = (self.lens, START) if last is None else (last.state, last.sizes)
+        return fit_camera(self.table, self.poses, self.prior, begin, sizes, fixed_sizes)
+
+    def nominal(self) -> CameraFit:
+        """A fit of camera and target to these images, the arm held nominal."""
+        still = replace(self.poses, parameters=self.poses.placed, further=(), faults=None)
+        return fit_camera(self.table, still, self.prior, self.lens)
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """Images in use: their numbers among all, their corners, and those left out, by reason. name: of the camera."""
+
+    name: str
+    rows: np.ndarray
     table: CornerTable
     left_out: dict[str, str]
 
-    @classmethod
-    def of(cls, images: CameraImages, left_out: dict[int, str]) -> _Seen:
-        """Without some of the images, by their index. Raises NotEnoughData."""
-        keep = np.array([i not in left_out for i in range(len(images.views))], dtype=bool)
-        some = images.select(keep)
-        require_views(len(some.views), images.name)
-        return cls(
-            some, CornerTable.of(some.views, images.target), {images.views[i].name: w for i, w in left_out.items()}
-        )
+    def without(self, whys: Sequence[str] | np.ndarray) -> _Kept:
+        """Without the images (N,) of which it is said why. Raises NotEnoughData."""
+        keep = np.array([not why for why in whys], dtype=bool)
+        if keep.sum() < MIN_VIEWS:
+            said = f"{int(keep.sum())} show enough of the target, at least {MIN_VIEWS} are needed"
+            raise NotEnoughData(self.name, said, "take more images, the whole target sharp and in view")
+        out = {name: why for name, why in zip(self.table.names, whys, strict=True) if why}
+        return _Kept(self.name, self.rows[keep], self.table.select(keep), self.left_out | out)
 
-    def without(self, bad: np.ndarray, why: str) -> _Seen:
-        """Without these images (N,). Raises NotEnoughData."""
-        if not bad.any():
-            return self
-        require_views(int((~bad).sum()), self.images.name)
-        out = {name: why for name, b in zip(self.table.names, bad, strict=True) if b}
-        return _Seen(self.images.select(~bad), self.table.select(~bad), self.left_out | out)
+
+_Start = tuple[_Kept, Lens, CommonPrior, Mounting]
 
 
 def prepare_images(
@@ -70,114 +155,248 @@ def prepare_images(
 
     fixed: parameters that stay as they are. Raises ModcalError for images that cannot carry a fit.
     """
-    look = _of_body if isinstance(images.target, MarkerBundle) else _of_sheet
-    seen, lens_fit, prior, mounting = look(chain, images, progress)
-    q = seen.images.q
-    velocity = np.zeros_like(q) if seen.images.velocity is None else seen.images.velocity
-    at = (chain, q, velocity, mounting.T_frame_base, mounting.T_tip_tool, mounting.camera_on_tip, fixed)
-    poses = arm_poses(*at, moments=seen.images.moments, inertias=inertias)
-    return PreparedImages(images, seen.table, poses, lens_fit, prior, mounting, seen.left_out)
+    progress("lens and mounting")
+    kept = _Kept(images.name, np.arange(len(images.views)), CornerTable.of(images.views, images.target), {})
+    kept, lens, prior, mounting = (_of_body if kept.table.places else _of_sheet)(chain, images, kept)
+    q, on_tip = images.q[kept.rows], mounting.camera_on_tip
+    velocity = np.zeros_like(q) if images.velocity is None else images.velocity[kept.rows]
+    base, tool, arm = mounting.T_frame_base[None], mounting.T_tip_tool, NominalArm(chain, inertias)
+    model = Model(chain, ("target" if on_tip else "camera",), base, tool, arm=arm)
+    poses = with_parameters(ArmPoses(model, (), q, velocity, on_tip, images.moments.select(kept.rows)), fixed)
+    return PreparedImages(images, kept.table, poses, lens, prior, mounting, kept.left_out)
 
 
-_Start = tuple[_Seen, LensFit, CommonPrior, Mounting]
-
-
-def _of_sheet(chain: Chain, images: CameraImages, progress: Callable[[str], None]) -> _Start:
-    target, lens = images.target, images.lens
-    few = "too few corners of the target"
-    left_out = {i: few for i, v in enumerate(images.views) if not enough_corners(target.points[v.ids])}
-    twice = repeated(images.views).items()
-    left_out |= {i: f"the same picture as {name}: the camera hung, or it was copied" for i, name in twice}
-    seen = _Seen.of(images, left_out)
-
-    progress("lens")
+def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
+    """The lens from the images alone, and the mounting by the poses that they show."""
+    target, stated, first = images.target, images.lens, dict[bytes, int]()
+    whys = []
+    for i, v in enumerate(images.views):
+        same = first.setdefault(v.ids.tobytes() + v.pixels.tobytes(), i)  # the very corners, noise and all
+        said = f"the same picture as {images.views[same].name}: the camera hung, or it was copied"
+        whys.append("" if same == i else said)
+        if not enough_corners(target.points[v.ids]):
+            whys[-1] = "too few corners of the target"
+    kept = kept.without(whys)
     model = FISHEYE if images.fisheye else PINHOLE
-    start = lens or first_lens(seen.table, images.size, model)
-    prior = common_prior(start, target.scale, images.stated if lens is not None else None, images.flat)
-    start = Lens(prior.mean[:LENS], images.size, model) if lens is None else lens
-    for first in (True, False):  # once more without images that the target fits badly
-        lens_fit, table = _lens(seen.table, start, prior)
-        poses = board_poses(table, lens_fit.lens, prior.shape)
+    lens = stated or first_lens(kept.table, images.size, model)
+    prior = common_prior(lens, target.scale, images.stated if stated is not None else None, images.flat)
+    lens = stated or Lens(prior.mean[:LENS], images.size, model)
+    for again in (True, False):  # once more without images that the target fits badly
+        fit, table = fit_lens(kept.table, lens, prior.free[:LENS], prior.information[:LENS, :LENS]), kept.table
+        for _ in range(2):
+            rows = corner_rows(table, fit.lens, np.zeros(SHAPE), fit.T_camera_target)
+            weight = np.where(agreeing(table, rows.residual, rows.pixels), table.weight, 0.0)
+            if (weight == table.weight).all():
+                break
+            table = replace(table, weight=weight)
+            fit = fit_lens(table, lens, prior.free[:LENS], prior.information[:LENS, :LENS])
+        poses = board_poses(table, fit.lens, prior.shape)
+        kept = replace(kept, table=table)
         bad = bad_images(table, poses.rms)
-        seen = replace(seen, table=table)
-        if not (first and bad.any()):
+        if not (again and bad.any()):
             break
-        seen = seen.without(bad, "the target fits this image badly")
-
-    progress("mounting")
-    q = seen.images.q
+        kept = kept.without(np.where(bad, "the target fits this image badly", ""))
+    q = images.q[kept.rows]
     try:
-        mounting = find_mounting(chain_forward(chain, q), poses, images.camera_on_tip)
-        require_near_arm(mounting, chain, images.name)
+        mounting = near_arm(find_mounting(chain_forward(chain, q), poses, images.camera_on_tip), chain, images.name)
     except BadRecording as error:
-        posed = partial(board_poses, shape=prior.shape)
-        raise explained(error, chain, q, seen.table, lens_fit.lens, posed, images.camera_on_tip) from error
+        raise explained(error, chain, q, kept.table, fit.lens, images.camera_on_tip) from error
     far = mounting.off_m > max(_NOWHERE * chain.reach(), _NOWHERE_TIMES * float(np.median(mounting.off_m)))
     if (~far).sum() >= MIN_VIEWS:
-        seen = seen.without(far, ELSEWHERE)
-    return seen, lens_fit, prior, mounting
+        kept = kept.without(np.where(far, ELSEWHERE, ""))
+    return kept, fit.lens, prior, mounting
 
 
-def require_near_arm(mounting: Mounting, chain: Chain, name: str) -> None:
-    """Raises BadRecording for images that miss the arm's motion by more than any arm is built wrong."""
-    if mounting.misfit_m > _APART_OF_REACH * max(chain.reach(), 0.3):
-        said = f"they are {1e3 * mounting.misfit_m:.0f} mm off the arm's motion in the median"
-        remedy = "check that each row of joints belongs to its image, joint units and order, and the square's size"
-        raise BadRecording(name, said, remedy)
-
-
-def repeated(views: Sequence[BoardView]) -> dict[int, str]:
-    """Which views have the very corners of an earlier one, noise and all, and its name: the camera hung, or a copy."""
-    first: dict[bytes, int] = {}
-    same = [first.setdefault(v.ids.tobytes() + v.pixels.tobytes(), i) for i, v in enumerate(views)]
-    return {i: views[j].name for i, j in enumerate(same) if i != j and len(views[i])}
-
-
-def require_views(count: int, name: str) -> None:
-    """Raises NotEnoughData for fewer images of the target than a mounting needs."""
-    if count < MIN_VIEWS:
-        said = f"{count} show enough of the target, at least {MIN_VIEWS} are needed"
-        raise NotEnoughData(name, said, "take more images, the whole target sharp and in view")
-
-
-def _lens(table: CornerTable, start: Lens, prior: CommonPrior) -> tuple[LensFit, CornerTable]:
-    """The lens from the images alone, and the corners with those left out that fit no pose."""
-    for _ in range(3):
-        fit = fit_lens(table, start, prior.free[:LENS], prior.information[:LENS, :LENS])
-        weight = corner_weights(table, fit.lens, np.zeros(SHAPE), fit.T_camera_target)
-        if (weight == table.weight).all():
-            break
-        table = table.with_weight(weight)
-    return fit, table
-
-
-def _of_body(chain: Chain, images: CameraImages, progress: Callable[[str], None]) -> _Start:
+def _of_body(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     """Every image counts, whether or not it shows a pose by itself."""
     target, lens = images.target, images.lens
     assert isinstance(target, MarkerBundle)
-    seen = _Seen.of(images, {i: "no point of the target" for i, v in enumerate(images.views) if not len(v)})
-
-    progress("mounting")
-    model = FISHEYE if images.fisheye else PINHOLE
-    usual = lens or Lens.plain(float(max(images.size)), images.size, model)  # for what hardly depends on it
-    table, q = seen.table, seen.images.q
+    kept = kept.without(["" if len(v) else "no point of the target" for v in images.views])
+    # for what hardly depends on it
+    usual = lens or Lens.plain(float(max(images.size)), images.size, FISHEYE if images.fisheye else PINHOLE)
+    table, q = kept.table, images.q[kept.rows]
+    A = chain_forward(chain, q)
     require_order(table, usual, target)
     try:
-        begin = start_of_body(table, chain_forward(chain, q), lens, usual, images.camera_on_tip)
-        mounting = begin.mounting
-        require_near_arm(mounting, chain, images.name)
+        begin = start_of_body(table, A, lens, usual, images.camera_on_tip)
+        near_arm(begin.mounting, chain, images.name)
     except BadRecording as error:
         whole = images_with_pose(table)
         if whole.sum() < MIN_VIEWS:
             raise
-        some = table.select(whole), usual, body_poses, images.camera_on_tip
-        raise explained(error, chain, q[whole], *some) from error
+        raise explained(error, chain, q[whole], table.select(whole), usual, images.camera_on_tip) from error
     prior = common_prior(begin.lens, target.scale, images.stated if lens is not None else None)
-    prior = prior.with_places(target.place_prior())
-    far = gross(corner_rows(table, begin.lens, table.unshaped, mounting.T_camera_target).pixels)
-    seen = replace(seen, table=table.with_weight(np.where(far, 0.0, 1.0)))
-    strange = mostly_out(table, far)
-    seen = seen.without(strange, ELSEWHERE)
-    mounting = replace(mounting, T_camera_target=mounting.T_camera_target[~strange])
-    unfitted = LensFit(begin.lens, mounting.T_camera_target, np.nan, np.nan, np.zeros((LENS, LENS)), True)
-    return seen, unfitted, prior, mounting
+    far = gross(begin.off(table))
+    kept = replace(kept, table=replace(table, weight=np.where(far, 0.0, 1.0)))
+    kept = kept.without(np.where(mostly_out(table, far), ELSEWHERE, ""))
+    return kept, begin.lens, prior.with_places(target.place_prior()), begin.mounting
+
+
+def near_arm(mounting: Mounting, chain: Chain, name: str) -> Mounting:
+    """The mounting. Raises BadRecording for images that miss the arm's motion by more than any arm is built wrong."""
+    if mounting.misfit_m > _APART_OF_REACH * max(chain.reach(), 0.3):
+        said = f"they are {1e3 * mounting.misfit_m:.0f} mm off the arm's motion in the median"
+        remedy = "check that each row of joints belongs to its image, joint units and order, and the square's size"
+        raise BadRecording(name, said, remedy)
+    return mounting
+
+
+def agreeing(table: CornerTable, residual: Array, pixels: Array | None = None) -> np.ndarray:
+    """Corners (M,) whose whitened residuals (M, 2) are like those of the corners in use, or of no pixels at all."""
+    size = np.abs(residual)
+    sigma = max(_TO_SIGMA * float(np.median(size[table.weight > 0.0])), 1e-9)
+    near = size <= _CORNER * sigma
+    return np.asarray((near if pixels is None else near | (np.abs(pixels) <= _CORNER_PX)).all(axis=1))
+
+
+def enough_corners(points: Array) -> bool:
+    """Whether corners at these places on the sheet (m, 3) fix its pose: four of them, of which no three are on a line.
+
+    That is so where they are not on one line, and are not once any one of them is left out.
+    """
+    m = len(points)
+    if m < MIN_CORNERS:
+        return False
+    off = points[:, :2] - points[:, :2].mean(axis=0)
+    scatter = off.T @ off
+    without = scatter - m / (m - 1.0) * off[:, :, None] * off[:, None]
+    spread = np.linalg.eigvalsh(np.concatenate([scatter[None], without]))
+    width = np.sqrt(np.maximum(spread[:, 0], 0.0) / spread[:, 1])
+    return bool(width[0] > _ONE_LINE and width[1:].min() > _ALL_BUT_ONE)
+
+
+def bad_images(table: CornerTable, rms_px: Array) -> np.ndarray:
+    """Images (N,) in which the target has too few corners left, or fits far worse than in the others."""
+    worst = max(_IMAGE_PX, _IMAGE_TIMES * float(np.median(rms_px)))
+    kept = [table.points[(table.view == i) & (table.weight > 0.0)] for i in range(table.views)]
+    return np.array([not enough_corners(points) for points in kept]) | (rms_px > worst)
+
+
+def gross(off: Array) -> np.ndarray:
+    """Which corners (M,) have residuals (M, 2) above a multiple of the median."""
+    size = np.linalg.norm(off, axis=1)
+    return np.asarray(size > _GROSS * float(np.median(size)))
+
+
+def mostly_out(table: CornerTable, out: np.ndarray) -> np.ndarray:
+    """Images (N,) most of whose points (mask (M,)) are out."""
+    count = np.bincount(table.view, minlength=table.views)
+    return np.asarray(np.bincount(table.view, out.astype(float), table.views) > MOSTLY * count)
+
+
+_VIEW_CHANCE = 1e-7  # of an image as far off as this, were it like the others
+_SEEN = 1e-9  # of an image's information; directions below it are none that it shows
+# Tolerances, and times the median marker, that a marker's place may differ from where the others have it: farther is
+# another marker's sighting under its number, or a slip of the pen, which would make all places look as open as its own.
+_FAR = 6.0
+_MIN_MARKERS = 6  # of a body, for their median to be that of markers that are where they should be
+_CLEANED = 5  # times that points and images are looked through
+
+
+def view_distances(fit: CameraFit) -> tuple[Array, np.ndarray]:
+    """(squared distance of each image's pose from the arm's, in its own standard deviations, (N,); along how many
+    directions it shows it, (N,), which is what it is on average).
+    """
+    rows = fit.equations.cameras[0]
+    G, Q = rows.grams[:, :POSE] / fit.sizes.noise**2, rows.covariance_of_views(fit.sizes)
+    inner = G[:, :, :POSE]
+    scale = 1.0 / np.sqrt(np.maximum(np.einsum("nii->ni", inner), 1e-300))
+    values, vectors = np.linalg.eigh(inner * scale[:, :, None] * scale[:, None])
+    shown = values > _SEEN * np.maximum(values[:, -1:], 1e-300)
+    basis = scale[:, :, None] * vectors * (shown / np.sqrt(np.where(shown, values, 1.0)))[:, None]
+    # the score in directions of unit information: its covariance is 1 + that of the image's own twist
+    back = np.swapaxes(basis, 1, 2)
+    z, along = back @ G[:, :, -1:], back @ inner
+    square = np.swapaxes(z, 1, 2) @ np.linalg.solve(np.eye(POSE) + along @ Q @ np.swapaxes(along, 1, 2), z)
+    return square[:, 0, 0], shown.sum(axis=1)
+
+
+def elsewhere(fit: CameraFit) -> np.ndarray:
+    """Images (N,) that are nowhere near where the arm has them, the others' scatter being the scale."""
+    square, rank = view_distances(fit)
+    usual = np.array([1.0, *(median_chi2(r) for r in range(1, POSE + 1))])[rank]
+    most = np.array([np.inf, *(exceeded_chi2(_VIEW_CHANCE, r) for r in range(1, POSE + 1))])[rank]
+    scale = max(float(np.median((square / usual)[rank > 0])), 0.1) if rank.any() else np.inf
+    return np.asarray(square > scale * most)
+
+
+def misread_points(fit: CameraFit) -> np.ndarray:
+    """Points (M,) that are not where the fit has them, each image's own error taken out."""
+    table = fit.table
+    rows = corner_rows(table, fit.state.lens, fit.state.shape, fit.poses.seen(fit.tool), fit.state.readout_s)
+    G = fit.equations.cameras[0].grams / fit.sizes.noise**2
+    own = (fit.equations.solve(fit.sizes).S @ G[:, :POSE, -1:])[:, :, 0]  # its twist, as likely as it is
+    residual = rows.residual - (rows.by_pose @ own[table.view][:, :, None])[:, :, 0]
+    return ~agreeing(table, residual)
+
+
+def far_markers(fit: CameraFit) -> np.ndarray:
+    """Markers (K,) whose place is not where any hand would have glued them, in which points in use have a part.
+
+    The body's frame is that of all its markers together, so each is held against the motion that the others show.
+    """
+    table, prior = fit.table, fit.prior.places
+    assert prior is not None
+    K = table.markers
+    used = np.flatnonzero(np.bincount(table.marker, table.weight, K) > 0.0)
+    out = np.zeros(K, bool)
+    if len(used) < _MIN_MARKERS:
+        return out
+    own, values = np.arange(K), table.places
+    white = np.swapaxes(np.linalg.cholesky(prior.apart.reshape(K, values, K, values)[own, :, own]), 1, 2)
+    off = (white @ fit.state.shape[SHAPE:].reshape(K, values, 1))[:, :, 0]
+    moved = white @ prior.motion
+    for k in used:
+        others = used[used != k]
+        by = np.linalg.lstsq(moved[others].reshape(-1, 6), off[others].reshape(-1), rcond=None)[0]
+        size = np.sqrt(((off - moved @ by) ** 2).mean(axis=1))
+        out[k] = size[k] > _FAR * max(1.0, float(np.median(size[others])))
+    return out
+
+
+def first_fit(ready: PreparedImages) -> tuple[CameraFit, PreparedImages]:
+    """(a fit, what it was made from): misread points of a body, and images nowhere near the arm, are left out.
+
+    The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or
+    marker would make all errors look as large as its own; then they hardly change but for a marker that was far off.
+    """
+    if not ready.table.places:
+        fit = ready.fitted()
+        again = _without(ready, ready.table.weight == 0.0, fit)
+        return (fit, ready) if again is None else (again.fitted(fit), again)
+    far = np.zeros(ready.table.markers, bool)
+    last: CameraFit | None = None
+    for _ in range(_CLEANED):
+        last = replace(ready.fitted(last, fixed_sizes=True), sizes=START)
+        far |= far_markers(last)
+        again = _without(ready, gross(last.pixels) | far[ready.table.marker])
+        if again is None:
+            break
+        ready = again
+    fit = ready.fitted(last)
+    cleaned = False
+    for _ in range(_CLEANED):
+        more = far_markers(fit) & ~far
+        far |= more
+        again = _without(ready, misread_points(fit) | far[ready.table.marker], fit)
+        if again is None:
+            break
+        ready, cleaned = again, True
+        fit = ready.fitted(fit, fixed_sizes=not more.any())
+    return (ready.fitted(fit) if cleaned else fit), ready
+
+
+def _without(ready: PreparedImages, out: np.ndarray, fit: CameraFit | None = None) -> PreparedImages | None:
+    """The images without these points (M,) and without those most of whose points they are; None if nothing changes,
+    or too little is left. fit: where points are as they were, without images that are elsewhere by it.
+    """
+    weight = np.where(out, 0.0, 1.0)
+    strange = mostly_out(ready.table, out) if ready.table.places else np.zeros(ready.table.views, bool)
+    if (weight == ready.table.weight).all() and not strange.any():
+        # not before misread points are out, which draw their image away
+        strange = strange if fit is None else elsewhere(fit)
+        if not strange.any():
+            return None
+    if (~strange).sum() < MIN_VIEWS:
+        return None
+    return replace(ready, table=replace(ready.table, weight=weight)).without(strange, ELSEWHERE)

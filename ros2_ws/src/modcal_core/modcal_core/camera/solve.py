@@ -14,30 +14,37 @@ import numpy as np
 
 from modcal_core.calibration import Model, least_change
 from modcal_core.camera.arm_poses import FurtherCamera, with_stated
-from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle
+from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, held_out, hidden_springs
 from modcal_core.camera.changes import FoundChange, find_change
-from modcal_core.camera.claim import RestsOn, ToolError, arm_draws, rests_on, shares, tool_error
-from modcal_core.camera.corners import BOW, COMMON, FREE, READOUT, SCALE
-from modcal_core.camera.decision import (
+from modcal_core.camera.claim import (
     CANNOT_TELL,
     Decision,
     DecisionGrounds,
-    contradictions,
+    RestsOn,
+    ToolError,
+    arm_draws,
     decide,
+    rests_on,
+    shares,
+    tool_error,
+)
+from modcal_core.camera.corners import BOW, COMMON, FREE, READOUT, SCALE
+from modcal_core.camera.fit import CameraFit, fit_camera
+from modcal_core.camera.other_readings import MIN, ReadingsBeside
+from modcal_core.camera.outlook import (
+    contradictions,
     in_doubt,
     left_out_images,
+    left_out_points,
     metric_of,
     problems,
     size_open,
+    weak_directions,
 )
-from modcal_core.camera.fit import CameraFit, fit_camera
-from modcal_core.camera.images import CameraImages, PreparedImages, together
-from modcal_core.camera.other_readings import MIN, ReadingsBeside
-from modcal_core.camera.outliers import LeftOutPoints, first_fit, left_out_points
-from modcal_core.camera.prepared import prepare_images
+from modcal_core.camera.prepared import CameraImages, PreparedImages, first_fit, prepare_images, together
 from modcal_core.camera.statements import SIZE, CameraFinding, DoubtedStatement, StatedCamera, doubts, findings
-from modcal_core.camera.views import postures_anywhere, postures_in_view, weak_directions
+from modcal_core.camera.views import postures_anywhere, postures_in_view
 from modcal_core.diagnosis import EffectChoice
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
@@ -145,7 +152,7 @@ def solve_camera(
     ready = prepare_images(problem.chain, images, problem.fixed, problem.inertias, progress)
     progress("fit")
     further = [further_of(problem, one, ready) for one in others]
-    poses = replace(ready.poses, beside=problem.beside, further=tuple(one.camera for one in further))
+    poses = replace(ready.poses, beside=problem.beside, further=tuple(camera for camera, *_ in further))
     fit, ready = first_fit(replace(ready, poses=with_stated(poses, problem.arm_m)))
     geometric = _without_far(fit, ready)
     nominal = replace(ready, poses=geometric.poses).nominal()
@@ -159,16 +166,18 @@ def solve_camera(
     progress("verdict")
     near, _ = postures_in_view(fit, rng)
     became = images.stated if images.lens is not None and images.stated != FREE else None
-    stated = StatedCamera(images.lens or ready.lens_fit.lens, became, images.target.scale)
+    stated = StatedCamera(images.lens or ready.lens, became, images.target.scale)
     doubted = doubts(fit, stated)
     change = find_change(fit)
     against = problems(fit, nominal, change, contradictions(fit, doubted, stated))
     against += left_out_images(ready.left_out, len(images.views))
-    against += tuple(said for one in further for said in one.problems)
-    points = LeftOutPoints()
+    against += tuple(said for *_, sentences in further for said in sentences)
+    open_points: tuple[str, ...] = ()
     if isinstance(images.target, MarkerBundle):
-        same = [(f" of {one.camera.name}", one.camera.table) for one in further if one.target == images.target]
-        points = left_out_points([(" of the first camera" if same else "", fit.table), *same], images.target)
+        same = [(f" of {c.name}", c.table) for c, r, _ in further if r.given.target == images.target]
+        every = [(" of the first camera" if same else "", fit.table), *same]
+        against_points, open_points = left_out_points(every, images.target)
+        against += against_points
     other_length = problem.arm_m is not None or (problem.beside is not None and problem.beside.metric)
     evidence = CameraEvidence(
         None if change is None or change.each else change,
@@ -177,8 +186,8 @@ def solve_camera(
         left,
         hidden,
         weak_directions(fit, ready.mounting),
-        against + points.problems,
-        points.open,
+        against,
+        open_points,
     )
     draws = arm_draws(fit, rng, doubted)
     errors = (
@@ -188,7 +197,7 @@ def solve_camera(
     )
     claim = _claim(problem, errors, fit, near, doubted, evidence.problems)
     claim = replace(claim, held_out_px=held_out(nominal, fit))
-    return CameraSolution(ready, tuple(one.ready for one in further), fit, geometric, nominal, evidence, claim)
+    return CameraSolution(ready, tuple(each for _, each, _ in further), fit, geometric, nominal, evidence, claim)
 
 
 def _claim(
@@ -219,22 +228,10 @@ def _claim(
     return CameraClaim(*errors, decision, shared, rests, metric)
 
 
-@dataclass(frozen=True)
-class Further:
-    """A further camera. camera: for the fit of all. ready: its images. problems: what contradicts it, in sentences."""
-
-    camera: FurtherCamera
-    ready: PreparedImages
-    problems: tuple[str, ...]
-
-    @property
-    def target(self) -> CalibrationTarget:
-        """What it sees."""
-        return self.ready.given.target
-
-
-def further_of(problem: CameraProblem, images: CameraImages, of_first: PreparedImages) -> Further:
-    """A further camera, from a fit of its own. of_first: the first camera's images.
+def further_of(
+    problem: CameraProblem, images: CameraImages, of_first: PreparedImages
+) -> tuple[FurtherCamera, PreparedImages, list[str]]:
+    """(a further camera from a fit of its own, its images, what contradicts it). of_first: the first camera's images.
 
     Raises ModcalError for images that cannot carry a fit by themselves.
     """
@@ -254,7 +251,7 @@ def further_of(problem: CameraProblem, images: CameraImages, of_first: PreparedI
     shared[COMMON:] = same_target and same_side  # two bodies of one drawing have markers glued each by itself
     prior = replace(fit.prior, free=fit.prior.free & (fit.poses.moves | (np.arange(len(shared)) != READOUT)))
     camera = FurtherCamera(images.name, fit.table, fit.poses, prior, fit.state, shared)
-    return Further(camera, ready, tuple(out))
+    return camera, ready, out
 
 
 def _nearest(fit: CameraFit) -> Model:
@@ -272,5 +269,5 @@ def _without_far(fit: CameraFit, ready: PreparedImages) -> CameraFit:
         if not far.any() or (~far).sum() < MIN:
             break
         poses = replace(fit.poses, beside=replace(beside, samples=beside.samples.select(~far)))
-        fit = fit_camera(fit.table, poses, ready.prior, ready.lens_fit.lens, fit.sizes)
+        fit = fit_camera(fit.table, poses, ready.prior, ready.lens, fit.sizes)
     return fit

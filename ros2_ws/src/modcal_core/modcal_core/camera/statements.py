@@ -22,7 +22,7 @@ import numpy as np
 from modcal_core.camera.bundle import PrintScale
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import READOUT, SCALE, SHAPE, CommonPrior, common_prior
-from modcal_core.camera.equations import Equations, Sizes, SolvedEquations
+from modcal_core.camera.equations import SolvedEquations
 from modcal_core.camera.fit import CameraFit, fit_camera, usual
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
@@ -71,23 +71,15 @@ class DoubtedStatement:
     chance: float
     counted: float
 
-    @property
-    def equations(self) -> Equations:
-        """With the wide tolerance, at the state of the fit."""
-        return self.solved.equations
-
-    @property
-    def sizes(self) -> Sizes:
-        """Of errors, found again."""
-        return self.solved.sizes
-
 
 def doubts(fit: CameraFit, stated: StatedCamera) -> tuple[DoubtedStatement, ...]:
     """Each of the statements relaxed, and the chance that it is wrong."""
     scale = stated.scale
-    relaxed = [
-        (what, prior, *fit.weighed(_with_prior(fit, prior))) for what, prior in _wider(fit.prior, stated).items()
-    ]
+    common = fit.poses.count + 1 + np.arange(len(fit.prior.mean))
+    relaxed = []
+    for what, prior in _wider(fit.prior, stated).items():
+        there = fit.equations.with_block(common, prior.information, fit.state.common - prior.mean, prior.free)
+        relaxed.append((what, prior, *fit.weighed(there)))
     backed = 2.0 + (scale.measured and not scale.unsaid) - scale.nominal
     price = _BACKED * np.array([backed if what == SIZE else 2.0 for what, *_ in relaxed])
     gain = np.array([min(fit.misfit - misfit, 100.0) for *_, misfit in relaxed])
@@ -118,16 +110,6 @@ def _wider(prior: CommonPrior, stated: StatedCamera) -> dict[str, CommonPrior]:
     return out
 
 
-def _with_prior(fit: CameraFit, prior: CommonPrior) -> Equations:
-    """The equations with another prior, at the state of the fit."""
-    count = fit.poses.count + 1
-    information = fit.equations.information.copy()
-    information[count:, count:] = prior.information
-    offset = np.r_[fit.equations.offset[:count], fit.state.common - prior.mean]
-    free = np.r_[fit.equations.free[:count], prior.free]
-    return replace(fit.equations, information=information, offset=offset, free=free)
-
-
 def contradicted(fit: CameraFit, doubted: Sequence[DoubtedStatement]) -> dict[str, CameraFit]:
     """What the images contradict of what was stated, with the fit that has it relaxed. doubted: of this fit."""
     out = {}
@@ -141,7 +123,7 @@ def contradicted(fit: CameraFit, doubted: Sequence[DoubtedStatement]) -> dict[st
 
 def arm_contradicted(fit: CameraFit) -> float | None:
     """How many times as far off as stated the arm is, None where the images do not say so, or nobody states it."""
-    if not fit.arm_stated or fit.poses.faults is None:
+    if fit.poses.faults is None or fit.poses.arm_stated is None:
         return None
     solved, misfit = fit.weighed(replace(fit.equations, faults=replace(fit.poses.faults, stated=None)))
     larger = solved.sizes.arm > fit.sizes.arm and misfit < fit.misfit - GAIN
@@ -243,7 +225,8 @@ def findings(fit: CameraFit, scale: PrintScale, other_length: bool, q: Array) ->
         if stated or not fit.equations.free[rows].all():
             continue
         value, off, std = values[row.at], (values - default)[row.at], np.sqrt(np.diag(C)[rows])
-        held = _held(fit, rows, off)
+        exact = np.diag(_EXACT * np.diag(fit.equations.information)[rows])
+        held = fit.equations.with_block(rows, exact, off)
         if held.solve(fit.sizes).misfit() + usual(fit.sizes) - plain <= GAIN:  # other sizes only help it
             continue
         gain = fit.weighed(held)[1] - plain
@@ -263,12 +246,3 @@ def findings(fit: CameraFit, scale: PrintScale, other_length: bool, q: Array) ->
         said += f"; left out, it would put the tool {1e3 * at_tool:.2f} mm off."
         out.append(CameraFinding(row.family, entry, gain, at_tool, said))
     return tuple(out)
-
-
-def _held(fit: CameraFit, rows: np.ndarray, off: Array) -> Equations:
-    """The equations with these values held, which the state has off by so much."""
-    information, offset = fit.equations.information.copy(), fit.equations.offset.copy()
-    exact = _EXACT * np.diag(information)[rows]
-    information[rows], information[:, rows] = 0.0, 0.0
-    information[rows, rows], offset[rows] = exact, off
-    return replace(fit.equations, information=information, offset=offset)

@@ -28,6 +28,7 @@ from modcal_core.camera.bundle import (
     PrintedTarget,
     PrintScale,
     body_scale,
+    require,
 )
 from modcal_core.errors import BadTable, refusing
 from modcal_core.files import read_yaml
@@ -36,66 +37,58 @@ from modcal_core.geometry import so3
 TAG_BUNDLES = "tag_bundles"  # of apriltag_ros, beside standalone_tags
 _FAMILY = "DICT_APRILTAG_36h11"  # apriltag_ros's own, unless its other settings say otherwise
 _ORDERS = {"aruco": ARUCO_ORDER, "apriltag": APRILTAG_ORDER}
+_XYZ, _QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # as apriltag_ros calls them
+_NORMAL = "tolerance_normal_m"
 _UNIT = 1e-3  # how far from 1 a quaternion's length may be, which is written with four digits
 
 
 def bundle_from_data(data: Mapping[str, Any], source: str) -> MarkerBundle:
     """The body that our form of a target file describes. Raises BadTable."""
-    markers = [_marker(one, source) for one in data.get("markers") or ()]
-    markers += [BundleMarker(int(one["id"]), _xyz(one["xyz"])) for one in data.get("points") or ()]
+    markers = []
+    for one in data.get("markers") or ():
+        name = f"{source}: marker {int(one['id'])}"
+        require(not {"quaternion", "rpy"} <= set(one), name, "has a quaternion and rpy", "give one of the two")
+        turn = one.get("quaternion", so3.to_quaternion(so3.from_rpy(np.array(one.get("rpy", [0.0] * 3), dtype=float))))
+        markers.append(_marker(one["id"], one["xyz"], turn, one["size_m"], name))
+    markers += [_marker(one["id"], one["xyz"], (0, 0, 0, 1), 0, source) for one in data.get("points") or ()]
     order = data.get("corner_order", "aruco")
     order = _ORDERS.get(order, ()) if isinstance(order, str) else tuple(str(name) for name in order)
-    size = data.get("size_tolerance")
+    size, normal_m = (None if (v := data.get(key)) is None else float(v) for key in ("size_tolerance", _NORMAL))
     printed = float(data.get("print_tolerance", PRINT))
-    if not (size is None or 0.0 < float(size) < 1.0) or not 0.0 < printed < 1.0:
-        raise BadTable(source, "has a size tolerance that is none", "give a relative one, such as 0.002")
+    usual = (size is None or 0.0 < size < 1.0) and 0.0 < printed < 1.0
+    require(usual, source, "has a size tolerance that is none", "give a relative one, such as 0.002")
     return MarkerBundle(
         tuple(markers),
-        body_scale(None if size is None else float(size), printed=printed),
+        body_scale(size, printed=printed),
         float(data.get("tolerance_m", PLACE_M)),
         float(data.get("tolerance_rad", TURN_RAD)),
         order,
         str(data.get("dictionary", "")),
         str(data.get("name", ""))[:60],
-        normal_m=None if (normal := data.get("tolerance_normal_m")) is None else float(normal),
+        normal_m=normal_m,
     )
 
 
 def bundle_of_tags(data: Mapping[str, Any], source: str) -> MarkerBundle:
     """The only bundle in the settings of apriltag_ros, ROS 1's form. Raises BadTable."""
     bundles = list(data[TAG_BUNDLES] or ())
-    if len(bundles) != 1:
-        raise BadTable(source, f"has {len(bundles)} tag bundles, one is read", "give the one that is on the arm")
+    said = f"has {len(bundles)} tag bundles, one is read"
+    require(len(bundles) == 1, source, said, "give the one that is on the arm")
     markers = []
     for one in bundles[0]["layout"]:
-        quaternion = [float(one.get(key, 1.0 if key == "qw" else 0.0)) for key in ("qx", "qy", "qz", "qw")]
-        xyz = [float(one.get(key, 0.0)) for key in ("x", "y", "z")]
-        markers.append(BundleMarker(int(one["id"]), _xyz(xyz), _unit(quaternion, source), float(one["size"])))
+        xyz, turn = ([one.get(key, float(key == "qw")) for key in keys] for keys in (_XYZ, _QUATERNION))
+        markers.append(_marker(one["id"], xyz, turn, one["size"], source))
     name = str(bundles[0].get("name", ""))[:60]
     return MarkerBundle(tuple(markers), body_scale(None), corners=APRILTAG_ORDER, dictionary=_FAMILY, name=name)
 
 
-def _marker(one: Mapping[str, Any], source: str) -> BundleMarker:
-    name = f"{source}: marker {int(one['id'])}"
-    if "quaternion" in one and "rpy" in one:
-        raise BadTable(name, "has a quaternion and rpy", "give one of the two")
-    rotation = one.get("quaternion")
-    if rotation is None:
-        rotation = so3.to_quaternion(so3.from_rpy(np.array(one.get("rpy", [0.0, 0.0, 0.0]), dtype=float))).tolist()
-    return BundleMarker(int(one["id"]), _xyz(one["xyz"]), _unit(rotation, name), float(one["size_m"]))
-
-
-def _xyz(values: Sequence[Any]) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z
-
-
-def _unit(values: Sequence[Any], source: str) -> tuple[float, float, float, float]:
-    x, y, z, w = (float(v) for v in values)
-    length = (x * x + y * y + z * z + w * w) ** 0.5
-    if not abs(length - 1.0) < _UNIT:
-        raise BadTable(source, f"has a quaternion of length {length:.3g}", "give x, y, z, w of length 1")
-    return x / length, y / length, z / length, w / length
+def _marker(number: Any, xyz: Sequence[Any], quaternion: Sequence[Any], size: Any, source: str) -> BundleMarker:
+    x, y, z = (float(v) for v in xyz)
+    a, b, c, w = turn = [float(v) for v in quaternion]
+    length = float(np.linalg.norm(turn))
+    said = f"has a quaternion of length {length:.3g}"
+    require(abs(length - 1.0) < _UNIT, source, said, "give x, y, z, w of length 1")
+    return BundleMarker(int(number), (x, y, z), (a / length, b / length, c / length, w / length), float(size))
 
 
 FORMAT = 1  # of the file
@@ -111,10 +104,10 @@ _APRIL = "DICT_APRILTAG_36h11"  # the family of Kalibr's grids
 def read_target(path: Path) -> PrintedTarget:
     """The printed sheet in a file of ours or of Kalibr's. Raises BadTable, for a body with markers too."""
     target = read_any_target(path)
-    if isinstance(target, MarkerBundle):
-        said = "is a body with markers, which is read from a CSV of its points only"
-        raise BadTable(str(path), said, "use modcal calibrate --images FILE.csv, or give a printed sheet")
-    return target
+    if isinstance(target, PrintedTarget):
+        return target
+    said = "is a body with markers, which is read from a CSV of its points only"
+    raise BadTable(str(path), said, "use modcal calibrate --images FILE.csv, or give a printed sheet")
 
 
 def read_any_target(path: Path) -> PrintedTarget | MarkerBundle:
@@ -139,10 +132,9 @@ def target_from_data(data: Any, source: str = "target") -> PrintedTarget:
         raise BadTable(source, "is not a target file", _REMEDY)
     if "target_type" in data:
         return _from_kalibr(data, source)
-    if data["modcal_target"] != FORMAT:
-        raise BadTable(source, f"has format {data['modcal_target']}, {FORMAT} is read", "print the target again")
-    if data.get("type") not in _KINDS:
-        raise BadTable(source, f"type {str(data.get('type'))[:40]} is not known", f"use {', '.join(_KINDS)}")
+    ours, kind = data["modcal_target"], data.get("type")
+    require(ours == FORMAT, source, f"has format {ours}, {FORMAT} is read", "print the target again")
+    require(kind in _KINDS, source, f"type {str(kind)[:40]} is not known", f"use {', '.join(_KINDS)}")
     return PrintedTarget(
         str(data["type"]),
         int(data.get("columns", 1)),
@@ -184,9 +176,9 @@ def scale_of_rulers(
     that are no print's.
     """
     x, y = (m / n for m, n in zip(measured, nominal, strict=True))
-    if abs(x - 1.0) > _OFF or abs(y - 1.0) > _OFF:
-        said = f"rulers of {nominal[0]:g} and {nominal[1]:g} m measure {measured[0]:g} and {measured[1]:g} m"
-        raise BadTable(source, said, "give what a ruler shows, in metres, or print at 100 %")
+    said = f"rulers of {nominal[0]:g} and {nominal[1]:g} m measure {measured[0]:g} and {measured[1]:g} m"
+    near = max(abs(x - 1.0), abs(y - 1.0)) <= _OFF
+    require(near, source, said, "give what a ruler shows, in metres, or print at 100 %")
     std = RULER_STD_M if std_m is None else std_m
     each = [std / n for n in nominal]
     apart = (each[0] ** 2 + each[1] ** 2) ** 0.5
@@ -201,9 +193,10 @@ def _scale(rulers: Any, source: str) -> PrintScale:
     nominal = float(rulers["x_m"]), float(rulers["y_m"])
     measured = float(rulers["measured_x_m"]), float(rulers["measured_y_m"])
     std = rulers.get("measured_std_m")
-    if std is not None and not 0.0 < float(std) < min(nominal):
-        raise BadTable(source, f"rulers were measured to {float(std):g} m", "give a small length, in metres")
-    return scale_of_rulers(nominal, measured, source, None if std is None else float(std))
+    std = None if std is None else float(std)
+    small, said = std is None or 0.0 < std < min(nominal), f"rulers were measured to {std or 0.0:g} m"
+    require(small, source, said, "give a small length, in metres")
+    return scale_of_rulers(nominal, measured, source, std)
 
 
 def _from_kalibr(data: Mapping[str, Any], source: str) -> PrintedTarget:
@@ -215,7 +208,6 @@ def _from_kalibr(data: Mapping[str, Any], source: str) -> PrintedTarget:
         return PrintedTarget(APRIL_GRID, int(data["tagCols"]), int(data["tagRows"]), side, side * ratio, _APRIL, low)
     if kind == "checkerboard":
         across, down = float(data["colSpacingMeters"]), float(data["rowSpacingMeters"])
-        if across != down:
-            raise BadTable(source, f"has squares of {across:g} × {down:g} m", "use a board of squares")
+        require(across == down, source, f"has squares of {across:g} × {down:g} m", "use a board of squares")
         return PrintedTarget(CHESSBOARD, int(data["targetCols"]) + 1, int(data["targetRows"]) + 1, across)
     raise BadTable(source, f"target_type {kind[:40]} is not read", "use aprilgrid, checkerboard or a ChArUco board")

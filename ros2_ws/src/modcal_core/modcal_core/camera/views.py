@@ -1,13 +1,25 @@
-"""Postures at which a target is in view, and what the images of a calibration leave open of lens and arm."""
+"""Postures at which a target is in view, and those at which images tell the most in millimetres.
+
+From a first calibration, of a handful of images or one that is not to be applied, it is known well enough where camera
+and target are. Postures are drawn within the joint limits about those of its images; those stay that show the whole
+target, its front, tilted and far away within bounds. Of these, one after the other is taken that makes the expected
+error at the tool smallest, over postures in view (A-optimal, greedy; each image's own joints and shift counted).
+Of a body with markers those postures stay at which the camera sees it from about where it has seen it before, with some
+markers in view; only what those show counts.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from modcal_core.camera.corners import CornerTable
-from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
+from modcal_core.camera.claim import frame_basis, mean_square
+from modcal_core.camera.corners import POSE, CornerTable
+from modcal_core.camera.fit import CameraFit, camera_rows
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.mounting import Mounting
+from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3
 from modcal_core.robots import Chain
 
@@ -18,11 +30,7 @@ _MIN_SEEN = 20  # postures that show the target, below which those of the images
 # those that one image shows are still read.
 _SAME_SIDE = float(np.radians(30.0))
 _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in view
-_TILT = np.radians(20.0)  # below, the focal length is told by perspective of second order only
-_DISTANCES = 1.3  # farthest over nearest
-_COVERED = 0.4  # of the image, in a grid of eight by eight
-_GRID = 8  # cells a side
-_JOINT, _SLIDE = np.radians(20.0), 0.05  # range of a joint that shows what its axis does, rad and m
+_GRID = 8  # cells a side of an image
 
 
 def postures_in_view(fit: CameraFit, rng: np.random.Generator) -> tuple[Array, bool]:
@@ -31,15 +39,13 @@ def postures_in_view(fit: CameraFit, rng: np.random.Generator) -> tuple[Array, b
     Where too few do, those of the images themselves, and what lies between neighbours among them.
     """
     q = fit.poses.q
-    low, high = q.min(axis=0), q.max(axis=0)
-    tried = rng.uniform(low, high, (_TRIES * _POSTURES, q.shape[1]))
+    tried = rng.uniform(q.min(axis=0), q.max(axis=0), (_TRIES * _POSTURES, q.shape[1]))
     good = tried[in_view(fit, tried)][:_POSTURES]
     if len(good) >= _MIN_SEEN:
         return good, True
     a, b = rng.integers(len(q), size=(2, _POSTURES))
     mixed = q[a] + rng.uniform(0.0, 1.0, (_POSTURES, 1)) * (q[b] - q[a])
-    mixed = np.concatenate([q, mixed[in_view(fit, mixed)]])
-    return mixed[:_POSTURES], False
+    return np.concatenate([q, mixed[in_view(fit, mixed)]])[:_POSTURES], False
 
 
 def postures_anywhere(chain: Chain, rng: np.random.Generator) -> Array:
@@ -51,21 +57,14 @@ def postures_anywhere(chain: Chain, rng: np.random.Generator) -> Array:
 
 
 def in_view(fit: CameraFit, q: Array) -> np.ndarray:
-    """Whether the camera sees the front of the target at these postures (M, n), (M,) bool."""
-    at = fit.poses.at_postures(q)
-    T = at.seen(at.tool_at(fit.state.values))
+    """Whether the camera sees that side of the target which images show at these postures (M, n), (M,) bool."""
+    T = fit.seen_at(q)
     points = fit.table.points[np.unique(fit.table.ids, return_index=True)[1]]  # that any image shows
-    X, inside = inside_image(fit.state.lens, T, points)
-    if fit.table.places:
-        return np.asarray((inside.mean(axis=1) >= _INSIDE) & _seen_from_there(fit, T, points.mean(axis=0)))
-    # the side that the images show
-    side = np.einsum("mi,mi->m", T[:, :3, 2], X.mean(axis=1))
-    seen = fit.poses.seen(fit.poses.tool_at(fit.state.values))
-    front = np.sign(np.median(np.einsum("mi,mi->m", seen[:, :3, 2], seen[:, :3, 3])))
-    return np.asarray((inside.mean(axis=1) >= _INSIDE) & (side * front > 0.0))
+    inside = _inside_image(fit.state.lens, T, points)[1].mean(axis=1) >= _INSIDE
+    return np.asarray(inside & _same_side(fit, T, points.mean(axis=0)))
 
 
-def inside_image(lens: Lens, T: Array, points: Array, edge_px: float = 0.0) -> tuple[Array, np.ndarray]:
+def _inside_image(lens: Lens, T: Array, points: Array, edge_px: float = 0.0) -> tuple[Array, np.ndarray]:
     """(points (C, 3) of the target at T_camera_target (M, 4, 4) as the camera has them, (M, C, 3); whether they are so
     far from the image's edge inside it, (M, C)).
     """
@@ -75,54 +74,17 @@ def inside_image(lens: Lens, T: Array, points: Array, edge_px: float = 0.0) -> t
     return X, ahead & ((pixels >= edge_px) & (pixels < np.array(lens.size) - edge_px)).all(axis=2)
 
 
-def _seen_from_there(fit: CameraFit, T: Array, middle: Array) -> np.ndarray:
-    """Whether images show a body from about where the camera is at T_camera_target (M, 4, 4), (M,) bool."""
-
-    def sides(poses: Array) -> Array:
-        back = se3.inverse(poses)[:, :3, 3] - middle
-        return np.asarray(back / np.linalg.norm(back, axis=1, keepdims=True))
-
-    seen = sides(fit.poses.seen(fit.poses.tool_at(fit.state.values)))
-    return np.asarray((sides(T) @ seen.T).max(axis=1) > np.cos(_SAME_SIDE))
-
-
-def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
-    """What these images leave open, each with what to do, in sentences."""
-    out = []
-    T, _ = fit.poses.tool_motions(fit.state.values, fit.state.offset_s)
-    seen = fit.poses.seen(T)
-    centre = fit.table.points.mean(axis=0)
-    tilts, away = tilt_and_distance(seen, centre)
-    tilt = float(tilts.max())
-    if tilt < _TILT and not fit.table.places:
-        out.append(
-            f"The target was never tilted by more than {np.degrees(tilt):.0f}°: focal length and distance cannot be "
-            "told apart. Take images with 20° to 45° of tilt."
-        )
-    if away.max() < _DISTANCES * away.min():
-        out.append(
-            f"All images are from {away.min():.2f} to {away.max():.2f} m: the distance and the lens go together. "
-            "Take some from half as far, or twice as far."
-        )
-    if (share := covered(fit.table, fit.state.lens.size)) < _COVERED:
-        out.append(
-            f"Corners cover {100.0 * share:.0f} % of the image: the lens is not known at its edges. "
-            "Bring the target into every corner of the image."
-        )
-    if mounting.one_axis:
-        turns = np.degrees(mounting.turns)
-        out.append(
-            f"The arm turned its tip about one axis only (RMS {turns[0]:.0f}°, across it {turns[1]:.1f}°): where "
-            "camera and target are along this axis is open. Turn the wrist about a second axis."
-        )
-    chain = fit.poses.model.serial
-    for name, low, high, turning in zip(
-        chain.names, fit.poses.q.min(0), fit.poses.q.max(0), chain.revolute, strict=True
-    ):
-        if high - low < (_JOINT if turning else _SLIDE):
-            moved = f"{np.degrees(high - low):.0f}°" if turning else f"{1e3 * (high - low):.0f} mm"
-            out.append(f"Joint {name} moved by {moved} only: its axis is known from the drawing.")
-    return tuple(out)
+def _same_side(fit: CameraFit, T: Array, middle: Array) -> np.ndarray:
+    """Whether a target at T_camera_target (M, 4, 4) shows its front as in the images, or a body from about where the
+    camera is in some of them, (M,) bool. middle: of the target, (3,).
+    """
+    seen = fit.seen_at(fit.poses.q)
+    if fit.table.places:
+        now, before = (se3.inverse(poses)[:, :3, 3] - middle for poses in (T, seen))
+        now, before = (back / np.linalg.norm(back, axis=1, keepdims=True) for back in (now, before))
+        return np.asarray((now @ before.T).max(axis=1) > np.cos(_SAME_SIDE))
+    front = np.sign(np.median(np.einsum("mi,mi->m", seen[:, :3, 2], seen[:, :3, 3])))
+    return np.asarray(np.einsum("mi,mi->m", T[:, :3, 2], se3.apply(T, middle)) * front > 0.0)
 
 
 def tilt_and_distance(seen: Array, centre: Array) -> tuple[Array, Array]:
@@ -137,3 +99,124 @@ def covered(table: CornerTable, size: tuple[int, int]) -> float:
     """Share of the image's cells, eight by eight, that hold a corner of some image."""
     cell = np.clip((table.pixels * _GRID / np.array(size)).astype(int), 0, _GRID - 1)
     return len(np.unique(cell[:, 0] * _GRID + cell[:, 1])) / _GRID**2
+
+
+_PLANNED = 4000  # postures drawn
+_POOL = 200  # of those that show the target, for time
+_JUDGED = 60  # postures over which the error is expected
+_EDGE_PX = 10.0  # from the image's edge
+STEEPEST = float(np.radians(50.0))  # of the target against the line of sight; beyond, corners are found badly
+_NEAR, _FAR = 0.5, 2.0  # times the median distance of the images so far
+_WIDER = 0.25  # of each joint's range so far, beyond it on either side
+_LEAST = 0.15  # rad or m, beyond it at least
+_NOISE_PX = 0.1  # of a corner of a sharp image
+_FEWEST = 3  # markers of a body; fewer show little of its pose by themselves
+
+
+@dataclass(frozen=True)
+class ImagePlan:
+    """q: postures (K, n). expected_m: RMS error at the tool that is expected before and after each of them, (K + 1,).
+    tilt: of the target [rad], distance: of it [m], (K,). markers: of a body, in view, (K,), None of a sheet.
+    """
+
+    q: Array
+    expected_m: Array
+    tilt: Array
+    distance: Array
+    markers: np.ndarray | None = None
+
+
+def plan_images(fit: CameraFit, target: CalibrationTarget, count: int, rng: np.random.Generator) -> ImagePlan:
+    """The next images after those of a fit. Raises NotEnoughData where hardly any posture shows the target."""
+    pool = _pool(fit, target, rng)
+    if len(pool) < count:
+        said = f"{len(pool)} of {_PLANNED} postures near those of the images show the target, {count} are asked for"
+        raise NotEnoughData("the next images", said, "ask for fewer, or take images over a wider range first")
+    rows, judged = _rows(fit, target, pool), pool[rng.permutation(len(pool))[:_JUDGED]]
+    J, C, chosen = fit.flange_motions(judged), fit.covariance, list[int]()
+    if isinstance(target, MarkerBundle):  # the arm by itself
+        basis = frame_basis(se3.apply(fit.tool_at(judged), fit.flange))
+        flat = J.reshape(-1, J.shape[2])
+        J = (flat - basis @ (basis.T @ flat)).reshape(J.shape)
+    P = J.shape[2]
+    expected = [mean_square(J, C[:P, :P]) ** 0.5]
+    for _ in range(count):
+        falls = [-np.inf if k in chosen else _fall(C, rows[k], J) for k in range(len(pool))]
+        chosen.append(int(np.argmax(falls)))
+        new = rows[chosen[-1]]  # of unit variance
+        K = C @ new.T
+        C = C - K @ np.linalg.solve(new @ K + np.eye(len(new)), K.T)
+        expected.append(mean_square(J, C[:P, :P]) ** 0.5)
+    seen = fit.seen_at(pool[chosen])
+    tilt, away = tilt_and_distance(seen, target.points.mean(axis=0))
+    markers = _markers(target, _shown(fit, target, seen)) if isinstance(target, MarkerBundle) else None
+    return ImagePlan(pool[chosen], np.array(expected), tilt, away, markers)
+
+
+def _fall(C: Array, rows: Array, J: Array) -> float:
+    """By how much the mean square at the tool falls, up to a factor."""
+    K = C @ rows.T
+    root = np.linalg.cholesky(rows @ K + np.eye(len(rows)))
+    seen = np.linalg.solve(root, K.T[:, : J.shape[2]]) @ J.reshape(-1, J.shape[2]).T
+    return float((seen**2).sum())
+
+
+def _shown(fit: CameraFit, target: CalibrationTarget, seen: Array) -> np.ndarray:
+    """Which of the target's points an image shows that has it at T_camera_target (M, 4, 4), (M, C) bool: of a body
+    those of the kind that images have, on faces that look at the camera.
+    """
+    X, shown = _inside_image(fit.state.lens, seen, target.points, _EDGE_PX)
+    if isinstance(target, MarkerBundle):
+        shown &= np.isin(np.arange(len(target.points)), np.unique(fit.table.ids))
+        out = np.einsum("mij,cj->mci", seen[:, :3, :3], target.normals)
+        facing = -np.einsum("mci,mci->mc", out, X) / np.maximum(np.linalg.norm(X, axis=2), 1e-9)
+        shown &= (facing > np.cos(STEEPEST)) | (target.normals == 0.0).all(axis=1)
+    return np.asarray(shown)
+
+
+def _markers(target: MarkerBundle, shown: np.ndarray) -> np.ndarray:
+    """How many markers have points among those shown (M, C), (M,)."""
+    own = target.on_markers()[0]
+    return np.stack([shown[:, own == k].any(axis=1) for k in range(target.marker_count)]).sum(axis=0)
+
+
+def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator) -> Array:
+    """Postures (m, n) that show the whole target as it is wanted."""
+    chain, q = fit.poses.model.serial, fit.poses.q
+    low, high = q.min(axis=0), q.max(axis=0)
+    wider = np.maximum(_WIDER * (high - low), _LEAST)
+    # about the images that there are, so that many show the target
+    tried = q[rng.integers(len(q), size=_PLANNED)] + wider * rng.standard_normal((_PLANNED, q.shape[1]))
+    tried = np.clip(tried, np.maximum(low - wider, chain.lower), np.minimum(high + wider, chain.upper))
+    seen, centre = fit.seen_at(tried), target.points.mean(axis=0)
+    shown, (tilt, away) = _shown(fit, target, seen), tilt_and_distance(seen, centre)
+    usual = float(np.median(tilt_and_distance(fit.seen_at(q), centre)[1]))
+    wanted = (away > _NEAR * usual) & (away < _FAR * usual)
+    if isinstance(target, MarkerBundle):
+        wanted &= _markers(target, shown) >= min(_FEWEST, target.marker_count)
+        return np.asarray(tried[wanted][in_view(fit, tried[wanted])][:_POOL])
+    return np.asarray(tried[shown.all(axis=1) & _same_side(fit, seen, centre) & wanted & (tilt <= STEEPEST)][:_POOL])
+
+
+def _rows(fit: CameraFit, target: CalibrationTarget, q: Array) -> list[Array]:
+    """For each image at these postures whitened rows (r, P) of what it says of all parameters."""
+    views = []
+    for k, shown in enumerate(_shown(fit, target, fit.seen_at(q))):
+        ids = np.flatnonzero(shown)
+        cov = np.tile(_NOISE_PX**2 * np.eye(2), (len(ids), 1, 1))
+        views.append(BoardView(f"{k}", ids, np.zeros((len(ids), 2)), cov))
+    table = CornerTable.of(views, target)
+    rows = camera_rows(table, fit.poses.at_postures(q), fit.state, np.arange(len(fit.covariance)))
+    G = rows.grams[:, :-1, :-1]
+    E = G - G[:, :, :POSE] @ rows.own_twists(replace(fit.sizes, noise=1.0)) @ G[:, :POSE]
+    P = fit.poses.count
+    out = []
+    for one, moved in zip(E, rows.moved, strict=True):
+        A = np.zeros((len(one), len(fit.covariance)))
+        A[:POSE, :P] = moved[:, :P]
+        A[POSE:, P + 1 :] = np.eye(len(one) - POSE)
+        scale = np.sqrt(np.maximum(np.diag(one), 1e-300))
+        values, vectors = np.linalg.eigh(one / np.outer(scale, scale))
+        keep = values > 1e-9 * values[-1]
+        out.append((np.sqrt(values[keep])[:, None] * vectors[:, keep].T * scale) @ A)
+    return out

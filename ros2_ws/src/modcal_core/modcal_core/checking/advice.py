@@ -1,4 +1,4 @@
-"""What to do about a change, and where to measure next to identify it."""
+"""What to do about a change, where to measure next to identify it, and what such stations would have shown."""
 
 from __future__ import annotations
 
@@ -9,20 +9,18 @@ import numpy as np
 
 from modcal_core.calibration import Calibration, Model, NoiseModel
 from modcal_core.checking.known import FrozenCalibration, tried_stations
-from modcal_core.checking.outcome import Alike, Noticed, Recommendation
+from modcal_core.checking.naming import Alike, Noticed, Recommendation
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
 from modcal_core.moves import (
     BASE,
     FALSE_ALARM,
     FRAME,
-    GEAR,
     NOISE,
+    SCALE,
     SIZES,
     TOOL,
     ZERO,
-    CellChange,
-    ChangeJudge,
     CheckState,
     FittedChange,
     FoundChanges,
@@ -45,119 +43,94 @@ def alike_everywhere(change: FittedChange, calibration: Calibration, model: Mode
     """
     if not change.same_as:
         return "poses"
-    if not change.hypothesis.sizes or not len(calibration.postures):
+    rivals = [rival.hypothesis for rival in change.same_as]
+    if not change.hypothesis.sizes or not len(calibration.postures) or not all(h.sizes for h in rivals):
         return ""
     state = state_at(calibration.postures, model, samples, calibration.noise, kind=POSE)
-    weight, position = _weights(state), slice(3 * len(state.samples))
-    own = weight[:, None] * state.columns(change.hypothesis)
-    out: Alike = "poses"
-    for rival in change.same_as:
-        h = rival.candidate.hypothesis
-        other = weight[:, None] * state.columns(h) if h.sizes else np.zeros((len(own), 0))
-        if not h.sizes or not _contains(own[position], other[position], change.sizes):
-            return ""
-        if not _contains(own, other, change.sizes):
-            out = "positions"
-    return "" if out == "positions" and samples.is_pose.any() else out
+    position = slice(3 * len(state.samples))
+    own, *others = (state.weights[:, None] * state.columns(h) for h in (change.hypothesis, *rivals))
+    if all(_contains(own, other, change.sizes) for other in others):
+        return "poses"
+    alike = all(_contains(own[position], other[position], change.sizes) for other in others)
+    return "positions" if alike and not samples.is_pose.any() else ""
 
 
 def _contains(A: Array, B: Array, sizes: Array) -> bool:
     """Whether the motions B (n, l) are among A (n, k), or that of these sizes (k,) of A among B."""
-    moved = A @ sizes
     return any(
         float(np.sum((y - X @ np.linalg.lstsq(X, y, rcond=1e-9)[0]) ** 2)) <= _SAME * max(float(np.sum(y**2)), 1e-300)
-        for X, y in ((A, B), (B, moved))
+        for X, y in ((A, B), (B, A @ sizes))
     )
 
 
 def telling_stations(change: FittedChange, calibration: Calibration, model: Model, samples: Samples) -> Array:
-    """Recorded postures (k, n) at which a change and what explains it as well differ most, on top of the samples."""
-    pool = calibration.postures
+    """Recorded postures (k, n) at which a change and what explains it as well differ most, on top of the samples; of a
+    curve those that fill the gaps of its joint's positions.
+    """
+    pool, joint = calibration.postures, change.hypothesis.curve
+    if joint >= 0:
+        have, chosen = list(samples.q[:, joint]), []
+        for _ in range(min(_SWEEP, len(pool))):
+            far = np.min(np.abs(pool[:, joint, None] - np.array(have)), axis=1)
+            chosen.append(int(np.argmax(far)))
+            have.append(pool[chosen[-1], joint])
+        return np.asarray(pool[chosen])
     if not len(pool):
-        return np.empty((0, samples.q.shape[1]))
-    if change.hypothesis.curve >= 0:
-        return _along(pool, change.hypothesis.curve, samples.q)
+        return pool
     state = state_at(np.concatenate([samples.q, pool]), model, samples, calibration.noise)
-    rows = np.arange(len(state.samples))
-    weight = _weights(state)
-    moved = weight * (state.columns(change.hypothesis) @ change.sizes)
-    sample = np.concatenate([np.tile(rows, 3), np.tile(state.view.pose, 3)]).astype(int)
-    rivals = [weight[:, None] * state.columns(j.candidate.hypothesis) for j in change.same_as]
-    rivals = [A for A in rivals if A.shape[1]]
+    moved = state.weights * (state.columns(change.hypothesis) @ change.sizes)
+    rivals = [state.weights[:, None] * state.columns(j.hypothesis) for j in change.same_as if j.hypothesis.sizes]
     chosen = list(range(len(samples)))
     for _ in range(min(STATIONS, len(pool))):
-        inside = np.isin(sample, chosen)
-        gap = np.bincount(sample, moved**2, len(rows))  # noise alone would leave the whole motion unexplained
-        for A in rivals:
-            fit = np.linalg.lstsq(A[inside], moved[inside], rcond=1e-9)[0]
-            gap = np.minimum(gap, np.bincount(sample, (moved - A @ fit) ** 2, len(rows)))
+        inside = np.isin(state.row_samples, chosen)
+        rest = [moved] + [moved - A @ np.linalg.lstsq(A[inside], moved[inside], rcond=1e-9)[0] for A in rivals]
+        # beside noise alone the whole motion would be left
+        gap = np.min([np.bincount(state.row_samples, r**2, len(state.samples)) for r in rest], axis=0)
         gap[chosen] = -1.0
         chosen.append(int(np.argmax(gap)))
     return np.asarray(state.samples.q[chosen[len(samples) :]])
 
 
-def _along(pool: Array, joint: int, q: Array) -> Array:
-    """Recorded postures that fill the gaps of one joint's positions."""
-    have, out = list(q[:, joint]), []
-    for _ in range(min(_SWEEP, len(pool))):
-        far = np.min(np.abs(pool[:, joint, None] - np.array(have)), axis=1)
-        out.append(int(np.argmax(far)))
-        have.append(float(pool[out[-1], joint]))
-    return np.asarray(pool[out])
-
-
-def _weights(state: CheckState) -> Array:
-    N, M = len(state.samples), len(state.view.pose)
-    noise = state.known.noise
-    position = 1.0 / np.maximum(np.broadcast_to(noise.of(state.samples), N), 1e-9)
-    return np.r_[np.tile(position, 3), np.full(3 * M, 1.0 / max(noise.rotation, 1e-9))]
-
-
-def noticed(judge: ChangeJudge, state: CheckState, asked: Sequence[CellChange]) -> tuple[Noticed, ...]:
+def noticed(found: FoundChanges) -> tuple[Noticed, ...]:
     """The smallest base, tool, zero and scale of those asked for that 95 of 100 such checks notice, RMS at the tool
     [mm], and which of them no check of these stations notices.
     """
-    prior = log_priors(asked)
-    N, n = len(state.samples), len(state.null.residual)
-    member = judge.null.reference if judge.null.widest < 0 else judge.null.widest
+    judge, state = found.stages[1].judge, found.stages[0].state
+    N, null = len(state.samples), judge.null
+    member = null.reference if null.widest < 0 else null.widest
     worst: dict[str, float] = {}
-    unseen: dict[str, list[str]] = {}
-    for h, p in zip(asked, prior, strict=True):
-        if h.kind in (NOISE, GEAR) or not h.sizes or h.kind not in (BASE, FRAME, TOOL, ZERO, "tracker_scale"):
+    unseen: dict[str, tuple[str, ...]] = {}
+    for h, log_prior in zip(found.asked, log_priors(found.asked), strict=True):
+        if h.kind not in (BASE, FRAME, TOOL, ZERO, SCALE):
             continue
-        A = state.columns(h)
-        need = _needed(A.shape[1], n, float(p), judge.null.weight)
+        A, name = state.columns(h), h.kind.replace("_", " ")
         whitened = np.linalg.norm(judge.whitened(A, member), axis=0)
         moved = np.sqrt(np.sum(A[: 3 * N] ** 2, axis=0) / N)
-        seen = whitened > 0.0
-        if seen.any():
-            name = {BASE: "base", FRAME: "frame", TOOL: "tool", ZERO: "joint zero"}.get(h.kind, "tracker scale")
+        if (seen := whitened > 0.0).any():
+            need = _needed(A.shape[1], len(A), float(log_prior), null.weight)
             mm = float(np.max(1e3 * moved[seen] * need / whitened[seen]))
             if mm > _UNSEEN_MM:
-                unseen.setdefault(name, []).append(h.label)
+                unseen[name] = (*unseen.get(name, ()), h.label)
             else:
                 worst[name] = max(worst.get(name, 0.0), mm)
-    names = dict.fromkeys((*worst, *unseen))
-    return tuple(Noticed(name, worst.get(name, np.inf), tuple(unseen.get(name, ()))) for name in names)
+    return tuple(Noticed(name, worst.get(name, np.inf), unseen.get(name, ())) for name in {**worst, **unseen})
 
 
 def _needed(k: int, n: int, log_prior: float, weight: float) -> float:
     """The length, in standard deviations, of a change of k sizes that is noticed in 95 of 100 cases."""
-    limit = -np.log(FALSE_ALARM) / weight - log_prior
-    for gain in np.geomspace(1.0, 1e4, 400):
-        g = SIZES**2 * n / k
-        low = max(gain - 2.0 * _SURE * np.sqrt(gain), 0.0)
-        logs = -0.5 * k * np.log1p(g) + 0.5 * low * g / (1.0 + g)
-        if float(np.log(np.mean(np.exp(np.minimum(logs, 600.0))))) > limit:
-            return float(np.sqrt(gain))
-    return np.inf
+    gain = np.geomspace(1.0, 1e4, 400)
+    g = SIZES[:, None] ** 2 * n / k
+    low = np.maximum(gain - 2.0 * _SURE * np.sqrt(gain), 0.0)
+    logs = np.logaddexp.reduce(-0.5 * k * np.log1p(g) + 0.5 * low * g / (1.0 + g)) - np.log(len(SIZES))
+    enough = gain[logs > -np.log(FALSE_ALARM) / weight - log_prior]
+    return float(np.sqrt(enough[0])) if len(enough) else np.inf
 
 
 def advise(
     found: FoundChanges, calibration: Calibration, frozen: FrozenCalibration, alike: Sequence[Alike], untried: bool
 ) -> Recommendation:
     """What to do. untried: whether what was found may be the calibration itself, where it was not made."""
-    changes = found.changes
+    kinds = {c.hypothesis.kind for c in found.changes}
     if untried and len(calibration.postures):
         said = "Measure these stations, which lie in the joint ranges that were calibrated, and check with them alone."
         return Recommendation("add_stations", said, tried_stations(calibration))
@@ -167,26 +140,24 @@ def advise(
             "Calibrate again: what is left after the changes above is no noise. Check first that robot, tool and "
             "instrument are those of the calibration.",
         )
-    if not changes and any(len(c.hypothesis.motions) == 6 for c in found.given):
+    if not kinds and any(len(c.hypothesis.motions) == 6 for c in found.given):
         return Recommendation("refit_base", "Use the repaired model, which knows where the instrument stands now.")
-    if not changes:
+    if not kinds:
         return Recommendation("nothing", "Nothing needs to be done.")
-    curve = next((c for c in changes if c.hypothesis.curve >= 0), None)
-    if curve is not None:
-        stations = telling_stations(curve, calibration, frozen.model, found.samples)
-        said = (
-            f"Measure these {len(stations)} stations as well, which cover the range of {curve.hypothesis.place}, and "
-            "check again with all of them; if the curve then has no simple form, calibrate again."
-        )
+    for change, same in sorted(zip(found.changes, alike, strict=True), key=lambda pair: not pair[0].hypothesis.free):
+        h = change.hypothesis
+        if not h.free and (not change.same_as or same or h.kind == NOISE):
+            continue
+        stations = telling_stations(change, calibration, frozen.model, found.samples)
+        every = [h.label, *dict.fromkeys(j.hypothesis.label for j in change.same_as)]
+        rivals = " and ".join(every if len(every) <= _LISTED else (*every[:_LISTED], "others"))
+        said = f"Measure these {len(stations)} stations as well and check again with all: they tell {rivals} apart."
+        if h.free:
+            said = (
+                f"Measure these {len(stations)} stations as well, which cover the range of {h.place}, and check again "
+                "with all of them; if the curve then has no simple form, calibrate again."
+            )
         return Recommendation("add_stations", said, stations)
-    for change, same in zip(changes, alike, strict=True):
-        if change.same_as and not same and change.hypothesis.kind != NOISE:
-            stations = telling_stations(change, calibration, frozen.model, found.samples)
-            every = [change.judged.label, *dict.fromkeys(j.label for j in change.same_as)]
-            rivals = " and ".join(every if len(every) <= _LISTED else (*every[:_LISTED], "others"))
-            said = f"Measure these {len(stations)} stations as well and check again with all: they tell {rivals} apart."
-            return Recommendation("add_stations", said, stations)
-    kinds = {c.hypothesis.kind for c in changes}
     if kinds == {NOISE}:
         return Recommendation(
             "check_instrument",
@@ -202,11 +173,10 @@ def advise(
 def state_at(q: Array, model: Model, samples: Samples, noise: NoiseModel, kind: str | None = None) -> CheckState:
     """The model at other postures (k, n), with exact readings as the first of the samples is, or of this kind."""
     like = samples.select(np.zeros(len(q), int))
-    if kind is not None:
-        like = replace(like, kind=np.full(len(q), kind, dtype=like.kind.dtype))
-    unknown = np.full(q.shape, np.nan)
-    poses = replace(like, q=q, station=np.arange(len(q)), velocity=np.zeros_like(q), effort=unknown)
-    poses = replace(poses, acceleration=np.zeros_like(q), approach=np.zeros_like(q), following=unknown)
+    kinds = like.kind if kind is None else np.full(len(q), kind, dtype=like.kind.dtype)
+    still, unknown = np.zeros_like(q), np.full(q.shape, np.nan)
+    poses = replace(like, q=q, kind=kinds, station=np.arange(len(q)), velocity=still, acceleration=still)
+    poses = replace(poses, approach=still, effort=unknown, following=unknown)
     T = model.predict_samples(poses)
     poses = replace(poses, reading=T[:, :3, 3], R=np.where(poses.is_pose[:, None, None], T[:, :3, :3], np.eye(3)))
     return CheckState(model, poses, FrozenKnowledge((), np.zeros((0, 0)), (), noise))

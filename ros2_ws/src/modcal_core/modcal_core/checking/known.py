@@ -2,6 +2,10 @@
 
 Its covariance says how well its parameters are known, not how well an arm of those parameters is the arm. Within the
 ranges it was made from that has been tried; beyond, what it does not have may be as large as what it has corrected.
+
+Where a frame stands that the calibration does not know (an instrument set up again under another name, a new socket) is
+found from the readings of the check, and stays open while changes are looked for. That the base moved cannot be told
+there; what the arm and the tool did can.
 """
 
 from __future__ import annotations
@@ -10,10 +14,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import INSTRUMENT, Calibration, Model, with_frames
+from modcal_core.calibration import (
+    Calibration,
+    Cell,
+    Model,
+    ModelParameter,
+    Uncertainty,
+    direction_names,
+    refit_cell,
+)
+from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
-from modcal_core.moves import FrozenKnowledge
+from modcal_core.measurements.kinds import is_direct
+from modcal_core.moves import FRAME, CellChange, FrozenKnowledge, towards
 
 PATTERN = 0.25  # share of the variance that is taken to be common to neighbouring postures where no report says it
 _MIN_PATTERN = 0.1  # the same where a report saw none: of 160 stations it sees no less than some ten per cent
@@ -25,8 +39,8 @@ _ASKED = 10  # stations of the calibration's own that are proposed: as many as a
 
 @dataclass(frozen=True)
 class FrozenCalibration:
-    """model: for these samples. known: what it knows of itself. kept: whether the calibration keeps a covariance.
-    index: of the covariance's rows, those that these samples have.
+    """model: with what applies of it. known: what it knows of itself. kept: whether the calibration keeps a covariance.
+    index: of the covariance's rows, those that are known of the model.
     """
 
     model: Model
@@ -42,49 +56,97 @@ def pattern_of(predictable: float | None) -> float:
     return PATTERN if predictable is None else float(np.clip(predictable, _MIN_PATTERN, 1.0))
 
 
-def frozen(calibration: Calibration, applied: Model, samples: Samples, pattern: float) -> FrozenCalibration:
-    """The calibration beside these samples.
+def frozen(calibration: Calibration, applied: Model, pattern: float) -> FrozenCalibration:
+    """The calibration as it stands.
 
-    applied: its model with the effects that these samples allow. pattern: share of its noise that postures have in
-    common. Raises BadTable for a frame that it does not know.
+    applied: its model with the effects that the samples allow. pattern: share of its noise that postures have in
+    common.
     """
-    model = with_frames(applied, samples.frames)
     own = calibration.uncertainty
     if own is None:
-        return FrozenCalibration(
-            model, FrozenKnowledge((), np.zeros((0, 0)), (), calibration.noise, pattern), False, np.empty(0, int)
-        )
-    # parameters of frames and instruments that these samples have, by their numbers there
-    of_frame = {calibration.calibrated.frames.index(name): f for f, name in enumerate(samples.frames)}
-    kept_instruments = [i for i, one in enumerate(calibration.calibrated.instruments) if one.frame in samples.frames]
-    of_instrument = {i: k for k, i in enumerate(kept_instruments)}
-    leaders = calibration.calibrated.leaders
-    parameters, index = [], []
-    for i, p in enumerate(own.parameters):
-        if p.place == INSTRUMENT:
-            if p.instrument not in of_instrument:
-                continue
-            p = replace(p, instrument=of_instrument[p.instrument], frame=of_frame.get(p.frame, -1))
-        elif p.place == 0 and p.frame >= 0:
-            led = [f for f in of_frame if (leaders[f] if leaders else f) == p.frame]
-            if len(led) != 1:  # of frames that shared an error none stands for the others here
-                continue
-            p = replace(p, frame=of_frame[led[0]])
-        parameters.append(p)
-        index.append(i)
-    effects, first = [], len(own.parameters)
+        known = FrozenKnowledge((), np.zeros((0, 0)), (), calibration.noise, pattern)
+        return FrozenCalibration(applied, known, False, np.empty(0, int))
+    effects, index = [], [*range(len(own.parameters))]
+    first = len(index)
     for effect in calibration.calibrated.effects:
         count = len(effect.values)
-        if any(effect is e or (effect.key == e.key and len(e.values) == count) for e in model.effects):
+        if any(effect is e or (effect.key == e.key and len(e.values) == count) for e in applied.effects):
             effects.append(effect)
             index += range(first, first + count)
         first += count
     at = np.array(index, dtype=int)
-    return FrozenCalibration(
-        model,
-        FrozenKnowledge(tuple(parameters), own.covariance[np.ix_(at, at)], tuple(effects), calibration.noise, pattern),
-        True,
-        at,
+    known = FrozenKnowledge(own.parameters, own.covariance[np.ix_(at, at)], tuple(effects), calibration.noise, pattern)
+    return FrozenCalibration(applied, known, True, at)
+
+
+def in_known_frames(samples: Samples, calibration: Calibration) -> Samples:
+    """The samples with the calibration's frames, by their numbers there."""
+    number = np.array([calibration.frames.index(name) for name in samples.frames])
+    return replace(samples, frames=calibration.frames, frame=number[samples.frame])
+
+
+def new_frames(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
+    """Frames of the samples that the calibration does not know. Raises BadTable where readings do not place one."""
+    new = tuple(name for name in samples.frames if name not in calibration.frames)
+    for name in new:
+        rows = samples.frame == samples.frames.index(name)
+        if not is_direct(np.unique(samples.kind[rows]).tolist()):
+            raise BadTable(
+                f"frame '{name}' of the recording",
+                f"the calibration knows only {', '.join(calibration.frames)}, and such readings do not place it",
+                "give the frame its name of then, or calibrate again with this instrument",
+            )
+    return new
+
+
+def with_new_frames(calibration: Calibration, applied: Model, samples: Samples, new: tuple[str, ...]) -> Calibration:
+    """The calibration with these frames where its arm and tool put them. Raises NotEnoughData for too few readings.
+
+    applied: its model with the effects that these samples allow. Its covariance has the new frames' six numbers, taken
+    for exact: what is not known of them is in the sizes of what is given.
+    """
+    numbers = [samples.frames.index(name) for name in new]
+    part = samples.select(np.flatnonzero(np.isin(samples.frame, numbers)))
+    part = replace(part, frames=new, frame=np.array([numbers.index(f) for f in part.frame.tolist()], dtype=int))
+    models = [
+        _added(model, refit_cell(by, part, Cell(), base=True, tool=False).model.T_frame_base, new)
+        for model, by in (
+            (calibration.nominal, calibration.nominal),
+            (calibration.calibrated, applied),
+            (calibration.geometric, calibration.geometric),
+        )
+    ]
+    known, nominal = calibration.uncertainty, models[0]
+    if known is not None:
+        first, P = len(calibration.frames), len(known.parameters)
+        words = direction_names(nominal.chain.joint_basis[0])
+        added = [
+            ModelParameter(f"frame {name}/{words[d]}", 0, d, first + i)
+            for i, name in enumerate(new)
+            for d in _directions(samples, name)
+        ]
+        covariance = np.insert(np.insert(known.covariance, [P] * len(added), 0.0, 0), [P] * len(added), 0.0, 1)
+        known = Uncertainty((*known.parameters, *added), covariance)
+    return replace(calibration, nominal=nominal, calibrated=models[1], geometric=models[2], uncertainty=known)
+
+
+def placed_anew(samples: Samples, new: tuple[str, ...]) -> tuple[CellChange, ...]:
+    """What is given of these frames: each stands elsewhere than at its first guess."""
+    return tuple(
+        CellChange(FRAME, name, towards(0, _directions(samples, name), samples.frames.index(name))) for name in new
+    )
+
+
+def _directions(samples: Samples, name: str) -> range:
+    """A socket shows one point, which has no orientation."""
+    return range(3) if samples.is_same_point(samples.frames.index(name)) else range(6)
+
+
+def _added(model: Model, poses: Array, new: tuple[str, ...]) -> Model:
+    """The model with these frames behind its own."""
+    leaders = (*model.leaders, *range(len(model.frames), len(model.frames) + len(new))) if model.leaders else ()
+    return replace(
+        model, frames=(*model.frames, *new), T_frame_base=np.concatenate([model.T_frame_base, poses]), leaders=leaders
     )
 
 
@@ -115,8 +177,7 @@ def beyond_ranges(calibration: Calibration, model: Model, samples: Samples) -> B
     first = np.unique(samples.station, return_index=True)[1]
     q = samples.q[first]
     out = ((q < low - margin) | (q > high + margin)).any(axis=1)
-    frames = [calibration.nominal.frames.index(samples.frames[f]) for f in samples.frame[first].tolist()]
-    nominal = calibration.nominal.predict(q, np.array(frames, dtype=int))[:, :3, 3]
+    nominal = calibration.nominal.predict(q, samples.frame[first])[:, :3, 3]
     moved = model.predict_samples(samples.select(first))[:, :3, 3] - nominal
     return BeyondRanges(int(out.sum()), len(first), float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))))
 

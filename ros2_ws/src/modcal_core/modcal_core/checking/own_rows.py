@@ -5,68 +5,43 @@ No change since the calibration explains those, and what comes nearest would be 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from modcal_core.calibration import Model
-from modcal_core.checking.outcome import OF_A_GEAR
+from modcal_core.checking.naming import OF_A_GEAR
 from modcal_core.errors import BadRecording
-from modcal_core.geometry import Array, so3
-from modcal_core.hypotheses import ANGLE, OF_REACH
+from modcal_core.hypotheses import Answer, HandEye, explain, placed
 from modcal_core.measurements import Samples
-from modcal_core.measurements.kinds import is_direct
-from modcal_core.moves import BASE, FRAME, GEAR, LINK, LOAD, PLAY, STEP, TOOL, ZERO, FoundChanges, Setup, SetupReadings
-from modcal_core.robots import is_serial_arm
+from modcal_core.moves import BASE, FRAME, GEAR, LINK, LOAD, PLAY, STEP, TOOL, ZERO, FoundChanges
 
-_MIN = 8  # stations
-_MIXED = 3  # readings that are another station's; two might be so by chance
-_EXPLAINED = 0.8  # share of those that miss by far which must be another's
-_CHANGES = (
-    BASE,
-    FRAME,
-    TOOL,
-    ZERO,
-    GEAR,
-    LOAD,
-    LINK,
-    PLAY,
-)  # not a metre or links of another length, nor readings that scatter
+_MIN = 8  # stations, of which most must agree before others are said to be wrong
+_CHANGES = (BASE, FRAME, TOOL, ZERO, GEAR, LOAD, LINK, PLAY)  # no other metre, links or scatter
+
+
+def _case(model: Model, samples: Samples) -> HandEye | None:
+    """The readings beside the tip poses of the arm as it was calibrated."""
+    case = HandEye.of(samples, model.with_effects(()).chain)
+    return None if case is None else replace(case, station=case.station + 1)  # as people count them
+
+
+def _refusal(answer: Answer, of: int, seen: str = "") -> BadRecording:
+    why = f"{seen}{answer.stations} of {of} stations are concerned, and agree with the arm once that is undone"
+    return BadRecording(answer.what, why, f"{answer.remedy}, and check again")
 
 
 def require_own_rows(model: Model, samples: Samples) -> None:
-    """Raises BadRecording where most readings that miss by far are those of other stations. model: frozen.
+    """Raises BadRecording where most stations agree with the arm and the others do once their rows are put right.
 
-    What one move of base or tool brings to its own station is no other's, however near they stand.
+    model: frozen. Base and tool may stand anywhere.
     """
-    direct = is_serial_arm(model.chain) and is_direct(samples.kinds)
-    if not direct or len(samples) < _MIN or len(samples.frames) > 1 or samples.sockets:
+    case = _case(model, samples)
+    if case is None or len(case) < _MIN or not (fit := placed(case)).explains or fit.agree().all():
         return
-    samples = samples.select(np.argsort(samples.stamps, kind="stable"))
-    seen, every, still = SetupReadings.of(model, samples), np.arange(len(samples)), np.eye(4)
-    moved = (Setup(still, seen.tool(every, still)), Setup(seen.base(every, seen.setup.X), seen.setup.X))
-    near, gap = _near(seen, seen.setup, model.serial.reach())
-    own = np.any([np.diag(_near(seen, setup, model.serial.reach())[0]) for setup in (seen.setup, *moved)], axis=0)
-    far = np.flatnonzero(~own)
-    rows = far[near[far].any(axis=1)]
-    if len(rows) < _MIXED or len(rows) < _EXPLAINED * len(far):
-        return
-    belongs = samples.station[int(np.argmin(np.where(near[rows[0]], gap[rows[0]], np.inf)))] + 1
-    raise BadRecording(
-        f"readings at {len(rows)} of {len(samples)} stations",
-        f"are those of other stations (that at station {samples.station[rows[0]] + 1} is where the arm was at station "
-        f"{belongs})",
-        "pair each reading with its own posture, and check again",
-    )
-
-
-def _near(seen: SetupReadings, setup: Setup, reach: float) -> tuple[np.ndarray, Array]:
-    """Whether each reading is where the arm was at each station, as a nominal arm would be, and how far away [m]."""
-    T = setup.D @ seen.A @ setup.X
-    gap = np.linalg.norm(seen.B[:, None, :3, 3] - T[None, :, :3, 3], axis=-1)
-    near = gap < OF_REACH * reach
-    if seen.poses:
-        turned = so3.log(np.swapaxes(T[None, :, :3, :3], -1, -2) @ seen.B[:, None, :3, :3])
-        near &= np.linalg.norm(turned, axis=-1) < ANGLE
-    return near, gap
+    answer = explain(case)
+    if answer.said and all(h.touches == "rows" for h in answer.said):
+        raise _refusal(answer, len(case))
 
 
 def require_one_setting(found: FoundChanges) -> None:
@@ -84,15 +59,20 @@ def require_one_setting(found: FoundChanges) -> None:
     )
 
 
-def require_accounted(found: FoundChanges, doubt: BadRecording) -> None:
-    """Raises the doubt unless what was found explains the readings down to their noise, in few enough numbers: a curve
-    that may take any course has one for every station, so that only one of them counts. Raises BadRecording with the
-    joint where its curve is no gear's.
+def require_accounted(found: FoundChanges, doubt: BadRecording, model: Model) -> None:
+    """Raises BadRecording unless what was found explains the readings down to their noise, in few enough numbers: a
+    curve that may take any course has one for every station, so that only one of them counts.
+
+    It names the joint whose curve is no gear's, or what looks wrong with the recording, as in an evaluation; else it is
+    the doubt. model: frozen.
     """
-    curves = [c for c in found.changes if c.hypothesis.curve >= 0]
+    curves = [c for c in found.changes if c.hypothesis.free]
     explained = not found.more and all(c.hypothesis.kind in _CHANGES for c in found.changes)
     if not found.changes or not explained or len(curves) > 1:
-        raise doubt
+        case = _case(model, found.samples)
+        if case is None or not np.ptp(case.q, axis=0).all() or not (answer := explain(case)).said:
+            raise doubt  # of joints that stand it is said already
+        raise _refusal(answer, len(case), f"{doubt.limit}; ")
     for curve in curves:
         rms = float(np.sqrt(np.mean(curve.sizes**2)))
         if rms > OF_A_GEAR:

@@ -23,7 +23,6 @@ from modcal_core.moves import (
     CheckState,
     FoundChanges,
     FrozenKnowledge,
-    GeometryMotion,
     put_in,
 )
 
@@ -47,7 +46,7 @@ def repaired(calibration: Calibration, found: FoundChanges, index: np.ndarray) -
             others = {k: position * v for k, v in out.noise.others.items()}
             out = replace(out, noise=NoiseModel(position * out.noise.position, rotation * out.noise.rotation, others))
             continue
-        own = _of_calibration(h, calibration, found.samples.frames)
+        own = replace(h, replaces=_number(h.effect, calibration)) if h.replaces >= 0 else h
         sized.append(own)
         calibrated = put_in(own, out.calibrated, change.sizes)
         geometric = put_in(own, out.geometric, change.sizes) if h.motions else out.geometric
@@ -63,18 +62,6 @@ def repaired(calibration: Calibration, found: FoundChanges, index: np.ndarray) -
             typical=(*(out.typical_of(i) for i in before), *[None] * added),
         )
     return replace(out, uncertainty=_known_then(out, sized, found, index))
-
-
-def _of_calibration(h: CellChange, calibration: Calibration, frames: tuple[str, ...]) -> CellChange:
-    """The hypothesis with frames and effects by the calibration's numbers."""
-    motions = tuple(
-        m if m.frame < 0 else GeometryMotion(m.place, m.twist, calibration.calibrated.frames.index(frames[m.frame]))
-        for m in h.motions
-    )
-    at = -1
-    if h.replaces >= 0:
-        at = _number(h.effect, calibration)
-    return replace(h, motions=motions, replaces=at)
 
 
 def _number(effect: Effect, calibration: Calibration) -> int:
@@ -106,8 +93,9 @@ def nearest_covariance(C: Array) -> Array:
     """The nearest covariance in units of its own deviations: of changes as large as another tool the cross terms are of
     another posture of its lever than the sizes' own covariance, so that some direction may come out below nothing.
     """
-    scale = np.sqrt(np.maximum(np.diag(C), 1e-300))
-    values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
+    scale = np.sqrt(np.maximum(np.diag(C), 0.0))
+    unit = np.where(scale > 0.0, scale, 1.0)  # what is known exactly stays so
+    values, vectors = np.linalg.eigh(C / np.outer(unit, unit))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(scale, scale))
 
 

@@ -68,11 +68,10 @@ def crossed(a: Array, b: Array) -> Array:
 
 
 def crossed_rows(a: Array, b: Array) -> Array:
-    """Cross products of rows (n, 3); np.cross takes longer to begin than this to finish."""
+    """Cross products of rows (..., 3); np.cross takes longer to begin than this to finish."""
     out = np.empty(np.broadcast(a, b).shape)
-    out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
-    out[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
-    out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
     return out
 
 

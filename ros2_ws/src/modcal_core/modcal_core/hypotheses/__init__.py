@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from modcal_core.hypotheses.meanings import LENGTHS, MIN_ROWS, Judged, Postures, judge, rivals, same_poses
     from modcal_core.hypotheses.meant import BEYOND_DOUBT, MIN, MISREAD, ArmMiss, proved, recognised
     from modcal_core.hypotheses.refusal import LIMIT_OF_REACH, disagreement, require_plausible
-    from modcal_core.hypotheses.search import explain
+    from modcal_core.hypotheses.search import Answer, explain
     from modcal_core.hypotheses.sights import SightMatch, Sighting, sights_match
     from modcal_core.hypotheses.turning import EULER, MATRIX, QUATERNION, Turning, turnings
 else:
@@ -29,7 +29,17 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ANGLE", "BEYOND_DOUBT", "EULER", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN", "MIN_ROWS"]
-__all__ += ["MISREAD", "OF_REACH", "QUATERNION", "ArmMiss", "Disagreement", "HandEye", "HandEyeFit", "Hypothesis"]
+__all__ += [
+    "MISREAD",
+    "OF_REACH",
+    "QUATERNION",
+    "Answer",
+    "ArmMiss",
+    "Disagreement",
+    "HandEye",
+    "HandEyeFit",
+    "Hypothesis",
+]
 __all__ += ["Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreement", "explain"]
 __all__ += ["inverse_pose", "judge", "left_handed", "likely_orders", "limits", "placed", "proved", "recognised"]
 __all__ += ["require_plausible", "rivals", "same_poses", "sights_match", "turnings"]

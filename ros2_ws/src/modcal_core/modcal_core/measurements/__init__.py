@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged
     from modcal_core.measurements.recording import APART, BEARING, IMPORTED, ORDER_ONLY, PART, POINT, POSE, RANGE, RAY
-    from modcal_core.measurements.recording import SOCKETS, TARGETS, TOUCH, JointTrack, Listed, ReadingTrack, Recording
+    from modcal_core.measurements.recording import SOCKETS, TARGETS, TOUCH, UNREAD, JointTrack, Listed, ReadingTrack
+    from modcal_core.measurements.recording import Recording
     from modcal_core.measurements.recording import SignalTrack, Stretch, following, is_told, joint_stamps_and
     from modcal_core.measurements.recording import joint_stamps_and_positions, joints_by_time, staircase, told_at
     from modcal_core.measurements.samples import SHARED, Origin, Samples, after, as_recording, between, cut_stations
@@ -32,7 +33,18 @@ else:
 
 __all__ = ["APART", "BEARING", "BETWEEN", "DAY", "ELSEWHEN", "GLITCHES", "IMPORTED", "LATE_STEPS", "LEFT", "LIMIT"]
 __all__ += ["MAX_GLITCHES", "MIN_RETURNS", "NOISE_FACTOR", "ORDER_ONLY", "PART", "POINT", "POSE", "RANGE", "RAY"]
-__all__ += ["SAME", "SECOND_DIFFERENCE", "SHARED", "SHORTEST", "SOCKETS", "TARGETS", "TOUCH", "TRAVEL", "UNUSABLE"]
+__all__ += [
+    "SAME",
+    "SECOND_DIFFERENCE",
+    "SHARED",
+    "SHORTEST",
+    "SOCKETS",
+    "TARGETS",
+    "TOUCH",
+    "TRAVEL",
+    "UNREAD",
+    "UNUSABLE",
+]
 __all__ += ["Approach", "Dropped", "JointTrack", "Listed", "Origin", "ReadingTrack", "Recording", "Samples", "Schema"]
 __all__ += ["SignalTrack", "StationRules", "Stretch", "added", "after", "align", "as_recording", "averaged", "between"]
 __all__ += ["cleaned", "cut_stations", "dropped", "dwells_of", "elsewhen", "explained_by_posture", "find_dwells"]

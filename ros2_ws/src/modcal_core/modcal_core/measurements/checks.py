@@ -11,7 +11,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.kind import FARTHEST
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import IMPORTED, JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import IMPORTED, UNREAD, JointTrack, ReadingTrack, Recording
 from modcal_core.robots import Mechanism
 
 # --- Refusals of what was imported from tables: the remedy lies in the mapping, for nobody can record it again
@@ -129,10 +129,12 @@ def _require_one_source(track: JointTrack, chain: Mechanism) -> None:
 def _require_readings(recording: Recording, chain: Mechanism) -> None:
     tracks = [r for r in recording.readings if len(r.stamps) and r.kind in kinds()]
     if not tracks:
+        unread = [note.removeprefix(UNREAD).rstrip(".") for note in recording.warnings if note.startswith(UNREAD)]
         raise BadRecording(
             "tracker",
             f"no message on {POSITIONS}, nor on {', '.join(k.topic for k in kinds().values() if not k.direct)}",
             _stated(recording, "tracker/pose", "tracker/point")
+            or (f"there are {unread[0]}" if unread else "")
             or "check that the tracker runs and sees its target, and the topic's name and QoS" + _there(recording),
         )
     for track in tracks:

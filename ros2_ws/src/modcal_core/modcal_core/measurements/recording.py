@@ -30,6 +30,7 @@ TARGETS = "Another target on the tool from these stamps [s] on: "
 IMPORTED = "Imported from tables by "
 ARM = "The arm that was measured, from link to link: "
 _BETWEEN = " → "
+UNREAD = "The bag also holds "
 PART = "#"  # between the topic and the field, in the name of a signal that is one of many numbers in a message
 
 

@@ -5,40 +5,25 @@ are with a row. state: a model beside readings, with rows taken up. searching: w
 stretches of one recording in which base or tool stood elsewhere.
 """
 
+# ruff: noqa: I001
+
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.moves.evidence import SIZES, ChangeJudge, log_priors
+    from modcal_core.moves.evidence import SIZES
     from modcal_core.moves.noise import FrozenKnowledge
     from modcal_core.moves.regimes import find_regimes, moves_of
-    from modcal_core.moves.rows import (
-        BASE,
-        FRAME,
-        GEAR,
-        LENGTH,
-        LINK,
-        LOAD,
-        NOISE,
-        PAYLOAD,
-        PLAY,
-        SCALE,
-        STEP,
-        TOOL,
-        ZERO,
-        CellChange,
-        GeometryMotion,
-        hypotheses,
-        put_in,
-    )
+    from modcal_core.moves.rows import BASE, COMPLIANCE, FRAME, GEAR, KINDS, LENGTH, LINK, LOAD, NOISE, PAYLOAD, PLAY
+    from modcal_core.moves.rows import SCALE, STEP, TOOL, ZERO, CellChange, GeometryMotion, hypotheses, log_priors
+    from modcal_core.moves.rows import put_in, towards
     from modcal_core.moves.searching import FALSE_ALARM, FittedChange, FoundChanges, MoveSearch, search
-    from modcal_core.moves.setups import Setup, SetupReadings
     from modcal_core.moves.state import CheckState
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["BASE", "FALSE_ALARM", "FRAME", "GEAR", "LENGTH", "LINK", "LOAD", "NOISE", "PAYLOAD", "PLAY", "SCALE"]
-__all__ += ["SIZES", "STEP", "TOOL", "ZERO", "CellChange", "ChangeJudge", "CheckState", "FittedChange", "FoundChanges"]
-__all__ += ["FrozenKnowledge", "GeometryMotion", "MoveSearch", "Setup", "SetupReadings", "find_regimes", "hypotheses"]
-__all__ += ["log_priors", "moves_of", "put_in", "search"]
+__all__ = ["BASE", "COMPLIANCE", "FALSE_ALARM", "FRAME", "GEAR", "KINDS", "LENGTH", "LINK", "LOAD", "NOISE"]
+__all__ += ["PAYLOAD", "PLAY", "SCALE", "SIZES", "STEP", "TOOL", "ZERO", "CellChange", "CheckState", "FittedChange"]
+__all__ += ["FoundChanges", "FrozenKnowledge", "GeometryMotion", "MoveSearch", "find_regimes", "hypotheses"]
+__all__ += ["log_priors", "moves_of", "put_in", "search", "towards"]

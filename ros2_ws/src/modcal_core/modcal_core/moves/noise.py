@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from modcal_core.calibration import FINEST, Model, ModelParameter, NoiseModel, RowView, geometry_rows
 from modcal_core.effects import Drivers, Effect, all_columns
@@ -24,15 +23,13 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 
 _ALIKE = 0.6  # rad or m, over all joints: postures this far apart share 61 % of a pattern
-_PERIOD = 0.7  # of a smooth curve of a joint: it is another one after about so many radians
 _ROUGH = 0.5  # share of such a curve that changes from station to station, as the many waves of a gear do
-_FINE = 0.01  # rad, to which such a curve is one value: the finest gears have a wave each 0.04
-_LENGTHS = (_PERIOD, 0.1, _FINE)  # rad, of one that was left: of a turn or two, of ten waves a turn, of a hundred
+# rad after which a joint's curve is another one: of a wave or two a turn, of ten, and of the finest gears
+_LENGTHS = (0.7, 0.1, 0.01)
 FACTORS = (0.71, 0.84, 1.0, 1.19, 1.41, 1.68)  # of the spread
 _FACTOR_STD = 0.2  # of its logarithm: a spread of 160 stations is known to 3 %, that of another day to some 20 %
 JOINT_SHARES = (0.0, 0.3, 0.6, 0.9)  # of the spread that joints make, as far as its size allows
 _ONE_JOINT = 0.3  # prior that the pattern is that of one joint
-_OF_ONE = (1.0, 1.41)  # factors of the spread beside it
 # times the share of a pattern in the variance, where it is large: with a share of 0.15, places of the UR10 that
 # bench/check looks at leave up to five times the usual variance
 _THERE = (8.0, 16.0)
@@ -57,27 +54,23 @@ class RowKinds:
         N, pose = len(samples), np.flatnonzero(samples.is_pose)
         sample = np.concatenate([np.tile(np.arange(N), 3), np.tile(pose, 3)])
         component = np.concatenate([np.repeat(np.arange(3), N), np.repeat(np.arange(3, 6), len(pose))])
-        position = np.broadcast_to(np.maximum(noise.of(samples), FINEST) ** 2, N)
-        rotation = max(noise.rotation, FINEST) ** 2
-        turned = component >= 3
-        known_p, known_r = (np.nan_to_num(s) ** 2 for s in (samples.sigma_position, samples.sigma_rotation))
-        return cls(
-            sample,
-            component,
-            np.where(turned, rotation, position[sample]),
-            np.where(turned, known_r[sample], known_p[sample]),
-        )
+        position = np.broadcast_to(np.maximum(noise.of(samples), FINEST) ** 2, N)[sample]
+        known_p, known_r = (np.nan_to_num(s)[sample] ** 2 for s in (samples.sigma_position, samples.sigma_rotation))
+        variance = np.where(component >= 3, max(noise.rotation, FINEST) ** 2, position)
+        return cls(sample, component, variance, np.where(component >= 3, known_r, known_p))
 
+    def extra(self, position: float, rotation: float) -> Array:
+        """Covariance (n, n) that readings have more where their spread grew by these factors."""
+        return np.diag(np.where(self.component >= 3, rotation**2 - 1.0, position**2 - 1.0) * self.variance)
 
-@dataclass(frozen=True)
-class JointPattern:
-    """An error that depends on one joint's position. fine: whether it is another one at every station. covariance:
-    (n, n), as large as the spread allows. share: of the variances of positions and orientations, (2,).
-    """
-
-    fine: bool
-    covariance: Array
-    share: Array
+    def scaled(self, covariance: Array) -> tuple[Array, Array]:
+        """The covariance as large as the spread allows in positions and orientations, and its share of each row."""
+        turned, square = self.component >= 3, np.diag(covariance)
+        size = np.zeros(len(turned))
+        for part in (~turned, turned):
+            size[part] = square[part].mean() / self.variance[part].mean() if part.any() else 0.0
+        scale = 1.0 / max(float(size.max(initial=0.0)), 1e-300)
+        return scale * covariance, np.minimum(scale * size, 1.0)
 
 
 def witnesses(samples: Samples) -> float:
@@ -86,35 +79,10 @@ def witnesses(samples: Samples) -> float:
     return len(first) ** 2 / float(_alike(samples.q[first]).sum())
 
 
-def of_posture(samples: Samples, rows: RowKinds) -> Array:
-    """Covariance (n, n) of what depends on the posture, smoothly, as large as the spread."""
-    same = rows.component[:, None] == rows.component
-    return np.asarray(
-        _alike(samples.q)[np.ix_(rows.sample, rows.sample)] * same * np.sqrt(np.outer(rows.variance, rows.variance))
-    )
-
-
-def of_each_joint(model: Model, samples: Samples, view: RowView, rows: RowKinds) -> list[JointPattern]:
-    """The patterns of every joint that turns, one for each length of its curve."""
-    out = []
-    for j, g in _turning(model, view):
-        for length in _LENGTHS:
-            alike = _curve(samples.q[:, j], length)[np.ix_(rows.sample, rows.sample)]
-            out.append(JointPattern(length == _FINE, *_scaled(np.outer(g, g) * alike, rows)))
-    return out
-
-
-def of_all_joints(model: Model, samples: Samples, view: RowView, rows: RowKinds) -> tuple[Array, Array]:
-    """Covariance pattern of joints that repeat badly: independent at every station, with equal shares of the spread."""
-    same = samples.station[rows.sample][:, None] == samples.station[rows.sample]
-    each = [_scaled(np.outer(g, g) * same, rows)[0] for _, g in _turning(model, view)]
-    return _scaled(np.sum(each, axis=0), rows) if each else (np.zeros((len(rows.sample),) * 2), np.zeros(2))
-
-
 def varying(q: Array, revolute: bool) -> Array:
     """Correlation (n, n) of a joint's curve at its positions (n,) [rad or m]: half smooth, half of any course."""
     q = q if revolute else q / 0.1  # a decimetre of travel as a radian
-    return (1.0 - _ROUGH) * _curve(q, _PERIOD) + _ROUGH * _curve(q, _FINE)
+    return (1.0 - _ROUGH) * _curve(q, _LENGTHS[0]) + _ROUGH * _curve(q, _LENGTHS[-1])
 
 
 def _curve(q: Array, length: float) -> Array:
@@ -124,22 +92,6 @@ def _curve(q: Array, length: float) -> Array:
 
 def _alike(q: Array) -> Array:
     return np.exp(-0.5 * np.sum((q[:, None] - q) ** 2, axis=-1) / _ALIKE**2)
-
-
-def _turning(model: Model, view: RowView) -> list[tuple[int, Array]]:
-    """Every joint that turns, with what the readings move by per unit of its angle, (n,)."""
-    chain = model.chain
-    return [(j, view.unit_column(chain.first_place + j, 5)) for j in range(len(chain.names)) if chain.revolute[j]]
-
-
-def _scaled(covariance: Array, rows: RowKinds) -> tuple[Array, Array]:
-    """The covariance as large as the spread allows in positions and in orientations, and its shares of both."""
-    turned, square = rows.component >= 3, np.diag(covariance)
-    size = np.array(
-        [float(square[part].mean() / rows.variance[part].mean()) if part.any() else 0.0 for part in (~turned, turned)]
-    )
-    scale = 1.0 / max(float(size.max()), 1e-300)
-    return scale * covariance, np.minimum(scale * size, 1.0)
 
 
 @dataclass(frozen=True)
@@ -172,33 +124,35 @@ class NullModel:
     weight: float = 1.0
     widest: int = -1
 
-    def with_more(self, residual: Array, columns: Array, scale: float) -> NullModel:
-        """The same after a change was taken up: another residual, and a size along these columns (n, k) left open."""
+    def with_more(self, columns: Array, scale: float) -> NullModel:
+        """The same with a size along these columns (n, k) left open."""
         more = (scale * columns) @ (scale * columns).T
-        return replace(self, residual=residual, covariances=tuple(V + more for V in self.covariances))
+        return replace(self, covariances=tuple(V + more for V in self.covariances))
 
     def with_noise(self, position: float, rotation: float) -> NullModel:
         """The same with a spread that is larger by these factors."""
-        extra = np.where(self.rows.component >= 3, rotation**2 - 1.0, position**2 - 1.0) * self.rows.variance
-        return replace(self, covariances=tuple(V + np.diag(extra) for V in self.covariances))
+        extra = self.rows.extra(position, rotation)
+        return replace(self, covariances=tuple(V + extra for V in self.covariances))
 
 
 def null(model: Model, samples: Samples, view: RowView, drivers: Drivers, known: FrozenKnowledge) -> NullModel:
     """What these samples scatter by about this model while nothing has changed."""
-    rows = RowKinds.of(samples, known.noise)
-    residual = np.concatenate([view.position.ravel(), view.rotation.ravel()])
+    rows, chain = RowKinds.of(samples, known.noise), model.chain
+    at, n = rows.sample, len(rows.sample)
     J = parameter_rows(model, view, drivers, known.parameters, known.effects)
-    own = J.T @ known.covariance[: len(J), : len(J)] @ J if len(J) else np.zeros((len(residual),) * 2)
-    joints, share = of_all_joints(model, samples, view, rows)
-    pattern = of_posture(samples, rows)
-    count = witnesses(samples)
-    turned = (rows.component >= 3).astype(int)
+    own = J.T @ known.covariance[: len(J), : len(J)] @ J if len(J) else np.zeros((n, n))
+    turning = [(j, view.unit_column(chain.first_place + j, 5)) for j in range(chain.n) if chain.revolute[j]]
+    same = (samples.station[at][:, None] == samples.station[at]).astype(float)
+    each = (rows.scaled(np.outer(g, g) * same)[0] for _, g in turning)  # with equal shares of the spread
+    joints, share = rows.scaled(sum(each, np.zeros((n, n))))
+    alike = _alike(samples.q)[np.ix_(at, at)] * (rows.component[:, None] == rows.component)
+    pattern = alike * np.sqrt(np.outer(rows.variance, rows.variance))
+    count, shared = witnesses(samples), known.pattern
 
     def spread(part: float, common: Array) -> Array:
-        white = np.diag(rows.variance * (1.0 - part * share[turned]))
-        return (1.0 - known.pattern) * (white + part * joints) + known.pattern * common
+        return (1.0 - shared) * (np.diag(rows.variance * (1.0 - part * share)) + part * joints) + shared * common
 
-    fine = len(residual) <= _LARGE
+    fine = n <= _LARGE
     members: list[tuple[Array, float]] = []  # covariance of the spread, and the logarithm of its prior
     reference, widest = 0, -1
     for factor in FACTORS if fine else FACTORS[2:3]:
@@ -206,29 +160,35 @@ def null(model: Model, samples: Samples, view: RowView, drivers: Drivers, known:
             if factor == 1.0 and part == JOINT_SHARES[1]:
                 reference = len(members)
             members.append((factor**2 * spread(part, pattern), -0.5 * (np.log(factor) / _FACTOR_STD) ** 2))
-    if known.pattern > 0.0:
-        usual = float(scipy.special.logsumexp([p for _, p in members]))
+    if shared > 0.0:
+        usual = float(np.logaddexp.reduce([p for _, p in members]))
         plain = members[reference][0]
-        curves = of_each_joint(model, samples, view, rows)
+        curves = [
+            rows.scaled(np.outer(g, g) * _curve(samples.q[:, j], length)[np.ix_(at, at)])
+            for j, g in turning
+            for length in _LENGTHS
+        ]
         # the pattern that is left may be one joint's, as of a gear whose curve was too fine to be found
-        fine_curves = [one for one in curves if one.fine]
-        for one in fine_curves:
-            single = spread(JOINT_SHARES[1], one.covariance + np.diag(rows.variance * (1.0 - one.share[turned])))
-            each = usual + np.log(_ONE_JOINT / (1.0 - _ONE_JOINT) / (len(fine_curves) * len(_OF_ONE)))
-            members += [(factor**2 * single, each) for factor in _OF_ONE]
+        chance = usual + np.log(_ONE_JOINT / (1.0 - _ONE_JOINT) / max(len(turning), 1))
+        for curve, part_of in curves[len(_LENGTHS) - 1 :: len(_LENGTHS)]:
+            members.append((spread(JOINT_SHARES[1], curve + np.diag(rows.variance * (1.0 - part_of))), chance))
         # and it is larger in some places than in others: all stations may stand in one of these
-        stand = count * np.log(known.pattern)
+        stand = count * np.log(shared)
         if stand > _NEVER:
             widest = len(members) + len(_THERE) - 1
-            places = [(pattern, 0.5), *((one.covariance, 0.5 / len(curves)) for one in curves)]
-            for common, chance in places:
-                there = usual + stand + np.log(chance / len(_THERE))
-                members += [(plain + times * known.pattern * common, there) for times in _THERE]
+            for k, common in enumerate((pattern, *(curve for curve, _ in curves))):
+                chance = usual + stand + np.log((0.5 / len(curves) if k else 0.5) / len(_THERE))
+                members += [(plain + times * shared * common, chance) for times in _THERE]
     log_prior = np.array([p for _, p in members])
-    log_prior -= scipy.special.logsumexp(log_prior)
-    covariances = tuple(own + V + np.diag(rows.known) for V, _ in members)
-    weight = count / samples.stations if known.pattern > 0.0 else 1.0
-    return NullModel(residual, covariances, log_prior, reference, rows, weight, widest)
+    return NullModel(
+        np.concatenate([view.position.ravel(), view.rotation.ravel()]),
+        tuple(own + V + np.diag(rows.known) for V, _ in members),
+        log_prior - np.logaddexp.reduce(log_prior),
+        reference,
+        rows,
+        count / samples.stations if shared > 0.0 else 1.0,
+        widest,
+    )
 
 
 def parameter_rows(

@@ -2,8 +2,9 @@
 
 They are looked for before anything is rejected and before effects are blamed, for a robust fit takes the stations of a
 regime for wrong readings. Stretches come from :mod:`setups`, with the arm as nominal and then as fitted. What moved
-between two of them, and whether anything did, is decided by the evidence of a fit of the whole geometry beside it: a
-regime must be more probable than one base and one tool, and than a base or a tool that drifts or settles.
+between two of them, and whether anything did, is decided as in a check. Beside a fit in which base and tool moved at
+all of these times, steps of either are rows, and so are a base or a tool that drifts or settles and joints that err
+with their position. A step that the readings do not ask for beside the others is no regime.
 
 A regime's base or tool is a *step* in the model: six values of any size, 0 after the move and its inverse before, so
 that the model's base and tool are those that hold in the end.
@@ -12,13 +13,12 @@ that the model's base and tool are those that hold in the end.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 import numpy as np
 
 from modcal_core.calibration import (
-    FINEST,
     Cell,
     Fit,
     Model,
@@ -26,24 +26,26 @@ from modcal_core.calibration import (
     Move,
     What,
     choose_parameters,
-    errors,
     fit_cell,
     fit_geometry,
     free_cell,
     identify_moved,
-    independent_unit,
     outlying,
     runs_of,
-    squared_residuals,
+    usual_miss,
     views_of,
 )
-from modcal_core.effects import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, Shape, is_move
+from modcal_core.effects import ALL, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, Shape, is_move
 from modcal_core.effects.families import axis_wobble, drift, gear_harmonic, step
-from modcal_core.errors import ModcalError
 from modcal_core.geometry import error_values, se3
+from modcal_core.hypotheses import LIMIT_OF_REACH
 from modcal_core.measurements import Samples, explained_by_posture, spread_rows
 from modcal_core.measurements.kinds import is_direct
+from modcal_core.moves.noise import FrozenKnowledge
+from modcal_core.moves.rows import DRIFT, GEAR, READING, STEP, CellChange
+from modcal_core.moves.searching import MoveSearch
 from modcal_core.moves.setups import Setup, SetupReadings, Stretches, stretches
+from modcal_core.moves.state import CheckState
 from modcal_core.robots import Inertias, Mechanism
 
 _MAX = 3000  # samples; a longer recording is thinned evenly
@@ -51,9 +53,9 @@ _ROUNDS = 3  # of stretches and a fit of the arm
 _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
 _MIN = 4  # stations in a stretch, from which there are two for each half
 _ROOM = 0.5  # of what an effect is expected to be; half of a move is what a fit without it has in its spread
-_STRAY = 0.05  # share of the readings that may be anywhere
+_FEW = 120  # samples that are asked, as many of each stretch
 _PRICE = 30.0  # nats for anything beside one base and one tool, as over nothing where readings do not agree with an arm
-_HALF_LOG = 1.5 * float(np.log(2.0 * np.pi))  # of a Gaussian in space, whose log density it is taken from
+_PATTERN = 0.25  # share of the variance that neighbouring postures have in common: what an arm has beside its geometry
 _SETTLING = 0.12  # time constant to begin from, as a share of the recording
 _WAVES = 4  # a turn, of a joint that errs with its position
 _ALTERNATING = 8  # rounds of base and tool, each in closed form
@@ -81,7 +83,7 @@ def find_regimes(
         return None
     search = _RegimeSearch(nominal.model, samples, choice.parameters, cell, places)
     cuts = search.cuts([nominal.model, geometric.model])
-    moves = search.decided([Move(at, "both") for at in cuts], tuple(stated))
+    moves = search.decided(cuts, tuple(stated))
     if not moves:
         return None
     found = search.start(moves)
@@ -101,6 +103,14 @@ def moves_of(model: Model) -> tuple[Move, ...]:
         if is_move(effect):
             at.setdefault(effect.shape.settings["at"], set()).add(effect.place)
     return tuple(Move(t, "both" if len(p) == 2 else _place(p.pop())) for t, p in sorted(at.items()))
+
+
+def _step_row(effect: Effect) -> CellChange:
+    return CellChange(STEP, f"{effect.place} at {effect.shape.settings['at']}", effects=(effect,))
+
+
+def _at(h: CellChange) -> float:
+    return h.effect.shape.settings["at"]
 
 
 def _place(name: str) -> What:
@@ -140,7 +150,6 @@ class _RegimeSearch:
     parameters: Sequence[ModelParameter]
     cell: Cell
     places: set[str]
-    _known: dict[tuple[Move, ...], float] = field(default_factory=dict)
 
     def cuts(self, arms: Sequence[Model]) -> tuple[float, ...]:
         """Times [s] between stretches with a base or tool of their own, as these arms show them, fitted in between."""
@@ -176,7 +185,7 @@ class _RegimeSearch:
         base = np.r_[0, np.cumsum([move.what != "tool" for move in moves])].astype(int)
         tool = np.r_[0, np.cumsum([move.what != "base" for move in moves])].astype(int)
         largest = int(np.argmax(np.bincount(part)))
-        first = sights.both(np.flatnonzero(part == largest), sights.setup)
+        first = sights.both(np.flatnonzero(part == largest))
         if "base" not in self.places:
             first = Setup(np.eye(4), sights.tool(np.flatnonzero(part == largest), np.eye(4)))
         D = np.tile(first.D, (base[-1] + 1, 1, 1))
@@ -211,75 +220,60 @@ class _RegimeSearch:
         """The fit of arm and moves, or of others' effects, to these samples."""
         return identify_moved(start, samples, self.parameters, self.cell.distances, tolerance)
 
-    def decided(self, moves: list[Move], stated: tuple[Move, ...]) -> list[Move]:
-        """The most probable moves, each of what it must be of; no others than those stated, where something smooth in
-        time or a joint that errs with its position explains the readings as well.
+    def decided(self, cuts: Sequence[float], stated: tuple[Move, ...]) -> list[Move]:
+        """What moved at these times, as far as the readings ask for it beside what drifts or settles and joints that
+        err with their position; and all that is stated.
         """
-        ways: tuple[What, ...] = ("tool", "base", "both")
-        if len(self.places) == 1:
-            ways = (_place(next(iter(self.places))),)
-        found = [replace(m, what=ways[-1]) for m in moves if not any(self._same(m.at, t.at) for t in stated)]
-        now = sorted([*found, *stated], key=lambda m: m.at)
-        for move in found:
-            others = [m for m in now if m is not move]
-            with_it = [sorted([*others, replace(move, what=what)], key=lambda m: m.at) for what in ways]
-            now = max([*with_it, others], key=self.nats)
-        own = [m for m in now if m not in stated]
-        if own and max(map(self._nats, self._rivals(own)), default=-np.inf) >= self.nats(now):
-            return [m for m in now if m in stated]
-        return now
+        every: What = "both" if len(self.places) == 2 else _place(next(iter(self.places)))
+        new = [Move(at, every) for at in cuts if not any(self._same(at, move.at) for move in stated)]
+        if not new:
+            return list(stated)
+        moves = sorted([*stated, *new], key=lambda m: m.at)
+        fit = self.fit(self.start(moves), self.samples)
+        if usual_miss(fit.model, self.samples) > LIMIT_OF_REACH * fit.model.chain.reach():
+            return list(stated)  # whatever moved, these are no readings of this arm
+        known = {move.at for move in stated}
+        rows = [_step_row(effect) for effect in fit.model.effects if is_move(effect)]
+        given = [h for h in rows if _at(h) in known]
+        asked = [h for h in rows if _at(h) not in known]
+        joints = {joint for move in new for joint in explained_by_posture(self.samples, move.at)}
+        state = self._without(fit, [move.at for move in moves], rows)
+        engine = MoveSearch(state, given, [*asked, *self._rivals(sorted(joints))], _PRICE, len(asked))
+        found = engine.needed(list(engine.explained(without=(READING,)).picked))
+        out: dict[float, set[str]] = {}
+        for h in (j.hypothesis for j in found if j.hypothesis.kind == STEP):
+            out.setdefault(_at(h), set()).add(h.effect.place)
+        own = [Move(at, "both" if len(places) == 2 else _place(places.pop())) for at, places in out.items()]
+        return sorted([*stated, *own], key=lambda m: m.at)
 
-    def nats(self, moves: Sequence[Move]) -> float:
-        """Log evidence of the readings with these moves, and their price."""
-        key = tuple(moves)
-        if key not in self._known:
-            self._known[key] = self._nats(self.start(moves))
-        return self._known[key]
+    def _without(self, fit: Fit, times: Sequence[float], rows: Sequence[CellChange]) -> CheckState:
+        """The fit beside some stations of each stretch, none of them wrong, with what its moves do taken back."""
+        part = np.searchsorted(times, self.samples.stamps)
+        each = [np.flatnonzero(part == k) for k in range(len(times) + 1)]
+        few = np.concatenate([some[spread_rows(len(some), _FEW // len(each))] for some in each])
+        few = few[~outlying(fit.model, fit.noise, self.samples.select(few))]
+        own = np.diag([p.prior_std**2 for p in self.parameters])
+        known = FrozenKnowledge(tuple(self.parameters), own, (), fit.noise, _PATTERN)
+        state = CheckState(fit.model, self.samples.select(few), known)
+        moved = sum((state.columns(h) @ h.effect.amplitudes for h in rows), np.zeros(len(state.residual)))
+        null = replace(state.null, residual=state.residual + moved)
+        return CheckState(fit.model, state.samples, known, null, linear=True)
 
-    def _nats(self, start: Model) -> float:
-        """Log likelihood of the readings by the arm and effects fitted to them, less what these cost; a station counts
-        once, and a reading may be anywhere within reach.
-        """
-        samples, unit = self.samples, independent_unit(self.samples)
-        try:
-            fit = self.fit(start, samples)
-        except (ModcalError, np.linalg.LinAlgError, ValueError):
-            return -np.inf
-        off, scale = errors(fit.model, samples), fit.noise
-        spread = np.log(max(scale.position, FINEST)) + samples.is_pose * np.log(max(scale.rotation, FINEST))
-        near = -3.0 * spread - 0.5 * squared_residuals(off, samples, scale, FINEST) - _HALF_LOG * (1 + samples.is_pose)
-        room = 3.0 * np.log(4.0 * self.arm.chain.reach()) + samples.is_pose * np.log(8.0 * np.pi**2)
-        each = np.logaddexp(np.log1p(-_STRAY) + near, np.log(_STRAY) - room)
-        total = float(np.sum(np.bincount(unit, each) / np.bincount(unit)))
-        values = sum(len(effect.values) for effect in fit.model.effects)
-        return total - _PRICE * len(fit.model.effects) - 0.5 * values * float(np.log(unit.max() + 1.0))
-
-    def _rivals(self, moves: Sequence[Move]) -> Iterator[Model]:
-        joints = {joint for move in moves for joint in explained_by_posture(self.samples, move.at)}
-        for effects in (*_smooth(self.samples, self.places), *_by_posture(sorted(joints))):
-            yield self.arm.with_effects(tuple(e.started(np.zeros(_amplitudes(e))) for e in effects))
+    def _rivals(self, joints: Sequence[str]) -> Iterator[CellChange]:
+        """A base or a tool that drifts or settles; joints that err with their position, about their axis and across."""
+        low, high = float(self.samples.stamps.min()), float(self.samples.stamps.max())
+        settling = Shape("settle", {"since": low, "tau": _SETTLING * (high - low)})
+        for place in sorted(self.places):
+            turn, count = (ALL, 6) if place == "base" or self.samples.is_pose.all() else (SHIFT, 3)
+            for shape in (drift.slow_curve(low, high), settling):
+                effect = drift.drifting(place, turn, shape)
+                yield CellChange(DRIFT, place, effects=(effect.started(np.zeros(count * shape.size)),))
+        for name in joints:
+            waves = [e.started(np.zeros(e.shape.size)) for e in gear_harmonic.whole(name, _WAVES)]
+            waves += [e.started(np.zeros(2 * e.shape.size)) for e in axis_wobble.whole(name, _WAVES)]
+            yield CellChange(GEAR, name, effects=tuple(waves))
 
     def _same(self, a: float, b: float) -> bool:
         """Whether no station lies between two times."""
         stamps = self.samples.stamps
         return not ((stamps > min(a, b)) & (stamps < max(a, b))).any()
-
-
-def _smooth(samples: Samples, places: set[str]) -> Iterator[tuple[Effect, ...]]:
-    """A base or a tool that drifts or settles."""
-    low, high = float(samples.stamps.min()), float(samples.stamps.max())
-    shapes = [drift.slow_curve(low, high), Shape("settle", {"since": low, "tau": _SETTLING * (high - low)})]
-    turn = ALL if samples.is_pose.all() else SHIFT
-    for place in sorted(places):
-        for shape in shapes:
-            yield (drift.drifting(place, turn if place == "tool" else ALL, shape),)
-
-
-def _by_posture(joints: Sequence[str]) -> Iterator[tuple[Effect, ...]]:
-    """Joints that err with their position, about their axis and across it."""
-    for name in joints:
-        yield (*gear_harmonic.whole(name, _WAVES), *axis_wobble.whole(name, _WAVES))
-
-
-def _amplitudes(effect: Effect) -> int:
-    return {ALL: 6, SHIFT: 3, ACROSS: 2, AXIS: 1}[effect.direction] * effect.shape.size

@@ -26,18 +26,28 @@ from modcal_core.moves.evidence import (
     ChangeCandidate,
     ChangeJudge,
     JudgedChange,
+    by_name,
     e_value,
     is_noise,
-    log_priors,
-    probabilities,
+    most_probable,
 )
 from modcal_core.moves.noise import FrozenKnowledge, NullModel, parameter_rows
-from modcal_core.moves.rows import BASE, CHANCES, GEAR, NOISE, READING, TOOL, CellChange, curve_root, hypotheses
+from modcal_core.moves.rows import (
+    BASE,
+    GEAR,
+    KINDS,
+    NOISE,
+    READING,
+    TOOL,
+    CellChange,
+    curve_root,
+    hypotheses,
+    log_priors,
+)
 from modcal_core.moves.state import CheckState, TakenUp, along_one
 
 FALSE_ALARM = 0.01  # chance that something is named while nothing has changed, over all changes together
 _ASKED_FOR = -float(np.log(FALSE_ALARM))
-_MOST = 2  # changes beside what was moved when the cell was set up again
 _ROUNDS = 2  # in which each change is chosen again beside the others
 _SET_UP = (BASE, TOOL)  # what is moved when a cell is set up again
 _AS_PROBABLE = 3.0  # in log-probability (20 to 1), within which two changes are not told apart
@@ -48,8 +58,8 @@ _FINER = np.linspace(-1.0, 1.0, 81)  # of a cell, to which the cycles of a peak 
 
 @dataclass(frozen=True)
 class FittedChange:
-    """A change as it is named. judged: what speaks for it. sizes: [m, rad, 1], with their covariance. same_as: others
-    that explain the same. probability: that it is this one of all.
+    """A change as it is named. judged: what speaks for it. probability: that it is this one of all. same_as: others
+    that explain the same. sizes: [m, rad, 1], with their covariance.
     """
 
     judged: JudgedChange
@@ -61,7 +71,7 @@ class FittedChange:
     @property
     def hypothesis(self) -> CellChange:
         """What changed."""
-        return self.judged.candidate.hypothesis
+        return self.judged.hypothesis
 
 
 @dataclass(frozen=True)
@@ -80,8 +90,8 @@ class FoundChanges:
 
     changes: as named. given: those that were not asked for but given, as fitted. sizes: what is known of the sizes of
     given and changes. log_e: logarithms of the e-values by which each was asked for, and, last, of what is left. aside:
-    samples that were set aside as wrong. start, opened, left: the frozen model beside the others, the same with what
-    was given left open, and with the changes taken up. asked: the changes that were looked for.
+    samples that were set aside as wrong. stages: the frozen model beside the others, the same with what was given left
+    open, and with the changes taken up. asked: the changes that were looked for.
     """
 
     changes: tuple[FittedChange, ...]
@@ -93,19 +103,9 @@ class FoundChanges:
     asked: tuple[CellChange, ...]
 
     @property
-    def start(self) -> ChangeJudge:
-        """What speaks for changes of the frozen model."""
-        return self.stages[0].judge
-
-    @property
-    def opened(self) -> ChangeJudge:
-        """The same with what was given left open."""
-        return self.stages[1].judge
-
-    @property
-    def left(self) -> ChangeJudge:
-        """The same with the changes taken up."""
-        return self.stages[2].judge
+    def null(self) -> NullModel:
+        """What readings scatter by about the frozen model."""
+        return self.stages[0].judge.null
 
     @property
     def state(self) -> CheckState:
@@ -132,7 +132,7 @@ def search(model: Model, samples: Samples, known: FrozenKnowledge, given: Sequen
     while True:
         engine = MoveSearch(CheckState(model, samples.select(rows), known), tuple(given))
         found = engine.best()
-        wrong = max((c.candidate.hypothesis.sample for c in found.picked), default=-1)
+        wrong = max((c.hypothesis.sample for c in found.picked), default=-1)
         if wrong < 0 or len(aside) >= max(1, len(samples) // 10) or len(rows) < 4:
             return engine.told(found, tuple(aside))
         aside.append(int(rows[wrong]))
@@ -156,19 +156,28 @@ class Explanation:
 
 
 class MoveSearch:
-    """One search beside a frozen model. given: changes that are the case. asked: rows to ask of; None: all."""
+    """One search beside a frozen model.
+
+    given: changes that are the case. asked: rows to ask of; None: all. asked_for: log e-value [nats] above which one
+    more is taken up. most: changes beside what was moved when the cell was set up again.
+    """
 
     def __init__(
-        self, plain: CheckState, given: Sequence[CellChange] = (), asked: Sequence[CellChange] | None = None
+        self,
+        plain: CheckState,
+        given: Sequence[CellChange] = (),
+        asked: Sequence[CellChange] | None = None,
+        asked_for: float = _ASKED_FOR,
+        most: int = 2,
     ) -> None:
         self.plain = TakenUp(plain, (), ChangeJudge(plain.null))
-        self.given, self.weight = given, plain.null.weight
+        self.given, self.weight, self.asked_for, self.most = given, plain.null.weight, asked_for, most
         self._taken: dict[tuple[int, ...], tuple[list[JudgedChange], TakenUp]] = {}
         keys = {h.key for h in given}
         table = hypotheses(plain.model, plain.samples) if asked is None else asked
         every = [h for h in table if h.key not in keys]
         # where each frame stands where nobody knew it to stand, a base cannot move
-        self.asked = [h for h in every if h.kind != BASE] if len(keys) == len(plain.model.frames) else every
+        self.asked = [h for h in every if h.kind != BASE] if len(keys) == len(np.unique(plain.samples.frame)) else every
 
     @cached_property
     def fixed(self) -> list[JudgedChange]:
@@ -184,7 +193,7 @@ class MoveSearch:
 
     def others(self, picked: Sequence[JudgedChange], without: Sequence[str] = ()) -> list[CellChange]:
         """What is looked for besides these changes."""
-        known = {j.candidate.hypothesis.key for j in picked}
+        known = {j.hypothesis.key for j in picked}
         return [h for h in self.asked if h.key not in known and h.kind not in without]
 
     def left(self, picked: Sequence[JudgedChange]) -> float:
@@ -193,25 +202,33 @@ class MoveSearch:
 
     def best(self) -> Explanation:
         """The most probable explanation, or the first reading that is wrong."""
-        ways = [self.explained()]
-        if ways[0].picked and ways[0].picked[0].candidate.hypothesis.sample >= 0:  # set aside before anything is blamed
+        ways = self._weighed()
+        if ways and ways[0].picked and ways[0].picked[0].hypothesis.sample >= 0:  # set aside before anything is blamed
             return ways[0]
-        if any(is_noise(c) for c in ways[0].picked):
-            ways.append(self.explained(without=(NOISE,)))
-        moved = [h for h in self.asked if h.kind in _SET_UP]
-        if all(way.more for way in ways) and moved:
-            ways.append(self.explained(moved))
+        if not ways or any(is_noise(c) for c in ways[0].picked):
+            ways += self._weighed(without=(NOISE,))
+        if all(way.more for way in ways) and (moved := [h for h in self.asked if h.kind in _SET_UP]):
+            ways += self._weighed(moved)
+        if not ways:
+            raise np.linalg.LinAlgError("the readings are too far away to weigh what explains them")
         found = max(ways, key=lambda way: (not way.more, way.score))
-        if any(c.candidate.hypothesis.sample >= 0 for c in found.picked):
+        if any(c.hypothesis.sample >= 0 for c in found.picked):
             return found
-        picked = self._needed([self._wave(found.picked, i) for i in range(len(found.picked))])
+        picked = self.needed([self._wave(found.picked, i) for i in range(len(found.picked))])
         outside = list(picked)
         for i in range(len(picked)):
             outside[i] = self._outside(outside, i)
         if any(a is not b for a, b in zip(outside, picked, strict=True)):  # what made up for the wrong name is needless
-            picked = self._needed(outside)
+            picked = self.needed(outside)
         asked_for = (*ways[0].log_e[:1], *found.log_e[1 : len(picked)]) if picked else ()  # the first beside nothing
         return Explanation(tuple(picked), (*asked_for, self.left(picked)), found.score)
+
+    def _weighed(self, begin: Sequence[CellChange] = (), without: Sequence[str] = ()) -> list[Explanation]:
+        """The explanation; none where changes are so far off that they cannot be weighed."""
+        try:
+            return [self.explained(begin, without)]
+        except np.linalg.LinAlgError:
+            return []
 
     def explained(self, begin: Sequence[CellChange] = (), without: Sequence[str] = ()) -> Explanation:
         """Changes taken up one after the other, until no more is asked for. begin: that are taken up first."""
@@ -221,10 +238,10 @@ class MoveSearch:
             now = self.beside(picked)
             judged, prior = now.judge_all(self.others(picked, without), bent=True)
             log_e.append(e_value(judged, prior, self.weight))
-            if log_e[-1] <= _ASKED_FOR or len(picked) >= len(begin) + _MOST:
+            if log_e[-1] <= self.asked_for or len(picked) >= len(begin) + self.most:
                 return Explanation(tuple(picked), tuple(log_e), self._score(picked))
             one = most_probable(judged, prior, self.weight)
-            if one.candidate.hypothesis.kind == READING:  # it is set aside, and the search begins again
+            if one.hypothesis.kind == READING:  # it is set aside, and the search begins again
                 return Explanation((*picked, one), tuple(log_e), np.inf)
             picked = self._chosen_again([*picked, one], len(begin), without)
 
@@ -236,7 +253,7 @@ class MoveSearch:
                 rest = [c for j, c in enumerate(picked) if j != i]
                 judged, prior = self.beside(rest).judge_all(self.others(rest, (READING, *without)), bent=True)
                 best = most_probable(judged, prior, self.weight)
-                if best.candidate.hypothesis.key != picked[i].candidate.hypothesis.key:
+                if best.hypothesis.key != picked[i].hypothesis.key:
                     picked[i] = best
             if picked == before:
                 break
@@ -247,8 +264,8 @@ class MoveSearch:
         if not order:
             return 0.0
         rest = self.beside(order[:-1])
-        last = rest.judge_all([order[-1].candidate.hypothesis], bent=True)[0][0]
-        price = sum(self._price(c.candidate.hypothesis) for c in order)
+        last = rest.judge_all([order[-1].hypothesis], bent=True)[0][0]
+        price = sum(self._price(c.hypothesis) for c in order)
         return self.weight * (rest.judge.log_null - self.beside([]).judge.log_null + last.log_factor) + price
 
     def _price(self, hypothesis: CellChange) -> float:
@@ -256,17 +273,17 @@ class MoveSearch:
         at = next(i for i, h in enumerate(self.asked) if h.key == hypothesis.key)
         return float(log_priors(self.asked)[at])
 
-    def _needed(self, picked: list[JudgedChange]) -> list[JudgedChange]:
+    def needed(self, picked: list[JudgedChange]) -> list[JudgedChange]:
         """The changes without those that nothing asks for beside the others."""
         for one in picked if len(picked) > 1 else []:
             others = [c for c in picked if c is not one]
-            if self.left(others) <= _ASKED_FOR:
-                return self._needed(others)
+            if self.left(others) <= self.asked_for:
+                return self.needed(others)
         return picked
 
     def _outside(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:
         """One of the changes that were picked, or what outside the arm explains the readings as well."""
-        hypothesis, rest = picked[i].candidate.hypothesis, [c for j, c in enumerate(picked) if j != i]
+        hypothesis, rest = picked[i].hypothesis, [c for j, c in enumerate(picked) if j != i]
         if hypothesis.outside or hypothesis.kind in (NOISE, READING):
             return picked[i]
         asked = [h for h in self.others(rest) if h.outside]
@@ -282,10 +299,10 @@ class MoveSearch:
 
     def _wave(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:
         """One of the changes that were picked; the wave that it is, where it is a curve of any course."""
-        if not picked[i].candidate.free:
+        if not picked[i].hypothesis.free:
             return picked[i]
         beside = self.beside([c for j, c in enumerate(picked) if j != i])
-        wave = wave_of(picked[i].candidate.hypothesis.curve, beside)
+        wave = wave_of(picked[i].hypothesis.curve, beside)
         return wave if wave is not None and wave.log_factor > picked[i].log_factor else picked[i]
 
     def nearest(self) -> FittedChange:
@@ -296,13 +313,13 @@ class MoveSearch:
     def told(self, found: Explanation, aside: tuple[int, ...]) -> FoundChanges:
         """What was found, with what explains the readings as well, and with sizes."""
         # more readings are wrong than are set aside: the others are not explained
-        picked = [c for c in found.picked if c.candidate.hypothesis.sample < 0]
+        picked = [c for c in found.picked if c.hypothesis.sample < 0]
         now = self.beside(picked)
         given = [FittedChange(judged, 1.0) for judged in self.fixed]
         sizes = SizeCovariance(np.empty((0, 0)), np.empty((len(self.plain.state.known.covariance), 0)))
         changes = [self.with_rivals(picked, i) for i in range(len(picked))]
         if given or changes:
-            every, sizes = with_sizes([*given, *changes], now, self.plain.judge.null, now.judge.best)
+            every, sizes = with_sizes([*given, *changes], now, self.plain.judge.null)
             given, changes = every[: len(given)], every[len(given) :]
         stages = self.plain, self.beside([]), now
         return FoundChanges(tuple(changes), tuple(given), sizes, found.log_e, aside, stages, tuple(self.asked))
@@ -311,84 +328,54 @@ class MoveSearch:
         """One of the changes that were picked, with what explains the readings as well."""
         one, rest = picked[i], [c for j, c in enumerate(picked) if j != i]
         every, prior = self.beside(rest).judge_all(self.others(rest), bent=True)
-        if not any(h is one.candidate.hypothesis for h in self.asked):  # a wave, or a move along one twist
-            every, prior = [*every, one], np.r_[prior, self._price(one.candidate.hypothesis)]
+        if not any(h is one.hypothesis for h in self.asked):  # a wave, or a move along one twist
+            every, prior = [*every, one], np.r_[prior, self._price(one.hypothesis)]
         named = by_name(every, prior, self.weight)
-        probability, best = named.pop(one.candidate.hypothesis.key)
+        probability, best = named.pop(one.hypothesis.key)
         rivals = []
         for p, j in named.values():
             # what has more sizes explains all that has fewer; of what is rarer only the probability counts
-            h, common = j.candidate.hypothesis, CHANCES[best.candidate.hypothesis.kind]
+            h, common = j.hypothesis, KINDS[best.hypothesis.kind].chance
             contained = bool(h.sizes) and j.likelihood > best.likelihood - AS_LIKELY / self.weight
-            contained &= CHANCES[h.kind] >= common
+            contained &= KINDS[h.kind].chance >= common
             if h.kind != READING and (p > probability * np.exp(-_AS_PROBABLE) or contained):
                 rivals.append((p, j))
         rivals.sort(key=lambda pair: -pair[0])
-        return FittedChange(best, probability, tuple(j for _, j in rivals))
-
-
-def by_name(
-    judged: Sequence[JudgedChange], prior: Array, weight: float = 1.0
-) -> dict[tuple[str, str], tuple[float, JudgedChange]]:
-    """What can be named: its probability, and its most probable shape."""
-    out: dict[tuple[str, str], tuple[float, JudgedChange]] = {}
-    for j, p in zip(judged, probabilities(judged, prior, weight), strict=True):
-        so_far, top = out.get(j.candidate.hypothesis.key, (0.0, j))
-        out[j.candidate.hypothesis.key] = so_far + float(p), top if top.log_factor > j.log_factor else j
-    return out
-
-
-def most_probable(judged: Sequence[JudgedChange], prior: Array, weight: float = 1.0) -> JudgedChange:
-    """The most probable thing to name, by its most probable shape. weight: of what the stations say."""
-    return max(by_name(judged, prior, weight).values(), key=lambda pair: pair[0])[1]
+        return FittedChange(replace(best, hypothesis=one.hypothesis), probability, tuple(j for _, j in rivals))
 
 
 def with_sizes(
-    changes: Sequence[FittedChange], now: TakenUp, begin: NullModel, member: int
+    changes: Sequence[FittedChange], now: TakenUp, begin: NullModel
 ) -> tuple[list[FittedChange], SizeCovariance]:
     """The changes with their sizes, and what is known of these beside each other.
 
-    member: of the null's grid, that which suits the readings best with the changes in; without them it would be a wider
-    spread, for it would have to explain them.
+    Of the null's grid the member counts that suits the readings best with the changes in; without them it would be a
+    wider spread, for it would have to explain them.
     """
-    state, known = now.state, now.state.known
+    state, known, member = now.state, now.state.known, now.judge.best
     for change in changes:
         if is_noise(change.judged):
             begin = begin.with_noise(*change.judged.noise)
     judge, n = ChangeJudge(begin), len(begin.residual)
     blocks, roots = [], []
     for change, fit in zip(changes, now.fits, strict=True):
-        if fit.free:
-            A = judge.whitened(fit.columns, member)
-            spread = change.judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300))
-            blocks.append(spread * A)
-            roots.append(spread * curve_root(fit.hypothesis.curve, state.model, state.samples))
-        else:
-            sized = bool(fit.hypothesis.sizes)
-            blocks.append(judge.whitened(state.columns(fit.hypothesis), member) if sized else np.zeros((n, 0)))
-            roots.append(np.empty((0, 0)))
-    J = np.concatenate(blocks, axis=1)
-    prior = np.concatenate([np.full(b.shape[1], float(f.free)) for b, f in zip(blocks, now.fits, strict=True)])
-    covariance = np.linalg.pinv(J.T @ J + np.diag(prior), hermitian=True)
+        A, free = judge.whitened(fit.columns, member), fit.hypothesis.free
+        spread = change.judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300)) if free else 1.0
+        blocks.append(spread * A)
+        own = curve_root(fit.hypothesis.curve, state.model, state.samples) if free else np.eye(A.shape[1])
+        roots.append(spread * own)
+    J, ends = np.concatenate(blocks, axis=1), np.cumsum([block.shape[1] for block in blocks])
+    sized = np.concatenate([np.full(b.shape[1], not f.hypothesis.free) for b, f in zip(blocks, now.fits, strict=True)])
+    covariance = np.linalg.pinv(J.T @ J + np.diag(1.0 - sized), hermitian=True)
     mean = covariance @ (J.T @ judge.whitened(state.residual, member))  # of curves; of sizes it is the last step
-    own = parameter_rows(state.model, state.view, state.drivers, known.parameters, known.effects)
-    cross = -known.covariance @ judge.whitened(own.T, member).T @ J @ covariance
-    out: list[FittedChange] = []
-    kept: list[int] = []
-    first = 0
-    for change, fit, block, root in zip(changes, now.fits, blocks, roots, strict=True):
-        rows = slice(first, first + block.shape[1])
-        first += block.shape[1]
-        part = covariance[rows, rows]
-        change = replace(
-            change, judged=replace(change.judged, candidate=replace(change.judged.candidate, hypothesis=fit.hypothesis))
-        )
-        if fit.free:
-            out.append(replace(change, sizes=root @ mean[rows], covariance=root @ part @ root.T))
-        else:
-            out.append(replace(change, sizes=fit.sizes, covariance=part))
-            kept += range(rows.start, rows.stop)
-    return out, SizeCovariance(covariance[np.ix_(kept, kept)], cross[:, kept])
+    rows = parameter_rows(state.model, state.view, state.drivers, known.parameters, known.effects)
+    cross = -known.covariance @ judge.whitened(rows.T, member).T @ J @ covariance
+    out = []
+    for change, fit, root, end in zip(changes, now.fits, roots, ends, strict=True):
+        at = slice(end - root.shape[1], end)
+        found = root @ mean[at] if fit.hypothesis.free else fit.sizes
+        out.append(replace(change, sizes=found, covariance=root @ covariance[at, at] @ root.T))
+    return out, SizeCovariance(covariance[np.ix_(sized, sized)], cross[:, sized])
 
 
 def wave_of(joint: int, beside: TakenUp) -> JudgedChange | None:
@@ -432,7 +419,6 @@ def wave_of(joint: int, beside: TakenUp) -> JudgedChange | None:
     if np.isnan(at):
         return None
     change = CellChange(GEAR, chain.names[joint], effects=(gear_harmonic.wave(chain.names[joint], at, double),))
-    columns = state.columns(change)
-    judged = judge.judged(ChangeCandidate(change, judge.null.residual, columns, np.zeros(columns.shape[1])))
+    judged = judge.judged(ChangeCandidate(change, judge.null.residual, state.columns(change)))
     own = float(factors(np.array([at]), double)[0])
     return replace(judged, log_factor=judged.log_factor + evidence - own)

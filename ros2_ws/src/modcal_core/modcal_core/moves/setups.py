@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modcal_core.calibration import Model, hand_eye, procrustes
+from modcal_core.calibration import Model, base_and_tool_turns, base_by_positions, procrustes, tool_and_place
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import Samples
 from modcal_core.robots import forward
@@ -24,7 +24,6 @@ _MAX_WINDOWS = 60  # for time; they overlap by half up to there
 _FAR = 3.0  # usual misses beyond which a station is missed altogether
 _CHANGE = 4.0 * _FAR**2  # a change must be worth as much as four stations that are missed altogether
 _ROUNDS = 3  # of stretches and their base and tool
-_TURNS = 12  # of tool and base in turn, each in closed form
 MAX_STRETCHES = 10  # more are no moves, but a motion
 
 Stretches = list[tuple[int, int]]  # first, end, in order of time
@@ -102,18 +101,18 @@ class SetupReadings:
         gap = self.B[rows, :3, 3] - T[..., :3, 3] @ np.swapaxes(R, -1, -2)
         return se3.transform(R, np.median(gap, axis=-2))
 
-    def both(self, rows: np.ndarray, start: Setup) -> Setup:
-        """Bases and tools that the readings of these rows (..., n) show best. start: where to begin, for points."""
+    def both(self, rows: np.ndarray) -> Setup:
+        """Bases and tools that the readings of these rows (..., n) show best, in closed form."""
+        if rows.ndim == 1:
+            one = self.both(rows[None])
+            return Setup(one.D[0], one.X[0])
+        A, p = self.A[rows], self.B[rows, :3, 3]
         if self.poses:
-            if rows.ndim == 1:
-                return Setup(*hand_eye(self.A[rows], self.B[rows]))
-            each = [hand_eye(self.A[some], self.B[some]) for some in rows]
-            return Setup(np.stack([D for D, _ in each]), np.stack([X for _, X in each]))
-        X = start.X
-        for _ in range(_TURNS):
-            D = self.base(rows, X if X.ndim == 2 else X[..., None, :, :])
-            X = self.tool(rows, D[..., None, :, :])
-        return Setup(self.base(rows, X[..., None, :, :]), X)
+            Y, X = base_and_tool_turns(A[..., :3, :3], self.B[rows, :3, :3])
+        else:
+            Y, X = base_by_positions(A, p), self.setup.X[:3, :3]
+        _, x, t = tool_and_place(Y, A, p)
+        return Setup(se3.transform(Y, t), se3.transform(np.broadcast_to(X, Y.shape), x))
 
 
 def stretches(sights: SetupReadings) -> Stretches:
@@ -139,7 +138,7 @@ def stretches(sights: SetupReadings) -> Stretches:
             break
         largest = max(found, key=lambda part: part[1] - part[0])
         rows = np.arange(*largest)
-        reference = sights.both(rows, sights.setup)
+        reference = sights.both(rows)
         again = [s for a, b in found for s in _setups(sights, np.arange(a, b)[None], reference)]
         missed = np.stack([sights.residual(s) for s in (reference, *again)])
         usual = max(float(np.sqrt(np.mean(missed[0, rows] ** 2))), 1e-6)
@@ -154,7 +153,7 @@ def _setups(sights: SetupReadings, rows: np.ndarray, near: Setup | None = None) 
         Setup(sights.base(rows, known.X), np.broadcast_to(known.X, (len(rows), 4, 4))),
     ]
     if rows.shape[1] >= _WINDOW[sights.poses]:
-        kinds.append(sights.both(rows, known))
+        kinds.append(sights.both(rows))
     return [Setup(kind.D[i], kind.X[i]) for i in range(len(rows)) for kind in kinds]
 
 

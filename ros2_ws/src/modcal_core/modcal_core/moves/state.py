@@ -14,11 +14,23 @@ import numpy as np
 import scipy
 
 from modcal_core.calibration import Model, ModelParameter, RowView
-from modcal_core.geometry import Array
+from modcal_core.geometry import Array, error_values, se3
 from modcal_core.measurements import Samples
-from modcal_core.moves.evidence import ChangeCandidate, ChangeJudge, JudgedChange, is_noise, log_priors
-from modcal_core.moves.noise import FrozenKnowledge, NullModel, null, parameter_rows
-from modcal_core.moves.rows import NOISE, CellChange, composed, curve_root, hypothesis_columns, put_in
+from modcal_core.measurements.kinds import is_direct
+from modcal_core.moves.evidence import ChangeCandidate, ChangeJudge, JudgedChange, is_noise
+from modcal_core.moves.noise import FrozenKnowledge, NullModel, RowKinds, null, parameter_rows
+from modcal_core.moves.rows import (
+    BASE,
+    NOISE,
+    TOOL,
+    CellChange,
+    composed,
+    curve_root,
+    hypothesis_columns,
+    log_priors,
+    put_in,
+)
+from modcal_core.moves.setups import SetupReadings
 
 _STEPS = 15  # of a fit; of changes that are small one is enough
 _END = 1e-3  # standard deviations, all rows together; the last step of a fit
@@ -31,8 +43,9 @@ _WIDE = 4.0  # times its own size: what a change that was taken up may still be 
 class CheckState:
     """A model beside the samples, what its readings scatter by, and its derivatives.
 
-    curves: by joint, angles (S,) at the stations about which a large curve is linearised; it is none of the model's,
-    so the residual is what it would be if readings moved in proportion to it.
+    of: the null, where it is known already. curves: by joint, angles (S,) at the stations about which a large curve is
+    linearised; it is none of the model's, so the residual is what it would be if readings moved in proportion to it.
+    linear: whether changes are taken up in proportion, since the model has them already and the null's residual not.
     """
 
     def __init__(
@@ -42,8 +55,9 @@ class CheckState:
         known: FrozenKnowledge,
         of: NullModel | None = None,
         curves: Mapping[int, Array] | None = None,
+        linear: bool = False,
     ) -> None:
-        self.model, self.samples, self.known = model, samples, known
+        self.model, self.samples, self.known, self.linear = model, samples, known, linear
         self.curves = dict(curves or {})
         self._station = np.unique(samples.station, return_inverse=True)[1]
         q = samples.q.copy()
@@ -63,6 +77,11 @@ class CheckState:
     def row_samples(self) -> np.ndarray:
         """The sample of each row, (n,)."""
         return np.concatenate([np.tile(np.arange(len(self.samples)), 3), np.tile(self.view.pose, 3)]).astype(int)
+
+    @property
+    def weights(self) -> Array:
+        """One over the standard deviation of each row by the spread alone, (n,)."""
+        return np.asarray(1.0 / np.sqrt(RowKinds.of(self.samples, self.known.noise).variance))
 
     def parameter_rows(self, parameters: tuple[ModelParameter, ...]) -> Array:
         """Derivatives of the predictions by these parameters of the geometry, (P, n)."""
@@ -92,7 +111,7 @@ class CheckState:
         """Columns of a change at this model; none for noise, which has no size."""
         if hypothesis.kind == NOISE:
             return np.zeros((len(self.residual), 0))
-        if hypothesis.curve >= 0:
+        if hypothesis.free:
             return self.turned(hypothesis.curve) @ curve_root(hypothesis.curve, self.model, self.samples)
         return hypothesis_columns(hypothesis, self.model, self.view, self.drivers)
 
@@ -106,15 +125,22 @@ def fitted(
     their angles at the stations.
     """
     sized = [h for h in asked if h.sizes]
-    curves = [h.curve for h in asked if h.curve >= 0] if bent else []
-    totals = [np.zeros(h.sizes) for h in sized]
-    model, now = state.model, state
-    member = state.null.reference
-    angles = {j: np.zeros(len(np.unique(state.samples.station))) for j in curves}
+    model, now, member = state.model, state, state.null.reference
+    if state.linear:
+        A, r = np.concatenate([state.columns(h) for h in asked], axis=1), state.null.residual
+        left = r - A @ np.linalg.lstsq(judge.whitened(A, member), judge.whitened(r, member), rcond=1e-8)[0]
+        return [ChangeCandidate(h, left, state.columns(h)) for h in asked], state
+    totals = _set_up(sized, state) if bent else [np.zeros(h.sizes) for h in sized]
+    for h, total in zip(sized, totals, strict=True):
+        if total.any():
+            model = put_in(h, model, total)
+    if model is not state.model:
+        now = CheckState(model, state.samples, state.known, state.null, state.curves)
+    angles = {h.curve: np.zeros(len(np.unique(state.samples.station))) for h in asked if h.free and bent}
     before = np.inf
-    for _ in range(_STEPS if sized or curves else 0):
-        turned = {j: now.turned(j) for j in curves}
-        z = judge.whitened(now.residual - sum((turned[j] @ angles[j] for j in curves), np.zeros(1)), member)
+    for _ in range(_STEPS if sized or angles else 0):
+        turned = {j: now.turned(j) for j in angles}
+        z = judge.whitened(now.residual - sum((turned[j] @ angles[j] for j in angles), np.zeros(1)), member)
         square = float(z @ z)
         A = judge.whitened(np.concatenate([*(now.columns(h) for h in sized), *turned.values()], axis=1), member)
         if angles:  # of a station at which the joint moves nothing no angle follows
@@ -122,23 +148,41 @@ def fitted(
             A = np.concatenate([A, np.eye(len(so_far), A.shape[1], A.shape[1] - len(so_far)) / _LONGEST])
             z = np.r_[z, -so_far / _LONGEST]
         scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-        step = np.linalg.lstsq(A / scale, z, rcond=1e-8)[0] / scale
-        gain = float(np.linalg.norm(A @ step))
+        by = np.linalg.lstsq(A / scale, z, rcond=1e-8)[0] / scale
+        gain = float(np.linalg.norm(A @ by))
         if gain < max(_END, _SHARE * np.sqrt(square)) or square > 4.0 * before:
             break
         before = square
-        pieces = np.split(step, np.cumsum([len(t) for t in totals] + [len(a) for a in angles.values()])[:-1])
-        parts = pieces[: len(sized)]
-        for j, turn in zip(curves, pieces[len(sized) :], strict=True):
+        parts = np.split(by, np.cumsum([*map(len, totals), *map(len, angles.values())])[:-1])
+        for j, turn in zip(angles, parts[len(sized) :], strict=True):
             angles[j] = angles[j] + np.clip(turn, -_LONGEST, _LONGEST)
-        shorter = min([1.0, *(_LONGEST / max(float(np.linalg.norm(p[3:])), 1e-9) for p in parts if len(p) == 6)])
-        for i, (h, part) in enumerate(zip(sized, parts, strict=True)):
-            model = put_in(h, model, shorter * part)
-            totals[i] = composed(h, totals[i], shorter * part)
+        turns = [float(np.linalg.norm(p[3:])) for p in parts[: len(sized)] if len(p) == 6]
+        shorter = _LONGEST / max([_LONGEST, *turns])
+        for i, h in enumerate(sized):
+            model = put_in(h, model, shorter * parts[i])
+            totals[i] = composed(h, totals[i], shorter * parts[i])
         now = CheckState(model, state.samples, state.known, state.null, {**state.curves, **angles})
-    sizes = {id(h): t for h, t in zip(sized, totals, strict=True)}
-    residual = now.residual
-    return [ChangeCandidate(h, residual, now.columns(h), sizes.get(id(h), np.empty(0))) for h in asked], now
+    found, residual = iter(totals), now.residual
+    none = np.empty(0)
+    return [ChangeCandidate(h, residual, now.columns(h), next(found) if h.sizes else none) for h in asked], now
+
+
+def _set_up(asked: Sequence[CellChange], state: CheckState) -> list[Array]:
+    """Sizes to begin from: of base and tool that moved at once those that readings show in closed form, from anywhere,
+    unless these leave more than none do.
+    """
+    still, seen = [np.zeros(h.sizes) for h in asked], np.unique(state.samples.frame)
+    samples = state.samples
+    if not {BASE, TOOL} <= {h.kind for h in asked} or len(seen) > 1 or not is_direct(samples.kinds):
+        return still
+    sights, every = SetupReadings.of(state.model, samples), np.arange(len(samples))
+    setup = sights.both(every)
+    if np.sum(sights.residual(setup) ** 2) > np.sum(sights.residual(sights.setup) ** 2):
+        return still
+    far = {BASE: setup.D, TOOL: se3.inverse(state.model.T_tip_tool) @ setup.X}
+    return [
+        error_values(far[h.kind])[: h.sizes] if h.kind in far else none for h, none in zip(asked, still, strict=True)
+    ]
 
 
 @dataclass
@@ -153,36 +197,33 @@ class TakenUp:
     @property
     def bends(self) -> bool:
         """Whether what is missed is so large that the motions by a change are no longer in proportion to it."""
-        return self.judge.square > _LARGE * len(self.judge.null.residual)
+        return not self.state.linear and self.judge.square > _LARGE * len(self.judge.null.residual)
 
     def judge_all(self, asked: Sequence[CellChange], bent: bool = False) -> tuple[list[JudgedChange], Array]:
         """What speaks for each, and the logarithms of their prior probabilities. bent: fit each by itself where changes
         are so large that their motions bend.
         """
         large = bent and self.bends
-        return [self._one(h, large and (h.sizes > 0 or h.curve >= 0)) for h in asked], log_priors(asked)
+        return [self._one(h, large and (h.sizes > 0 or h.free)) for h in asked], log_priors(asked)
 
     def _one(self, hypothesis: CellChange, alone: bool) -> JudgedChange:
         key = id(hypothesis), alone
         if key not in self._judged:  # kept with its key: the number of an object is another's once it is gone
-            self._judged[key] = hypothesis, self._ask(hypothesis, alone)
+            if hypothesis.kind == NOISE:
+                judged = self.judge.noisier(hypothesis)
+            elif alone:
+                judged = self.judge.judged(fitted([hypothesis], self.state, self.judge, bent=True)[0][0])
+            else:
+                null = self.state.null.residual
+                judged = self.judge.judged(ChangeCandidate(hypothesis, null, self.state.columns(hypothesis)))
+            self._judged[key] = hypothesis, judged
         return self._judged[key][1]
-
-    def _ask(self, hypothesis: CellChange, alone: bool) -> JudgedChange:
-        if hypothesis.kind == NOISE:
-            return self.judge.noisier(hypothesis)
-        if alone:
-            return self.judge.judged(fitted([hypothesis], self.state, self.judge, bent=True)[0][0])
-        columns = self.state.columns(hypothesis)
-        return self.judge.judged(
-            ChangeCandidate(hypothesis, self.state.null.residual, columns, np.zeros(columns.shape[1]))
-        )
 
     def with_these(self, picked: Sequence[JudgedChange]) -> TakenUp:
         """The state in which these changes have been taken up, their sizes left open."""
         if not picked:
             return self
-        fits, now = fitted([p.candidate.hypothesis for p in picked], self.state, self.judge, self.bends)
+        fits, now = fitted([p.hypothesis for p in picked], self.state, self.judge, self.bends)
         opened = self.state.null
         for judged, candidate in zip(picked, fits, strict=True):
             if is_noise(judged):
@@ -191,16 +232,16 @@ class TakenUp:
             columns, n = candidate.columns, len(opened.residual)
             L = np.linalg.cholesky(opened.covariances[opened.reference])
             A = scipy.linalg.solve_triangular(L, columns, lower=True)
-            if candidate.free:
+            if judged.hypothesis.free:
                 scale = judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300))
             else:
                 _, s, Vt = np.linalg.svd(A, full_matrices=False)
                 keep = s > 1e-9 * max(float(s.max(initial=0.0)), 1e-300)
                 columns = columns @ (Vt[keep].T / s[keep])
                 scale = _WIDE * judged.size * np.sqrt(n / max(int(keep.sum()), 1))
-            opened = opened.with_more(now.residual, columns, scale)
-        opened = replace(opened, residual=now.residual)
-        state = CheckState(now.model, self.state.samples, self.state.known, opened, now.curves)
+            opened = opened.with_more(columns, scale)
+        opened = replace(opened, residual=fits[0].residual)
+        state = CheckState(now.model, now.samples, now.known, opened, now.curves, now.linear)
         return TakenUp(state, fits, ChangeJudge(opened))
 
 

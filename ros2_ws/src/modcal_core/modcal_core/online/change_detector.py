@@ -35,7 +35,7 @@ from modcal_core.moves import (
     MoveSearch,
     hypotheses,
 )
-from modcal_core.online.fixed_linearisation import FixedLinearisation
+from modcal_core.online.fixed_linearisation import FixedLinearisation, spread
 
 POSTURES = 48  # distinct postures that are remembered
 _SAME = 0.03  # rad or m; postures closer than this are one
@@ -70,16 +70,13 @@ class ChangeDetector:
     ) -> None:
         """covariance: of the parameters, (P, P); what effects add to it is left out. noise: of the fit."""
         self.model = model
-        self.directions = all_directions(model)
-        names = {_key(p): i for i, p in enumerate(self.directions)}
         # constants of instruments move nothing that is watched here
         moving = [i for i, p in enumerate(parameters) if p.place != INSTRUMENT]
-        self.directions += tuple(p for p in (parameters[i] for i in moving) if _key(p) not in names)
-        names = {_key(p): i for i, p in enumerate(self.directions)}
-        self._known = np.array([names[_key(parameters[i])] for i in moving], dtype=int)
-        self._covariance = covariance[np.ix_(moving, moving)]
-        self._noise_model = noise
-        self.known = FrozenKnowledge(tuple(parameters[i] for i in moving), self._covariance, (), noise)
+        every = {_key(p): p for p in (*all_directions(model), *(parameters[i] for i in moving))}
+        names, self.directions = list(every), tuple(every.values())
+        self._known = np.array([names.index(_key(parameters[i])) for i in moving], dtype=int)
+        own = covariance[np.ix_(moving, moving)]
+        self.known = FrozenKnowledge(tuple(parameters[i] for i in moving), own, (), noise)
         self._frozen = FixedLinearisation(model, self.directions, np.zeros(len(self.directions)))
         self.seen: list[Seen] = []
         self.largest = 0.0
@@ -101,15 +98,11 @@ class ChangeDetector:
 
     def _whitened(self, sample: Samples) -> Seen:
         r, J = self._frozen(sample)
-        known_p, known_r = sample.sigma_position[0], sample.sigma_rotation[0]
-        variance = np.full(len(r), self._noise_model.position**2 + (known_p**2 if np.isfinite(known_p) else 0.0))
-        variance[3:] = self._noise_model.rotation**2 + (known_r**2 if np.isfinite(known_r) else 0.0)
-        part = J[:, self._known]
-        L = np.linalg.cholesky(part @ self._covariance @ part.T + np.diag(variance))
-        residual, motions = np.linalg.solve(L, r), np.linalg.solve(L, J)
-        if len(motions) < 6:
-            residual, motions = np.r_[residual, np.zeros(3)], np.r_[motions, np.zeros((3, motions.shape[1]))]
-        return Seen(sample, residual, motions)
+        variance = np.concatenate(spread(self.known.noise, sample)).repeat([3, len(r) - 3]) ** 2
+        part, none = J[:, self._known], np.zeros((6 - len(r), J.shape[1] + 1))
+        L = np.linalg.cholesky(part @ self.known.covariance @ part.T + np.diag(variance))
+        rows = np.concatenate([np.linalg.solve(L, np.c_[r, J]), none])
+        return Seen(sample, rows[:, 0], rows[:, 1:])
 
     def _since(self) -> float | None:
         if len(self.seen) < _MIN:
@@ -185,7 +178,7 @@ def find_change(detector: ChangeDetector, since: float) -> ChangeHypothesis:
     shift, turn = np.split(columns @ values, [3 * len(samples)])
     place, direction, driver = _words(found.hypothesis, columns, state)
     names = (f"{name} {direction} by {driver}" for name in found.hypothesis.names)
-    rivals = (j.candidate.hypothesis for j in found.same_as)
+    rivals = (j.hypothesis for j in found.same_as)
     same = (*names, *(" ".join("{} {} by {}".format(*_words(h, state.columns(h), state)).split()) for h in rivals))
     size = float(np.sqrt(np.sum(shift**2) / len(samples)))
     turned = float(np.sqrt(3.0 * np.mean(turn**2))) if len(turn) else np.nan

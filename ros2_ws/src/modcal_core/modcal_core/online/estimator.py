@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import hypot, isfinite, sqrt
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,7 @@ from modcal_core.calibration import (
 from modcal_core.effects import place_index
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, SHARED, Samples
-from modcal_core.online.fixed_linearisation import FixedLinearisation
+from modcal_core.online.fixed_linearisation import FixedLinearisation, spread
 
 _PANEL = 8  # columns that are eliminated together
 
@@ -261,9 +261,11 @@ class Estimator:
             self._frozen = FixedLinearisation(self.start, self.parameters, self._point)
         residual, J = self._frozen(sample)
         rows = np.concatenate([J, (residual + J.dot(self._point))[:, None]], axis=1)
-        rows /= self._noise(sample, len(residual))[:, None]
+        rows /= np.concatenate(spread(self.noise, sample)).repeat([3, len(residual) - 3])[:, None]
         now = self._now.with_rows(rows)
-        score, weight = self._judged(now.innovation, len(rows)) if self._now.definite else (0.0, 1.0)
+        score = score_of_one(now.innovation, len(rows)) if self._now.definite else 0.0
+        sure = score <= HUBER_Z or not self._robust
+        weight = 1.0 if sure else float(robust_weights(np.asarray(score)))
         self.taken += 1
         self.rejected += weight == 0.0
         if weight > 0.0:
@@ -289,18 +291,6 @@ class Estimator:
         if self._directions is not None and np.isfinite(passed) and passed > 0.0:
             directions, rates = self._directions
             self._now = self._now.grown(directions, rates**2 * passed)
-
-    def _noise(self, sample: Samples, rows: int) -> Array:
-        """Standard deviation of each row of the residual, (3,) or (6,)."""
-        position = hypot(self.noise.position, _known(sample.sigma_position[0]))
-        rotation = hypot(self.noise.rotation, _known(sample.sigma_rotation[0]))
-        return np.array([position] * 3 + [rotation] * (rows - 3))
-
-    def _judged(self, square: float, rows: int) -> tuple[float, float]:
-        """(standard score, weight) of a number of rows with this squared distance from the prediction."""
-        score = score_of_one(square, rows)
-        inside = score <= HUBER_Z or not self._robust
-        return score, 1.0 if inside else float(robust_weights(np.asarray(score)))
 
     def _keep(self, sample: Samples, weight: float, rows: Rows) -> None:
         if not self._kept_most:
@@ -332,11 +322,8 @@ class Estimator:
         together = joined(self._kept)
         at = linearise(self.start, self.parameters, self.values, together)
         N, pose = len(together), together.is_pose
-        deviation_p = np.hypot(self.noise.position, np.nan_to_num(together.sigma_position))
-        deviation_r = np.hypot(self.noise.rotation, np.nan_to_num(together.sigma_rotation[pose]))
-        w = np.asarray(self._weights)
-        scale = np.concatenate([np.tile(np.sqrt(w) / deviation_p, 3), np.tile(np.sqrt(w[pose]) / deviation_r, 3)])
-        assert len(scale) == 3 * N + 3 * int(pose.sum())
+        position, rotation = (np.sqrt(self._weights) / each for each in spread(self.noise, together))
+        scale = np.concatenate([np.tile(position, 3), np.tile(rotation[pose], 3)])
         b = at.residual + self.values @ at.J
         rows = np.concatenate([at.J, b[None]]).T * scale[:, None]
         owner = np.concatenate([np.tile(np.arange(N), 3), np.tile(np.flatnonzero(pose), 3)])
@@ -356,7 +343,3 @@ def joined(samples: Sequence[Samples]) -> Samples:
         if name not in SHARED
     }
     return replace(samples[-1], **arrays)
-
-
-def _known(sigma: float) -> float:
-    return float(sigma) if isfinite(sigma) else 0.0

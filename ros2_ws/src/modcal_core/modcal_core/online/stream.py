@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -33,55 +34,66 @@ from modcal_core.measurements import (
 )
 from modcal_core.measurements.kinds import KIND_NAMES, kinds
 
-_HELD = 4096  # commands; 4 s at 1 kHz, and any stand at the usual rates
+_COMMANDS = 4096  # 4 s at 1 kHz, and any stand at the usual rates
+_HELD = 8192  # joint states, and readings of each frame
 
 
-class RecentCommands:
-    """The last commands for these joints. Stamps in seconds, positions in rad and m."""
+class LatestRows:
+    """The last rows of some columns (n), by their stamps [s]."""
 
-    def __init__(self, names: tuple[str, ...]) -> None:
-        self._names = names
-        self._t = np.empty(2 * _HELD)
-        self._q = np.empty((2 * _HELD, len(names)))
+    def __init__(self, columns: int, held: int) -> None:
+        self._held = held
+        self._t, self._x = np.empty(2 * held), np.empty((2 * held, columns))
         self._first = self._end = 0
 
-    def add(self, stamps: Array, positions: Array) -> None:
-        """Take commands (k, n), NaN for joints that they do not name, at rising stamps (k,); later ones are replaced.
+    def __len__(self) -> int:
+        return self._end - self._first
+
+    @property
+    def t(self) -> Array:
+        """Stamps (k,) [s]."""
+        return self._t[self._first : self._end]
+
+    @property
+    def x(self) -> Array:
+        """Rows (k, n)."""
+        return self._x[self._first : self._end]
+
+    def add(self, stamps: Array, rows: Array) -> None:
+        """Take rows (k, n) at rising stamps (k,), NaN for what stays as it was; later ones are replaced.
 
         So a trajectory takes the place of what is left of the one before.
         """
-        stamps, positions = stamps[-_HELD:], positions[-_HELD:]
+        stamps, rows = stamps[-self._held :], rows[-self._held :]
         if not len(stamps):
             return
-        self._end = self._first + int(np.searchsorted(self._t[self._first : self._end], stamps[0]))
+        self._end = self._first + int(np.searchsorted(self.t, stamps[0]))
         if self._end + len(stamps) > len(self._t):
-            keep = slice(max(self._end - _HELD, self._first), self._end)
-            kept = keep.stop - keep.start
-            self._t[:kept], self._q[:kept] = self._t[keep].copy(), self._q[keep].copy()
+            kept = min(self._held, len(self))
+            self._t[:kept], self._x[:kept] = self.t[-kept:].copy(), self.x[-kept:].copy()
             self._first, self._end = 0, kept
-        if self._end > self._first:  # what a message does not name stays as it was told
-            positions = np.where(np.isfinite(positions), positions, self._q[self._end - 1])
-        rows = slice(self._end, self._end + len(stamps))
-        self._t[rows], self._q[rows] = stamps, positions
-        self._end = rows.stop
-        self._first = max(self._first, self._end - _HELD)
+        if len(self):
+            rows = np.where(np.isfinite(rows), rows, self.x[-1])
+        at = slice(self._end, self._end + len(stamps))
+        self._t[at], self._x[at] = stamps, rows
+        self._end = at.stop
+        self._first = max(self._first, self._end - self._held)
 
     def following(self, t: Array, q: Array, span: tuple[float, float]) -> Array:
-        """Commanded − measured (n,) over a span [s]; NaN where unknown. t (m,), q (m, n): joint states about it."""
-        told = self._t[self._first : self._end]
+        """Of commands: commanded − measured (n,) over a span [s]; NaN where unknown. t (m,), q (m, n): joint states
+        about it.
+        """
         about = slice(max(int(np.searchsorted(t, span[0])) - 1, 0), int(np.searchsorted(t, span[1], side="right")) + 1)
-        t, q = t[about], q[about]
+        t, q, told = t[about], q[about], self.t
         if not len(told) or not len(t) or t[-1] < told[0]:
-            return np.full(len(self._names), np.nan)
+            return np.full(self._x.shape[1], np.nan)
         since = max(int(np.searchsorted(told, t[0], side="right")) - 1, 0)
-        until = int(np.searchsorted(told, t[-1], side="right")) + 1
-        rows = slice(self._first + since, min(self._first + until, self._end))
-        unknown = np.full((rows.stop - rows.start, len(self._names)), np.nan)
-        track = JointTrack(self._names, self._t[rows], self._q[rows], unknown, unknown, unknown[:, 0])
-        return following((track,), self._names, t, q, np.array([span]))[0]
+        rows = slice(since, int(np.searchsorted(told, t[-1], side="right")) + 1)
+        names, unknown = tuple(map(str, range(q.shape[1]))), np.full_like(self.x[rows], np.nan)
+        track = JointTrack(names, told[rows], self.x[rows], unknown, unknown, unknown[:, 0])
+        return following((track,), names, t, q, np.array([span]))[0]
 
 
-_STREAM_HELD = 8192  # joint states, and readings of each frame
 _LONGEST = 3.0  # s of standing still that make one sample; a longer stand makes several
 _JUMP = 1.0  # s; a stamp that lies this far before the last one is a clock that was set back, not a late message
 _RESTLESS = 30.0  # s without a stand after which readings in motion are used
@@ -107,7 +119,7 @@ class _Readings:
     """Readings of one frame that are not used up."""
 
     kind: str
-    waiting: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_STREAM_HELD))
+    waiting: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_HELD))
     last: float = -np.inf
 
 
@@ -134,18 +146,13 @@ class SampleStream:
 
     def _forget(self) -> None:
         n = len(self.names)
-        self._t = np.empty(2 * _STREAM_HELD)
-        self._q = np.empty((2 * _STREAM_HELD, n))
-        self._effort = np.empty((2 * _STREAM_HELD, n))
-        self._first = self._end = 0
+        self._states = LatestRows(2 * n, _HELD)  # positions and efforts
+        self._commands = LatestRows(n, _COMMANDS)
         self._low = self._high = np.zeros(n)
-        self._since = -np.inf  # when the present stand began
-        self._stood = -np.inf  # when the last one ended
-        self._used = -np.inf  # up to when readings of stands have been averaged
+        self._since = self._began = -np.inf  # when the present stand began, and the stream
+        self._stood = self._used = -np.inf  # when the last stand ended, and up to when readings have been averaged
         self._ended: _Ended | None = None
-        self._began = -np.inf
         self._approach = Approach()
-        self._commands = RecentCommands(self.names)
         self._stands: deque[tuple[float, float]] = deque(maxlen=_STANDS)  # when, and how long [s]
         self._rules = self._asked
         self._steps: deque[float] = deque(maxlen=_STEPS)
@@ -156,20 +163,29 @@ class SampleStream:
             readings.waiting.clear()
             readings.last = -np.inf
 
+    @property
+    def _q(self) -> Array:
+        return self._states.x[:, : len(self.names)]
+
+    @property
+    def _effort(self) -> Array:
+        return self._states.x[:, len(self.names) :]
+
     def joint_state(self, stamp: float, q: Array, effort: Array | None = None) -> None:
         """Take one joint state, q (n,) [rad, m]. Raises BadRecording for a position that is not finite."""
         if not (np.isfinite(q).all() and np.isfinite(stamp)):
             worst = self.names[int(np.argmin(np.isfinite(q)))]
             raise BadRecording(f"joint {worst}", "position is not finite", "fix the driver; the message is left out")
-        if self._end > self._first:
-            last = self._t[self._end - 1]
-            if stamp < last - _JUMP:
-                self._forget()
-                self.counts.jumps += 1
-            elif stamp <= last:
-                self.counts.late += 1
-                return
-        self._append(stamp, q, effort)
+        last = self._states.t[-1] if len(self._states) else -np.inf
+        if stamp < last - _JUMP:
+            self._forget()
+            self.counts.jumps += 1
+        elif stamp <= last:
+            self.counts.late += 1
+            return
+        # a stand's mean must not be lost to an effort that is not finite: the last one stays
+        efforts = np.full(len(q), np.nan) if effort is None else effort
+        self._states.add(np.array([stamp]), np.r_[q, efforts][None])
         self._watch_motion(stamp, q)
 
     def command(self, stamps: Array, positions: Array) -> None:
@@ -208,35 +224,21 @@ class SampleStream:
     def flush(self) -> None:
         """Make a sample of the present stand, if it is long enough."""
         self._average_ended(np.inf)
-        if self._end > self._first:
-            last = float(self._t[self._end - 1])
-            self._average(_Ended(self._since, last, self._approach.direction), np.inf)
-
-    def _append(self, stamp: float, q: Array, effort: Array | None) -> None:
-        if self._end == len(self._t):
-            keep = slice(self._end - _STREAM_HELD, self._end)
-            for a in (self._t, self._q, self._effort):
-                a[:_STREAM_HELD] = a[keep]
-            self._first, self._end = 0, _STREAM_HELD
-        self._t[self._end], self._q[self._end] = stamp, q
-        if effort is not None and self._end > self._first:  # a stand's mean must not be lost to one that is not finite
-            effort = np.where(np.isfinite(effort), effort, self._effort[self._end - 1])
-        self._effort[self._end] = np.nan if effort is None else effort
-        self._end += 1
-        self._first = max(self._first, self._end - _STREAM_HELD)
+        if len(self._states):
+            self._average(_Ended(self._since, float(self._states.t[-1]), self._approach.direction), np.inf)
 
     def _watch_motion(self, stamp: float, q: Array) -> None:
-        if self._end - self._first < 2:
+        if len(self._states) < 2:
             self._begin_stand(stamp, q)
             self._began = stamp
             self._approach.update(q)
             return
-        step = stamp - self._t[self._end - 2]
+        step = stamp - self._states.t[-2]
         self._steps.append(step)
         self._step = sorted(self._steps)[len(self._steps) // 2]
-        if self._end - self._first > 2:
+        if len(self._states) > 2:
             # a running median of the second difference: encoder noise must not look like motion
-            jerk = np.abs(q - 2.0 * self._q[self._end - 2] + self._q[self._end - 3])
+            jerk = np.abs(q - 2.0 * self._q[-2] + self._q[-3])
             self._noise = np.where(jerk > self._noise, 1.02 * self._noise + 1e-9, 0.98 * self._noise)
         self._average_ended(stamp)
         low, high = np.minimum(self._low, q), np.maximum(self._high, q)
@@ -269,40 +271,39 @@ class SampleStream:
 
     def _average(self, ended: _Ended, latest: float) -> None:
         """Make a sample of each dwell of a stand, as for a recording; of one in progress up to the latest dwell."""
-        first = self._first + int(np.searchsorted(self._t[self._first : self._end], ended.since - _BEFORE))
-        t, q = self._t[first : self._end], self._q[first : self._end]
+        first = int(np.searchsorted(self._states.t, ended.since - _BEFORE))
+        t, q, effort = self._states.t[first:], self._q[first:], self._effort[first:]
         for begin, until in find_dwells(t, q, self._rules, fitted=False):
             start, end = max(float(begin), self._used), min(float(until), latest)
             least = min(self._rules.least, float(until - begin))
             if end > ended.since and begin <= ended.stamp and end - start >= least:
                 self._used = end
-                self._average_dwell(ended, start, end, t, q, self._effort[first : self._end])
+                self._average_dwell(ended, (start, end), t, q, effort)
 
-    def _average_dwell(self, ended: _Ended, start: float, end: float, t: Array, q: Array, effort: Array) -> None:
+    def _average_dwell(self, ended: _Ended, span: tuple[float, float], t: Array, q: Array, effort: Array) -> None:
         made = False
         for (kind, frame), readings in self._readings.items():
-            inside = [(s, v) for s, v in readings.waiting if start <= s <= end]
+            inside = [(s, v) for s, v in readings.waiting if span[0] <= s <= span[1]]
             if not inside:
                 continue
             stamps, values = np.array([s for s, _ in inside]), np.stack([v for _, v in inside])
-            piece = averaged(ReadingTrack(kind, frame, stamps, values, stamps), t, q, np.array([[start, end]]))
+            piece = averaged(ReadingTrack(kind, frame, stamps, values, stamps), t, q, np.array([span]))
             if not len(piece.q):
                 continue
             made = True
-            mean = effort[(t >= start) & (t <= end)].mean(axis=0)
-            row = (piece.reading[0], piece.R[0], piece.sigma_position[0], piece.sigma_rotation[0])
-            self._emit(
-                kind, frame, 0.5 * (start + end), piece.q[0], *row, effort=mean, approach=ended.approach,
-                span=(start, end),
-            )  # fmt: skip
+            fields = {
+                name: getattr(piece, name)[0] for name in ("q", "reading", "R", "sigma_position", "sigma_rotation")
+            }
+            mean = effort[(t >= span[0]) & (t <= span[1])].mean(axis=0)
+            self._emit(kind, frame, 0.5 * sum(span), span, **fields, effort=mean, approach=ended.approach)
         if made:
             self._station += 1
             self._stood = ended.stamp
 
     def _pair_or_interpolate(self, frame: str, readings: _Readings) -> None:
-        if self._end - self._first < 2:
+        if len(self._states) < 2:
             return
-        t = self._t[self._first : self._end]
+        t = self._states.t
         sparse = self._step > self._rules.window
         moving = not sparse and t[-1] - max(self._stood, self._began) > _RESTLESS
         while readings.waiting:
@@ -324,8 +325,8 @@ class SampleStream:
         if row == len(t) or t[row] != stamp:
             self.counts.unpaired += 1
             return
-        k = self._first + row
-        self._emit(kind, frame, stamp, self._q[k], *_parts(kind, values), effort=self._effort[k])
+        fields = {"q": self._q[row], "effort": self._effort[row]}
+        self._emit(kind, frame, stamp, (stamp, stamp), **_parts(kind, values), **fields)
         self._station += 1
 
     def _interpolate(self, frame: str, kind: str, stamp: float, values: Array, t: Array) -> None:
@@ -338,56 +339,26 @@ class SampleStream:
             return
         scale = max(-u[0], u[-1])
         powers = np.vander(u / scale, 4, increasing=True)
-        rows = slice(self._first + first, self._first + last)
+        rows = slice(first, last)
         c = np.linalg.lstsq(powers, self._q[rows], rcond=None)[0]
-        self._emit(
-            kind, frame, stamp, c[0], *_parts(kind, values), effort=self._effort[rows].mean(axis=0),
-            velocity=c[1] / scale, acceleration=2.0 * c[2] / scale**2,
-        )  # fmt: skip
+        motion = {"velocity": c[1] / scale, "acceleration": 2.0 * c[2] / scale**2, "approach": np.sign(c[1])}
+        fields = {"q": c[0], "effort": self._effort[rows].mean(axis=0), "moving": True}
+        self._emit(kind, frame, stamp, (stamp, stamp), **_parts(kind, values), **fields, **motion)
         self._station += 1
 
-    def _emit(
-        self,
-        kind: str,
-        frame: str,
-        stamp: float,
-        q: Array,
-        position: Array,
-        R: Array,
-        sigma_position: float,
-        sigma_rotation: float,
-        effort: Array,
-        velocity: Array | None = None,
-        acceleration: Array | None = None,
-        approach: Array | None = None,
-        span: tuple[float, float] | None = None,
-    ) -> None:
-        zero = np.zeros((1, len(self.names)))
-        came = self._approach.direction if approach is None else approach
-        heard = self._t[self._first : self._end], self._q[self._first : self._end]
-        self._ready.append(
-            Samples(
-                names=self.names,
-                frames=tuple(self.frames),
-                q=np.array(q, dtype=float)[None],
-                stamps=np.array([stamp]),
-                station=np.array([self._station]),
-                frame=np.array([self.frames.index(frame)]),
-                kind=np.array([kind], dtype=KIND_NAMES),
-                reading=np.array(position)[None],
-                R=np.array(R)[None],
-                sigma_position=np.array([sigma_position]),
-                sigma_rotation=np.array([sigma_rotation]),
-                velocity=zero if velocity is None else velocity[None],
-                moving=np.array([velocity is not None]),
-                acceleration=zero if acceleration is None else acceleration[None],
-                approach=(np.sign(velocity) if velocity is not None else came)[None],
-                effort=np.array(effort)[None],
-                following=self._commands.following(*heard, (stamp, stamp) if span is None else span)[None],
-            )
-        )
+    def _emit(self, kind: str, frame: str, stamp: float, span: tuple[float, float], **fields: Any) -> None:
+        """Make a sample of one row. span: that commands count of [s]. fields: of the samples, of one row each."""
+        still = np.zeros(len(self.names))
+        usual: dict[str, Any] = {"velocity": still, "acceleration": still, "moving": False}
+        usual |= {"stamps": stamp, "station": self._station, "frame": self.frames.index(frame)}
+        usual |= {"approach": self._approach.direction}
+        usual |= {"following": self._commands.following(self._states.t, self._q, span)}
+        arrays: dict[str, Any] = {name: np.array(value)[None] for name, value in {**usual, **fields}.items()}
+        kinds = np.array([kind], dtype=KIND_NAMES)
+        self._ready.append(Samples(names=self.names, frames=tuple(self.frames), kind=kinds, **arrays))
 
 
-def _parts(kind: str, values: Array) -> tuple[Array, Array, float, float]:
+def _parts(kind: str, values: Array) -> dict[str, Any]:
+    """A single reading as fields of a sample."""
     R = so3.from_quaternion(values[3:]) if kind == POSE else np.eye(3)
-    return values[:3], R, float("nan"), float("nan")
+    return {"reading": values[:3], "R": R, "sigma_position": np.nan, "sigma_rotation": np.nan}

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_core.planning.advice import BATCH, Advice, Advisor, Method
     from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh_closed_chain, sizes_of
-    from modcal_core.planning.criteria import ACCURACY, CRITERIA
-    from modcal_core.planning.deciding import DecidingStations, propose, undecided_by_posture
-    from modcal_core.planning.designs import DESIGNS, design, orthogonal_array
-    from modcal_core.planning.motion import TimedMotion, free_way, from_side, timed
+    from modcal_core.planning.exchange import ACCURACY, CRITERIA
+    from modcal_core.planning.next_stations import DecidingStations, propose, undecided_by_posture
+    from modcal_core.planning.sensitivity_study import DESIGNS, design, orthogonal_array
+    from modcal_core.planning.route import TimedMotion, free_way, from_side, timed
     from modcal_core.planning.planner import STARTS, Plan, PlanRequest, plan
     from modcal_core.planning.pool import CANDIDATES, Pool, allowed, of_recording, of_robot, with_limits
-    from modcal_core.planning.proof import MAX_STATIONS, Goal
+    from modcal_core.planning.session import MAX_STATIONS, Goal
     from modcal_core.planning.route import RETURNS, with_returns
     from modcal_core.planning.sensitivity_study import ARMS, NAMED, Measured, Studied, Study, sensitivity, study
     from modcal_core.planning.session import PROOF, SKIPPED, UNSEEN, Session, Station, from_data, to_data

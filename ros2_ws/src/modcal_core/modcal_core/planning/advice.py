@@ -25,13 +25,24 @@ from modcal_core.planning.next_stations import (
     proof_stations,
     return_stations,
 )
-from modcal_core.planning.outlook import Outlook, outlook
+from modcal_core.planning.outlook import Outlook, Refit, outlook, proven_over, refit
 from modcal_core.planning.planner import min_stations
 from modcal_core.planning.pool import Pool
-from modcal_core.planning.proof import MIN_STATIONS, UNEXPLAINED, End, Goal, no_station_helps, proven, spent
-from modcal_core.planning.refit import Refit, proven_over, refit
 from modcal_core.planning.route import nearest_order
-from modcal_core.planning.session import DECIDE, PROOF, RETURN, Session, Station
+from modcal_core.planning.session import (
+    DECIDE,
+    MIN_STATIONS,
+    PROOF,
+    RETURN,
+    UNEXPLAINED,
+    End,
+    Goal,
+    Session,
+    Station,
+    no_station_helps,
+    proven,
+    spent,
+)
 from modcal_core.robots import Inertias, Mechanism
 from modcal_core.verdict import Floor, floors
 

@@ -18,8 +18,15 @@ from modcal_core.claim import Claim, expected_claim
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.planning.closed_chain import readings_at
-from modcal_core.planning.criteria import ACCURACY, Criterion, Observability, observability
-from modcal_core.planning.exchange import exchange, grown, information
+from modcal_core.planning.exchange import (
+    ACCURACY,
+    Criterion,
+    Observability,
+    exchange,
+    grown,
+    information,
+    observability,
+)
 from modcal_core.planning.outlook import nominal_outlook, unrepeated
 from modcal_core.planning.pool import CANDIDATES, Ground, Pool, survey
 from modcal_core.planning.route import RETURNS, Route, route

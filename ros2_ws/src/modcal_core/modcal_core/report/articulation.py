@@ -10,10 +10,10 @@ import numpy as np
 from modcal_core.articulation import Choice, JointFit, Track, sound
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import spread_rows
+from modcal_core.report.blocks import Block, Figures, PageTable, Paragraph, Scene3D, Section, SideBySide
 from modcal_core.report.charts import Axis, Chart
 from modcal_core.report.figures import MAX_POINTS, mark_components, residual_panel
-from modcal_core.report.page import Block, Figures, Page, PageTable, Paragraph, Section, SideBySide, number
-from modcal_core.report.scene import Scene3D
+from modcal_core.report.page import Page, number
 
 _MAX_SEEN, _MAX_PLACES = 400, 61  # that a page can show and a person look through
 _BEYOND = 0.15  # of the path's size, by which the axis goes on beyond what turns about it

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, NoiseModel, to_data
+from modcal_core.calibration import Calibration, NoiseModel
 from modcal_core.camera import (
     ALL_BUT_IMAGES,
     APPLY,
@@ -37,8 +37,8 @@ from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.outcome import STAGES, Trace, at_tool, parameters
 from modcal_core.report.as_json import FORMAT, finite, sizes_to_json, tolerance_data, unexplained
+from modcal_core.report.report import arm_files
 from modcal_core.robot import Robot
-from modcal_core.robots import NO_HASH, calibrated_urdf, joint_origins, kinematics_yaml_data, lacks_hash
 from modcal_core.verdict import Tolerance
 
 
@@ -214,27 +214,20 @@ def camera_files(
     met: Tolerance | None = None,
 ) -> dict[str, str]:
     """Names and texts of everything a calibration by camera leaves behind. page: report.html too. met: a tolerance."""
-    from modcal_core.report import camera_page
-    from modcal_core.report import camera_page as camera_charts  # templates, which a page alone needs
+    from modcal_core.report import camera_page  # templates, which a page alone needs
 
     assert robot.description is not None
-    calibration = camera_calibration(solution)
-    calibrated = calibration.geometric.serial  # readers of a URDF know no effects
-    corrected = calibrated_urdf(robot.description, robot.chain, calibrated)
-    kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), None)
     report = camera_report(solution, robot, images, left_out, met)
     files = {
         "report.json": to_json(report),
-        "calibration.yaml": to_yaml(to_data(calibration)),
-        "calibrated.urdf": corrected,
-        "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
+        **arm_files(camera_calibration(solution), robot.chain, robot.description),
         "camera.yaml": to_yaml(camera_info(solution.fit.state.lens)),
     }
     for i, (state, *_) in enumerate(solution.fit.of_further(), start=2):
         files[f"camera_{i}.yaml"] = to_yaml(camera_info(state.lens, f"camera_{i}"))
     if not page:
         return files
-    charts = camera_charts.camera_charts(solution.fit)
+    charts = camera_page.camera_charts(solution.fit)
     html = camera_page.to_html(report, solution.model, solution.fit.poses.q, files, charts)
     return {"report.html": html, **files}
 
@@ -432,7 +425,7 @@ def _throw(solution: CameraSolution) -> float:
     """RMS distance at the flange per radian (or metre) that each joint is off by itself [m]."""
     poses, values = solution.fit.poses, solution.fit.state.values
     T = poses.tool_at(values)
-    moved = solution.fit.at_flange(T, poses.joint_motions(values, T))
+    moved = solution.fit.at_flange(T, poses.own_motions(values, T)[:, :, :-3])
     return float(np.sqrt((moved**2).sum() / len(T)))
 
 

@@ -14,26 +14,15 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration import Model
-from modcal_core.camera import CameraFit, CameraSolution, ToolError, distances_of_views
+from modcal_core.camera import CameraFit, CameraSolution, ToolError, view_distances
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.outcome import Trace, counted
+from modcal_core.report.blocks import Block, Figures, Fold, Listing, PageTable, Section
 from modcal_core.report.certificates import MAX_REASONS, Certificate, Hashes, box_in_words
 from modcal_core.report.charts import AFTER, Axis, Chart, Panel
-from modcal_core.report.page import (
-    Block,
-    Figures,
-    Fold,
-    Listing,
-    Page,
-    PageTable,
-    Section,
-    files_section,
-    number,
-    parameter_tables,
-    size_tables,
-)
+from modcal_core.report.page import Page, files_section, number, parameter_tables, size_tables
 from modcal_core.report.particulars import Particulars
 from modcal_core.report.scene import ShownPostures
 from modcal_core.robots import chain_forward
@@ -175,7 +164,7 @@ def camera_charts(fit: CameraFit) -> list[Chart]:
     w, h = fit.state.lens.size
     covered = Panel(Axis("u, px", 0.0, float(w)), Axis("−v, px", -float(h), 0.0))
     covered.marks(fit.table.pixels[rows, 0], -fit.table.pixels[rows, 1], AFTER)
-    off = np.sqrt(distances_of_views(fit) / 6.0)
+    off = np.sqrt(view_distances(fit)[0] / 6.0)
     apart = Panel(Axis("image", 0.0, len(off) + 1.0), Axis("distance, σ", 0.0, 1.1 * max(float(off.max()), 2.0)))
     apart.marks(np.arange(1.0, len(off) + 1.0), off, AFTER)
     corners = "where corners were in the images: the lens is known where they are"

@@ -16,15 +16,17 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, counted
+from modcal_core.report.blocks import Block, Facts, Figures, Listing, Paragraph, Section, Signatures
 from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
-from modcal_core.report.page import Block, Facts, Figures, Listing, Page, PageTable, Paragraph, Section, Signatures
+from modcal_core.report.page import Page
 from modcal_core.report.particulars import Particulars
+from modcal_core.report.tables import error_tables
 from modcal_core.verdict import PoseTest, Tolerance, pose_test
 
 MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
 _NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
-_STAGES = (("nominal", "before: nominal model"), ("final", "after: calibrated model"))
+_STAGES = {"nominal": "before: nominal model", "final": "after: calibrated model"}
 OWN_RECORDING = (
     "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
     "it on another one."
@@ -237,19 +239,10 @@ def _temperatures(report: Outcome) -> str:
 
 
 def _errors(report: Outcome) -> tuple[Section, ...]:
-    """The errors before and after, where anything was scored in millimetres."""
-    mm, deg = [], []
-    for stage, name in _STAGES:
-        size, angle = report.size_mm(stage), report.size_deg(stage)
-        if size is not None:
-            mm.append((name, *(f"{x:.3f}" for x in (size.mean, size.rms, size.p95, size.max))))
-        if size is not None and angle is not None:
-            deg.append((name, *(f"{x:.4f}" for x in (angle.mean, angle.rms, angle.p95, angle.max))))
-    names = ("mean", "RMS", "95 %", "largest")
-    tables = [PageTable("Error before and after", ("position, mm", *names), tuple(mm))]
-    tables += [PageTable("Orientation before and after", ("orientation, °", *names), tuple(deg))] if deg else []
+    """The errors before and after, where anything was scored."""
+    tables = error_tables(report, _STAGES)
     floor = Paragraph(f"Floor of arm and instrument: {_floor(report)}.")
-    return (Section("errors", "Error on scored stations", [*tables, floor]),) if mm else ()
+    return (Section("errors", "Error on scored stations", [*tables, floor]),) if tables else ()
 
 
 def _floor(report: Outcome) -> str:

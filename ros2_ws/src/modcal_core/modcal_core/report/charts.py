@@ -6,7 +6,6 @@ as text each takes a millisecond, where a plotting library takes some 20 for tic
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -273,19 +272,6 @@ class Panel:
 
     def _along(self, y: Array) -> Array:
         return np.asarray(self._bottom - self.y.share(y) * (self._bottom - self._top))
-
-
-def as_file(charts: Sequence[Chart]) -> str:
-    """Charts side by side as an SVG file, in the colours of light pages; the same bytes for the same charts."""
-    parts, wide = [], 0.0
-    for one in charts:
-        place = f'<svg x="{wide:g}" width="{one.width:g}" height="{one.height:g}"'
-        parts.append(one.drawn.replace("<svg", place, 1))
-        wide += one.width
-    drawn = re.sub(r"var\(--(\w+)\)", lambda found: LIGHT[found[1]], "".join(parts))
-    high = max(one.height for one in charts)
-    size = f'width="{_PX * wide:.0f}" height="{_PX * high:.0f}" viewBox="0 0 {wide:g} {high:g}"'
-    return f'<svg xmlns="http://www.w3.org/2000/svg" {size}>{drawn}</svg>\n'
 
 
 def _mark(shape: str, colour: str, wide: float) -> str:

@@ -11,9 +11,9 @@ import numpy as np
 from modcal_core.checking import NamedChange, Series, SizeFound
 from modcal_core.checkup import Checked
 from modcal_core.report.as_json import claim_data, finite, tolerance_data
+from modcal_core.report.blocks import Figures, Listing, PageTable, Section, Summary, SummaryLine, SummaryTable, Tone
 from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel
-from modcal_core.report.page import Figures, Listing, Page, PageTable, Section, files_section
-from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone
+from modcal_core.report.page import Page, files_section
 
 _HEADINGS = {
     "unchanged": ("Nothing has changed", "good"),
@@ -72,13 +72,10 @@ def _change(c: NamedChange) -> dict[str, Any]:
     }
 
 
-def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
+def checkup_summary(found: Checked) -> tuple[Summary, ...]:
     """What a terminal shows: errors, changes, what would have been noticed, the answer, and what to do."""
-    out: list[SummaryTable | SummaryLine] = []
-    out.append(SummaryTable(_errors_header(found), _errors(found)))
-    for change in found.changes:
-        if lines := tuple(_row(change, s) for s in change.sizes):
-            out.append(SummaryTable(_SIZES, lines, words=2))
+    out: list[Summary] = []
+    out += [table.summary for table in _seen(found)]
     if found.noticed:
         said = ", ".join(f"{n.label} {n.mm:.3f} mm" for n in found.noticed if np.isfinite(n.mm)) or "nothing"
         out.append(SummaryLine(f"Noticed in 95 of 100 cases, RMS at the tool: {said}.{_not_shown(found)}", "legend"))
@@ -92,10 +89,6 @@ def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
         tones: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
         out.append(SummaryLine(f"{met.result}: {_judged(found)} {met.because}", tones.get(met.result, "undecided")))
     return tuple(out)
-
-
-def _errors_header(found: Checked) -> tuple[str, ...]:
-    return (f"error at {found.stations} stations", "RMS mm", "RMS deg")
 
 
 def _errors(found: Checked) -> tuple[tuple[str, ...], ...]:
@@ -150,12 +143,18 @@ def _rarely(chance: float) -> str:
     return f"one in {1.0 / max(chance, 1e-12):,.0f}".replace(",", " ") if chance > 1e-12 else "one in 10¹²"
 
 
-def _tables(found: Checked) -> tuple[PageTable, ...]:
-    header = _errors_header(found)
-    out = [PageTable(header[0].capitalize(), ("model", *header[1:]), _errors(found), heading=True)]
+def _seen(found: Checked) -> list[PageTable]:
+    """The errors, and what changed."""
+    title = f"Error at {found.stations} stations"
+    out = [PageTable(title, ("model", "RMS mm", "RMS deg"), _errors(found), heading=True)]
     if rows := tuple(_row(c, s) for c in found.changes for s in c.sizes):
         below = "Of a base: in the frame of the first joint. Of a tool: in its own."
         out.append(PageTable("What changed", _SIZES, rows, 2, below, heading=True))
+    return out
+
+
+def _tables(found: Checked) -> tuple[PageTable, ...]:
+    out = _seen(found)
     if found.changes:
         rivals = tuple(
             (c.label, ", ".join(c.same_as) or "none", c.alike, f"{100.0 * c.probability:.1f} %") for c in found.changes
@@ -247,9 +246,9 @@ def _series(s: Series) -> dict[str, Any]:
     return {"name": s.name, "unit": s.unit, "points": points, "trend": trend}
 
 
-def history_summary(found: Sequence[History]) -> tuple[SummaryTable | SummaryLine, ...]:
+def history_summary(found: Sequence[History]) -> tuple[Summary, ...]:
     """What a terminal shows."""
-    out: list[SummaryTable | SummaryLine] = []
+    out: list[Summary] = []
     for h in found:
         rows = tuple((e.name, e.what, (e.date or "")[:10], _short(e.said)) for e in h.entries)
         out.append(SummaryTable((f"robot {h.robot}", "what", "date", "verdict"), rows, words=4))

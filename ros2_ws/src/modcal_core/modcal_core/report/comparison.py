@@ -14,7 +14,7 @@ from modcal_core.effects import Sizes, claimed
 from modcal_core.errors import BadRobot, NotEnoughData
 from modcal_core.outcome import ToolDifference, tool_difference
 from modcal_core.report.as_json import sizes_to_json
-from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone, legend
+from modcal_core.report.blocks import Summary, SummaryLine, SummaryTable, Tone, legend
 
 _TAIL = 0.05  # of differences that are taken for real while there is none, all parameters together
 
@@ -304,10 +304,10 @@ def _sizes(sizes: Sizes | None) -> dict[str, Any] | None:
     return None if sizes is None else sizes_to_json(sizes)
 
 
-def comparison_summary(found: Comparison) -> tuple[SummaryTable | SummaryLine, ...]:
+def comparison_summary(found: Comparison) -> tuple[Summary, ...]:
     """What a terminal shows: errors, tool, the parameters that differ most for their uncertainty, effects, result."""
     names = tuple(side.name for side in found.sides)
-    out: list[SummaryTable | SummaryLine] = []
+    out: list[Summary] = []
     data = comparison_data(found)
     rows = []
     for side in data["sides"]:

@@ -11,33 +11,30 @@ import numpy as np
 
 from modcal_core.effects import remembered
 from modcal_core.measurements.kinds import indirect_rows
-from modcal_core.outcome import STAGES, Outcome
+from modcal_core.outcome import Outcome
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.figures import (
-    effect_shapes,
-    error_histogram,
-    residual_charts,
-    timeline,
-)
-from modcal_core.report.page import (
+from modcal_core.report.blocks import (
     Block,
     Figures,
     File,
     Fold,
     HeatTable,
     Listing,
-    Page,
     PageTable,
     Paragraph,
     Section,
     SideBySide,
     Tiles,
-    files_section,
-    parameter_tables,
-    size_tables,
 )
+from modcal_core.report.figures import (
+    effect_shapes,
+    error_histogram,
+    residual_charts,
+    timeline,
+)
+from modcal_core.report.page import Page, files_section, parameter_tables, size_tables
 from modcal_core.report.scene import scene
-from modcal_core.report.terminal import Account, accounts
+from modcal_core.report.tables import account_tables, effects_table, error_tables, span
 from modcal_core.report.words import STATUS_WORDS, sentence
 from modcal_core.verdict import Status
 
@@ -149,7 +146,7 @@ class _Sections:
         if not mm or self.report.claim is None:
             return None
         rows = [
-            (what, *(_span(part[name]["ci95"], unit) for name in STATISTICS))
+            (what, *(span(part[name]["ci95"], 3) + unit for name in STATISTICS))
             for what, part, unit in (("position", mm, " mm"), ("orientation", deg, "°"))
             if part
         ]
@@ -192,27 +189,13 @@ class _Sections:
 
     def error(self) -> Section:
         """The error before and after."""
-        data, split = self.data, self.data["split"]
+        split = self.data["split"]
         where = f"On {split['held_out']} stations, with the calibration frozen."
         if split["train"]:
             where = f"On {split['held_out']} stations that neither the fit nor the selection has seen."
         where += " Nominal: the nominal model, base and tool fitted; geometric: all geometry fitted; final: with every "
         out: list[Block] = [Paragraph(f"{where}effect.", soft=True)]
-        names = ("95th percentile", "largest")
-        rows = []
-        for stage in STAGES:
-            if e := data["error_mm"][stage]:
-                ends = _span(e["rms_ci95"], "") if "rms_ci95" in e else ""
-                sizes = [f"{e[k]:.3f}" for k in STATISTICS]
-                rows.append((stage, *sizes[:2], ends, *sizes[2:]))
-        header = ("position, mm", "mean", "RMS", "95 % interval of it", *names)
-        out.append(PageTable("Errors before and after", header, tuple(rows), strong=2))
-        if data["error_deg"]["nominal"]:
-            turned = tuple(
-                (stage, *(f"{e[k]:.4f}" for k in STATISTICS)) for stage in STAGES if (e := data["error_deg"][stage])
-            )
-            turning = ("orientation, °", "mean", "RMS", *names)
-            out.append(PageTable("Orientation errors before and after", turning, turned, strong=2))
+        out += error_tables(self.report)
         out.append(Paragraph(self._used(), soft=True))
         if histogram := error_histogram(self.report):
             out.append(Figures([histogram]))
@@ -264,25 +247,7 @@ class _Sections:
         effects = self.data["effects"]
         if not effects:
             return None
-        header = (
-            "effect",
-            "place",
-            "direction",
-            "driver",
-            "moves the tool by, mm",
-            "error without it, mm",
-            "with it, mm",
-        )
-        rows = tuple(
-            (
-                *(e["family"].replace("_", " "), e["place"], e["direction"], e["driver"].replace(":", " of ")),
-                *("" if e[k] is None else f"{e[k]:.3f}" for k in ("tool_rms_mm", "rms_mm_before", "rms_mm_after")),
-                f"{e['p_value']:.1g}",
-            )
-            for e in effects
-        )
-        below = f"RMS over the held-out {self._unit}s; p is the chance that noise would look as good."
-        out: list[Block] = [PageTable("Effects", (*header, "p"), rows, words=4, below=below)]
+        out: list[Block] = [effects_table(self.report)]
         if sizes := size_tables(effects):
             words = "Each ± one standard deviation; a table for each unit."
             out += [Paragraph(words, "Their sizes.", soft=True), SideBySide(sizes)]
@@ -333,27 +298,25 @@ class _Sections:
 
     def account(self) -> Section | None:
         """The account of the squared error."""
-        found, data = accounts(self.report.judged), self.data
+        found, data = account_tables(self.report.judged), self.data
         if not found:
             return None
         said = (
             f"The rows add up to the squared error of the nominal model on the held-out {self._unit}s. What is "
             "predictable but not modelled was measured with a regressor without physics, on data it was not trained on."
         )
-        out: list[Block] = [Paragraph(said, soft=True)]
-        for one in found:
-            out.append(_account_table(one))
         parts = []
         if position := data["predictable"]:
-            said = f"A regressor without physics predicts {_predicted(position)} of the squared position error left"
+            read = f"A regressor without physics predicts {_predicted(position)} of the squared position error left"
             if turned := data["predictable_deg"]:
-                said += f", and {_predicted(turned)} of the orientation error"
-            parts.append(f"{said}.")
+                read += f", and {_predicted(turned)} of the orientation error"
+            parts.append(f"{read}.")
         for size, unit in ((data["repeatability_mm"], "mm"), (data["repeatability_deg"], "°")):
             if size and size["value"] is not None:
                 how = "from postures visited again" if size["source"] == "revisits" else "as stated"
                 parts.append(f"Repeatability {size['value']:.3g} {unit}, {how}.")
-        return Section("account", "Account of the squared error", [*out, Paragraph(" ".join(parts))])
+        blocks: list[Block] = [Paragraph(said, soft=True), *found, Paragraph(" ".join(parts))]
+        return Section("account", "Account of the squared error", blocks)
 
     def steps(self) -> Section | None:
         """What each step took away."""
@@ -450,22 +413,6 @@ def _section(name: str, title: str, blocks: list[Any], short: str = "") -> Secti
     return Section(name, title, blocks, short) if blocks else None
 
 
-def _span(ends: tuple[float, float], unit: str) -> str:
-    return f"{ends[0]:.3f} … {ends[1]:.3f}{unit}"
-
-
 def _predicted(share: Mapping[str, Any]) -> str:
     low, high = (100 * end for end in share["ci95"])
     return f"{100 * share['share']:.0f} % ({low:.0f} … {high:.0f} %)"
-
-
-def _account_table(one: Account) -> PageTable:
-    rows = []
-    for line in one.lines:
-        ends = "" if line.ci95 is None else f"{line.ci95[0]:.3g} … {line.ci95[1]:.3g}"
-        share = f"{round(100 * line.share, 2) + 0.0:.2f} %"
-        known = (f"{line.value:.4g}", ends, share, f"{line.rms:.4f}")
-        rows.append((line.words, *(known if line.known else ("not known", "", "", ""))))
-    rows.append(("nominal model", f"{one.total:.4g}", "", "100 %", f"{one.total**0.5:.4f}"))
-    header = ("what", f"{one.unit}²", "95 % interval", "of the nominal", f"root, {one.unit}")
-    return PageTable(f"Account in {one.unit}²", header, tuple(rows))

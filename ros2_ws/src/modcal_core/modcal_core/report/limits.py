@@ -10,7 +10,8 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.outcome import counted
-from modcal_core.report.page import Listing, Page, PageTable, Section, files_section
+from modcal_core.report.blocks import Listing, PageTable, Section, Summary, SummaryLine
+from modcal_core.report.page import Page, files_section
 from modcal_core.report.scene import ShownPostures
 from modcal_core.report.words import percent
 from modcal_core.robots import LoadedArm, Window, constant_bounds
@@ -136,14 +137,25 @@ def answer(found: LimitsFound) -> str:
     return f"{said} {chain.names[loaded]} needs up to {percent(most[loaded])} of its torque to hold and move at all."
 
 
+_MEANINGS = (
+    "Alone (equivalent): the bound of a joint while all others stand or move evenly. Together (coupled): every joint "
+    "within its own bounds at once, at the tightest posture. For all postures (constant): bounds that hold at each of "
+    "them, as joint_limits.yaml has them."
+)
+
+
+def limits_summary(found: LimitsFound, notes: tuple[str, ...] = ()) -> list[Summary]:
+    """What a terminal shows: the tables of the page, and sentences. notes: others beside them."""
+    tables = [table.summary for table in _tables(found)]
+    return [*tables, SummaryLine(_MEANINGS, "legend"), *map(SummaryLine, notes), SummaryLine(answer(found))]
+
+
 def limits_html(found: LimitsFound, title: str, notes: tuple[str, ...] = ()) -> str:
     """The page. notes: sentences beside it."""
     lines = [
         *notes,
         f"{percent(found.arm.share)} of the torque of each drive may be used.",
-        "Alone: the bound of a joint while all others stand or move evenly. Together: every joint within its own "
-        "bounds at once, at the tightest posture. For all postures: one set of bounds that holds at each of them, as "
-        "joint_limits.yaml has it.",
+        _MEANINGS,
     ]
     sections = [Section("bounds", "Bounds and loads", _tables(found)), _robot(found)]
     files = files_section(("limits.json", "joint_limits.yaml"))

@@ -14,147 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.report.charts import DARK, LIGHT, Chart
-from modcal_core.report.scene import Scene3D
+from modcal_core.report.blocks import Block, File, FileList, Fold, PageTable, Paragraph, Scene3D, Section
+from modcal_core.report.charts import DARK, LIGHT
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
 TINT = 50  # per cent of `after` in the fullest cell of a map; ink can be read on it
-
-
-@dataclass(frozen=True)
-class Paragraph:
-    """Sentences. lead: words before them in bold, in the colour of tone where that is given."""
-
-    text: str
-    lead: str = ""
-    tone: str = ""
-    soft: bool = False
-
-
-@dataclass(frozen=True)
-class Listing:
-    """Sentences one below the other. tone: of a line beside them. label: what they are, for those who do not see it."""
-
-    lines: Sequence[str]
-    tone: str = ""
-    label: str = ""
-
-
-@dataclass(frozen=True)
-class PageTable:
-    """A table. words: how many columns, from the left, hold words. below: a sentence under it. strong: a column in
-    bold. heading: whether its title stands over it.
-    """
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    words: int = 1
-    below: str = ""
-    strong: int = -1
-    heading: bool = False
-
-
-@dataclass(frozen=True)
-class SideBySide:
-    """Small tables side by side."""
-
-    tables: Sequence[PageTable]
-
-
-@dataclass(frozen=True)
-class HeatTable:
-    """A table of shares, cells as full as they are. rows: names and shares, NaN where there is none."""
-
-    title: str
-    corner: str
-    columns: Sequence[str]
-    rows: Sequence[tuple[str, Sequence[float]]]
-
-
-@dataclass(frozen=True)
-class Tiles:
-    """The few numbers that are wanted first: names and values."""
-
-    rows: Sequence[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class Facts:
-    """Names and values, None where one is left to be filled in. small: in small print, one a line."""
-
-    rows: Sequence[tuple[str, str | None]]
-    small: bool = False
-
-
-@dataclass(frozen=True)
-class Signatures:
-    """Lines to sign: roles, and names where they are known."""
-
-    rows: Sequence[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Charts: small ones side by side, large ones one below the other."""
-
-    charts: Sequence[Chart]
-
-    @property
-    def small(self) -> bool:
-        """Whether they stand side by side."""
-        return len(self.charts) > 1 and all(one.width < 300.0 for one in self.charts)
-
-
-@dataclass(frozen=True)
-class File:
-    """A file beside the page. holds: what it is for. commands: how to use it, run in the page's folder."""
-
-    name: str
-    holds: str
-    commands: tuple[str, ...] = ()
-    is_file: bool = True
-
-
-@dataclass(frozen=True)
-class FileList:
-    """Files with what they are for."""
-
-    files: Sequence[File]
-
-
-@dataclass(frozen=True)
-class Fold:
-    """What is shown when it is asked for. name: of the part for experts, which paper leaves out."""
-
-    title: str
-    blocks: Sequence[Block]
-    name: str = ""
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of a page. name: for links, unique on the page. title: its heading. short: its name in the list of
-    sections; empty: not listed.
-    """
-
-    name: str
-    title: str
-    blocks: Sequence[Block]
-    short: str = ""
-
-    @property
-    def script(self) -> bool:
-        """Whether it is empty without scripts."""
-        return all(isinstance(block, Scene3D) for block in self.blocks)
-
-
-Block = (
-    Paragraph | Listing | PageTable | SideBySide | HeatTable | Tiles | Facts | Signatures | Figures | FileList | Fold
-    | Section | Scene3D
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -243,7 +109,6 @@ FILES = (
     File("stations.csv", "Joint positions of the stations to measure, one a row."),
     File("trajectory.yaml", "The way through the stations as a JointTrajectory."),
     File("sensitivity.json", "All numbers, for programs."),
-    File("sensitivity.md", "Every parameter in a table."),
     File("single_point.csv", "Single-point indices, one row a posture."),
 )
 

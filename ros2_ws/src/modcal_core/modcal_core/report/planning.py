@@ -1,4 +1,4 @@
-"""What a plan says: stations as data, as a table, as a trajectory, in a few sentences, and as a picture."""
+"""What a plan says: stations as data, as a table, as a trajectory, in a few sentences, and as a page."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.planning import Plan
 from modcal_core.report.as_json import claim_data
-from modcal_core.report.charts import AFTER, BAD, BEFORE, INK, SMALL, Chart, Panel, as_file
-from modcal_core.report.page import Figures, Listing, Page, Section, files_section
+from modcal_core.report.blocks import Figures, Listing, Section
+from modcal_core.report.charts import AFTER, BAD, BEFORE, INK, SMALL, Chart, Panel
+from modcal_core.report.page import Page, files_section
 from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_paths
 from modcal_core.report.words import percent
 from modcal_core.robots import is_serial_arm, plain
@@ -124,11 +125,6 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
         now += dwell
         stand(stops[-1])
     return {"joint_names": [name for name, moves in zip(chain.names, own, strict=True) if moves], "points": points}
-
-
-def figure(plan: Plan) -> str:
-    """The picture of the stations as a file of its own, SVG."""
-    return as_file(_charts(plan))
 
 
 def planning_html(plan: Plan, title: str) -> str:

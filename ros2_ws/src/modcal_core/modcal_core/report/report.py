@@ -12,10 +12,11 @@ import numpy as np
 
 from modcal_core.calibration import Calibration, to_data
 from modcal_core.files import to_json, to_yaml, write_folder
-from modcal_core.geometry import so3
+from modcal_core.geometry import Array, so3
 from modcal_core.outcome import Outcome
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.terminal import summary, text
+from modcal_core.report.blocks import text
+from modcal_core.report.terminal import summary
 from modcal_core.report.words import sentence
 from modcal_core.robots import Chain, Delta, delta_to_data
 
@@ -33,21 +34,30 @@ def calibration_files(
     factory: the kinematics that the manufacturer's tool took from this arm, whose form and hash are kept. The robot
     description and the kinematics hold the geometry that is best alone: their readers know no effects.
     """
-    # a parser of URDFs comes with these
-    from modcal_core.robots import NO_HASH, calibrated_urdf, joint_origins, kinematics_yaml_data, lacks_hash
+    return _with_report(report, arm_files(calibration, nominal, urdf, factory), page)
+
+
+def arm_files(
+    calibration: Calibration, nominal: Chain, urdf: str, factory: Mapping[str, Any] | None = None
+) -> dict[str, str]:
+    """The same without a report."""
+    from modcal_core.robots import calibrated_urdf, joint_origins  # a parser of URDFs comes with these
 
     calibrated = calibration.geometric.serial
     corrected = calibrated_urdf(urdf, nominal, calibrated)
-    kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), factory)
-    return _with_report(
-        report,
-        {
-            "calibration.yaml": to_yaml(to_data(calibration)),
-            "calibrated.urdf": corrected,
-            "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
-        },
-        page,
-    )
+    return {
+        "calibration.yaml": to_yaml(to_data(calibration)),
+        "calibrated.urdf": corrected,
+        "kinematics.yaml": kinematics_text(calibrated, joint_origins(corrected), factory),
+    }
+
+
+def kinematics_text(chain: Chain, origins: Mapping[str, Array], factory: Mapping[str, Any] | None = None) -> str:
+    """The text of a kinematics.yaml, with a line that says so where it lacks the maker's hash. origins: by joint."""
+    from modcal_core.robots import NO_HASH, kinematics_yaml_data, lacks_hash
+
+    data = kinematics_yaml_data(chain, origins, factory)
+    return (NO_HASH if lacks_hash(data) else "") + to_yaml(data)
 
 
 def delta_files(calibration: Calibration, report: Outcome, page: bool = True) -> dict[str, str]:

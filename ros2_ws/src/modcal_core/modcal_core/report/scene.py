@@ -14,57 +14,10 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.measurements.kinds import indirect_rows
 from modcal_core.outcome import Outcome
+from modcal_core.report.blocks import Scene3D
 from modcal_core.robots import ARMS, Delta, Mechanism, is_delta, tool_frames
 
 MAX_POSTURES, MAX_POINTS = 60, 500  # that a page can show and a person look through
-
-
-@dataclass(frozen=True)
-class Scene3D:
-    """What the page's script draws, all in one frame [m].
-
-    points: of the target (N, 3). arms: polylines (k, 3) of each posture that can be chosen. shown: the point of each
-    posture, indices. said: a sentence for each posture. base: name of the frame. alt: for those who do not see it.
-    stages: name and misses (N, 3) by model; names: of the points, for sentences about them. route: whether the points
-    are connected in order. cloud: others (M, 3). marks: named places. lines: named lines (2, 3). weights: how large a
-    joint is drawn, 0 … 1. local: whether the frame's origin may be far away. slider, legend: words beside the scene.
-    """
-
-    points: Array
-    arms: Sequence[Sequence[Array]]
-    shown: np.ndarray
-    said: Sequence[str]
-    base: str
-    alt: str
-    stages: Sequence[tuple[str, Array]] = ()
-    names: Sequence[str] = ()
-    route: bool = False
-    cloud: Array | None = None
-    marks: Sequence[tuple[str, Array]] = ()
-    lines: Sequence[tuple[str, Array]] = ()
-    weights: Sequence[float] = ()
-    local: bool = False
-    slider: str = "Posture"
-    legend: str = "The grid is the floor of the base."
-
-    def to_data(self) -> dict[str, Any]:
-        """The same as JSON has it, misses in millimetres."""
-        digits = 4 if self.local else 3
-        return {
-            "points": np.round(self.points, 4).tolist(),
-            "stages": [{"name": name, "arrows": np.round(1e3 * miss, 4).tolist()} for name, miss in self.stages],
-            "arms": [[np.round(path, digits).tolist() for path in arm] for arm in self.arms],
-            "shown": self.shown.tolist(),
-            "said": list(self.said),
-            "names": list(self.names),
-            "route": self.route,
-            "cloud": [] if self.cloud is None else np.round(self.cloud, digits).tolist(),
-            "marks": [{"name": name, "at": np.round(at, 3).tolist()} for name, at in self.marks],
-            "lines": [{"name": name, "path": np.round(path, 4).tolist()} for name, path in self.lines],
-            "weights": [round(float(weight), 4) for weight in self.weights],
-            "base": self.base,
-            "local": self.local,
-        }
 
 
 def arm_paths(chain: Mechanism, q: Array, T_tip_tool: Array | None = None) -> Array:

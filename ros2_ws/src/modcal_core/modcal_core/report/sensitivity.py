@@ -1,4 +1,4 @@
-"""What a study of sensitivity says: as data, as a table in text, in a few sentences, and as pictures."""
+"""What a study of sensitivity says: as data, on a terminal, and as a page."""
 
 from __future__ import annotations
 
@@ -7,13 +7,37 @@ from typing import Any
 import numpy as np
 
 from modcal_core.planning import NAMED, Study
-from modcal_core.report.charts import AFTER, GOOD, INK, LARGE, WARN, Axis, Chart, Panel, as_file
-from modcal_core.report.page import Block, Figures, Fold, Listing, Page, PageTable, Section, files_section
-from modcal_core.report.scene import Scene3D, ShownPostures
+from modcal_core.report.blocks import (
+    Block,
+    Figures,
+    Fold,
+    Listing,
+    PageTable,
+    Scene3D,
+    Section,
+    Summary,
+    SummaryLine,
+    explained,
+    legend,
+)
+from modcal_core.report.charts import AFTER, GOOD, INK, LARGE, WARN, Axis, Chart, Panel
+from modcal_core.report.page import Page, files_section
+from modcal_core.report.scene import ShownPostures
 from modcal_core.report.words import percent
 
+COLUMNS = {
+    "parameter": "",
+    "SFCDPE mm": "by how much an error of this parameter moves the point, weighted over the postures",
+    "RSFCDPE": "the same, divided by that of the base factor",
+    "share": "of the mean square error of the point, all parameters in error",
+    "S": "share of the variance that this parameter causes alone (Sobol, first order)",
+    "S_T": "share of the variance that goes when all others are known (Sobol, total)",
+    "gain mm": "by how much the RMS error falls once this parameter is known",
+    "seen": "how much of this parameter's variance the stations remove; 100 % is determined",
+    "left mm": "the gain that these stations leave",
+}
 _SAME = 1e-6  # share of an index within which it is the same at every posture
-_LISTED = 10  # parameters of a table on the page
+_LISTED, _SHOWN = 10, 12  # parameters of a table on the page, and on a terminal
 _ROW = 14.0  # points of a picture, a parameter
 _LEVELS = 12  # of the cells of a map
 _NAMED = 3  # of the strongest parameters, in a sentence
@@ -122,26 +146,29 @@ def _about_lengths(study: Study, lengths: np.ndarray, constant: np.ndarray) -> s
     return f"{int((lengths & constant).sum())} of {count} translation parameters have the same influence at every pose."
 
 
-def to_text(study: Study) -> str:
-    """A Markdown table of every parameter, the strongest share first, under the sentences."""
-    joint, at = study.joint, study.indices
-    head = (
-        f"| parameter | SFCDPE mm | RSFCDPE | mean mm | min … max mm | share | S | S_T | S_T distance | gain mm "
-        f"| seen by {len(study.of.measured.q)} stations | gain left mm |"
-    )
-    lines = ["# Sensitivity", "", *(f"* {s}" for s in sensitivity_sentences(study)), "", head, "|---" * 12 + "|"]
-    vector, distance = study.variance["vector"], study.variance["distance"]
-    for k in np.argsort(-joint.before.share, kind="stable"):
-        name = at.names[k]
-        low, high = 1e3 * at.single[:, k].min(), 1e3 * at.single[:, k].max()
-        lines.append(
-            f"| {name} | {1e3 * at.multi[k]:.3f} | {at.relative_multi[k]:.3f} | {1e3 * at.mean[k]:.3f} "
-            f"| {low:.3f} … {high:.3f} | {joint.before.share[k]:.2%} | {vector.first[k]:.3f} | {vector.total[k]:.3f} "
-            f"| {distance.total[k]:.3f} | {1e3 * joint.before.rms_gain[k]:.4f} | {joint.seen[k]:.0%} "
-            f"| {1e3 * joint.after.rms_gain[k]:.4f} |"
+def sensitivity_summary(study: Study) -> list[Summary]:
+    """What a terminal shows: the strongest parameters, and sentences."""
+    said = map(SummaryLine, sensitivity_sentences(study))
+    return [*explained(COLUMNS, _rows(study)[:_SHOWN]), *said]
+
+
+def _rows(study: Study) -> list[tuple[str, ...]]:
+    """Every parameter under ``COLUMNS``, the strongest first."""
+    joint, at, vector = study.joint, study.indices, study.variance["vector"]
+    return [
+        (
+            at.names[k],
+            f"{1e3 * at.multi[k]:.3f}",
+            f"{at.relative_multi[k]:.3f}",
+            f"{joint.before.share[k]:.1%}",
+            f"{vector.first[k]:.3f}",
+            f"{vector.total[k]:.3f}",
+            f"{1e3 * joint.before.rms_gain[k]:.4f}",
+            f"{joint.seen[k]:.0%}",
+            f"{1e3 * joint.after.rms_gain[k]:.4f}",
         )
-    lines += ["", f"Base factor {at.names[at.base]}; {study.of.design}, {len(study.of.q)} postures."]
-    return "\n".join(lines) + "\n"
+        for k in np.argsort(-joint.before.share, kind="stable")
+    ]
 
 
 def single_csv(study: Study) -> str:
@@ -151,12 +178,6 @@ def single_csv(study: Study) -> str:
     return head + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
 
 
-def pictures(study: Study) -> dict[str, str]:
-    """Names and texts of the SVG files."""
-    named = {"gain": [_gain(study)], "indices": list(_indices(study)), "by_pose": [_by_pose(study)]}
-    return {f"{name}.svg": as_file(charts) for name, charts in named.items()}
-
-
 def sensitivity_html(study: Study, title: str) -> str:
     """The study as a page: the answer, sentences, the strongest parameters, the robot, and pictures."""
     first, *others = sensitivity_sentences(study)
@@ -164,10 +185,17 @@ def sensitivity_html(study: Study, title: str) -> str:
         Listing(others),
         Section("strongest", "Parameters that matter most", [*_tables(study), Figures([_gain(study)])]),
         Section("robot", "Robot", [_robot(study)]),
-        Fold("Expert: indices; by pose", [Figures([*_indices(study), _by_pose(study)])], "expert"),
-        files_section(("sensitivity.json", "sensitivity.md", "single_point.csv")),
+        Fold("Expert: all parameters; indices; by pose", _expert(study), "expert"),
+        files_section(("sensitivity.json", "single_point.csv")),
     ]
     return Page(f"{title}: sensitivity", first, blocks).html()
+
+
+def _expert(study: Study) -> list[Block]:
+    """Every parameter with all its indices, as a table and as charts."""
+    said = legend({name: meaning for name, meaning in COLUMNS.items() if meaning}).text.strip()
+    table = PageTable("All parameters", tuple(COLUMNS), tuple(_rows(study)), below=said)
+    return [table, Figures([*_indices(study), _by_pose(study)])]
 
 
 def _tables(study: Study) -> tuple[PageTable, ...]:
@@ -186,7 +214,7 @@ def _tables(study: Study) -> tuple[PageTable, ...]:
             if study.closed.factors[k].is_length == lengths
         ]
         header = ("parameter", "share of the squared error", "observed by the stations", f"assumed error, {unit}")
-        below = "" if len(rows) <= _LISTED else f"{len(rows) - _LISTED} weaker ones are in sensitivity.md."
+        below = "" if len(rows) <= _LISTED else f"{len(rows) - _LISTED} weaker ones are in the part for experts."
         if rows:
             out.append(PageTable(title, header, tuple(rows[:_LISTED]), below=below, heading=True))
     return tuple(out)

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from modcal_core.robots.dh import from_dh, plain, read_rows, to_dh, vector
     from modcal_core.robots.fastest_motion import JointPath, constant_bounds, motion, within_bounds, within_torque
     from modcal_core.robots.inverse_kinematics import inverse, inverse_batch
-    from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames, place_jacobian
+    from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames
     from modcal_core.robots.kinematics import pose_and_jacobian, spatial_jacobian
-    from modcal_core.robots.loaded_arm import LoadedArm, require_method
+    from modcal_core.robots.acceleration import LoadedArm, require_method
     from modcal_core.robots.makers import NO_HASH, from_ur_kinematics, kinematics_yaml_data, lacks_hash
     from modcal_core.robots.mechanism import Mechanism, followers_of, forward, gravity_wrench, is_delta, is_serial_arm
-    from modcal_core.robots.mechanism import offset_wrench
-    from modcal_core.robots.mechanism import passable, payload_wrench, random_postures, takes, tool_frames
+    from modcal_core.robots.mechanism import offset_wrench, passable, payload_wrench, random_postures, takes
+    from modcal_core.robots.mechanism import tool_frames
     from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_cpc, from_csv, from_table, from_ur_conf
     from modcal_core.robots.tables import loss, nearest_dh, to_cpc, to_csv, to_table
     from modcal_core.robots.urdf import joint_origins, other_tips, read_chain, read_path
@@ -39,25 +39,15 @@ else:
 __all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
 __all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain", "Delta"]
 __all__ += ["Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointColumns"]
-__all__ += [
-    "JointPath",
-    "LoadedArm",
-    "Mechanism",
-    "NearestTable",
-    "Payload",
-    "Tree",
-    "Window",
-    "bias_torque",
-    "body_jacobian",
-]
-__all__ += ["calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds"]
-__all__ += ["delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia", "followers_of"]
-__all__ += ["forward", "frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_conf", "from_ur_kinematics"]
-__all__ += ["gravity_wrench", "held_behind", "inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element"]
-__all__ += ["joint_origins", "kinematics_yaml_data", "lacks_hash", "loss", "mass_matrix", "motion", "moved_centres"]
-__all__ += ["nearest_dh", "number", "offset_wrench", "origin_element", "other_tips", "parse", "passable"]
-__all__ += ["payload_wrench", "place_jacobian", "plain", "pose_and_jacobian", "position_jacobians", "random_postures"]
-__all__ += ["reachable", "read_chain", "read_drives", "read_inertias", "read_path", "read_rows", "require_method"]
-__all__ += ["rerooted", "ros2_control_offsets", "spatial_jacobian", "takes", "to_cpc", "to_csv", "to_dh", "to_table"]
-__all__ += ["tool_frames", "tool_pose", "tool_positions", "torque", "urdf_text", "vector", "weightless"]
-__all__ += ["with_payload", "within_bounds", "within_torque", "xacro_origins"]
+__all__ += ["JointPath", "LoadedArm", "Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque"]
+__all__ += ["body_jacobian", "calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf"]
+__all__ += ["constant_bounds", "delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia"]
+__all__ += ["followers_of", "forward", "frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_conf"]
+__all__ += ["from_ur_kinematics", "gravity_wrench", "held_behind", "inverse", "inverse_batch", "is_delta"]
+__all__ += ["is_serial_arm", "joint_element", "joint_origins", "kinematics_yaml_data", "lacks_hash", "loss"]
+__all__ += ["mass_matrix", "motion", "moved_centres", "nearest_dh", "number", "offset_wrench", "origin_element"]
+__all__ += ["other_tips", "parse", "passable", "payload_wrench", "plain", "pose_and_jacobian", "position_jacobians"]
+__all__ += ["random_postures", "reachable", "read_chain", "read_drives", "read_inertias", "read_path", "read_rows"]
+__all__ += ["require_method", "rerooted", "ros2_control_offsets", "spatial_jacobian", "takes", "to_cpc", "to_csv"]
+__all__ += ["to_dh", "to_table", "tool_frames", "tool_pose", "tool_positions", "torque", "urdf_text", "vector"]
+__all__ += ["weightless", "with_payload", "within_bounds", "within_torque", "xacro_origins"]

@@ -39,19 +39,20 @@ primal-dual interior point; Boyd and Vandenberghe, Convex Optimization, 2004, ch
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dposv
 
 from modcal_core.errors import BadRobot, Overloaded
 from modcal_core.geometry import Array, so3
-from modcal_core.robots.bodies import STANDARD_GRAVITY, Bodies, beyond
+from modcal_core.robots.bodies import STANDARD_GRAVITY, Bodies, Payload, beyond, with_payload
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 from modcal_core.robots.urdf_tree import document
 
 # --- The torques that a motion takes: M(q) q̈ + C(q, q̇) q̇ + g(q), without friction
@@ -212,8 +213,7 @@ def largest_box(
     alone = 1.0 / B.max(axis=-2)
     w = np.ones(n) if weights is None else np.asarray(weights, dtype=float)
     assert (w > 0.0).all()
-    largest = _largest_of_one if len(B) == 1 else _largest
-    z = largest(B * alone[..., None, :], np.tile(w / w.mean(), 2)) * alone
+    z = _largest(B * alone[..., None, :], np.tile(w / w.mean(), 2)) * alone
     z /= (B @ z[..., None]).max(axis=(-2, -1))[..., None]  # rounding must not leave it outside
     return -z[..., n:], z[..., :n]
 
@@ -244,37 +244,6 @@ def _largest(B: Array, w: Array) -> Array:
         z, s = z * (1.0 + step * d), s + step * ds
         y = y + np.where(open_, _reach(dy / y), 0.0) * dy
     return z
-
-
-def _largest_of_one(B: Array, w: Array) -> Array:
-    """The same of one, B (1, m, k), step by step: what a node asks for many times a second, in half the time."""
-    B = B[0]
-    m, k = B.shape
-    z = np.full(k, 0.5 / float(B.sum(axis=1).max()))
-    s = 1.0 - B @ z
-    y = (1.0 / m) / s
-    for _ in range(_MAX_STEPS):
-        gap = float(y @ s)
-        scaled = B * z
-        missing = w - y @ scaled
-        if gap <= _GAP and float(np.abs(missing).max()) <= _GAP:
-            break
-        inverse = 1.0 / s
-        aim, slope = (_CENTRING * gap / m) * inverse, y * inverse
-        matrix = scaled.T @ (scaled * slope[:, None])
-        matrix.flat[:: k + 1] += w
-        d = dposv(matrix, w - aim @ scaled, overwrite_a=1)[1]
-        ds = -(scaled @ d)
-        dy = aim - y - slope * ds
-        step = min(_reach_of_one(d), _reach_of_one(ds * inverse))
-        z, s = z * (1.0 + step * d), s + step * ds
-        y = y + _reach_of_one(dy / y) * dy
-    return z[None]
-
-
-def _reach_of_one(change: Array) -> float:
-    worst = -float(change.min())
-    return _TO_THE_WALL / worst if worst > _TO_THE_WALL else 1.0
 
 
 def _reach(change: Array) -> Array:
@@ -383,3 +352,83 @@ def window(
     taken = bias_of(bodies, v, gravity) + drives.viscous * v + np.where(still, 0.0, np.sign(v) * drives.coulomb)
     most = share * drives.torque - np.where(still, drives.coulomb, 0.0)
     return Window(chain.names, M, -most - taken, most - taken)
+
+
+# --- An arm with what it carries and what its drives may give: from a URDF and a few numbers
+
+COUPLED, EQUIVALENT = "coupled", "equivalent"
+METHODS = (COUPLED, EQUIVALENT)
+
+
+@dataclass(frozen=True)
+class LoadedArm:
+    """chain, bare inertias and drives as the URDF has them; payload at the tip; share of the torque that may be used;
+    gravity (3,) [m/s²] in the base.
+    """
+
+    chain: Chain
+    inertias: Inertias
+    drives: Drives
+    payload: Payload = field(default_factory=Payload)
+    share: float = 1.0
+    gravity: Array = field(default_factory=lambda: np.array(DOWN))
+
+    @classmethod
+    def read(
+        cls, urdf_xml: str, base: str | None = None, tip: str | None = None, recorded: Collection[str] | None = None
+    ) -> LoadedArm:
+        """The arm of a URDF, carrying nothing; base, tip, recorded as of :func:`read_chain`. Raises BadRobot."""
+        chain = read_chain(urdf_xml, base, tip, recorded)
+        inertias = read_inertias(urdf_xml, chain)
+        if not inertias.known:
+            raise BadRobot("robot description", "states no mass of any link", "write the links' <inertial>")
+        return cls(chain, inertias, read_drives(urdf_xml, chain))
+
+    def carrying(self, payload: Payload) -> LoadedArm:
+        """The arm with another payload."""
+        return replace(self, payload=payload)
+
+    def using(self, share: float, gravity: ArrayLike = DOWN) -> LoadedArm:
+        """The arm with this share of its torque, in this gravity. Raises BadRobot for numbers that are none."""
+        g = np.asarray(gravity, dtype=float).ravel()
+        if not (np.isfinite(share) and 0.0 < share <= 1.0):
+            raise BadRobot(
+                "share of the torque", f"{share:g} is not above 0 and at most 1", "give a share, such as 0.8"
+            )
+        if g.shape != (3,) or not np.isfinite(g).all() or np.linalg.norm(g) > 100.0:
+            raise BadRobot("gravity", "is not x y z of 100 m/s² at most", "give it in the base link, such as 0 0 -9.81")
+        return replace(self, share=float(share), gravity=g)
+
+    def with_drives(self, **values: Mapping[str, float]) -> LoadedArm:
+        """The arm with other torque, speed, coulomb, viscous or rotor of its drives, by joint. Raises BadRobot."""
+        drives = self.drives
+        for what, by_joint in values.items():
+            drives = drives.with_values(what, by_joint)
+        return replace(self, drives=drives)
+
+    def window(self, q: ArrayLike, velocity: ArrayLike | None = None) -> Window:
+        """What the drives leave for accelerating at q, at a velocity, (N, n) each. Raises BadRobot."""
+        return window(self.chain, self._loaded, self.drives, q, velocity, self.share, self.gravity)
+
+    @cached_property
+    def _loaded(self) -> Inertias:
+        """The inertias with what is carried, which a node asks for at every posture."""
+        return with_payload(self.inertias, self.chain, self.payload)
+
+    def bounds(self, q: ArrayLike, velocity: ArrayLike | None = None, method: str = COUPLED) -> tuple[Array, Array]:
+        """Lower and upper bounds of acceleration (N, n) [rad/s², m/s²], lower < 0 < upper.
+
+        method: "coupled", bounds that hold together whatever the other joints do within theirs, or "equivalent", each
+        joint by its equivalent inertia. Raises Overloaded where the drives cannot hold the arm, BadRobot for what is
+        not known.
+        """
+        require_method(method)
+        left = self.window(q, velocity)
+        left.require_held()
+        return left.box() if method == COUPLED else left.equivalent()
+
+
+def require_method(method: str) -> None:
+    """Raises BadRobot for a method that there is none of."""
+    if method not in METHODS:
+        raise BadRobot(f"method '{method}'", f"is neither {' nor '.join(METHODS)}", "choose one of them")

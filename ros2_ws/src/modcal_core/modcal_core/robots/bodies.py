@@ -7,10 +7,7 @@ spatial inertia of body j, twists linear first, about the base's origin,
     I_j = | m 1      −m ĉ         |          M_ij = S_iᵀ (Σ_{k ≥ max(i, j)} I_k) S_j,
           | m ĉ      I_c − m ĉ ĉ  |
 
-the composite rigid body algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 6). The diagonal is also
-what the plain sum over the bodies beyond a joint says, with x and y of their centres across its axis:
-
-    J_i = Σ_{j ≥ i} [I_c,j about z_i + m_j (x_ij² + y_ij²)]          (a sliding joint: Σ m_j).
+the composite rigid body algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 6).
 """
 
 from __future__ import annotations
@@ -267,26 +264,11 @@ def mass_matrix(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
 
 
 def equivalent_inertia(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
-    """J_i of every joint (N, n) [kg m²; kg where it slides], the plain sum over the bodies beyond it.
+    """J_i of every joint (N, n) [kg m²; kg where it slides], the diagonal of M. q: joint positions (N, n).
 
-    q: joint positions (N, n). The inertia that joint i meets while all the others stand still; the diagonal of M.
+    The inertia that joint i meets while all the others stand still.
     """
-    q = np.asarray(q, dtype=float)
-    f = frames(chain, q)
-    T = link_frames(chain, f)
-    R, centres = T[..., :3, :3], se3.apply(T, inertias.com)  # (N, n, 3, 3), (N, n, 3)
-    out = np.empty(q.shape)
-    for i in range(chain.n):
-        if not chain.revolute[i]:
-            out[:, i] = inertias.mass[i:].sum()
-            continue
-        z = f.axes[i, 2].T[:, None, :]  # (N, 1, 3)
-        lever = centres[:, i:] - f.p[i].T[:, None, :]
-        across = np.sum(lever**2, axis=-1) - np.sum(lever * z, axis=-1) ** 2  # x² + y² seen from joint i
-        z_body = np.einsum("njab,nja->njb", R[:, i:], np.broadcast_to(z, lever.shape))
-        own = np.einsum("nja,jab,njb->nj", z_body, inertias.inertia[i:], z_body)
-        out[:, i] = np.sum(own + inertias.mass[i:] * across, axis=1)
-    return out
+    return np.diagonal(mass_matrix(chain, inertias, q), axis1=1, axis2=2)
 
 
 def _said(values: Array) -> str:

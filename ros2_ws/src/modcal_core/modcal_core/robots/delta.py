@@ -39,6 +39,7 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRobot, BadTable, refusing
 from modcal_core.geometry import Array, cross, se3, so3
 from modcal_core.robots.chain import read_only
+from modcal_core.robots.dh import require_keys, vector
 from modcal_core.robots.kinematics import LoopShare, Tilt
 
 ARMS = 3
@@ -378,7 +379,7 @@ def delta_from_data(data: Any, source: str) -> Delta:
         raise BadTable(source, "is not a description of a Delta: it lacks modcal_delta: 1", _REMEDY)
     if data["modcal_delta"] != FORMAT:
         raise BadTable(source, f"modcal_delta {data['modcal_delta']}, {FORMAT} is read", _REMEDY)
-    _only(data, _KEYS, source)
+    require_keys(data, _KEYS, source)
     names = data.get("joints")
     if not isinstance(names, Sequence) or isinstance(names, str) or len(names) not in (ARMS, ARMS + 1):
         raise BadTable(f"{source}: joints", "must name three arms, and the shaft where there is one", _REMEDY)
@@ -386,8 +387,11 @@ def delta_from_data(data: Any, source: str) -> Delta:
     arms = data.get("arms")
     if not isinstance(arms, Mapping):
         raise BadTable(f"{source}: arms", f"must have {', '.join(_ROWS)}", _REMEDY)
-    _only(arms, {*_ROWS, *_RADII}, f"{source}: arms")
-    given = {key: _numbers(arms[key], ARMS, f"{source}: arms: {key}", one_for_all=True) for key in arms}
+    require_keys(arms, {*_ROWS, *_RADII}, f"{source}: arms")
+    given = {
+        key: vector([value] * ARMS if isinstance(value, int | float) else value, ARMS, f"{source}: arms: {key}")
+        for key, value in arms.items()
+    }
     if all(key in given for key in _RADII) and "offset_m" not in given:
         given["offset_m"] = given[_RADII[0]] - given[_RADII[1]]
     elif any(key in given for key in _RADII) and not ("offset_m" in given and "fixed_radius_m" not in given):
@@ -398,7 +402,6 @@ def delta_from_data(data: Any, source: str) -> Delta:
         raise BadTable(f"{source}: arms", f"lacks {', '.join(missing)}", _REMEDY)
     optional = {name: given[key] for name, key in
                 (("zero", "zero_rad"), ("ratio", "ratio"), ("azimuth", "azimuth_rad")) if key in given}  # fmt: skip
-    ratio = data.get("shaft_ratio", 1.0)
     limits = _limits(data.get("limits_rad"), names, source)
     return Delta.build(
         names,
@@ -409,7 +412,7 @@ def delta_from_data(data: Any, source: str) -> Delta:
         lower=limits[:, 0],
         upper=limits[:, 1],
         tool=_tool(data.get("tool"), source),
-        shaft_ratio=float(_numbers(ratio, 1, f"{source}: shaft_ratio", one_for_all=True)[0]),
+        shaft_ratio=float(vector([data.get("shaft_ratio", 1.0)], 1, f"{source}: shaft_ratio")[0]),
         base=str(data.get("base", "base")),
         tip=str(data.get("tip", "tip")),
         platform_radius=float(given["platform_radius_m"].mean().round(12)) if "platform_radius_m" in given else 0.0,
@@ -435,26 +438,6 @@ def delta_to_data(delta: Delta) -> dict[str, Any]:
     }
 
 
-def _only(data: Mapping[str, Any], known: set[str], source: str) -> None:
-    unknown = sorted(str(key) for key in data if key not in known)
-    if unknown:
-        raise BadTable(source, f"unknown key {', '.join(unknown)}; known are {', '.join(sorted(known))}", _REMEDY)
-
-
-def _numbers(given: Any, count: int, source: str, one_for_all: bool = False) -> Array:
-    """So many finite numbers, or one for all."""
-    try:
-        values = np.asarray(given, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        values = np.empty(0)
-    if one_for_all and values.ndim == 0:
-        values = np.full(count, values)
-    if values.shape != (count,) or not np.isfinite(values).all():
-        said = f"must be {'one number or ' if one_for_all else ''}{count} numbers"
-        raise BadTable(source, said, "correct the file")
-    return values
-
-
 def _limits(given: Any, names: Sequence[str], source: str) -> Array:
     """Limits (n, 2) [rad] by name; the usual ones of a Delta where none are stated."""
     plain = Delta.build(names, 0.1, 0.3, 0.8)
@@ -463,9 +446,9 @@ def _limits(given: Any, names: Sequence[str], source: str) -> Array:
         return out
     if not isinstance(given, Mapping):
         raise BadTable(f"{source}: limits_rad", "must have a pair of numbers by joint", _REMEDY)
-    _only(given, set(names), f"{source}: limits_rad")
+    require_keys(given, set(names), f"{source}: limits_rad")
     for name, pair in given.items():
-        out[list(names).index(name)] = _numbers(pair, 2, f"{source}: limits_rad: {name}")
+        out[list(names).index(name)] = vector(pair, 2, f"{source}: limits_rad: {name}")
     return out
 
 
@@ -474,6 +457,6 @@ def _tool(given: Any, source: str) -> Array:
         return np.zeros(6)
     if not isinstance(given, Mapping):
         raise BadTable(f"{source}: tool", "must have position_m and rotation_rad", _REMEDY)
-    _only(given, {"position_m", "rotation_rad"}, f"{source}: tool")
-    parts = [_numbers(given.get(key, [0.0] * 3), 3, f"{source}: tool: {key}") for key in ("position_m", "rotation_rad")]
+    require_keys(given, {"position_m", "rotation_rad"}, f"{source}: tool")
+    parts = [vector(given.get(key, [0.0] * 3), 3, f"{source}: tool: {key}") for key in ("position_m", "rotation_rad")]
     return np.concatenate(parts)

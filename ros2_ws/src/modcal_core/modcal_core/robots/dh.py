@@ -77,7 +77,7 @@ def read_rows(table: Mapping[str, Any], convention: str, keys: set[str]) -> Tabl
     what = f"{convention} table"
     if not isinstance(table, Mapping):
         raise BadTable(what, "is not a mapping", "give one with a list 'joints'")
-    _known(table, _TABLE, what)
+    require_keys(table, _TABLE, what)
     if table.get("convention", convention) != convention:
         raise BadTable(what, f"its convention is '{table['convention']}'", f"read it as {table['convention']}")
     rows = table.get("joints")
@@ -89,7 +89,7 @@ def read_rows(table: Mapping[str, Any], convention: str, keys: set[str]) -> Tabl
         name = row.get("name", f"joint_{i + 1}" if unnamed else None) if isinstance(row, Mapping) else None
         if not isinstance(name, str) or not name or name in names:
             raise BadTable(f"{what}, row {i + 1}", "needs a name of its own", "name the joint as its messages do")
-        _known(row, _ROW | keys, f"{what}, joint {name}")
+        require_keys(row, _ROW | keys, f"{what}, joint {name}")
         if row.get("type", "revolute") not in ("revolute", "prismatic"):
             raise BadTable(f"{what}, joint {name}", f"is of type {row['type']}", "make it revolute or prismatic")
         names.append(name)
@@ -144,7 +144,8 @@ def vector(values: object, count: int, what: str) -> Array:
     return out
 
 
-def _known(mapping: Mapping[str, Any], keys: set[str], what: str) -> None:
+def require_keys(mapping: Mapping[str, Any], keys: set[str], what: str) -> None:
+    """Raises BadTable for a key that is none of these."""
     unknown = sorted(str(key) for key in set(mapping) - keys)
     if unknown:
         raise BadTable(what, f"'{unknown[0]}' is not one of its keys", f"choose from {', '.join(sorted(keys))}")
@@ -154,7 +155,7 @@ def _pose(table: Mapping[str, Any], key: str, what: str) -> Array:
     pose = table.get(key) or {}
     if not isinstance(pose, Mapping):
         raise BadTable(f"{what}, {key}", "is not a pose", "give {xyz: [...], rpy: [...]}")
-    _known(pose, {"xyz", "rpy"}, f"{what}, {key}")
+    require_keys(pose, {"xyz", "rpy"}, f"{what}, {key}")
     xyz = vector(pose.get("xyz", (0, 0, 0)), 3, f"{what}, {key}: xyz")
     return se3.transform(so3.from_rpy(vector(pose.get("rpy", (0, 0, 0)), 3, f"{what}, {key}: rpy")), xyz)
 

@@ -15,20 +15,20 @@ time of two hundred single descents.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import NotReachable
-from modcal_core.geometry import Array, crossed_rows, pose_error, se3, so3
+from modcal_core.geometry import Array, crossed_rows, se3, so3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import frames, joint_motions, posture_frames, tip_motions
+from modcal_core.robots.kinematics import frames, tip_motions
 
 ALL_SIX = (True, True, True, True, True, True)
 TOLERANCE = 1e-10  # m and rad
-_MAX_STEPS = 60
+_MAX_STEPS = 100  # accepted or not
+_MAX_REFUSED = 6  # steps in a row that made it worse
 LONGEST = 0.6  # rad or m, of one joint in one step
 DAMPING = 1e-3  # times the squared error
 _FREE_TURN = np.pi  # rad; where a joint has no limits, others are tried this far about zero
@@ -51,98 +51,36 @@ def inverse(
     ``restarts`` other tries; without it only the seed is tried. tolerance: largest error [m and rad] of what must be
     met. Raises NotReachable with the smallest error found.
     """
-    goal = np.asarray(T_base_tip, dtype=float)
-    wanted = np.flatnonzero(np.asarray(mask, dtype=bool))
-    start = np.asarray(seed, dtype=float)
+    goal, start = np.asarray(T_base_tip, dtype=float), np.asarray(seed, dtype=float)
     assert goal.shape == (4, 4), goal.shape
     assert start.shape == (chain.n,), start.shape
-    best, nearest = np.full(6, np.inf), start
-    for q in _starts(chain, start, rng, restarts):
-        q, error = _descend(chain, goal, q, wanted, tolerance)
-        if np.abs(error).max(initial=0.0) <= tolerance:
-            return _unwound(chain, q, start)
-        if np.linalg.norm(error) < np.linalg.norm(best):
-            best, nearest = error, q
-    position, rotation = np.linalg.norm(best[:3]), np.linalg.norm(best[3:])
+    found = inverse_batch(chain, goal, start[None], mask, tolerance).best()
+    if not found.met and rng is not None:
+        others = inverse_batch(chain, goal, _anywhere(chain, restarts, rng), mask, tolerance)
+        both = (np.concatenate([a[None], b]) for a, b in zip(found, others, strict=True))
+        found = InverseResult(*both).best()
+    if found.met:
+        return _unwound(chain, found.q, start)
+    position, rotation = float(np.linalg.norm(found.error[:3])), float(np.linalg.norm(found.error[3:]))
     x, y, z = goal[:3, 3]
     raise NotReachable(
         f"pose of {chain.tip} at ({x:.3f}, {y:.3f}, {z:.3f}) m in {chain.base}",
         f"the nearest posture found within the limits misses it by {1e3 * position:.3g} mm, {rotation:.3g} rad",
         "ask for a pose within reach and away from the limits, or start from another posture",
-        float(position),
-        float(rotation),
-        nearest,
+        position,
+        rotation,
+        found.q,
     )
 
 
-def _starts(chain: Chain, seed: Array, rng: np.random.Generator | None, restarts: int) -> Iterator[Array]:
-    """The seed, put within the limits, then random postures."""
-    yield chain.followed(np.clip(seed, chain.lower, chain.upper))
-    if rng is not None:
-        span = np.where(chain.revolute, _FREE_TURN, _FREE_SLIDE)
-        low = np.maximum(chain.lower, np.where(np.isfinite(chain.upper), chain.upper - 2.0 * span, -span))
-        high = np.minimum(chain.upper, np.where(np.isfinite(chain.lower), chain.lower + 2.0 * span, span))
-        middle = 0.5 * (np.maximum(chain.lower, -span) + np.minimum(chain.upper, span))
-        low, high = np.where(low < high, low, middle), np.where(low < high, high, middle)
-        for _ in range(restarts):
-            yield chain.followed(rng.uniform(low, high))
-
-
-def _descend(chain: Chain, goal: Array, q: Array, wanted: np.ndarray, tolerance: float) -> tuple[Array, Array]:
-    """The posture that the steps from q end in, and the error (6,) that is left there, zero where none is wanted."""
-    e, J = _linearised(chain, goal, q)
-    for _ in range(_MAX_STEPS):
-        r, A = e[wanted], J[wanted]
-        if np.abs(e[wanted]).max(initial=0.0) <= tolerance:
-            break
-        cost = float(r @ r)
-        damping = DAMPING * cost + 1e-14
-        for _ in range(6):
-            new = chain.followed(q + _step(chain, q, A, r, damping))
-            e_new, J_new = _linearised(chain, goal, new)
-            left = e_new[wanted]
-            if float(left @ left) < cost:
-                break
-            damping = max(30.0 * damping, 1e-6)
-        else:
-            break
-        stalled = float(left @ left) > 0.9999 * cost
-        q, e, J = new, e_new, J_new
-        if stalled:
-            break
-    out = np.zeros(6)
-    out[wanted] = e[wanted]
-    return q, out
-
-
-def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
-    """The error (6,) at a posture (n,), seen from the tip, and what it loses per unit of each joint, (6, n)."""
-    before, tip = posture_frames(chain, q)
-    v, w = joint_motions(chain, before, tip)
-    e = pose_error(tip, goal)
-    J = np.empty((6, chain.n))
-    J[:3] = (v - crossed_rows(e[None, :3], w)).T
-    J[3:] = so3.left_jacobian_inverse(e[3:]) @ w.T
-    return e, chain.by_leaders(J)
-
-
-def _step(chain: Chain, q: Array, A: Array, r: Array, damping: float) -> Array:
-    """Damped step (n,) within the limits: joints it would push out are held there, and the rest is done again."""
-    free = np.ones(chain.n, bool)
-    for _ in range(chain.n):
-        B = A * free
-        # either form gives the same step; the smaller system is solved
-        if len(r) <= chain.n:
-            step = B.T @ np.linalg.solve(B @ B.T + damping * np.eye(len(r)), r)
-        else:
-            step = np.linalg.solve(B.T @ B + damping * np.eye(chain.n), B.T @ r)
-        step *= min(1.0, LONGEST / max(float(np.abs(step).max()), 1e-300))
-        new = q + step
-        held = free & (((new < chain.lower) & (q <= chain.lower)) | ((new > chain.upper) & (q >= chain.upper)))
-        if not held.any():
-            break
-        free &= ~held
-    return np.clip(q + step, chain.lower, chain.upper) - q
+def _anywhere(chain: Chain, count: int, rng: np.random.Generator) -> Array:
+    """Random postures (count, n) within the limits."""
+    span = np.where(chain.revolute, _FREE_TURN, _FREE_SLIDE)
+    low = np.maximum(chain.lower, np.where(np.isfinite(chain.upper), chain.upper - 2.0 * span, -span))
+    high = np.minimum(chain.upper, np.where(np.isfinite(chain.lower), chain.lower + 2.0 * span, span))
+    middle = 0.5 * (np.maximum(chain.lower, -span) + np.minimum(chain.upper, span))
+    low, high = np.where(low < high, low, middle), np.where(low < high, high, middle)
+    return rng.uniform(low, high, (count, chain.n))
 
 
 def _unwound(chain: Chain, q: Array, seed: Array) -> Array:
@@ -152,14 +90,7 @@ def _unwound(chain: Chain, q: Array, seed: Array) -> Array:
     return chain.followed(np.where((nearer >= chain.lower) & (nearer <= chain.upper), nearer, q))
 
 
-# --- Inverse kinematics from many starts, for many poses, at once
-
-_MAX_STEPS_OF_MANY = 100  # accepted or not
-_MAX_REFUSED = 6  # steps in a row that made it worse
-
-
-@dataclass(frozen=True)
-class InverseResult:
+class InverseResult(NamedTuple):
     """What the rows came to; leading axes are those of the poses and starts, broadcast.
 
     q: joint positions (..., n) [rad, m], within the limits. error: (..., 6) [m, rad] seen from the tip, zero where the
@@ -169,16 +100,6 @@ class InverseResult:
     q: Array
     error: Array
     met: np.ndarray
-
-    @property
-    def position(self) -> Array:
-        """Distances left [m], (...)."""
-        return np.linalg.norm(self.error[..., :3], axis=-1)
-
-    @property
-    def rotation(self) -> Array:
-        """Angles left [rad], (...)."""
-        return np.linalg.norm(self.error[..., 3:], axis=-1)
 
     def best(self) -> InverseResult:
         """For each pose the start, along the last batch axis, that came nearest; the first of those that arrived."""
@@ -207,28 +128,28 @@ def inverse_batch(
     q = np.clip(np.broadcast_to(start, (*shape, chain.n)).reshape(-1, chain.n), chain.lower, chain.upper)
     q = chain.followed(q)
     wanted = np.flatnonzero(np.asarray(mask, dtype=bool))
-    q, error = _descend_all(chain, goal, q, wanted, tolerance)
+    q, error = _descend(chain, goal, q, wanted, tolerance)
     out = np.zeros((len(q), 6))
     out[:, wanted] = error[:, wanted]
     met = np.abs(out).max(axis=1, initial=0.0) <= tolerance
     return InverseResult(q.reshape(*shape, chain.n), out.reshape(*shape, 6), met.reshape(shape))
 
 
-def _descend_all(chain: Chain, goal: Array, q: Array, wanted: np.ndarray, tolerance: float) -> tuple[Array, Array]:
+def _descend(chain: Chain, goal: Array, q: Array, wanted: np.ndarray, tolerance: float) -> tuple[Array, Array]:
     """Postures (N, n) that the steps from q end in, and the errors (N, 6) there."""
     q = q.copy()
-    e, J = _linearised_all(chain, goal, q)
+    e, J = _linearised(chain, goal, q)
     cost = np.sum(e[:, wanted] ** 2, axis=1)
     damping = DAMPING * cost + 1e-14
     refused = np.zeros(len(q), int)
     alive = np.abs(e[:, wanted]).max(axis=1, initial=0.0) > tolerance
-    for _ in range(_MAX_STEPS_OF_MANY):
+    for _ in range(_MAX_STEPS):
         rows = np.flatnonzero(alive)
         if not len(rows):
             break
         A, r = J[rows][:, wanted], e[rows][:, wanted]
         new = chain.followed(q[rows] + _steps(chain, q[rows], A, r, damping[rows]))
-        e_new, J_new = _linearised_all(chain, goal[rows], new)
+        e_new, J_new = _linearised(chain, goal[rows], new)
         cost_new = np.sum(e_new[:, wanted] ** 2, axis=1)
         better = cost_new < cost[rows]
         stalled = better & (cost_new > 0.9999 * cost[rows])
@@ -241,13 +162,13 @@ def _descend_all(chain: Chain, goal: Array, q: Array, wanted: np.ndarray, tolera
     return q, e
 
 
-def _linearised_all(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
+def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     """Errors (N, 6) seen from the tips, and what they lose per unit of each joint, (N, 6, n)."""
     f = frames(chain, q)
     v, w = tip_motions(chain, f)
     e = se3.error(f.transform(-1), goal)
     J = np.empty((len(q), 6, chain.n))
-    J[:, :3] = np.swapaxes(v - np.cross(e[:, None, :3], w), 1, 2)
+    J[:, :3] = np.swapaxes(v - crossed_rows(e[:, None, :3], w), 1, 2)
     J[:, 3:] = so3.left_jacobian_inverse(e[:, 3:]) @ np.swapaxes(w, 1, 2)
     return e, chain.by_leaders(J)
 

@@ -163,12 +163,7 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
 
 def _frames_of_one(chain: Chain, q: Array, twists: Mapping[int, Array]) -> Frames:
     """Frames of one posture (n,), in a third of the time."""
-    out = np.empty((chain.n + 1, 4, 4))
-    T = chain.along_z[0]
-    for k, link in enumerate([*_links(chain, q), None]):
-        out[k] = T if k not in twists else tool_from(T, twists[k][:6, 0])
-        if link is not None:
-            T = out[k] @ link
+    out = _places(chain, q, twists)
     return Frames(out[:, :3, :3].transpose(0, 2, 1).copy()[..., None], out[:, :3, 3, None].copy())
 
 
@@ -235,7 +230,7 @@ def tip_motions(chain: Chain, f: Frames) -> tuple[Array, Array]:
     R, p = f.rotation(-1), f.p[-1].T
     axis, at = f.axes[:-1, 2].transpose(2, 0, 1), f.p[:-1].transpose(2, 0, 1)  # (N, n, 3)
     turning = chain.revolute[:, None]
-    v = np.where(turning, np.cross(axis, p[:, None] - at), axis) @ R
+    v = np.where(turning, crossed_rows(axis, p[:, None] - at), axis) @ R
     return v, np.where(turning, axis, 0.0) @ R
 
 
@@ -246,24 +241,21 @@ def link_frames(chain: Chain, f: Frames) -> Array:
     return se3.transform(R, p) @ se3.inverse(T_joint_next)
 
 
-def place_jacobian(chain: Chain, q: ArrayLike, place: int) -> Array:
-    """Spatial Jacobians (N, 6, 6) of a small twist at a place: 0 before the first joint, …, n at the tip.
-
-    The twist is in the frame of that place, with the joint's axis along z: column (x, y, z, rx, ry, rz) is the
-    base-frame twist of the tip per unit error there.
-    """
-    return se3.adjoint(frames(chain, q).transform(place))
-
-
 def posture_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
     """Frames before each joint, its axis as z, (n, 4, 4), and the tip (4, 4), in the base; q: (n,) [rad, m]."""
-    links = _links(chain, q)
-    out = np.empty((chain.n, 4, 4))
+    out = _places(chain, q, {})
+    return out[:-1], out[-1]
+
+
+def _places(chain: Chain, q: Array, twists: Mapping[int, Array]) -> Array:
+    """The same frames, the tip last, (n + 1, 4, 4); twists: as of :func:`frames`, of one posture."""
+    out = np.empty((chain.n + 1, 4, 4))
     T = chain.along_z[0]
-    for k in range(chain.n):
-        out[k] = T
-        T = T @ links[k]
-    return out, T
+    links = _links(chain, q)
+    for k in range(chain.n + 1):
+        out[k] = tool_from(T, twists[k][:6, 0]) if k in twists else T
+        T = out[k] @ links[k] if k < chain.n else T
+    return out
 
 
 def _links(chain: Chain, q: Array) -> Array:

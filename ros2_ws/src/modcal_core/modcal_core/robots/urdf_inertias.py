@@ -14,7 +14,7 @@ from modcal_core.geometry import Array, se3
 from modcal_core.robots.chain import Chain
 
 if TYPE_CHECKING:
-    from modcal_core.robots.urdf_tree import Joint, Tree
+    from modcal_core.robots.urdf_tree import Inertial, Joint, Tree
 
 
 # --- Bodies that hang on an arm beside its chain, such as another arm on the same torso: where joints move them to
@@ -57,10 +57,15 @@ class Hanging:
 
     def centre(self, positions: Mapping[str, Array], count: int) -> Array:
         """Its centre of mass seen from the carrier, (N, 3) [m]; a joint whose positions (N,) are unknown is at zero."""
-        T = np.tile(np.eye(4), (count, 1, 1))
-        for step in self.steps:
-            T = T @ step.motion(positions.get(step.joint, np.zeros(count)))
-        return np.asarray(T[:, :3, :3] @ self.com + T[:, :3, 3])
+        return np.asarray(se3.apply(_place(self.steps, positions, count), self.com))
+
+
+def _place(steps: Sequence[CarryingJoint], positions: Mapping[str, Array], count: int) -> Array:
+    """Where these joints lead, (N, 4, 4); those whose positions (N,) are unknown stand at zero."""
+    T = np.tile(np.eye(4), (count, 1, 1))
+    for step in steps:
+        T = T @ step.motion(positions.get(step.joint, np.zeros(count)))
+    return T
 
 
 def moved_centres(bodies: Sequence[Hanging], mass: Array, positions: Mapping[str, Array], count: int) -> Array | None:
@@ -127,10 +132,7 @@ def held_behind(urdf_xml: str, inertias: Inertias, chain: Chain, joints: int, do
     """The bodies of a chain of this URDF, which is held behind its first joints. down: as of Inertias."""
     from modcal_core.robots.urdf_tree import parse
 
-    bodies = _carried(parse(urdf_xml), chain.base, np.eye(4), {chain.names[0]})
-    masses = np.array([m for m, _, _ in bodies])
-    mass = float(masses.sum())
-    com = masses @ np.array([c for _, c, _ in bodies]) / mass if mass else np.zeros(3)
+    mass, com, _ = _lumped(list(_bodies(parse(urdf_xml), chain.base, (), {chain.names[0]})))
     return replace(inertias.pulled(down), held=HeldBehind(joints, mass, com))
 
 
@@ -154,35 +156,41 @@ def read_inertias(urdf_xml: str, chain: Chain) -> Inertias:
     if missing:
         raise BadRobot(f"joint {missing[0]}", f"is not in robot '{tree.name}'", "give the URDF the chain came from")
     mass, com, inertia = np.zeros(chain.n), np.zeros((chain.n, 3)), np.zeros((chain.n, 3, 3))
+    hanging: list[Hanging] = []
     for k, name in enumerate(chain.names):
-        bodies = _carried(tree, joints[name].child, np.eye(4), set(chain.names[k + 1 :]))
-        masses = np.array([m for m, _, _ in bodies])
-        mass[k] = masses.sum()
-        if mass[k] == 0.0:
-            continue
-        centres = np.array([c for _, c, _ in bodies])
-        com[k] = masses @ centres / mass[k]
-        for (m, _, own), r in zip(bodies, centres - com[k], strict=True):
-            inertia[k] += own + m * (r @ r * np.eye(3) - np.outer(r, r))  # Steiner
+        bodies = list(_bodies(tree, joints[name].child, (), set(chain.names[k + 1 :])))
+        mass[k], com[k], inertia[k] = _lumped(bodies)
+        moved = [(steps, own) for steps, own in bodies if own.mass > 0.0 and any(step.joint for step in steps)]
+        hanging += [Hanging(k, steps, own.mass, own.centre) for steps, own in moved]
     for array in (mass, com, inertia):
         array.flags.writeable = False
-    hanging = tuple(
-        body for k, name in enumerate(chain.names)
-        for body in _hanging(tree, joints[name].child, (), set(chain.names[k + 1 :]), k)
-    )  # fmt: skip
-    return Inertias(mass, com, inertia, hanging, _down(tree, chain.base))
+    return Inertias(mass, com, inertia, tuple(hanging), _down(tree, chain.base))
 
 
-def _hanging(
-    tree: Tree, link: str, steps: tuple[CarryingJoint, ...], stop: set[str], carrier: int
-) -> Iterator[Hanging]:
-    """The bodies of a link and of what hangs on it that some joint moves."""
-    if link in tree.inertials and any(step.joint for step in steps) and tree.inertials[link].mass > 0.0:
-        own = tree.inertials[link]
-        yield Hanging(carrier, steps, own.mass, own.centre)
+_Body = tuple[tuple[CarryingJoint, ...], "Inertial"]  # the joints on the way to it, and what it weighs
+
+
+def _bodies(tree: Tree, link: str, steps: tuple[CarryingJoint, ...], stop: set[str]) -> Iterator[_Body]:
+    """The bodies of a link and of what hangs on it, up to these joints."""
+    if link in tree.inertials:
+        yield steps, tree.inertials[link]
     for joint in tree.below[link]:
         if joint.name not in stop:
-            yield from _hanging(tree, joint.child, (*steps, _step(joint)), stop, carrier)
+            yield from _bodies(tree, joint.child, (*steps, _step(joint)), stop)
+
+
+def _lumped(bodies: Sequence[_Body]) -> tuple[float, Array, Array]:
+    """Mass [kg], common centre (3,) [m] and inertia about it (3, 3) [kg m²] with all joints on the way at zero."""
+    mass, inertia = sum(own.mass for _, own in bodies), np.zeros((3, 3))
+    if mass == 0.0:
+        return 0.0, np.zeros(3), inertia
+    places = [_place(steps, {}, 1)[0] for steps, _ in bodies]
+    centres = [se3.apply(T, own.centre) for T, (_, own) in zip(places, bodies, strict=True)]
+    com = np.sum([own.mass * c for c, (_, own) in zip(centres, bodies, strict=True)], axis=0) / mass
+    for T, c, (_, own) in zip(places, centres, bodies, strict=True):
+        R, r = T[:3, :3], c - com
+        inertia += R @ own.inertia @ R.T + own.mass * (r @ r * np.eye(3) - np.outer(r, r))  # Steiner
+    return mass, com, inertia
 
 
 def _step(joint: Joint) -> CarryingJoint:
@@ -200,28 +208,8 @@ def _down(tree: Tree, base: str) -> Array:
     R, link = np.eye(3), base
     while link in tree.above:
         joint = tree.above[link]
-        R = (joint.T_parent_joint @ _at_zero(joint))[:3, :3] @ R
+        R = _step(joint).motion(np.zeros(1))[0, :3, :3] @ R
         link = joint.parent
     down = -R[2]
     down.flags.writeable = False
     return np.asarray(down)
-
-
-def _carried(tree: Tree, link: str, T: Array, stop: set[str]) -> list[tuple[float, Array, Array]]:
-    """Mass, centre and inertia, in the frame that sees the link at T, of the link and what hangs on it."""
-    bodies = []
-    if link in tree.inertials:
-        own, R = tree.inertials[link], T[:3, :3]
-        bodies.append((own.mass, se3.apply(T, own.centre), R @ own.inertia @ R.T))
-    for joint in tree.below[link]:
-        if joint.name not in stop:
-            bodies += _carried(tree, joint.child, T @ joint.T_parent_joint @ _at_zero(joint), stop)
-    return bodies
-
-
-def _at_zero(joint: Joint) -> Array:
-    """The motion of a joint while all that lead stand at zero: none, but for one that mimics with an offset."""
-    if joint.mimic_offset == 0.0 or not joint.axis.any():
-        return np.eye(4)
-    reach = joint.axis / np.linalg.norm(joint.axis) * joint.mimic_offset
-    return se3.exp(np.r_[reach, 0, 0, 0] if joint.kind == "prismatic" else np.r_[0, 0, 0, reach])

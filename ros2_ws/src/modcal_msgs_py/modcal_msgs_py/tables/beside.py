@@ -15,7 +15,7 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.robots import Chain, Inertias, chain_gravity_wrench
-from modcal_msgs_py.tables.columns import JointColumns, Numbers, is_counter
+from modcal_msgs_py.tables.columns import LabelledJoints, Numbers, is_counter
 from modcal_msgs_py.tables.fits import Fitted, JointChoice
 from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label, grouped, words
 from modcal_msgs_py.tables.readings import EFFORTS, UNITS
@@ -83,7 +83,7 @@ class Surroundings:
         return self.choice.postures(self.chain, self.numbers.values)
 
 
-def find_beside(around: Surroundings, labelled: Sequence[JointColumns]) -> OtherColumns:
+def find_beside(around: Surroundings, labelled: Sequence[LabelledJoints]) -> OtherColumns:
     """What the columns are that are neither joints nor readings nor time. labelled: families of as many as joints."""
     out = OtherColumns()
     free = [j for j in labelled if not set(j.columns) & around.taken]
@@ -99,7 +99,7 @@ def find_beside(around: Surroundings, labelled: Sequence[JointColumns]) -> Other
     return out
 
 
-def _commanded(out: OtherColumns, around: Surroundings, some: Sequence[JointColumns], q: Array) -> None:
+def _commanded(out: OtherColumns, around: Surroundings, some: Sequence[LabelledJoints], q: Array) -> None:
     """Labelled columns that are near the joints in one unit, and in no other."""
     choice, chain = around.choice, around.chain
     for one in some:
@@ -120,7 +120,7 @@ def _commanded(out: OtherColumns, around: Surroundings, some: Sequence[JointColu
         return
 
 
-def _velocity(out: OtherColumns, around: Surroundings, some: Sequence[JointColumns], q: Array) -> None:
+def _velocity(out: OtherColumns, around: Surroundings, some: Sequence[LabelledJoints], q: Array) -> None:
     numbers = around.numbers
     if not some:
         return
@@ -166,7 +166,7 @@ def _slope(values: Array, q: Array, stamps: Array) -> float | None:
     return float(a @ b / (a @ a)) if sure else 0.0
 
 
-def _effort(out: OtherColumns, around: Surroundings, some: Sequence[JointColumns], q: Array) -> None:
+def _effort(out: OtherColumns, around: Surroundings, some: Sequence[LabelledJoints], q: Array) -> None:
     for one in some:
         label = around.numbers.labels[one.columns[0]]
         shown = f"{around.numbers.shown(one.columns[0])} … {around.numbers.shown(one.columns[-1])}"
@@ -275,7 +275,7 @@ def _unit_of_std(fitted: Fitted, label: Label, typical: float, what: str) -> str
     return fits[0] if fits and (what == "position" or len(fits) == 1) else None
 
 
-def _temperatures(out: OtherColumns, around: Surroundings, families: Sequence[JointColumns]) -> None:
+def _temperatures(out: OtherColumns, around: Surroundings, families: Sequence[LabelledJoints]) -> None:
     """Temperatures in °C; a family of as many as there are joints is theirs."""
     numbers = around.numbers
     for one in families:
@@ -295,7 +295,7 @@ def _is_warm(numbers: Numbers, k: int) -> bool:
     return bool(_WARM & set(numbers.labels[k].words)) and numbers.labels[k].told not in _NOT_CELSIUS
 
 
-def _signals(out: OtherColumns, around: Surroundings, families: Sequence[JointColumns], of_joints: set[int]) -> None:
+def _signals(out: OtherColumns, around: Surroundings, families: Sequence[LabelledJoints], of_joints: set[int]) -> None:
     """Take every other labelled column that changes and is neither a counter nor a reading's own error as a signal."""
     numbers, labels = around.numbers, around.numbers.labels
     for one in families:

@@ -133,7 +133,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class JointColumns:
+class LabelledJoints:
     """A choice of the joints' columns, in the chain's order. how: what it was chosen by."""
 
     columns: tuple[int, ...]
@@ -209,17 +209,17 @@ def orthonormal(numbers: Numbers) -> set[int]:
     return found
 
 
-def joint_columns(numbers: Numbers, names: Sequence[str]) -> list[JointColumns]:
+def joint_columns(numbers: Numbers, names: Sequence[str]) -> list[LabelledJoints]:
     """Choices of the joints' columns by their labels, measured ones first; commanded, velocities and efforts too."""
     out = _by_name(numbers, names)
     for columns, stem in families(numbers.labels, len(names)):
         if columns not in [choice.columns for choice in out]:
             first, last = (numbers.labels[columns[k]].text for k in (0, -1))
-            out.append(JointColumns(columns, f"numbered labels {first} … {last}", Label.of(stem).role))
+            out.append(LabelledJoints(columns, f"numbered labels {first} … {last}", Label.of(stem).role))
     return sorted(out, key=lambda choice: choice.role != MEASURED)
 
 
-def _by_name(numbers: Numbers, names: Sequence[str]) -> list[JointColumns]:
+def _by_name(numbers: Numbers, names: Sequence[str]) -> list[LabelledJoints]:
     wanted = [Label.of(name).words for name in names]
     common = set(wanted[0]).intersection(*map(set, wanted)) if len(wanted) > 1 else set()
     out = []
@@ -237,7 +237,7 @@ def _by_name(numbers: Numbers, names: Sequence[str]) -> list[JointColumns]:
                 break
             chosen.append(min(fits, key=lambda k: len(labels[k].words)))
         if len(chosen) == len(names):
-            out.append(JointColumns(tuple(chosen), "the joints' names", role))
+            out.append(LabelledJoints(tuple(chosen), "the joints' names", role))
     return out
 
 

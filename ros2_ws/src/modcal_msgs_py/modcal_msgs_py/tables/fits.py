@@ -17,7 +17,7 @@ import numpy as np
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import BEYOND_DOUBT, EULER, LENGTHS, MATRIX, QUATERNION, Judged
 from modcal_core.robots import Chain
-from modcal_msgs_py.tables.columns import Body, JointColumns, Numbers
+from modcal_msgs_py.tables.columns import Body, LabelledJoints, Numbers
 from modcal_msgs_py.tables.proof import JointCounting
 
 _COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
@@ -31,7 +31,7 @@ class JointChoice:
     the table counts them.
     """
 
-    joints: JointColumns
+    joints: LabelledJoints
     angle: str
     length: str
     counted: JointCounting = field(default_factory=lambda: JointCounting({}, ""))
@@ -65,7 +65,7 @@ class JointChoice:
         return out
 
 
-def choices_of(chain: Chain, joints: JointColumns, values: Array) -> list[JointChoice]:
+def choices_of(chain: Chain, joints: LabelledJoints, values: Array) -> list[JointChoice]:
     """Units that the joints may be in, of turning and of sliding ones."""
     turning = chain.revolute[chain.own]
     largest = float(np.abs(values[:, list(joints.columns)][:, turning]).max(initial=0.0))

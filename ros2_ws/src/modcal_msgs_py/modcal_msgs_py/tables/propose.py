@@ -34,7 +34,7 @@ from modcal_core.robots import Chain, Inertias
 from modcal_msgs_py.tables.beside import OtherColumns, Surroundings, find_beside
 from modcal_msgs_py.tables.columns import (
     Body,
-    JointColumns,
+    LabelledJoints,
     Numbers,
     bodies,
     deviation_columns,
@@ -174,7 +174,7 @@ class _Search:
     """Likely places of the readings in a table, with what they may mean. measured: joints by their labels."""
 
     def __init__(
-        self, numbers: Numbers, chain: Chain, measured: Sequence[JointColumns], time: set[int], watch: Watch
+        self, numbers: Numbers, chain: Chain, measured: Sequence[LabelledJoints], time: set[int], watch: Watch
     ) -> None:
         self._numbers, self._chain, self._measured = numbers, chain, measured
         self._time, self._watch = time, watch
@@ -209,7 +209,7 @@ class _Search:
                 instruments = ()
         return fits
 
-    def _fits(self, places: Sequence[Body], choices: Sequence[JointColumns]) -> list[Fitted]:
+    def _fits(self, places: Sequence[Body], choices: Sequence[LabelledJoints]) -> list[Fitted]:
         """These places with their meanings; of columns that are explained already no other place is looked for."""
         out: list[Fitted] = []
         for body in places[:_MAX_BODIES]:
@@ -219,7 +219,9 @@ class _Search:
                 out.append(fitted)
         return out
 
-    def _fitted(self, body: Body, joints: Sequence[JointColumns], counted: Sequence[JointChoice] = ()) -> Fitted | None:
+    def _fitted(
+        self, body: Body, joints: Sequence[LabelledJoints], counted: Sequence[JointChoice] = ()
+    ) -> Fitted | None:
         values = self._numbers.values
         used = [*body.columns, *(k for j in joints for k in j.columns)]
         rows = np.flatnonzero(np.isfinite(values[:, used]).all(axis=1))
@@ -263,7 +265,7 @@ class _Search:
         out: list[Fitted] = []
         for t in dict.fromkeys(order.triple for order in orders[:_ORDERS]):
             some = dict.fromkeys(order.columns for order in orders if order.triple == t)
-            choices = [JointColumns(order, "what they explain of the readings") for order in some]
+            choices = [LabelledJoints(order, "what they explain of the readings") for order in some]
             for body in [b for b in places if b.position == triples[t]][:6]:
                 free = [c for c in choices if not body.shares(set(c.columns))][:_ORDERS]
                 if free and (fitted := self._fitted(body, free)) is not None:
@@ -336,7 +338,7 @@ def _covers(known: Body, body: Body) -> bool:
 
 
 def _decided(
-    numbers: Numbers, chain: Chain, fits: Sequence[Fitted], labelled: Sequence[JointColumns]
+    numbers: Numbers, chain: Chain, fits: Sequence[Fitted], labelled: Sequence[LabelledJoints]
 ) -> tuple[Fitted, list[str], list[str]]:
     """The place that is proposed, what is to be asked, and what is to be said."""
 

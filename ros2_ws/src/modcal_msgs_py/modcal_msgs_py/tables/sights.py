@@ -13,7 +13,7 @@ from modcal_core.geometry import Array
 from modcal_core.hypotheses import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
 from modcal_core.measurements import BEARING, RANGE, TOUCH
 from modcal_core.robots import Chain
-from modcal_msgs_py.tables.columns import JointColumns, Numbers
+from modcal_msgs_py.tables.columns import LabelledJoints, Numbers
 from modcal_msgs_py.tables.fits import JointChoice, choices_of
 from modcal_msgs_py.tables.labels import grouped, words
 from modcal_msgs_py.tables.readings import UNITS, direction
@@ -142,7 +142,7 @@ def _framed(numbers: Numbers, found: Sequence[tuple[str, tuple[int, ...]]]) -> I
 
 
 def find_sights(
-    numbers: Numbers, chain: Chain, joints: Sequence[JointColumns], instruments: Sequence[SightColumns]
+    numbers: Numbers, chain: Chain, joints: Sequence[LabelledJoints], instruments: Sequence[SightColumns]
 ) -> Sighted | None:
     """What columns of distances, directions and heights mean; None if no reading of any of them fits the arm."""
     used = [k for columns in (*(i.columns for i in instruments), *(j.columns for j in joints)) for k in columns]

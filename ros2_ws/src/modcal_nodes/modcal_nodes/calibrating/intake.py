@@ -20,7 +20,7 @@ from modcal_core.measurements import joint_limits
 from modcal_core.measurements.kinds import kinds
 from modcal_core.online import ASKED, BETTER, Policy, SampleStream, Supervisor
 from modcal_core.robots import Chain, Delta, JointColumns, Mechanism, followers_of, is_serial_arm, read_chain
-from modcal_msgs_py import JOINT_COMMANDS, READING, TYPES, Commands, seconds
+from modcal_msgs_py import JOINT_COMMANDS, TYPES, Commands, OneMessage, reading_of, seconds
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.corners import CornerIntake
 from modcal_nodes.calibrating.diagnostics import Times
@@ -110,7 +110,8 @@ class KnownArm:
         if self.stream is None or self.chain is None:
             return
         told = Commands()
-        told.add(JOINT_COMMANDS, type_name, message, seconds(message.header.stamp) or received, received)
+        stamp = seconds(message.header.stamp) or received
+        told.take(JOINT_COMMANDS, type_name, OneMessage(message), np.array([stamp]), np.array([received]))
         for track in told.tracks(lambda _: 0):
             if len(track.stamps):
                 unnamed = np.full(len(track.stamps), np.nan)
@@ -128,7 +129,7 @@ class KnownArm:
     def reading(self, kind: str, message: Any) -> None:
         """Hand a reading to the stream."""
         if self.stream is not None:
-            values = np.array(READING[kind](message))
+            values = reading_of(kind, message)
             if np.isfinite(values).all() and kinds()[kind].implausible(values[None], self._reach).any():
                 said = f"reads {', '.join(f'{x:.4g}' for x in values)}"
                 raise BadRecording(f"{kind} in {message.header.frame_id}", said, "publish metres and unit quaternions")

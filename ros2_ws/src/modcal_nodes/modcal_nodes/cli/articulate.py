@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import click
@@ -13,13 +12,14 @@ from modcal_core.articulation import Track, choose, require_convention
 from modcal_core.errors import BadRecording, about
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POINT, POSE, ReadingTrack, Recording, cleaned, joint_stamps_and_positions
-from modcal_core.report import Articulation
+from modcal_core.report import Articulation, SummaryLine
 from modcal_core.robots import chain_forward
 from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
 from modcal_msgs_py.tables import read_track
-from modcal_nodes.cli.console import Output, file_option, given, option, repeated, say, speaking, written
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, Whole, arm_line, chain_line, described
-from modcal_nodes.io import read_calibration, write_articulation
+from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.inputs import arm_line, chain_line, described, whole_rows
+from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.io import ChainOptions, option, read_calibration, repeated, write_articulation
 
 _MAX = 2000  # samples; of more, evenly chosen ones say the same
 
@@ -49,10 +49,10 @@ class ArticulateOptions(ChainOptions):
     )
     ignore: tuple[str, ...] = repeated("Leave a topic out. Repeatable.", "TOPIC")
     tf: str | None = option("The handle is this pair of frames in /tf.", metavar="PARENT:CHILD")
-    urdf: Path | None = file_option("Robot description, for joint states. Default: the bag's.")
-    calibration: Path | None = file_option("For joint states: the arm as it was calibrated.")
+    urdf: Path | None = option("Robot description, for joint states. Default: the bag's.")
+    calibration: Path | None = option("For joint states: the arm as it was calibrated.")
     points: bool = option("Ignore rotations.", default=False)
-    seed: int = option("Seed for choosing the samples of the first guesses.", default=0, type=Whole(min=0))
+    seed: int = option("Seed for choosing the samples of the first guesses.", default=0, low=0)
 
 
 @click.command("articulate")
@@ -94,7 +94,7 @@ def articulate_command(bag: Path, out: Path | None, output: Output, options: Art
     if read.left_out:
         said.insert(0, f"{read.left_out} of {len(read.values) + read.left_out} rows hold no reading and are left out.")
     said = [read.arm] * bool(read.arm) + said
-    output.result(data, partial(say, said), written(out, files))
+    output.result(data, map(SummaryLine, said), written(out, files))
 
 
 def _with_handle(bag: Path, topics: Topics, handle: str | None) -> Topics:
@@ -133,12 +133,7 @@ def _of_bag(recording: Recording, topic: str | None, options: ArticulateOptions)
         robot = described(recording, None, urdf, options.base, options.tip)
         chain, arm = robot.chain, arm_line(robot)
     stamps, q = joint_stamps_and_positions(recording, chain.names)
-    good = np.isfinite(q).all(axis=1)
-    if not good.any():
-        missing = [name for j, name in enumerate(chain.names) if not np.isfinite(q[:, j]).any()]
-        raise BadRecording(
-            f"{recording.source}, joint_states", f"do not contain {', '.join(missing)}", "give another --tip"
-        )
+    good = whole_rows(recording, chain.names, q)
     return _Read(se3.to_pose(chain_forward(chain, q[good])), stamps[good], chain.base, arm)
 
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from modcal_core.errors import BadRecording, BadTable
 from modcal_core.files import read_yaml, to_yaml, write_folder
@@ -34,10 +31,11 @@ from modcal_core.modules import (
     with_recording,
 )
 from modcal_core.preprocess import prepare
+from modcal_core.report import Summary, SummaryLine, explained
 from modcal_msgs_py import read_recording
-from modcal_nodes.cli.console import Output, explain, given, speaking, table
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, TopicOptions
-from modcal_nodes.io import read_assembly
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.io import TopicOptions, read_assembly
 
 _LIBRARY = click.option(
     "--library", "library_file", type=EXISTING, metavar="FILE",
@@ -99,18 +97,12 @@ def assemble_command(
         "known": [s for s in named if s in known],
         "strangers": strangers,
     }
-
-    def show(console: Console) -> None:
-        console.print(_table(assembly, library))
-        explain(_MODULES, console)
-        console.print("assembly incidence matrix:")
-        console.print(str(matrix))
-        if errors is not None:
-            console.print(f"{len(data['known'])} of {len(assembly.modules)} modules are known from {store}")
-        if strangers:
-            console.print(f"not known: {', '.join(strangers)}", style="yellow")
-
-    output.saved(data, show, out, files, "Robot", "robot.urdf")
+    shown: list[str | Summary] = [*_table(assembly, library), "assembly incidence matrix:", str(matrix)]
+    if errors is not None:
+        shown.append(f"{len(data['known'])} of {len(assembly.modules)} modules are known from {store}")
+    if strangers:
+        shown.append(SummaryLine(f"not known: {', '.join(strangers)}", "doubt"))
+    output.saved(data, shown, out, files, "Robot", "robot.urdf")
 
 
 @click.group("modules")
@@ -167,7 +159,7 @@ def learn_command(
         "notes": list(prepared.notes),
         "parts": [_part(serial, part, error) for (serial, part), error in known.parts.items()],
     }
-    output.result(found, partial(_show_learned, found), f"Modules: {store}")
+    output.result(found, _learned(found), f"Modules: {store}")
 
 
 def _part(serial: str, part: str, error: ModuleError) -> dict[str, Any]:
@@ -182,22 +174,21 @@ def _part(serial: str, part: str, error: ModuleError) -> dict[str, Any]:
     }
 
 
-def _show_learned(found: dict[str, Any], console: Console) -> None:
-    for note in found["notes"]:
-        console.print(note, style="yellow")
-    console.print(_known(found["parts"]))
-    explain(_PARTS, console)
-    console.print(f"{found['stations']} stations, {1e3 * found['residual_m']:.3f} mm RMS left by the fit")
+def _learned(found: dict[str, Any]) -> list[str | Summary]:
+    out: list[str | Summary] = [SummaryLine(note, "doubt") for note in found["notes"]]
+    out += _known(found["parts"])
+    out.append(f"{found['stations']} stations, {1e3 * found['residual_m']:.3f} mm RMS left by the fit")
     if not found["as_known"]:
         said = (
             f"Learned although this assembly is not as its modules were known (p = {found['p_value']:.1g}): a serial "
             "number is wrong, a module or a flange has changed, or the library's tolerances are too tight."
         )
-        console.print(said, style="yellow")
+        out.append(SummaryLine(said, "doubt"))
+    return out
 
 
-def _table(assembly: Assembly, library: Library) -> Table:
-    shown = table(_MODULES, words=3)
+def _table(assembly: Assembly, library: Library) -> list[Summary]:
+    rows = []
     joints = iter(assembly.joint_names)
     frames = module_frames(assembly, library)
     for i, (module, T) in enumerate(zip(assembly.modules, frames, strict=False)):
@@ -205,19 +196,19 @@ def _table(assembly: Assembly, library: Library) -> Table:
         length = f"{1e3 * kind.length(module.size):g}" if kind.sizes > 1 else ""
         at = [f"{1e3 * x + 0.0:.1f}" for x in T[:3, 3]]
         makes = next(joints) if kind.role == JOINT else ""
-        shown.add_row(module.kind, module.serial, makes, length, str(90 * module.turn) if i else "", *at)
+        rows.append((module.kind, module.serial, makes, length, str(90 * module.turn) if i else "", *at))
     tip = [f"{1e3 * x + 0.0:.1f}" for x in frames[-1][:3, 3]]
-    shown.add_row("tip", "", "tool0", "", "", *tip)
-    return shown
+    rows.append(("tip", "", "tool0", "", "", *tip))
+    return explained(_MODULES, rows, words=3)
 
 
-def _known(parts: list[dict[str, Any]]) -> Table:
-    shown = table(_PARTS, words=3)
+def _known(parts: list[dict[str, Any]]) -> list[Summary]:
+    rows = []
     for known in parts:
         twist, std = np.array(known["twist"]), np.array(known["std"])
         shift, turn = (float(np.linalg.norm(twist[at])) for at in (slice(0, 3), slice(3, 6)))
         sure = (float(np.sqrt(np.mean(std[at] ** 2))) for at in (slice(0, 3), slice(3, 6)))
         numbers = [f"{1e3 * x:.3f}" for pair in zip((shift, turn), sure, strict=True) for x in pair]
         part = known["part"].replace("_", " ")
-        shown.add_row(known["serial"], known["kind"], part, str(known["assemblies"]), *numbers)
-    return shown
+        rows.append((known["serial"], known["kind"], part, str(known["assemblies"]), *numbers))
+    return explained(_PARTS, rows, words=3)

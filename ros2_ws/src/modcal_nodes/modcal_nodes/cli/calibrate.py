@@ -5,121 +5,65 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
-from rich.console import Console
 
 from modcal_core.calibration import Calibration, Cell, Stated
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome
 from modcal_core.public import evaluate
-from modcal_core.report import Hashes, Particulars, report_files, to_json_data
-from modcal_core.verdict import STATISTICS
-from modcal_msgs_py import Topics
-from modcal_nodes.cli.camera import OPTIONS, by_camera, calibrate_images, split_options
-from modcal_nodes.cli.certificate import CERTIFICATE, certified_hashes, exit_code, particulars
-from modcal_nodes.cli.console import Output, click_options, speaking, tell, with_options
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Decimal, TopicOptions, Whole, arm_line, chain_line
-from modcal_nodes.cli.show import show_report
+from modcal_core.report import Hashes, Particulars, report_files, summary, to_json_data
+from modcal_nodes.cli.camera import by_camera, calibrate_images
+from modcal_nodes.cli.camera_input import CameraOptions
+from modcal_nodes.cli.certificate import certified_hashes, exit_code, particulars
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.inputs import arm_line, chain_line
+from modcal_nodes.cli.options import EXISTING, WRITTEN, given
 from modcal_nodes.io import (
+    FrozenOptions,
     Options,
+    SplitOptions,
     Watch,
     calibrate_bag,
     of_calibrated,
     of_cell,
     opened,
+    option,
     read_cell,
     read_topics,
     stated_from,
 )
 
-SEED = Whole(min=0)  # what NumPy takes
-_SPLITS = click.option(
-    "--block",
-    type=Whole(min=1),
-    help="Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.",
-)
-SEED_OPTION = click.option("--seed", type=SEED, default=0, help="Seed of the split.")
-CLOCK = click.option(
-    "--clock-limit", type=Decimal(min=0.0), default=0.5, metavar="S",
-    help="Largest offset between tracker and joint clocks that is corrected.",
-)  # fmt: skip
-CELL = click.option(
-    "--cell",
-    "cell_file",
-    type=EXISTING,
-    help="YAML of known distances, fixed parameters, and what is stated of arm and instrument.",
-)
-OUT = click.option("--out", type=WRITTEN, help="Folder of the results.")
-
-
-_ROBOT = (
-    click.option("--urdf", type=EXISTING, help="Robot description. Default: the one in the bag."),
-    click.option("--delta", type=EXISTING, help="Description of a Delta robot, instead of a URDF."),
-    click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link."),
-    click.option(
-        "--tip", metavar="LINK", help="Link where it ends. Default: the link behind most recorded joints."
-    ),
-    click.option(
-        "--fix", "fixed", multiple=True, metavar="NAME",
-        help="Fix a parameter or place at its nominal value, e.g. tool. Repeatable.",
-    ),
-    click.option("--geometry-only", is_flag=True, help="Fit only the geometry; do not look for other effects."),
-)  # fmt: skip
-
-
-_POSITIVE = Decimal(min=0.0, min_open=True)
-STATED = (
-    click.option("--repeatability-mm", type=_POSITIVE, metavar="MM", help="Repeatability of the arm, RMS over space."),
-    click.option(
-        "--repeatability-iso", type=_POSITIVE, metavar="MM", help="The same as RP of ISO 9283, as data sheets give it."
-    ),
-    click.option(
-        "--repeatability-deg", type=_POSITIVE, metavar="DEG",
-        help="Repeatability of the orientation, RMS.",
-    ),
-    click.option(
-        "--instrument-mm", type=_POSITIVE, metavar="MM", help="Error of the instrument, RMS over space."
-    ),
-    click.option(
-        "--instrument-deg", type=_POSITIVE, metavar="DEG",
-        help="Orientation error of the instrument, RMS.",
-    ),
-)  # fmt: skip
-TOLERANCE = (
-    click.option(
-        "--tolerance-mm", type=_POSITIVE, metavar="MM",
-        help="Allowed error: PASS, FAIL or CANNOT TELL; exit code 3 unless PASS.",
-    ),
-    click.option(
-        "--tolerance-of", type=click.Choice(STATISTICS), default="p95",
-        help="Which error of the held-out stations is compared with the tolerance.",
-    ),
-)  # fmt: skip
-
-
-# What is asked of a frozen calibration on a recording
-FROZEN = (CELL, *click_options(TopicOptions), *STATED, SEED_OPTION, CLOCK, *TOLERANCE, *CERTIFICATE, OUT)
-
-
-# What is asked of a calibration, one for each field of :class:`Options` but those of its tolerance
-CALIBRATION = (*_ROBOT, CELL, *click_options(TopicOptions), *STATED, _SPLITS, SEED_OPTION, CLOCK)
-
 
 @dataclass(frozen=True)
-class CertifiedOptions(Options):
-    """The same with what is asked of a certificate, and of a frozen calibration."""
+class CertifiedOptions(FrozenOptions):
+    """The same with what is asked of a certificate."""
 
-    certificate: bool = False
-    serial: str | None = None
-    refit_base: bool = False
-    refit_tool: bool = False
+    certificate: bool = option(
+        "Write certificate.html, one page to print and sign. Needs --tolerance-mm.", default=False
+    )
+    serial: str | None = option("Serial number of the robot, for the certificate.", metavar="TEXT")
 
     @property
     def cell(self) -> Cell:
         """What is known of the surroundings of a frozen calibration."""
         return read_cell(self.cell_file, stated=stated_from(vars(self)))
+
+
+@dataclass(frozen=True)
+class CalibrateOptions(CertifiedOptions, Options):
+    """What ``modcal calibrate`` is asked for."""
+
+
+@dataclass(frozen=True)
+class EvaluateOptions(CertifiedOptions, SplitOptions):
+    """What ``modcal evaluate`` is asked for."""
+
+    refit_base: bool = option("Fit the base again: the tracker or the robot was moved.", default=False)
+    refit_tool: bool = option("Fit the tool again: it was changed.", default=False)
+
+
+OUT = click.option("--out", type=WRITTEN, help="Folder of the results.")
 
 
 @click.command("calibrate")
@@ -128,13 +72,8 @@ class CertifiedOptions(Options):
     "--also", "more", type=EXISTING, multiple=True, metavar="BAG",
     help="Another recording of the same cell, tool and tracker untouched. Repeatable.",
 )  # fmt: skip
-@click.option(
-    "--factory-kinematics",
-    type=EXISTING,
-    metavar="FILE",
-    help="What the manufacturer's tool took from this arm: kinematics.yaml keeps its form and hash.",
-)
-@with_options((*CALIBRATION, *TOLERANCE, *CERTIFICATE, *OPTIONS))
+@given(CalibrateOptions)
+@given(CameraOptions, "camera")
 @OUT
 @speaking
 @click.pass_context
@@ -145,27 +84,26 @@ def calibrate_command(
     more: tuple[Path, ...],
     out: Path | None,
     output: Output,
-    **options: Any,
+    options: CalibrateOptions,
+    camera: CameraOptions,
 ) -> int:
     """Identify the arm from BAG, find what its model lacks, and write the corrected model and a report.
 
     With --target: from images of a printed target, those in BAG, or of --images with --joints and --urdf
     (docs/camera.md).
     """
-    camera = split_options(options)
     images = by_camera(ctx, bag, camera)
-    asked = CertifiedOptions(**options)
-    said = particulars(asked)
+    said = particulars(options)
     if images or bag is None:
-        return calibrate_images(camera, asked, bag, out, output, said)
+        return calibrate_images(camera, options, bag, out, output, said)
     with output.working() as watch:
-        done = calibrate_bag(bag, asked, more, watch)
+        done = calibrate_bag(bag, options, more, watch)
         files = dict(done.files)
         if said is not None:
             watch("writing the certificate")
-            described = asked.delta or asked.urdf or done.result.robot.description
+            described = options.delta or options.urdf or done.result.robot.description
             hashes = certified_hashes(described, done.files["calibration.yaml"])
-            files |= certified(done.result.report, done.result.samples, asked, said, hashes)
+            files |= certified(done.result.report, done.result.samples, options, said, hashes)
     out = out or Path(f"{bag.resolve().stem}_calibration")
     return _say(done.result.report, arm_line(done.result.robot), out, files, output)
 
@@ -173,35 +111,33 @@ def calibrate_command(
 @click.command("evaluate")
 @click.argument("calibration", type=EXISTING)
 @click.argument("bag", type=EXISTING)
-@click.option("--refit-base", is_flag=True, help="Fit the base again: the tracker or the robot was moved.")
-@click.option("--refit-tool", is_flag=True, help="Fit the tool again: it was changed.")
-@with_options((*FROZEN, _SPLITS))
+@given(EvaluateOptions)
+@OUT
 @speaking
-def evaluate_command(calibration: Path, bag: Path, out: Path | None, output: Output, **options: Any) -> int:
+def evaluate_command(calibration: Path, bag: Path, out: Path | None, output: Output, options: EvaluateOptions) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
-    asked = CertifiedOptions(**options)
-    said = particulars(asked)
+    said = particulars(options)
     frozen = Calibration.load(calibration)
     of_core = ("refit_base", "refit_tool", "block", "seed", "tolerance_mm", "tolerance_of")
-    cell = asked.cell
+    cell = options.cell
     with output.working() as watch:
-        samples = frozen_samples(frozen, bag, asked, watch)
+        samples = frozen_samples(frozen, bag, options, watch)
         watch("scoring")
-        with of_cell(asked.cell_file):
-            report = evaluate(frozen, samples, cell=cell, **{name: options[name] for name in of_core})
+        with of_cell(options.cell_file):
+            report = evaluate(frozen, samples, cell=cell, **{name: getattr(options, name) for name in of_core})
         files = report_files(report, calibration=calibration_name(calibration))
         if said is not None:
             watch("writing the certificate")
             hashes = certified_hashes(samples.origin.description, calibration)
-            files |= certified(report, samples, asked, said, hashes, frozen)
+            files |= certified(report, samples, options, said, hashes, frozen)
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     arm = chain_line(frozen.nominal.chain.base, frozen.nominal.chain.tip, frozen.nominal.chain.n)
     return _say(report, arm, out, files, output)
 
 
-def frozen_samples(frozen: Calibration, bag: Path, options: Options, watch: Watch) -> Samples:
-    """The samples of a bag for the arm of a frozen calibration, by the options of ``FROZEN``. Raises BadRecording."""
-    topics = read_topics(options.cell_file, Topics.of(options.topic, options.ignore, options.tf))
+def frozen_samples(frozen: Calibration, bag: Path, options: FrozenOptions, watch: Watch) -> Samples:
+    """The samples of a bag for the arm of a frozen calibration. Raises BadRecording."""
+    topics = read_topics(options.cell_file, options.topics)
     return of_calibrated(opened(bag, watch, topics), frozen, options.clock_limit)
 
 
@@ -231,10 +167,5 @@ def certified(
 
 def _say(report: Outcome, arm: str, out: Path, files: Mapping[str, str], output: Output) -> int:
     """Write the files and show the report; returns the exit code."""
-
-    def show(console: Console) -> None:
-        tell([arm], console)
-        show_report(report, console)
-
-    output.saved(to_json_data(report), show, out, files)
+    output.saved(to_json_data(report), [arm, *summary(report)], out, files)
     return exit_code(report.tolerance)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from modcal_core.robot import Robot
 from modcal_nodes.cli.camera_input import CameraOptions, CameraSource
 from modcal_nodes.cli.certificate import certified_hashes, exit_code
-from modcal_nodes.cli.console import Output, click_options, tell
+from modcal_nodes.cli.console import Output
 from modcal_nodes.cli.inputs import arm_line
 from modcal_nodes.io import Options, Watch
 
@@ -26,12 +25,6 @@ _TOGETHER = tuple(one.name for one in fields(CameraOptions))
 _OF_ALL = ("urdf", "base", "tip", "fixed", "seed", "geometry_only", "topic", "ignore", "clock_limit")
 _CERTIFIED = ("tolerance_mm", "certificate", "serial", "cell_file")
 _ALSO = (*_OF_ALL, *_CERTIFIED, "out", "as_json", "verbose", "bag")
-OPTIONS = click_options(CameraOptions)
-
-
-def split_options(options: dict[str, Any]) -> CameraOptions:
-    """The camera's options, taken out of all."""
-    return CameraOptions(**{name: options.pop(name) for name in _TOGETHER})
 
 
 def by_camera(ctx: click.Context, bag: Path | None, camera: CameraOptions) -> bool:
@@ -107,7 +100,7 @@ def calibrate_images(
     told = [arm_line(robot), *camera_sentences(data)]
     told.append(f"{decision['decision'].upper()}: {' '.join(decision['because'])}")
     told += [] if met is None else [f"{met.result}: {met.because}"]
-    output.saved(data, partial(tell, told), out, files)
+    output.saved(data, told, out, files)
     return exit_code(met)
 
 
@@ -149,7 +142,7 @@ def plan_next_images(camera: CameraOptions, options: Options, count: int, out: P
         "distance_m": away.tolist(),
         **({} if found.markers is None else {"markers": found.markers.tolist()}),
     }
-    output.saved(data, partial(tell, said), out, files, "Images to take", "stations.csv")
+    output.saved(data, said, out, files, "Images to take", "stations.csv")
 
 
 def _solved(

@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
 import numpy as np
 
 from modcal_core.errors import BadRobot, BadTable, about
@@ -16,9 +15,7 @@ from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
 from modcal_core.robots import Tree, chain_forward, held_behind, parse, read_chain, rerooted
 from modcal_msgs_py import Topics, read_recording
-from modcal_nodes.cli.console import file_option, option, repeated
-from modcal_nodes.cli.inputs import Decimal
-from modcal_nodes.io import Options, Watch, opened
+from modcal_nodes.io import Options, Watch, opened, option, repeated
 
 if TYPE_CHECKING:
     from modcal_core.camera import CameraImages, Lens, MarkerBundle, PrintedTarget, ReadingsBeside
@@ -107,14 +104,14 @@ class CameraOptions:
     corners; None for those in a bag.
     """
 
-    images: Path | None = file_option(
+    images: Path | None = option(
         "Images of a target, or a CSV of its corners by one camera or several; with --joints, --target, --urdf.",
         metavar="FOLDER",
     )
-    joints: Path | None = file_option(
+    joints: Path | None = option(
         "CSV: a column image (or stamp [s], images being named by theirs) and one a joint [rad, m].", metavar="FILE"
     )
-    target: Path | None = file_option(
+    target: Path | None = option(
         "target.yaml of modcal target, Kalibr's, or a body's: calibrate from images in BAG, or --images.",
         metavar="FILE",
     )
@@ -128,14 +125,14 @@ class CameraOptions:
     intrinsics: str = option(
         "What becomes of those in --camera-info.",
         default="tolerance",
-        type=click.Choice(["free", "tolerance", "fixed"]),
+        choices=("free", "tolerance", "fixed"),
     )
     arm_mm: float | None = option(
         "Error of the nominal arm at its tool, RMS, as you know it.",
-        type=Decimal(min=0.0, min_open=True),
+        above=0.0,
         metavar="MM",
     )
-    mounting: str | None = option("Where the camera is. Default: found.", type=click.Choice(["tip", "world"]))
+    mounting: str | None = option("Where the camera is. Default: found.", choices=("tip", "world"))
     fisheye: bool = option("The lens is a fisheye, where no camera_info says so.", default=False)
     flat_target: bool = option("The target is flat: on glass or aluminium.", default=False)
 

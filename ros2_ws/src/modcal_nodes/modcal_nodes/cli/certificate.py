@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from modcal_core.errors import BadTable
 from modcal_core.report import Particulars
 from modcal_nodes.io import read_particulars
@@ -20,12 +18,6 @@ if TYPE_CHECKING:
     from modcal_nodes.cli.calibrate import CertifiedOptions
 
 UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
-CERTIFICATE = (
-    click.option(
-        "--certificate", is_flag=True, help="Write certificate.html, one page to print and sign. Needs --tolerance-mm."
-    ),
-    click.option("--serial", metavar="TEXT", help="Serial number of the robot, for the certificate."),
-)  # fmt: skip
 
 
 def particulars(options: CertifiedOptions) -> Particulars | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +24,10 @@ from modcal_core.report import (
     report_files,
 )
 from modcal_core.robots import is_serial_arm, read_chain
-from modcal_nodes.cli.calibrate import FROZEN, CertifiedOptions, calibration_name, certified, frozen_samples
+from modcal_nodes.cli.calibrate import OUT, CertifiedOptions, calibration_name, certified, frozen_samples
 from modcal_nodes.cli.certificate import certified_hashes, exit_code, particulars
-from modcal_nodes.cli.console import Output, speaking, with_options
-from modcal_nodes.cli.inputs import EXISTING
-from modcal_nodes.cli.show import show_blocks
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import of_cell
 
 
@@ -40,38 +38,36 @@ from modcal_nodes.io import of_cell
     "--urdf", type=EXISTING,
     help="Robot description to write the repaired one from. Default: that of the calibration's folder, or in BAG.",
 )  # fmt: skip
-@with_options(FROZEN)
+@given(CertifiedOptions)
+@OUT
 @speaking
 def check_command(
-    calibration: Path, bag: Path, urdf: Path | None, out: Path | None, output: Output, **options: Any
+    calibration: Path, bag: Path, urdf: Path | None, out: Path | None, output: Output, options: CertifiedOptions
 ) -> int:
     """Say what has changed since CALIBRATION (a folder or calibration.yaml), from ten or more stations in BAG.
 
     Names base, tool, a joint's zero, a gear, a load, heat, or the tracker, says by how much and what to do, and writes
     the model with only that repaired.
     """
-    asked = CertifiedOptions(**options)
-    said = particulars(asked)
+    said = particulars(options)
     frozen = Calibration.load(calibration)
-    cell = asked.cell
-    of_core = {name: options[name] for name in ("seed", "tolerance_mm", "tolerance_of")}
+    cell = options.cell
+    of_core = {name: getattr(options, name) for name in ("seed", "tolerance_mm", "tolerance_of")}
     with output.working() as watch:
-        samples = frozen_samples(frozen, bag, asked, watch)
+        samples = frozen_samples(frozen, bag, options, watch)
         watch("checking")
-        with of_cell(asked.cell_file):
+        with of_cell(options.cell_file):
             found = check(frozen, samples, cell=cell, pattern=_pattern(calibration), **of_core)
         files = check_files(found, calibration, urdf, samples.origin.description)
         if said is not None:
             watch("writing the certificate")
             model: str | Path = files.get("calibration.yaml", calibration)
             hashes = certified_hashes(files.get("calibrated.urdf", samples.origin.description), model)
-            files |= certified(found.report, samples, asked, said, hashes, frozen)
+            files |= certified(found.report, samples, options, said, hashes, frozen)
     name = calibration_name(calibration)
     files["check.html"] = checkup_html(found, f"{name}, checked by {bag.resolve().stem}", list(files))
     out = out or Path(f"{bag.resolve().stem}_check")
-    output.saved(
-        checkup_data(found, name), partial(show_blocks, checkup_summary(found)), out, files, "Check", "check.html"
-    )
+    output.saved(checkup_data(found, name), checkup_summary(found), out, files, "Check", "check.html")
     return exit_code(found.report.tolerance)
 
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 import functools
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import field, fields
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from modcal_core.errors import plain
+from modcal_core.report import Summary, SummaryLine, Tone
 from modcal_nodes.io import Watch, silent
 
 _WIDE = 160
@@ -48,16 +48,32 @@ def console(stderr: bool = False) -> Console:
     return made
 
 
-def say(lines: Iterable[str], console: Console) -> None:
-    """Print these lines."""
-    for line in lines:
-        console.print(line)
+STYLES: dict[Tone, str] = {
+    "plain": "",
+    "legend": "dim",
+    "doubt": "yellow",
+    "good": "bold green",
+    "bad": "bold red",
+    "undecided": "bold yellow",
+    "reason": "red",
+}
 
 
-def tell(lines: Iterable[str], console: Console) -> None:
-    """Print these lines as they are, paths whole, however narrow the console is."""
-    for line in lines:
-        console.print(line, soft_wrap=True)
+def show(blocks: Iterable[str | Summary], console: Console) -> None:
+    """Print tables and sentences, each in the colour of its meaning; texts as they are, paths whole."""
+    for block in blocks:
+        if isinstance(block, str):
+            console.print(block, soft_wrap=True)
+        elif isinstance(block, SummaryLine):
+            console.print(block.text, style=STYLES[block.tone])
+        else:
+            table = Table(box=None, header_style="bold", pad_edge=False)
+            for i, name in enumerate(block.header):
+                # a name stays whole, and no digit is left out, however narrow the terminal
+                table.add_column(name, justify="left" if i < block.words else "right", overflow="fold", no_wrap=i == 0)
+            for row in block.rows:
+                table.add_row(*row)
+            console.print(table)
 
 
 def written(folder: Path, names: Iterable[str], what: str = "Report", first: str = "report.html") -> str:
@@ -73,21 +89,21 @@ class Output:
         self._as_json, self.verbose = as_json, verbose
         self._out = console()
 
-    def result(self, data: Any, show: Callable[[Console], None], where: str = "") -> None:
-        """Say the result: as JSON data, or by showing it, and then where it is."""
+    def result(self, data: Any, blocks: Iterable[str | Summary], where: str = "") -> None:
+        """Say the result: as JSON data, or as tables and sentences, and then where it is."""
         if self._as_json:
             from modcal_core.files import to_json
 
             click.echo(to_json(data), nl=False)
             return
-        show(self._out)
+        show(blocks, self._out)
         if where:
             click.echo(plain(where))
 
     def saved(
         self,
         data: Any,
-        show: Callable[[Console], None],
+        blocks: Iterable[str | Summary],
         folder: Path,
         files: Mapping[str, str | bytes],
         what: str = "Report",
@@ -97,7 +113,7 @@ class Output:
         from modcal_core.files import write_folder
 
         write_folder(folder, files)
-        self.result(data, show, written(folder, files, what, first))
+        self.result(data, blocks, written(folder, files, what, first))
 
     @contextmanager
     def working(self) -> Iterator[Watch]:
@@ -158,76 +174,3 @@ def speaking(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(*arguments, output=Output(as_json, verbose), **options)
 
     return spoken
-
-
-def option(text: str = "", *names: str, default: Any = None, **more: Any) -> Any:
-    """A field of a verb's options. text: its help. names: how it is given; none: as the field is called.
-
-    default: False makes it a flag, () one that may be repeated. more: as Click takes them.
-    """
-    kind = {"is_flag": True} if default is False else {"multiple": True} if default == () else {}
-    return field(default=default, metadata={"names": names, "help": text or None, **kind, **more})
-
-
-def file_option(text: str, *names: str, metavar: str | None = None) -> Any:
-    """The same of a file or folder that exists."""
-    return option(text, *names, type=click.Path(exists=True, path_type=Path), metavar=metavar)
-
-
-def repeated(text: str, metavar: str, *names: str) -> Any:
-    """The same of texts, any number of them."""
-    return option(text, *names, default=(), metavar=metavar)
-
-
-def click_options(of: type[Any]) -> tuple[Callable[..., Any], ...]:
-    """Click's options of a dataclass whose fields are made by :func:`option`."""
-    made = []
-    for one in fields(of):
-        more = dict(one.metadata)
-        names = more.pop("names") or (f"--{one.name.replace('_', '-')}",)
-        made.append(click.option(one.name, *names, default=one.default, **more))
-    return tuple(made)
-
-
-def given(of: type[Any]) -> Callable[..., Any]:
-    """A decorator that hands a command ``options``: a value of this dataclass, from the command line."""
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        @functools.wraps(command)
-        def called(*arguments: Any, **named: Any) -> Any:
-            own = {one.name: named.pop(one.name) for one in fields(of)}
-            return command(*arguments, options=of(**own), **named)
-
-        return with_options(click_options(of))(called)
-
-    return decorate
-
-
-def with_options(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
-    """A decorator that gives a command these options, in this order."""
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        for option in reversed(options):
-            command = option(command)
-        return command
-
-    return decorate
-
-
-Columns = Mapping[str, str]  # heading: its meaning; empty where the heading says it all
-
-
-def table(columns: Columns, words: int = 1) -> Table:
-    """An empty table with these headings. words: how many columns, from the left, hold words; the others numbers."""
-    made = Table(box=None, header_style="bold", pad_edge=False)
-    for i, heading in enumerate(columns):
-        # a name stays whole, and no digit is left out, however narrow the terminal
-        made.add_column(heading, justify="left" if i < words else "right", overflow="fold", no_wrap=i == 0)
-    return made
-
-
-def explain(columns: Columns, console: Console) -> None:
-    """Print what each heading means, a line each."""
-    for heading, meaning in columns.items():
-        if meaning:
-            console.print(f"  {heading}: {meaning}", style="dim")

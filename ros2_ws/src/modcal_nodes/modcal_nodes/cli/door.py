@@ -6,15 +6,14 @@ import json
 import os
 import signal
 import subprocess
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
 from modcal_core.errors import BadCommand
-from modcal_nodes.cli.console import Output, speaking, tell, written
-from modcal_nodes.cli.inputs import WRITTEN, Decimal, Whole
+from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.options import WRITTEN, Decimal, Whole
 
 _NODE, _LOG, _RESULT = "door_demo", "nodes.log", "pull.json"
 _DOMAINS = 100  # of them every system has ports for; 0 is the one that robots usually speak in
@@ -49,7 +48,7 @@ def door_command(kind: str, seed: int, patience: float, domain: int | None, out:
         raise BadCommand(f"{kind} {seed}", _last_word(out / _LOG), f"see {out / _LOG}, or give another --seed")
     data = json.loads((out / _RESULT).read_text(encoding="utf-8"))
     names = [_LOG, _RESULT, *data["files"]]
-    output.result(data, partial(tell, data["sentences"]), written(out, names))
+    output.result(data, data["sentences"], written(out, names))
 
 
 def _program() -> Path:

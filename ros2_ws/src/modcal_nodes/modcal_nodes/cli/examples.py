@@ -6,7 +6,6 @@ import os
 import shutil
 import tomllib
 from collections import Counter
-from functools import partial
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from modcal_core.errors import BadCommand
-from modcal_nodes.cli.console import Output, speaking, tell
+from modcal_nodes.cli.console import Output, speaking
 
 _KEPT = "share/modcal/"  # where pyproject.toml puts them, below the prefix of the installation
 _FIRST = (
@@ -42,9 +41,7 @@ def examples_command(folder: Path, output: Output) -> None:
     count = Counter(name.partition("/")[0] for name in found)
     here = "" if folder == Path() else f" in {folder}"
     said = ["Written: " + ", ".join(f"{folder / name} ({count[name]} files)" for name in names), f"Try{here}:"]
-    output.result(
-        {"folder": str(folder), "files": sorted(found)}, partial(tell, [*said, *(f"  {one}" for one in _FIRST)])
-    )
+    output.result({"folder": str(folder), "files": sorted(found)}, [*said, *(f"  {one}" for one in _FIRST)])
 
 
 def _shipped() -> dict[str, Path]:

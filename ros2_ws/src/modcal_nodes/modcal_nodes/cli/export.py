@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import yaml
-from rich.console import Console
 
 from modcal_core.calibration import Calibration, from_data
 from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml, to_yaml, write_file
 from modcal_core.geometry import se3
+from modcal_core.report import kinematics_text
 from modcal_core.robots import (
     CONVENTIONS,
-    NO_HASH,
     UNITS,
     Chain,
     NearestTable,
@@ -27,8 +25,6 @@ from modcal_core.robots import (
     from_csv,
     from_table,
     joint_origins,
-    kinematics_yaml_data,
-    lacks_hash,
     loss,
     nearest_dh,
     parse,
@@ -39,9 +35,9 @@ from modcal_core.robots import (
     to_table,
     xacro_origins,
 )
-from modcal_nodes.cli.console import Output, file_option, given, option, speaking, tell
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions
-from modcal_nodes.io import read_calibration
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.io import ChainOptions, option, read_calibration
 
 _MODELS = ("calibrated", "geometric", "nominal")
 _OF_URDF = ("kinematics", "xacro")  # formats of a URDF's joints, each by itself
@@ -50,6 +46,7 @@ _MOUNT = "mount"
 _FORMS = (*CONVENTIONS, "urdf", *_OF_URDF, _OFFSETS, _MOUNT)
 
 
+_Told = tuple[dict[str, Any], list[str]]  # what to say of a written file, as data and as lines
 _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can hold
 
 
@@ -57,16 +54,16 @@ _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can h
 class ExportOptions(ChainOptions):
     """What is asked of an export. to: one of the formats. which: model of a calibration."""
 
-    to: str = option("Format to write.", type=click.Choice(_FORMS), required=True)
-    which: str = option("Model of a calibration.", default="calibrated", type=click.Choice(_MODELS))
+    to: str = option("Format to write.", choices=_FORMS, required=True)
+    which: str = option("Model of a calibration.", default="calibrated", choices=_MODELS)
     tool: bool = option("For a calibration: end at the measured tool, not at the tip link.", default=False)
     link: str | None = option("For mount: the camera's link, such as camera_color_optical_frame.", metavar="LINK")
     largest_offset: float = option("Largest offset in a DH row [m].", default=10.0, type=float)
     nearest: bool = option(
         "For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.", default=False
     )
-    unit: str = option("Of a table that is written as CSV.", default="m rad", type=click.Choice([*UNITS]))
-    factory_kinematics: Path | None = file_option("For kinematics: the maker's own file of this arm.")
+    unit: str = option("Of a table that is written as CSV.", default="m rad", choices=tuple(UNITS))
+    factory_kinematics: Path | None = option("For kinematics: the maker's own file of this arm.")
 
 
 @click.command("export")
@@ -123,9 +120,7 @@ def export_command(source: Path, out: Path | None, output: Output, options: Expo
     output.result(*told(out, chain, off, left_out))
 
 
-def told(
-    out: Path, chain: Chain, off: float | None = None, left_out: Sequence[str] = ()
-) -> tuple[dict[str, Any], Callable[[Console], None]]:
+def told(out: Path, chain: Chain, off: float | None = None, left_out: Sequence[str] = ()) -> _Told:
     """What to say of the file with an arm's kinematics, as data and as lines.
 
     off: how far poses are off when it is read back [m]. left_out: what it cannot hold.
@@ -140,7 +135,7 @@ def told(
     }
     said = "" if off is None else f", read back it is off by {off:.1g} m at most"
     line = f"{out}: {chain.n} joints, {chain.base} → {chain.tip}{said}"
-    return data, partial(tell, [*(f"left out: {note}" for note in left_out), line])
+    return data, [*(f"left out: {note}" for note in left_out), line]
 
 
 def read_table(path: Path) -> dict[str, Any] | None:
@@ -163,9 +158,7 @@ def _lost(found: NearestTable) -> str:
     )
 
 
-def _written_origins(
-    source: Path, options: ExportOptions, out: Path | None
-) -> tuple[dict[str, Any], Callable[[Console], None]]:
+def _written_origins(source: Path, options: ExportOptions, out: Path | None) -> _Told:
     """Write the origins of a URDF's joints between base and tip, and say so."""
     form, base, tip, factory = options.to, options.base, options.tip, options.factory_kinematics
     left_out: tuple[str, ...] = ()
@@ -187,8 +180,7 @@ def _written_origins(
         raise BadTable(str(source), f"is not a URDF, which {form} is made from", "give calibrated.urdf or its folder")
     chain, origins = read_chain(text, base, tip), joint_origins(text)
     if form == "kinematics":
-        data = kinematics_yaml_data(chain, origins, None if factory is None else read_yaml(factory))
-        written = (NO_HASH if lacks_hash(data) else "") + to_yaml(data)
+        written = kinematics_text(chain, origins, None if factory is None else read_yaml(factory))
     else:
         way = [name for segment in read_path(text, chain.base, chain.tip) for name in segment]
         notes = [f"left out: {note}" for note in left_out]
@@ -200,7 +192,7 @@ def _written_origins(
     return told(out, chain, None, left_out)
 
 
-def _written_offsets(source: Path, out: Path | None) -> tuple[dict[str, Any], Callable[[Console], None]]:
+def _written_offsets(source: Path, out: Path | None) -> _Told:
     """Write the joint offsets of a calibration for ros2_control, and say so."""
     from modcal_core.outcome import offsets_of  # the fit's parameters, which tables do without
 
@@ -220,9 +212,7 @@ def _written_offsets(source: Path, out: Path | None) -> tuple[dict[str, Any], Ca
     return told(out, chain, None, notes)
 
 
-def _written_mount(
-    source: Path, link: str | None, out: Path | None
-) -> tuple[dict[str, Any], Callable[[Console], None]]:
+def _written_mount(source: Path, link: str | None, out: Path | None) -> _Told:
     """Write the origin of the joint by which a camera is mounted on the tip, or beside the arm, and say so."""
     if link is None or not source.is_dir():
         raise BadTable(f"--to {_MOUNT}", "needs the folder of a calibration and the camera's link", "give --link LINK")

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import click
 from distributed import Client
-from rich.console import Console
-from rich.text import Text
 
 from modcal_core.errors import BadCommand, plain
-from modcal_core.report import STATUS_WORDS
-from modcal_nodes.cli.calibrate import CALIBRATION
-from modcal_nodes.cli.console import Output, explain, speaking, table, with_options, written
-from modcal_nodes.cli.inputs import WRITTEN, Whole
-from modcal_nodes.cli.show import STYLES
+from modcal_core.report import STATUS_WORDS, explained
+from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.options import WRITTEN, Whole, given
 from modcal_nodes.fleet import DONE, Row, calibrate_all, find_bags, names_of, write_table
 from modcal_nodes.io import Options
 
@@ -36,7 +31,7 @@ _COLUMNS = {
 @click.option("--csv", "as_csv", is_flag=True, help="Write fleet.csv in place of fleet.parquet.")
 @click.option("--jobs", type=Whole(min=1), metavar="N", help="Processes of this machine. Default: one per core.")
 @click.option("--dask", "address", metavar="ADDRESS", help="Address of a Dask scheduler, in place of this machine.")
-@with_options(CALIBRATION)
+@given(Options, without=("tolerance_mm", "tolerance_of", "factory_kinematics"))
 @speaking
 def fleet_command(
     bags: tuple[str, ...],
@@ -45,7 +40,7 @@ def fleet_command(
     jobs: int | None,
     address: str | None,
     output: Output,
-    **options: Any,
+    options: Options,
 ) -> int:
     """Calibrate every recording in BAGS (bags, folders that hold some, patterns).
 
@@ -53,34 +48,30 @@ def fleet_command(
     then written nevertheless.
     """
     named = names_of(find_bags(bags, out), out)
-    files = {name: value.resolve() for name, value in options.items() if isinstance(value, Path)}
-    asked = Options(**options | files)
+    files: dict[str, Any] = {name: value.resolve() for name, value in vars(options).items() if isinstance(value, Path)}
+    asked = replace(options, **files)
     name = "fleet.csv" if as_csv else "fleet.parquet"
     done = count(1)
     with _client(address, jobs) as client, output.working() as watch:
         rows = calibrate_all(named, out, asked, client, lambda _: watch("calibrating", next(done) / len(named)))
     write_table(out / name, rows)
     data = {"modcal_fleet": 1, "out": str(out), "recordings": rows}
-    output.result(data, partial(_show, rows), written(out, [name, "a folder for each recording"], "Table", name))
+    output.result(
+        data,
+        explained(_COLUMNS, [_shown(row) for row in rows], words=2),
+        written(out, [name, "a folder for each recording"], "Table", name),
+    )
     if left := [row for row in rows if row["state"] != DONE]:
         first = f"{left[0]['name']} {left[0]['state']}: {left[0]['said']}"
         click.echo(plain(f"modcal: {len(left)} of {len(rows)} recordings were not calibrated; {first}"), err=True)
     return 2 if left else 0
 
 
-def _show(rows: Sequence[Row], page: Console) -> None:
-    shown = table(_COLUMNS, words=2)
-    for row in rows:
-        shown.add_row(*_shown(row))
-    page.print(shown)
-    explain(_COLUMNS, page)
-
-
-def _shown(row: Row) -> tuple[str | Text, ...]:
+def _shown(row: Row) -> tuple[str, ...]:
     if row["state"] != DONE:
-        return row["name"], Text(row["state"], "yellow"), "", ""
+        return row["name"], row["state"], "", ""
     sizes = ["" if (x := row[f"{stage}_rms_mm"]) is None else f"{x:.3f}" for stage in ("nominal", "final")]
-    return row["name"], Text(STATUS_WORDS[row["status"]], STYLES.get(row["status"], "")), *sizes
+    return row["name"], STATUS_WORDS[row["status"]], *sizes
 
 
 def _client(address: str | None, workers: int | None) -> Client:

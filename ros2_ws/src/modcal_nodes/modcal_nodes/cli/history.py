@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +29,7 @@ from modcal_core.report import (
 )
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Decimal
-from modcal_nodes.cli.show import show_blocks
+from modcal_nodes.cli.options import EXISTING, WRITTEN, Decimal
 from modcal_nodes.io import SCHEMA
 
 _DATED = re.compile(r"(\d{4}-\d{2}-\d{2})")
@@ -53,8 +51,7 @@ def history_command(folder: Path, out: Path | None, output: Output) -> None:
         found = read_history(folder)
     data = history_data(found)
     files = {"history.json": to_json(data)}
-    show = partial(show_blocks, history_summary(found))
-    output.saved(data, show, out or folder, files, "History", "history.json")
+    output.saved(data, history_summary(found), out or folder, files, "History", "history.json")
 
 
 def read_history(folder: Path) -> tuple[History, ...]:
@@ -168,7 +165,7 @@ def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: 
     data = comparison_data(found)
     out = out or Path(f"{first.resolve().stem}_{second.resolve().stem}_comparison")
     files = {"comparison.json": to_json(data)}
-    output.saved(data, partial(show_blocks, comparison_summary(found)), out, files, "Comparison", "comparison.json")
+    output.saved(data, comparison_summary(found), out, files, "Comparison", "comparison.json")
     judged = tolerance_mm is not None and found.result in ("beyond tolerance", "cannot tell")
     return UNMET if judged else 0
 

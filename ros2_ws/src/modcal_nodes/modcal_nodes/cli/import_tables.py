@@ -18,9 +18,11 @@ from modcal_core.robot import Robot
 from modcal_core.robots import Chain, chain_urdf, document, from_table, from_ur_conf
 from modcal_msgs_py import write_recording
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, json_schema, read_tables
-from modcal_nodes.cli.console import Output, file_option, given, option, speaking, tell
+from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.export import read_table, told
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, described
+from modcal_nodes.cli.inputs import described
+from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.io import ChainOptions, option
 
 _HEAD = 4096  # bytes in which a kinematic table says that it is one
 
@@ -64,7 +66,7 @@ def proposed(tables: Sequence[Path], urdf: Path, options: ImportOptions, output:
     result = {
         "mapping": str(path), "proved": list(made.proved), "assumed": list(made.assumed), "undecided": list(made.open),
     }  # fmt: skip
-    output.result(result, partial(tell, lines))
+    output.result(result, lines)
     return made, path
 
 
@@ -89,8 +91,8 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
 class ImportOptions(ChainOptions):
     """Where tables are, of which robot, and what is written."""
 
-    data: Path | None = file_option("Folder of the tables. Default: the folder of MAPPING.")
-    urdf: Path | None = file_option("Robot description to put into the bag, and to prove a mapping by.")
+    data: Path | None = option("Folder of the tables. Default: the folder of MAPPING.")
+    urdf: Path | None = option("Robot description to put into the bag, and to prove a mapping by.")
     mapping: Path | None = option(
         "For tables without a mapping: the mapping to write. Default: FILE.yaml.", type=click.Path(path_type=Path)
     )
@@ -186,7 +188,7 @@ def _import(mapping: Path, options: ImportOptions, out: Path, output: Output) ->
     left_out = [note for note in recording.warnings if "left out" in note]
     found = {"bag": str(out), "stations": stations, "frames": frames, "left_out": left_out}
     line = f"{out}: {stations} stations, {len(frames)} frame{'s' * (len(frames) != 1)}; next: modcal calibrate {out}"
-    output.result(found, partial(tell, [*left_out, line]))
+    output.result(found, [*left_out, line])
 
 
 def _proved(recording: Recording, stated: Mapping[str, Any], arm: tuple[str | None, str | None]) -> Recording:

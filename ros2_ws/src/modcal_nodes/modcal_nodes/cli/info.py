@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 
 from modcal_core.errors import ModcalError
 from modcal_core.measurements import Recording, inspect
+from modcal_core.report import Summary, SummaryLine, SummaryTable
 from modcal_core.robot import Robot
 from modcal_msgs_py import Repair, read_recording, repair_bag
-from modcal_nodes.cli.console import Output, file_option, given, option, speaking, table
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, TopicOptions, chain_line, described
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.inputs import chain_line, described
+from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.io import ChainOptions, TopicOptions, option
 
 _MAX_SIGNALS = 8  # that are listed
 _MIN_IMAGES = 4  # with the target, that a calibration can be made from
@@ -26,9 +27,9 @@ _MIN_IMAGES = 4  # with the target, that a calibration can be made from
 class InfoOptions(ChainOptions, TopicOptions):
     """Of which robot a bag is, and which target its images show."""
 
-    urdf: Path | None = file_option("Robot description. Default: the one in the bag.")
-    delta: Path | None = file_option("Description of a Delta robot instead.")
-    target: Path | None = file_option("Printed target: say what the images are good for.")
+    urdf: Path | None = option("Robot description. Default: the one in the bag.")
+    delta: Path | None = option("Description of a Delta robot instead.")
+    target: Path | None = option("Printed target: say what the images are good for.")
     image_topic: str | None = option("Images. Default: the only ones there are.", metavar="TOPIC")
 
 
@@ -62,7 +63,7 @@ def info_command(bag: Path, output: Output, options: InfoOptions) -> None:
         "images": images or None,
         "findings": [*findings, *seen.findings],
     }
-    output.result(data, partial(_show, data, _MAX_SIGNALS if not output.verbose else len(seen.tracks)))
+    output.result(data, _shown(data, _MAX_SIGNALS if not output.verbose else len(seen.tracks)))
 
 
 def _images(
@@ -86,32 +87,29 @@ def _images(
     return {**worth.data, "line": worth_line(worth)}, use
 
 
-def _show(data: dict[str, Any], most: int, console: Console) -> None:
+def _shown(data: dict[str, Any], most: int) -> list[str | Summary]:
     """What is used first. most: signals that have a line each; of more there is one line."""
-    for use in data["uses"]:
-        console.print(f"can be used for {use}", style="green")
+    out: list[str | Summary] = [SummaryLine(f"can be used for {use}", "good") for use in data["uses"]]
     if robot := data["robot"]:
         said = chain_line(robot["base"], robot["tip"], len(robot["joints"]), robot["other_tips"])
-        console.print(said)
-    shown = table(dict.fromkeys(("topic", "what", "messages", "Hz", "largest gap"), ""), words=2)
+        out.append(SummaryLine(said))
+    rows = []
     signals = [track for track in data["topics"] if track["what"].startswith("signal:")]
     few = len(signals) <= most
     for track in data["topics"] if few else (track for track in data["topics"] if track not in signals):
         rate, gap = f"{track['rate']:.4g}", f"{track['largest_gap']:.3g} s"
-        shown.add_row(track["topic"], track["what"], str(track["count"]), rate, gap)
-    console.print(shown)
+        rows.append((track["topic"], track["what"], str(track["count"]), rate, gap))
+    out.append(SummaryTable(("topic", "what", "messages", "Hz", "largest gap"), tuple(rows), words=2))
     if not few:
         topics = len({track["topic"] for track in signals})
-        console.print(
-            f"{len(signals)} numbers of {topics} other topics, on which errors may depend: all with --verbose"
-        )
-    console.print(f"duration: {data['duration_s']:.1f} s")
+        said = f"{len(signals)} numbers of {topics} other topics, on which errors may depend: all with --verbose"
+        out.append(SummaryLine(said))
+    out.append(SummaryLine(f"duration: {data['duration_s']:.1f} s"))
     for one in data["listed"]:
         if one["role"] is None and one["could"]:
             kind = one["type_name"].rpartition("/")[2]
-            console.print(f"{one['topic']} ({kind}) could be {' or '.join(map(_said, one['could']))}")
-    for finding in data["findings"]:
-        console.print(finding, style="yellow")
+            out.append(SummaryLine(f"{one['topic']} ({kind}) could be {' or '.join(map(_said, one['could']))}"))
+    return [*out, *(SummaryLine(finding, "doubt") for finding in data["findings"])]
 
 
 def _said(role: str) -> str:
@@ -138,18 +136,13 @@ def repair_command(bag: Path, out: Path | None, output: Output) -> None:
         "reasons": list(done.reasons),
         "messages": dict(done.saved),
     }
-    output.result(data, partial(_show_saved, bag, done))
+    output.result(data, _saved(bag, done))
 
 
-def _show_saved(bag: Path, done: Repair, console: Console) -> None:
+def _saved(bag: Path, done: Repair) -> list[Summary]:
     count = sum(done.saved.values())
     if done.folder is None:
-        console.print(f"{bag} is whole ({count} messages): nothing to repair")
-        return
-    for reason in done.reasons:
-        console.print(reason, style="yellow")
-    shown = table({"topic": "", "messages saved": ""})
-    for topic, saved in done.saved.items():
-        shown.add_row(topic, str(saved))
-    console.print(shown)
-    console.print(f"{done.folder}: {count} messages saved", style="bold")
+        return [SummaryLine(f"{bag} is whole ({count} messages): nothing to repair")]
+    table = SummaryTable(("topic", "messages saved"), tuple((topic, str(n)) for topic, n in done.saved.items()))
+    reasons = [SummaryLine(reason, "doubt") for reason in done.reasons]
+    return [*reasons, table, SummaryLine(f"{done.folder}: {count} messages saved", "good")]

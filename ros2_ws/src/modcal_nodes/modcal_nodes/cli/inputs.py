@@ -1,55 +1,21 @@
-"""What verbs are given: robots, topics, paths, numbers and stations."""
+"""What verbs are given: robots, numbers by joint, and stations."""
 
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from math import isfinite
-from os import PathLike
 from pathlib import Path
-from typing import Any
 
-import click
 import numpy as np
 
-from modcal_core.errors import BadRobot, BadTable, about
+from modcal_core.errors import BadRecording, BadRobot, BadTable, about
 from modcal_core.files import read_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
 from modcal_core.robots import Mechanism, delta_from_data, other_tips, read_chain
-from modcal_msgs_py import Topics
-from modcal_nodes.cli.console import option, repeated
 
 _OTHERS = 3  # tips that are named
-
-
-@dataclass(frozen=True)
-class ChainOptions:
-    """Where an arm begins and ends."""
-
-    base: str | None = option("Link where the arm begins. Default: the root link.", metavar="LINK")
-    tip: str | None = option("Link where it ends. Default: the link behind most joints.", metavar="LINK")
-
-
-@dataclass(frozen=True)
-class TopicOptions:
-    """What the topics of a bag are."""
-
-    topic: tuple[str, ...] = repeated(
-        "The topic for a role, e.g. tracker/pose=/vrpn/tool/pose. Repeatable.", "ROLE=NAME"
-    )
-    ignore: tuple[str, ...] = repeated("Leave a topic out. Repeatable.", "TOPIC")
-    tf: str | None = option(
-        "The tracker's readings are these frames in /tf, e.g. tracker:tool.", metavar="PARENT:CHILD"
-    )
-
-    @property
-    def topics(self) -> Topics:
-        """The same as readers of bags take it."""
-        return Topics.of(self.topic, self.ignore, self.tf)
 
 
 def chain_line(base: str, tip: str, joints: int, others: Sequence[str] = ()) -> str:
@@ -107,63 +73,14 @@ def described(recording: Recording, delta: Path | None, urdf: Path | None, base:
         return Robot.from_urdf(urdf or recording.robot_description or "", base, tip, recorded)
 
 
-class _Named(click.Path):
-    """A path that is not the empty text, which would be the folder where the command runs."""
-
-    def convert(
-        self, value: str | PathLike[str], param: click.Parameter | None, ctx: click.Context | None
-    ) -> Any:  # what click declares: a path of path_type
-        """The path. Refuses the empty text."""
-        if str(value) == "":
-            self.fail("is empty, as an unset variable of a script is; name what shall be written", param, ctx)
-        return super().convert(value, param, ctx)
-
-
-EXISTING = click.Path(exists=True, path_type=Path)
-WRITTEN = _Named(path_type=Path)
-
-
-_BEGIN = re.compile(r"[+-]?\d+(\.\d+)?")  # of what somebody wrote with a comma or a unit
-
-
-class Decimal(click.FloatRange):
-    """A finite number within a range."""
-
-    name = "number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The number, or a refusal that says how to write it."""
-        try:
-            number = float(value)
-        except ValueError:
-            pointed = str(value).strip().replace(",", ".")
-            begin = _BEGIN.match(pointed)
-            meant = f": write {pointed if _reads(pointed) else begin[0]}" if begin else ""
-            self.fail(f"{value!r} is not a number{meant}.", param, ctx)
-        if not isfinite(number):
-            self.fail(f"{value!r} is not a finite number.", param, ctx)
-        return super().convert(number, param, ctx)
-
-
-class Whole(click.IntRange):
-    """A whole number within a range."""
-
-    name = "whole number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The number, or a refusal."""
-        try:
-            number = int(value)
-        except ValueError:
-            self.fail(f"{value!r} is not a whole number.", param, ctx)
-        return super().convert(number, param, ctx)
-
-
-def _reads(text: str) -> bool:
-    try:
-        return isfinite(float(text))
-    except ValueError:
-        return False
+def whole_rows(recording: Recording, names: Sequence[str], q: Array) -> np.ndarray:
+    """Rows of joint positions (N, n) in which every joint has one, (N,). Raises BadRecording where there is none."""
+    whole = np.isfinite(q).all(axis=1)
+    if not whole.any():
+        missing = [name for name, x in zip(names, q.T, strict=True) if not np.isfinite(x).any()] or ["all at once"]
+        where = f"{recording.source}, joint_states"
+        raise BadRecording(where, f"do not contain {', '.join(missing)}", "give another --tip")
+    return np.asarray(whole)
 
 
 def numbers_by_joint(said: Iterable[str], option: str) -> dict[str, float]:

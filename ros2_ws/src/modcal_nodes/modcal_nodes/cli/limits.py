@@ -3,46 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from modcal_core.errors import BadRecording, BadTable, about
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import Recording, joint_stamps_and, spread_rows
-from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_html
+from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_html, limits_summary
 from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
 from modcal_msgs_py import SUFFIXES, read_recording
-from modcal_nodes.cli.console import Output, explain, file_option, given, option, repeated, speaking, table, tell
-from modcal_nodes.cli.inputs import (
-    EXISTING,
-    WRITTEN,
-    ChainOptions,
-    TopicOptions,
-    Whole,
-    arm_line,
-    described,
-    file_line,
-    numbers_by_joint,
-)
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.inputs import arm_line, described, file_line, numbers_by_joint, whole_rows
+from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.io import ChainOptions, TopicOptions, option, repeated
 
 _MAX = 2000  # postures of a bag; of more, evenly chosen ones say the same
 _THOROUGH = 20_000  # for time, with --thorough
-_COLUMNS = {
-    "joint": "",
-    "inertia": "moved by the joint's drive [kg m²; kg]",
-    "taken": "share of the drive's torque that gravity, friction and speed need; above 100 % it cannot be held",
-    "equivalent": "acceleration that the rest of the torque allows, lower … upper, the other joints not accelerating",
-    "coupled": "the same with every other joint anywhere within its own bounds",
-    "constant": "one set of bounds that holds together at every posture",
-    "unit": "",
-}
 
 
 def _by_joint(text: str) -> Any:
@@ -57,7 +37,7 @@ def _numbers(text: str, *default: float) -> Any:
 class LimitsOptions(ChainOptions, TopicOptions):
     """What is asked of bounds: the arm, what it carries, its postures, and its drives by joint, in SI."""
 
-    urdf: Path | None = file_option("Robot description, for a bag. Default: the one in it.")
+    urdf: Path | None = option("Robot description, for a bag. Default: the one in it.")
     payload: float = option("Mass that is carried [kg].", default=0.0, type=float)
     centre: tuple[float, ...] = _numbers("Centre of mass in the tip link [m].", 0.0, 0.0, 0.0)
     inertia: tuple[float, ...] = _numbers(
@@ -65,8 +45,8 @@ class LimitsOptions(ChainOptions, TopicOptions):
     )
     at: tuple[str, ...] = repeated("Position of a joint [rad; m]. Default: 0.", "JOINT=VALUE")
     velocity: tuple[str, ...] = repeated("Velocity of a joint [rad/s; m/s]. Default: 0.", "JOINT=VALUE")
-    workspace: int | None = option("Number of random postures within the limits.", type=Whole(min=1))
-    seed: int = option("Seed of those postures.", default=0, type=Whole(min=0))
+    workspace: int | None = option("Number of random postures within the limits.", low=1)
+    seed: int = option("Seed of those postures.", default=0, low=0)
     thorough: bool = option("Of a bag up to 20 000 postures, not 2 000.", default=False)
     share: float = option("Share of the torque that may be used.", default=1.0, type=float)
     gravity: tuple[float, ...] = _numbers("Gravity in the base link [m/s²].", 0.0, 0.0, -9.80665)
@@ -122,7 +102,7 @@ def limits_command(source: Path, out: Path | None, output: Output, options: Limi
     with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
         data = {**limits_data(found), "notes": list(notes)}
-    show = partial(_show, data, said, len(q), notes)
+    show = [said, *limits_summary(found, tuple(notes))]
     if out is None:
         output.result(data, show)
     else:
@@ -132,15 +112,6 @@ def limits_command(source: Path, out: Path | None, output: Output, options: Limi
             "report.html": limits_html(found, source.stem, tuple(notes)),
         }
         output.saved(data, show, out, files, "Limits", "limits.json")
-
-
-def _show(data: dict[str, Any], arm: str, postures: int, notes: tuple[str, ...], console: Console) -> None:
-    tell([arm], console)
-    console.print(_table(data))
-    explain(_COLUMNS, console)
-    tell(notes, console)
-    if postures > 1:
-        click.echo(f"{postures} postures: the tightest of each, and 'constant', the largest that hold at all of them.")
 
 
 def _motion(chain: Chain, options: LimitsOptions) -> tuple[Array, Array]:
@@ -166,12 +137,7 @@ def _recorded(arm: LoadedArm, recording: Recording, most: int) -> tuple[Array, A
     chain = arm.chain
     _, q = joint_stamps_and(recording, chain.names, "position")
     _, v = joint_stamps_and(recording, chain.names, "velocity")
-    whole = np.isfinite(q).all(axis=1)
-    if not whole.any():
-        missing = [name for j, name in enumerate(chain.names) if not np.isfinite(q[:, j]).any()] or ["all at once"]
-        raise BadRecording(
-            f"{recording.source}, joint_states", f"do not contain {', '.join(missing)}", "give another --tip"
-        )
+    whole = whole_rows(recording, chain.names, q)
     notes = list(recording.warnings)
     if not whole.all():
         count = f"{int((~whole).sum())} of {len(q)}"
@@ -207,15 +173,3 @@ def _column(chain: Chain, said: tuple[str, ...], option: str, otherwise: Array) 
             raise BadTable(f"{option} {name}", "is not a joint of this arm", f"name one of {', '.join(chain.names)}")
         out[chain.names.index(name)] = value
     return out
-
-
-def _table(data: dict[str, Any]) -> Table:
-    shown = table(_COLUMNS)
-    for joint in data["joints"]:
-        least, most = (f"{joint['inertia'][end]:.3g}" for end in ("least", "most"))
-        spans = [f"{joint[k]['lower']:.3g} … {joint[k]['upper']:.3g}" for k in ("equivalent", "coupled", "constant")]
-        inertia = least if least == most else f"{least} … {most}"
-        shown.add_row(
-            joint["name"], inertia, f"{100.0 * joint['load_share']:.0f} %", *spans, joint["unit"].replace("s2", "s²")
-        )
-    return shown

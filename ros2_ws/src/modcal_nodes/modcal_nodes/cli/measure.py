@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 
 from modcal_core.calibration import errors
 from modcal_core.errors import BadTable, about
@@ -35,12 +33,12 @@ from modcal_core.planning import (
     with_table,
 )
 from modcal_core.robot import Robot
-from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET
-from modcal_nodes.cli.console import Output, file_option, given, option, repeated, speaking, tell, written
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, Decimal, Whole, arm_line
+from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.inputs import arm_line
+from modcal_nodes.cli.options import EXISTING, WRITTEN, given
 from modcal_nodes.cli.simulate import parameter
-from modcal_nodes.io import Watch, opened, read_cell
+from modcal_nodes.io import ChainOptions, Watch, opened, option, read_cell, repeated
 from modcal_nodes.measuring import (
     NEXT,
     CellInProcess,
@@ -54,7 +52,6 @@ from modcal_nodes.measuring import (
 from modcal_nodes.ros import SIMULATED_CELL
 
 _BY_HAND = 4  # stations at once, since whoever fills in a table gives the command again for each lot
-_POSITIVE = Decimal(min=0.0, min_open=True)
 
 
 @dataclass(frozen=True)
@@ -62,11 +59,11 @@ class MeasureOptions(ChainOptions):
     """What is asked of a measurement, by the names of the command's options."""
 
     goal_mm: float | None = option(
-        "Error at the tool to be proven. Default: as good as can be.", type=_POSITIVE, metavar="MM"
+        "Error at the tool to be proven. Default: as good as can be.", above=0.0, metavar="MM"
     )
-    statistic: str = option("Statistic of --goal-mm.", "--of", default="rms", type=click.Choice(["rms", "p95"]))
-    stations: int = option("Most stations.", default=MAX_STATIONS, type=Whole(min=1))
-    minutes: float | None = option("Most time, from the first call on.", type=_POSITIVE)
+    statistic: str = option("Statistic of --goal-mm.", "--of", default="rms", choices=("rms", "p95"))
+    stations: int = option("Most stations.", default=MAX_STATIONS, low=1)
+    minutes: float | None = option("Most time, from the first call on.", above=0.0)
     by_hand: Path | None = option(
         "Ask for stations in DIR/next.csv, and read there what was measured.",
         type=click.Path(path_type=Path),
@@ -74,23 +71,21 @@ class MeasureOptions(ChainOptions):
     )
     simulated: bool = option("Measure in the simulated cell (MuJoCo).", default=False)
     given: tuple[str, ...] = repeated("A parameter of simulated_cell. Repeatable.", "NAME=VALUE", "-p")
-    replay: Path | None = file_option("Choose among the stations of a recording.", metavar="BAG")
-    site: Path | None = file_option(
+    replay: Path | None = option("Choose among the stations of a recording.", metavar="BAG")
+    site: Path | None = option(
         "YAML: tracker, target, spheres of the arm, floor, obstacles, limits, workspace. See docs/planning.md.",
         metavar="FILE",
     )
-    reading: str = option("What is read by hand.", default=POINT, type=click.Choice([POINT, POSE]))
+    reading: str = option("What is read by hand.", default=POINT, choices=(POINT, POSE))
     instrument_mm: float | None = option(
-        "Error of the instrument, RMS over space: it is no error of the tool.", type=_POSITIVE, metavar="MM"
+        "Error of the instrument, RMS over space: it is no error of the tool.", above=0.0, metavar="MM"
     )
-    cell_file: Path | None = file_option(
-        "YAML of fixed parameters, and what is stated of arm and instrument.", "--cell"
-    )
+    cell_file: Path | None = option("YAML of fixed parameters, and what is stated of arm and instrument.", "--cell")
     fixed: tuple[str, ...] = repeated("Fixed parameter, as in modcal calibrate. Repeatable.", "NAME", "--fix")
     ties: bool = option("Separate explanations that stay open, by up to 12 more stations.", default=False)
     geometry_only: bool = option("Fit only the geometry; do not look for other effects.", default=False)
-    batch: int | None = option(f"Stations between two fits. Default: {BATCH}, by hand {_BY_HAND}.", type=Whole(1, 100))
-    seed: int = option("Seed of what is drawn at random.", default=0, type=SEED)
+    batch: int | None = option(f"Stations between two fits. Default: {BATCH}, by hand {_BY_HAND}.", low=1, high=100)
+    seed: int = option("Seed of what is drawn at random.", default=0, low=0)
     out: Path | None = option("Folder of session and results; of --by-hand it is DIR.", type=WRITTEN)
 
     @property
@@ -160,10 +155,10 @@ def measure_command(robot: Path, output: Output, options: MeasureOptions) -> int
         files = {} if advice.outcome is None else place.finish(advice, goal)
     data = outcome_data(advice, goal)
     if advice.outcome is None:
-        output.result(data, partial(_asking, place, advice, filled))
+        output.result(data, _asking(place, advice, filled))
         return 0
     where = written(place.path, files, "Result", "measure.json")
-    output.result(data, partial(tell, [arm_line(arm), *_ended(advice)]), where)
+    output.result(data, [arm_line(arm), *_ended(advice)], where)
     return 0 if advice.outcome.ending == "proven" or goal.accuracy is None else UNMET
 
 
@@ -209,7 +204,7 @@ def _by_hand(place: Folder, kept: StoredSession, advisor: Advisor, watch: Watch)
     return advice, filled
 
 
-def _asking(place: Folder, advice: Advice, filled: FilledTable, page: Console) -> None:
+def _asking(place: Folder, advice: Advice, filled: FilledTable) -> list[str]:
     session = advice.session
     lines = [*_nothing_new(place, filled), *left_out(advice)]
     lines.append(f"{counted(len(session.rows()), 'station')} measured; {_standing(advice)}".rstrip("; "))
@@ -219,11 +214,11 @@ def _asking(place: Folder, advice: Advice, filled: FilledTable, page: Console) -
         turns = place.robot.mechanism.revolute
         shown = (f"{np.degrees(v):9.3f}°" if t else f"{1e3 * v:9.3f} mm" for v, t in zip(q, turns, strict=True))
         lines.append(f"  {number + 1:3d} {session.stations[number].role:7s}" + " ".join(shown))
-    lines += [
+    return [
+        *lines,
         "Write each reading into its row (leave a row empty for later; note 'unseen' or 'skipped' where there is",
         "none), and give the same command again.",
     ]
-    tell(lines, page)
 
 
 def left_out(advice: Advice) -> list[str]:

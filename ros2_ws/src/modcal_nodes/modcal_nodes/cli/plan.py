@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import click
@@ -27,20 +26,19 @@ from modcal_core.planning import (
     site_from_data,
     undecided_by_posture,
 )
-from modcal_core.report import figure, plan_sentences, planning_html, to_csv, to_plan_data, to_trajectory_data
-from modcal_core.robots import Mechanism
-from modcal_nodes.cli.console import Output, file_option, given, option, repeated, say, speaking
-from modcal_nodes.cli.inputs import (
-    EXISTING,
-    WRITTEN,
-    ChainOptions,
-    Decimal,
-    Whole,
-    file_line,
-    read_robot,
-    read_stations,
+from modcal_core.report import (
+    SummaryLine,
+    plan_sentences,
+    planning_html,
+    to_csv,
+    to_plan_data,
+    to_trajectory_data,
 )
-from modcal_nodes.io import Options, read_calibration
+from modcal_core.robots import Mechanism
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.inputs import file_line, read_robot, read_stations
+from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.io import ChainOptions, Options, option, read_calibration, repeated
 
 
 def decide(options: PlanOptions, report: Path, out: Path | None, site: Site | None, output: Output) -> None:
@@ -63,7 +61,7 @@ def decide(options: PlanOptions, report: Path, out: Path | None, site: Site | No
         proposal = propose(calibration, i, j, share, rng, may)
         said.append(f"  {_worth(proposal)}")
         deciding += [proposal] if proposal.decides else []
-    data, show = _data(calibration, deciding), partial(say, said)
+    data, show = _data(calibration, deciding), map(SummaryLine, said)
     if deciding:
         out = out or folder.with_name(f"{folder.name}_plan")
         output.saved(data, show, out, {"plan.yaml": to_yaml(data)}, "Stations", "plan.yaml")
@@ -115,34 +113,32 @@ _THOROUGH = 6000, 8  # candidates and starts
 class PlanOptions(ChainOptions):
     """What is asked of a plan, by the names of the command's options."""
 
-    site: Path | None = file_option(
+    site: Path | None = option(
         "YAML: tracker, target, noise, spheres of the arm, floor, obstacles, limits. See docs/planning.md.",
         metavar="FILE",
     )
     stations: int | None = option(
         "Number of stations. Default: twice as many as modcal calibrate needs; with --decide: 16.",
-        type=Whole(min=2),
+        low=2,
     )
-    accuracy_mm: float | None = option(
-        "Use as many stations as needed for this error of the calibrated arm.", type=Decimal(min=1e-6)
-    )
-    measure: str = option("Statistic of --accuracy-mm.", default="p95", type=click.Choice(["p95", "rms"]))
-    criterion: str = option("Criterion to optimise.", default=ACCURACY, type=click.Choice(CRITERIA))
-    reading: str = option(default="point", type=click.Choice(["point", "pose"]))
+    accuracy_mm: float | None = option("Use as many stations as needed for this error of the calibrated arm.", low=1e-6)
+    measure: str = option("Statistic of --accuracy-mm.", default="p95", choices=("p95", "rms"))
+    criterion: str = option("Criterion to optimise.", default=ACCURACY, choices=CRITERIA)
+    reading: str = option(default="point", choices=("point", "pose"))
     fixed: tuple[str, ...] = repeated("Fixed parameter, as in modcal calibrate. Repeatable.", "NAME", "--fix")
-    besides: Path | None = file_option(
+    besides: Path | None = option(
         "plan.yaml or CSV of stations that are already measured and count too.", metavar="STATIONS"
     )
     candidates: int | None = option(
-        f"Postures to choose from. Default: {CANDIDATES}, with --thorough {_THOROUGH[0]}.", type=Whole(10, 20_000)
+        f"Postures to choose from. Default: {CANDIDATES}, with --thorough {_THOROUGH[0]}.", low=10, high=20_000
     )
     starts: int | None = option(
-        f"Random starts of the exchange. Default: {STARTS}, with --thorough {_THOROUGH[1]}.", type=Whole(1, 100)
+        f"Random starts of the exchange. Default: {STARTS}, with --thorough {_THOROUGH[1]}.", low=1, high=100
     )
     thorough: bool = option("Look longer for better stations.", default=False)
-    speed: float = option("Joint speed of trajectory.yaml, rad/s.", default=0.5, type=Decimal(1e-3))
-    dwell: float = option("Standstill at each station, s.", default=2.0, type=Decimal(0.6))
-    report: Path | None = file_option(
+    speed: float = option("Joint speed of trajectory.yaml, rad/s.", default=0.5, low=1e-3)
+    dwell: float = option("Standstill at each station, s.", default=2.0, low=0.6)
+    report: Path | None = option(
         "Folder or report.json of a calibration whose effects have rivals (same_as): stations that tell them apart.",
         "--decide",
         metavar="REPORT",
@@ -150,14 +146,15 @@ class PlanOptions(ChainOptions):
     returns: int = option(
         "Stations visited twice, so that the noise floor is known. None with fewer than three stations to each.",
         default=RETURNS,
-        type=Whole(0, 100),
+        low=0,
+        high=100,
     )
-    camera: Path | None = file_option(
+    camera: Path | None = option(
         "Bag with images, or folder of them with --joints: which images to take next; with --target.", metavar="IMAGES"
     )
-    joints: Path | None = file_option("Joints of --camera's images, as in calibrate.", metavar="FILE")
-    target: Path | None = file_option("Printed target of --camera's images.", metavar="FILE")
-    seed: int = option("Seed of candidates and starts.", default=0, type=Whole(min=0))
+    joints: Path | None = option("Joints of --camera's images, as in calibrate.", metavar="FILE")
+    target: Path | None = option("Printed target of --camera's images.", metavar="FILE")
+    seed: int = option("Seed of candidates and starts.", default=0, low=0)
 
     def request(self, chain: Mechanism) -> PlanRequest:
         """The same for this arm, as the core has it."""
@@ -209,12 +206,11 @@ def plan_command(robot: Path | None, out: Path | None, output: Output, options: 
             "plan.yaml": to_yaml(data),
             "stations.csv": to_csv(found),
             "trajectory.yaml": to_yaml(to_trajectory_data(found, options.speed, options.dwell)),
-            "stations.svg": figure(found),
             "report.html": planning_html(found, robot.stem),
         }
     said = [file_line(robot, chain, options.tip), *plan_sentences(found)]
     out = out or Path(f"{robot.stem}_plan")
-    output.saved(data, partial(say, said), out, files, "Stations", "plan.yaml")
+    output.saved(data, map(SummaryLine, said), out, files, "Stations", "plan.yaml")
 
 
 def _by_camera(robot: Path | None, asked: PlanOptions, out: Path | None, output: Output) -> None:
@@ -228,5 +224,5 @@ def _by_camera(robot: Path | None, asked: PlanOptions, out: Path | None, output:
     if asked.joints is not None and robot is None:
         raise BadTable("--joints", "needs ROBOT", "give the URDF: a folder of images has none")
     images = CameraOptions(asked.camera, asked.joints, asked.target)
-    arm = Options(robot, None, asked.base, asked.tip, asked.fixed, geometry_only=True, seed=asked.seed)
+    arm = Options(robot, base=asked.base, tip=asked.tip, fixed=asked.fixed, geometry_only=True, seed=asked.seed)
     plan_next_images(images, arm, asked.stations or _NEXT, out, output)

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from modcal_core.errors import BadTable, NotRepresentable
 from modcal_core.files import read_yaml, to_json
@@ -21,39 +18,18 @@ from modcal_core.planning import (
     ClosedChain,
     Measured,
     Studied,
-    Study,
     calibration_chain,
     design,
     dh_closed_chain,
     sizes_of,
     study,
 )
-from modcal_core.report import pictures, sensitivity_data, sensitivity_html, sensitivity_sentences, single_csv, to_text
+from modcal_core.report import sensitivity_data, sensitivity_html, sensitivity_summary, single_csv
 from modcal_core.robots import Mechanism, is_serial_arm, vector
-from modcal_nodes.cli.console import Output, explain, file_option, given, option, say, speaking, table
-from modcal_nodes.cli.inputs import (
-    EXISTING,
-    WRITTEN,
-    ChainOptions,
-    Decimal,
-    Whole,
-    file_line,
-    read_robot,
-    read_stations,
-)
-
-_SHOWN = 12  # parameters in the terminal
-_COLUMNS = {
-    "parameter": "",
-    "SFCDPE mm": "by how much an error of this parameter moves the point, weighted over the postures",
-    "RSFCDPE": "the same, divided by that of the base factor",
-    "share": "of the mean square error of the point, all parameters in error",
-    "S": "share of the variance that this parameter causes alone (Sobol, first order)",
-    "S_T": "share of the variance that goes when all others are known (Sobol, total)",
-    "gain mm": "by how much the RMS error falls once this parameter is known",
-    "seen": "how much of this parameter's variance the stations remove; 100 % is determined",
-    "left mm": "the gain that these stations leave",
-}
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.inputs import file_line, read_robot, read_stations
+from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.io import ChainOptions, option
 
 
 @dataclass(frozen=True)
@@ -70,30 +46,30 @@ class SensitivityOptions(ChainOptions):
     parameters: str = option(
         "The 4 n + 9 of the closed chain, or those that modcal calibrate fits.",
         default="dh",
-        type=click.Choice(["dh", "calibration"]),
+        choices=("dh", "calibration"),
     )
     design: str | None = option(
         "Design of postures for the indices. Default: l25, or sobol for more than six joints.",
-        type=click.Choice(DESIGNS),
+        choices=DESIGNS,
     )
-    levels: int = option("Levels of --design array; a prime.", default=5, type=Whole(2, 31))
-    postures: int | None = option("Postures of --design sobol. Default: 64, with --thorough 512.", type=Whole(4, 4096))
+    levels: int = option("Levels of --design array; a prime.", default=5, low=2, high=31)
+    postures: int | None = option("Postures of --design sobol. Default: 64, with --thorough 512.", low=4, high=4096)
     thorough: bool = option("Draw four times as many arms for the shares of the variance.", default=False)
-    length_mm: float = option("Errors of lengths.", default=0.5, type=Decimal(0.0))
-    angle_mrad: float = option("Errors of angles.", default=1.0, type=Decimal(0.0))
-    sizes: Path | None = file_option("YAML of other sizes, {NAME or PATTERN: SI}.")
+    length_mm: float = option("Errors of lengths.", default=0.5, low=0.0)
+    angle_mrad: float = option("Errors of angles.", default=1.0, low=0.0)
+    sizes: Path | None = option("YAML of other sizes, {NAME or PATTERN: SI}.")
     base_factor: str | None = option("Parameter that the others are compared with. Default: base/x.", metavar="NAME")
-    bins: int | None = option("Intervals of the multi-point weights.", type=Whole(1, 1000))
-    stations: Path | None = file_option(
+    bins: int | None = option("Intervals of the multi-point weights.", low=1, high=1000)
+    stations: Path | None = option(
         "plan.yaml of modcal plan, or a CSV of joint positions: do they observe the important parameters? "
         "Default: the design's.",
         "--measured",
         metavar="STATIONS",
     )
-    reading: str = option(default="point", type=click.Choice(["point", "pose"]))
-    noise_mm: float = option("Noise of positions, per axis.", default=0.05, type=Decimal(1e-6))
-    noise_mrad: float = option("Noise of orientations, per axis.", default=0.05, type=Decimal(1e-6))
-    seed: int = option(default=0, type=Whole(min=0))
+    reading: str = option(default="point", choices=("point", "pose"))
+    noise_mm: float = option("Noise of positions, per axis.", default=0.05, low=1e-6)
+    noise_mrad: float = option("Noise of orientations, per axis.", default=0.05, low=1e-6)
+    seed: int = option(default=0, low=0)
 
     def studied(self, closed: ClosedChain, rng: np.random.Generator) -> Studied:
         """The study of this chain, as the core has it. Raises BadTable."""
@@ -126,19 +102,10 @@ def sensitivity_command(robot: Path, out: Path | None, output: Output, options: 
         data = sensitivity_data(result)
         files = {
             "sensitivity.json": to_json(data),
-            "sensitivity.md": to_text(result),
             "single_point.csv": single_csv(result),
-            **pictures(result),
             "report.html": sensitivity_html(result, robot.stem),
         }
-    output.saved(data, partial(_show, result, file_line(robot, chain, options.tip)), out, files)
-
-
-def _show(result: Study, arm: str, console: Console) -> None:
-    say([arm], console)
-    console.print(_table(result))
-    explain(_COLUMNS, console)
-    say(sensitivity_sentences(result), console)
+    output.saved(data, [file_line(robot, chain, options.tip), *sensitivity_summary(result)], out, files)
 
 
 def _closed_chain(chain: Mechanism, parameters: str, tool: tuple[float, float, float], reading: str) -> ClosedChain:
@@ -157,21 +124,3 @@ def _tolerances(path: Path | None) -> dict[str, float]:
     if not isinstance(data, dict):
         raise BadTable(str(path), "is not a mapping", "give {NAME or PATTERN: metres or radians}")
     return {str(name): float(vector([size], 1, f"{path}, {name}")[0]) for name, size in data.items()}
-
-
-def _table(result: Study) -> Table:
-    shown = table(_COLUMNS)
-    joint, at, vector = result.joint, result.indices, result.variance["vector"]
-    for k in np.argsort(-joint.before.share, kind="stable")[:_SHOWN]:
-        shown.add_row(
-            at.names[k],
-            f"{1e3 * at.multi[k]:.3f}",
-            f"{at.relative_multi[k]:.3f}",
-            f"{joint.before.share[k]:.1%}",
-            f"{vector.first[k]:.3f}",
-            f"{vector.total[k]:.3f}",
-            f"{1e3 * joint.before.rms_gain[k]:.4f}",
-            f"{joint.seen[k]:.0%}",
-            f"{1e3 * joint.after.rms_gain[k]:.4f}",
-        )
-    return shown

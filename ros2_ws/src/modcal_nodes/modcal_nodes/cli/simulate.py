@@ -14,8 +14,9 @@ from modcal_core.errors import BadTable
 from modcal_core.planning import RETURNS
 from modcal_core.robots import other_tips
 from modcal_msgs_py import write_recording
-from modcal_nodes.cli.console import Output, speaking, tell
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Decimal, Whole, chain_line
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.inputs import chain_line
+from modcal_nodes.cli.options import EXISTING, WRITTEN, Decimal, Whole
 from modcal_nodes.ros import SIMULATED_CELL, Parameter
 from modcal_nodes.simulation import Plant, recorded
 
@@ -83,7 +84,7 @@ def simulate_command(
     others = () if chosen["delta"] or chosen["tip"] else other_tips(plant.text, chain.base)
     arm = chain_line(chain.base, chain.tip, chain.n, others)
     lines = [arm, *plant.overloads, f"Bag: {out}, {plant.stops} stations in {plant.end:.0f} s, {counts}"]
-    output.result(data, partial(tell, lines))
+    output.result(data, lines)
 
 
 def parameter(text: str) -> tuple[str, Any]:

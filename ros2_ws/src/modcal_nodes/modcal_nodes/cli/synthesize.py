@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from modcal_core.files import read_yaml, to_json, to_yaml
 from modcal_core.modules import (
@@ -24,8 +22,9 @@ from modcal_core.modules import (
     to_data,
     to_markdown,
 )
-from modcal_nodes.cli.console import Output, explain, speaking, table
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Whole
+from modcal_core.report import Summary, explained
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.options import EXISTING, WRITTEN, Whole
 from modcal_nodes.io import read_library
 
 _COLUMNS = {
@@ -69,13 +68,8 @@ def synthesize_command(
 
         result = synthesize(task, library, seed, workers or len(os.sched_getaffinity(0)), heard)
     files = synthesis_files(result, library, library_file)
-
-    def show(page: Console) -> None:
-        page.print(sentence(result))
-        page.print(_table(result, library))
-        explain(_COLUMNS, page)
-
-    output.saved(to_data(result, library), show, out or Path(f"{task.name}_synthesis"), files, "Best", "best.yaml")
+    shown = [sentence(result), *_table(result, library)]
+    output.saved(to_data(result, library), shown, out or Path(f"{task.name}_synthesis"), files, "Best", "best.yaml")
 
 
 def synthesis_files(result: Synthesis, library: Library, library_file: Path | None = None) -> dict[str, str]:
@@ -100,10 +94,10 @@ def synthesis_files(result: Synthesis, library: Library, library_file: Path | No
     return files
 
 
-def _table(result: Synthesis, library: Library) -> Table:
-    shown = table(_COLUMNS, words=2)
+def _table(result: Synthesis, library: Library) -> list[Summary]:
+    rows = []
     for i, candidate in enumerate(result.ranking):
         way, angle = candidate.miss.max(axis=0)
         miss = f"{1e3 * way:.0e} mm, {angle:.0e} rad"
-        shown.add_row(str(i + 1), " · ".join(described(candidate, library)), f"{candidate.cost:.3g}", miss)
-    return shown
+        rows.append((str(i + 1), " · ".join(described(candidate, library)), f"{candidate.cost:.3g}", miss))
+    return explained(_COLUMNS, rows, words=2)

@@ -6,7 +6,6 @@ import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,9 @@ import click
 
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file, write_folder
-from modcal_nodes.cli.console import Output, given, option, speaking, tell, written
-from modcal_nodes.cli.inputs import WRITTEN, Decimal, Whole
+from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.options import WRITTEN, given
+from modcal_nodes.io import option
 
 _PAPERS = ("A4", "A3", "A2", "letter")
 _MARKER = 0.73  # of a square: as large as leaves a corner room for its own four squares
@@ -56,17 +56,17 @@ class TargetOptions:
     charuco: tuple[int, int] | None = option("ChArUco board of so many squares, across and down.", type=_COUNTS)
     chessboard: tuple[int, int] | None = option("Chessboard of so many squares.", type=_COUNTS)
     aruco_grid: tuple[int, int] | None = option("Grid of so many markers.", type=_COUNTS)
-    tag: int | None = option("One marker with this number.", type=Whole(min=0), metavar="ID")
+    tag: int | None = option("One marker with this number.", low=0, metavar="ID")
     square: float | None = option("Side of a square, or of a marker of a grid or a tag.", type=_LENGTH)
     marker: float | None = option("Side of the markers in a ChArUco board; gap in a grid.", type=_LENGTH)
     dictionary: str | None = option("Markers, as OpenCV names them.  [default: DICT_5X5_100]", metavar="NAME")
-    paper: str = option("Paper to print on.", default="A4", type=click.Choice(_PAPERS))
+    paper: str = option("Paper to print on.", default="A4", choices=_PAPERS)
     measured: tuple[float, float] | None = option(
         "Lengths [mm] of the horizontal and the vertical ruler on the printed sheet, as you measured them.",
         type=_LENGTHS,
     )
     measured_to_mm: float | None = option(
-        "How well you measured them.  [default: 0.3, as with a ruler]", type=Decimal(min=0.001), metavar="MM"
+        "How well you measured them.  [default: 0.3, as with a ruler]", low=0.001, metavar="MM"
     )
 
     @property
@@ -125,7 +125,7 @@ def target_command(out: Path, output: Output, options: TargetOptions) -> None:
         )
         measured = _LENGTHS.convert(answer, None, None) if answer else None
     if measured is None:
-        output.result(data, partial(tell, said), written(out, files, "Target", "target.pdf"))
+        output.result(data, said, written(out, files, "Target", "target.pdf"))
     else:
         _measured(out, measured, options.measured_to_mm, output)
 
@@ -152,4 +152,4 @@ def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, out
         )
     elif scale.unsaid:
         said.append("Read both once more, and say how well with --measured-to-mm: all lengths rest on them.")
-    output.result(data, partial(tell, said), f"Target: {path}")
+    output.result(data, said, f"Target: {path}")

@@ -21,7 +21,7 @@ from rich.live import Live
 
 from modcal_core.errors import BadRecording, plain
 from modcal_nodes.cli.console import Terminal
-from modcal_nodes.cli.inputs import Decimal, Whole
+from modcal_nodes.cli.options import Decimal, Whole
 from modcal_nodes.watching import Changes, Heard, Listener, table
 
 _PATIENCE = 8.0  # s without a word after which it says what to check

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from modcal_nodes.io.inputs import read_assembly, read_library
     from modcal_nodes.io.inputs import of_cell, parse_calibration, read_calibration, read_cell, read_delta
     from modcal_nodes.io.inputs import read_particulars, read_topics, stated_from
-    from modcal_nodes.io.options import Options
-    from modcal_nodes.io.options import Watch, silent
+    from modcal_nodes.io.options import ChainOptions, FrozenOptions, Options, SplitOptions, TopicOptions
+    from modcal_nodes.io.options import Watch, option, repeated, silent
     from modcal_nodes.io.recorded import calibrate_bag, of_calibrated, opened
     from modcal_nodes.io.report_schema import SCHEMA
 else:
@@ -18,6 +18,7 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["SCHEMA", "Options", "Watch", "calibrate_bag", "of_calibrated", "of_cell", "opened", "parse_calibration"]
-__all__ += ["read_assembly", "read_calibration", "read_cell", "read_delta", "read_library", "read_particulars"]
-__all__ += ["read_topics", "silent", "stated_from", "write_articulation"]
+__all__ = ["SCHEMA", "ChainOptions", "FrozenOptions", "Options", "SplitOptions", "TopicOptions", "Watch"]
+__all__ += ["calibrate_bag", "of_calibrated", "of_cell", "opened", "option", "parse_calibration", "read_assembly"]
+__all__ += ["read_calibration", "read_cell", "read_delta", "read_library", "read_particulars", "read_topics"]
+__all__ += ["repeated", "silent", "stated_from", "write_articulation"]

@@ -35,7 +35,7 @@ def calibrate_bag(bag: Path, options: Options, more: tuple[Path, ...] = (), watc
     tolerance_asked(options.tolerance_mm, options.tolerance_of)
     cell = read_cell(options.cell_file, options.fixed, stated_from(asdict(options)))
     factory = None if options.factory_kinematics is None else read_yaml(options.factory_kinematics)
-    topics = read_topics(options.cell_file, Topics.of(options.topic, options.ignore, options.tf))
+    topics = read_topics(options.cell_file, options.topics)
     first = opened(bag, watch, topics)
     robot = described(first.recording, options.delta, options.urdf, options.base, options.tip)
     samples = first.samples(robot, options.clock_limit)

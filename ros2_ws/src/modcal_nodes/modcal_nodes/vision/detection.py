@@ -36,11 +36,10 @@ from modcal_core.camera import (
     corner_rows,
     enough_corners,
     grams,
-    homography,
 )
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3, so3
-from modcal_nodes.vision.saddle import fit_board
+from modcal_nodes.vision.saddle import fit_board, homography
 
 _MIN_PX, _MAX_PX = 0.02, 2.0  # standard deviation of a corner: what interpolation alone leaves, and a useless one
 _PRINT_PX = 0.02  # standard deviation of what printer, paper and the lens's finer form leave beside the noise

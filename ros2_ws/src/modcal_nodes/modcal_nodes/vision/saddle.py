@@ -14,10 +14,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.special import erf
 
-from modcal_core.camera import CHARUCO, PrintedTarget, homography
+from modcal_core.camera import CHARUCO, PrintedTarget
 from modcal_core.geometry import Array
 
 _PERSPECTIVE = 6  # corners, of which two are left to say that a perspective through four of them is none
@@ -51,6 +52,12 @@ def fit_board(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: 
     """The corners with these numbers (m,) of a board of squares, near these pixels (m, 2), not all on one line."""
     margin = 0.5 * (target.square - target.marker) / target.square if target.kind == CHARUCO else 0.5
     return fit_saddles(grey, pixels, target.square * _per_metre(target.points[ids, :2], pixels), margin)
+
+
+def homography(points: Array, pixels: Array) -> Array:
+    """H (3, 3) that takes points (m, 2) of a plane to pixels (m, 2), NaN where either are on one line."""
+    H, _ = cv2.findHomography(points, pixels)
+    return np.full((3, 3), np.nan) if H is None else np.asarray(H)
 
 
 def _per_metre(points: Array, pixels: Array) -> Array:

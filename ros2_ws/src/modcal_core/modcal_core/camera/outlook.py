@@ -1,0 +1,246 @@
+"""A camera fit in sentences: what contradicts it, what is in doubt, and what the images leave open."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle, PrintedTarget, PrintScale
+from modcal_core.camera.changes import FoundChange
+from modcal_core.camera.claim import APPLY, DecisionGrounds, ToolError, decide
+from modcal_core.camera.corners import BOW as BENT
+from modcal_core.camera.corners import SCALE, CornerTable
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.lens import COUNT as LENS
+from modcal_core.camera.mounting import Mounting
+from modcal_core.camera.other_readings import ReadingsBeside
+from modcal_core.camera.prepared import MOSTLY
+from modcal_core.camera.statements import (
+    BOW,
+    IN_DOUBT,
+    LENS_VALUES,
+    SIZE,
+    DoubtedStatement,
+    StatedCamera,
+    arm_contradicted,
+    contradicted,
+)
+from modcal_core.camera.views import covered, tilt_and_distance
+from modcal_core.geometry import Array
+
+_MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (verdict.md)
+_CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
+_UNSTEADY = 2e-3  # rad (or m) a joint that an image differs from the fit: ten times what gears and springs do
+_MOSTLY = 0.5  # of the mean square error at the tool
+_UNMEASURED = {
+    "sheet": "measured: measure its rulers (modcal target --measured)",
+    "body": "stated: measure across it with a calliper and state size_tolerance",
+}
+_UNSAID = "read both rulers again, and state how well (--measured-to-mm)"
+_NOMINAL = (
+    "both rulers are stated at their nominal lengths, as by somebody who has not measured them: measure them, and "
+    "state how well (--measured-to-mm)"
+)
+
+
+def problems(fit: CameraFit, nominal: CameraFit, change: FoundChange | None, wrong: Sequence[str]) -> tuple[str, ...]:
+    """What contradicts the fit, in sentences. wrong: statements that images contradict."""
+    out = [] if fit.converged and nominal.converged else ["The fit did not reach its minimum."]
+    if change is not None:
+        out.append(change.sentence(fit))
+    out += wrong
+    if fit.sizes.joint > _UNSTEADY:
+        out.append(
+            f"Images are {1e3 * fit.sizes.joint:.1f} mrad a joint off any arm of this form, each by itself: check that "
+            "the arm stood still, that joints and images are of the same moment, and that nothing is loose."
+        )
+    # of a body points are misread, and the places of its markers say what is wrong of its size
+    if not fit.table.places and fit.table.left_out > _CORNERS_OUT:
+        out.append(f"{100.0 * fit.table.left_out:.0f} % of all corners fit no flat target of the stated form.")
+    return tuple(out)
+
+
+def left_out_images(left_out: Collection[str], count: int, whose: str = "") -> tuple[str, ...]:
+    """Sentence that more images than a verdict passes over were left out of so many; nothing where that is not so."""
+    said = f"{len(left_out)} of {count} images{whose} were left out."
+    return (said,) if len(left_out) > _MANY_OUT * count else ()
+
+
+def metric_of(target: CalibrationTarget, arm_m: float | None, beside: ReadingsBeside | None) -> tuple[str, ...]:
+    """What has a length that somebody measured or states."""
+    known = "the sheet's rulers were measured" if isinstance(target, PrintedTarget) else "the body's size is stated"
+    out = [known] if target.scale.measured else []
+    if beside is not None and beside.metric:
+        out.append(f"readings of {beside.label}")
+    return (*out, "the arm's accuracy is stated") if arm_m is not None else tuple(out)
+
+
+def size_open(
+    target: CalibrationTarget,
+    doubted: Sequence[DoubtedStatement],
+    error: ToolError,
+    shared: dict[str, tuple[float, float]],
+    arm_m: float | None,
+) -> str:
+    """What to do about the sheet's size where it is what keeps the arm from being clearly better, else nothing."""
+    what, scale = "sheet" if isinstance(target, PrintedTarget) else "body", target.scale
+    if not scale.measured:
+        whole, known = shared.get("print scale", (0.0, 0.0))
+        rest = f"; with it, {1e3 * known**0.5:.2f} mm are left."
+        said = f"Most of that is the {what}'s size, which nobody has {_UNMEASURED[what]}{rest}"
+        return said if known < _MOSTLY * whole else ""
+    if max(doubted, key=lambda d: d.counted).what != SIZE:
+        return ""
+    if decide(error.as_stated, DecisionGrounds(stated_m=arm_m)).word != APPLY:
+        return ""
+    again = _NOMINAL if scale.nominal else _UNSAID if scale.unsaid else f"measure the {what} again"
+    return (
+        f"If the {what} has the size that is stated, it is clearly better; these images leave that open: "
+        f"{again}, or add a length of another kind, such as a few tracker points."
+    )
+
+
+_PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
+
+
+def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: StatedCamera) -> tuple[str, ...]:
+    """What the images contradict of what was stated. doubted: of this fit."""
+    out = [_contradiction(what, other, stated) for what, other in contradicted(fit, doubted).items()]
+    if (times := arm_contradicted(fit)) is not None:
+        out.append(
+            f"The arm is some {times:.1f} times as far off as --arm-mm states: state what you know of it, or check the "
+            "square's size."
+        )
+    return tuple(out)
+
+
+def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintScale) -> tuple[str, ...]:
+    """What the images leave in doubt of what was stated, in sentences."""
+    out = []
+    for doubt in doubted:
+        if doubt.chance > IN_DOUBT:
+            common = fit.state.common + doubt.solved.step()[fit.poses.count + 1 :]
+            what = {
+                SIZE: f"a {_sized(fit)} {_percent(fit, common, scale)} off its stated size",
+                BOW: f"a sheet bent by {1e3 * float(np.abs(common[BENT]).max()):.1f} mm",
+                LENS_VALUES: "another lens than the stated one",
+            }[doubt.what]
+            out.append(
+                f"An arm with these faults and {what} look much alike (chance of the latter "
+                f"{100.0 * doubt.chance:.0f} %): check that statement, or add a length of another kind, such "
+                "as a few tracker points."
+            )
+    return tuple(out)
+
+
+def _contradiction(what: str, other: CameraFit, stated: StatedCamera) -> str:
+    """The sentence for a wrong statement. other: the fit with its tolerance widened."""
+    std = np.sqrt(np.diag(other.covariance))[other.poses.count + 1 :]
+    if what == SIZE:
+        return (
+            f"The {_sized(other)} is {_percent(other, other.state.common, stated.scale)} off its stated size, ± "
+            f"{100.0 * float(std[LENS]):.1f} %, or the arm is built to another scale than its URDF: measure "
+            f"{'across it' if other.table.places else 'a square'}, and check the target file."
+        )
+    if what == BOW:
+        worst = float(np.abs(other.table.bow @ other.state.shape[2:]).max())
+        return f"The sheet is bent by {1e3 * worst:.1f} mm towards its edge: glue it to something flat."
+    found, values, names = other.state.lens.values, stated.lens.values, stated.lens.names
+    i = int(np.argmax(np.abs(found - values) / np.maximum(std[:LENS], 1e-9)))
+    return (
+        f"The images contradict the stated lens: {_PLAIN.get(names[i], names[i])} {found[i]:.4g} ± {std[i]:.2g} "
+        f"and not {values[i]:.4g}. Give the camera_info of this camera, focus and resolution, or leave it away."
+    )
+
+
+def _sized(fit: CameraFit) -> str:
+    """What has a size."""
+    return "body" if fit.table.places else "sheet"
+
+
+def _percent(fit: CameraFit, common: Array, scale: PrintScale) -> str:
+    """By how much a sheet is off along x and y, or a body as a whole."""
+    x, y = common[SCALE] + 1.0
+    along_x = f"{100.0 * (x / scale.x - 1.0):+.1f} %"
+    return along_x if fit.table.places else f"{along_x} (x) and {100.0 * (y / scale.y - 1.0):+.1f} % (y)"
+
+
+_SIGHTINGS = 8  # images of a marker, for most of them to say something of the marker
+_PASSED = 0.05  # share of points left out that a verdict passes over (verdict.md)
+# Share beyond which what is left is no majority to rely on: where a fifth of markers is misread, every second image
+# that shows three has a misread one among them.
+_TOO_MANY = 0.2
+_NAMED = 3  # markers in a sentence
+
+
+def left_out_points(
+    cameras: Sequence[tuple[str, CornerTable]], target: MarkerBundle
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """(what speaks against the fit, what a verdict may not pass over though the fit stands) of points of a body that
+    were left out. A marker most of whose points are out speaks against it only where that is more than others outvote.
+
+    cameras: (what a sentence calls it, corners, weight 0 where they are left out), of each that sees this body.
+    """
+    against, open_ = [], []
+    for name, table in cameras:
+        out = table.weight == 0.0
+        every = [table.marker == k for k in range(table.markers)]
+        seen = [k for k, own in enumerate(every) if len(np.unique(table.view[own])) >= _SIGHTINGS]
+        strange = [k for k in seen if float(out[every[k]].mean()) > MOSTLY]  # in images enough to say so
+        if strange:
+            named = ", ".join(target.markers[k].label for k in strange[:_NAMED])
+            more = f" and {len(strange) - _NAMED} more" if len(strange) > _NAMED else ""
+            open_.append(
+                f"Most points of {named}{more}{name} are nowhere near their place, and are left out: check number, "
+                "place and corner_order in the target file, and whether it came loose."
+            )
+        rest = ~np.isin(table.marker, strange)
+        share = float(out[rest].mean()) if rest.any() else 0.0
+        if max(share, len(strange) / max(table.markers, 1)) > _TOO_MANY:
+            against.append(f"{100.0 * float(out.mean()):.0f} % of all points{name} fit no body of the stated form.")
+        elif share > _PASSED:
+            open_.append(
+                f"{100.0 * share:.0f} % of the points{name} are misread, spread over markers and images, and left out."
+            )
+    return tuple(against), tuple(open_)
+
+
+_TILT = np.radians(20.0)  # below, the focal length is told by perspective of second order only
+_DISTANCES = 1.3  # farthest over nearest
+_COVERED = 0.4  # of the image, in a grid of eight by eight
+_JOINT, _SLIDE = np.radians(20.0), 0.05  # range of a joint that shows what its axis does, rad and m
+
+
+def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
+    """What these images leave open, each with what to do, in sentences."""
+    out = []
+    tilts, away = tilt_and_distance(fit.poses.seen(fit.tool), fit.table.points.mean(axis=0))
+    tilt = float(tilts.max())
+    if tilt < _TILT and not fit.table.places:
+        out.append(
+            f"The target was never tilted by more than {np.degrees(tilt):.0f}°: focal length and distance cannot be "
+            "told apart. Take images with 20° to 45° of tilt."
+        )
+    if away.max() < _DISTANCES * away.min():
+        out.append(
+            f"All images are from {away.min():.2f} to {away.max():.2f} m: the distance and the lens go together. "
+            "Take some from half as far, or twice as far."
+        )
+    if (share := covered(fit.table, fit.state.lens.size)) < _COVERED:
+        out.append(
+            f"Corners cover {100.0 * share:.0f} % of the image: the lens is not known at its edges. "
+            "Bring the target into every corner of the image."
+        )
+    if mounting.one_axis:
+        turns = np.degrees(mounting.turns)
+        out.append(
+            f"The arm turned its tip about one axis only (RMS {turns[0]:.0f}°, across it {turns[1]:.1f}°): where "
+            "camera and target are along this axis is open. Turn the wrist about a second axis."
+        )
+    chain = fit.poses.model.serial
+    for name, span, turning in zip(chain.names, np.ptp(fit.poses.q, axis=0), chain.revolute, strict=True):
+        if span < (_JOINT if turning else _SLIDE):
+            moved = f"{np.degrees(span):.0f}°" if turning else f"{1e3 * span:.0f} mm"
+            out.append(f"Joint {name} moved by {moved} only: its axis is known from the drawing.")
+    return tuple(out)

@@ -1,0 +1,109 @@
+"""Tables that page, terminal and certificate share: errors by stage, effects, and the account of the squared error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple
+
+from modcal_core.outcome import STAGES, Outcome
+from modcal_core.report.blocks import PageTable, legend
+from modcal_core.verdict import Row, Verdict
+
+ERRORS = ("mean", "RMS", "95th percentile", "largest")
+_EFFECT_COLUMNS = {
+    "place": "where the error arises",
+    "direction": "the way it moves the arm there",
+    "driver": "what its size depends on",
+    "error": "RMS over what was held out, without the effect and with it",
+    "p": "probability of as much by chance, after everything that was tried",
+}
+_WORDS = {
+    "shared": "shared among effects",
+    "predictable": "predictable, not modelled",
+    "estimation": "uncertainty of the parameters",
+    "repeatability": "repeatability of the arm",
+    "unaccounted": "unaccounted for",
+}
+_OF_FLOOR = ("repeatability", "instrument")
+_EFFECT = "effect:"
+_ROUNDING = 1e-9  # of the whole; the rows sum to it within as much
+_SMALL, _MANY = 0.01, 3  # effects with less than this share stand in one row where there are so many; all are in files
+
+
+def error_tables(report: Outcome, stages: Mapping[str, str] | None = None) -> list[PageTable]:
+    """Sizes of the held-out errors, positions and orientations apart. stages: those that are shown, and their names."""
+    stages = stages or {stage: stage for stage in STAGES}
+    position, orientation = [], []
+    for stage, name in stages.items():
+        if (size := report.size_mm(stage)) is not None:
+            ends = span(report.interval_mm(stage), 3)
+            position.append((name, *(f"{x:.3f}" for x in astuple(size)), ends))
+        if (angle := report.size_deg(stage)) is not None:
+            orientation.append((name, *(f"{x:.4f}" for x in astuple(angle))))
+    header = ("position error, mm", *ERRORS, "95 % interval of the RMS")
+    out = [PageTable("Position errors before and after", header, tuple(position), strong=2)] if position else []
+    if orientation:
+        turned = ("orientation error, °", *ERRORS)
+        out.append(PageTable("Orientation errors before and after", turned, tuple(orientation), strong=2))
+    return out
+
+
+def effects_table(report: Outcome) -> PageTable:
+    """What was added to the geometry."""
+    header = ("effect", "place", "direction", "driver", "moves the tool by, mm", "error without it, mm", "with it, mm")
+    rows = tuple(
+        (
+            *(f.family.replace("_", " "), f.place, f.direction, f.driver.replace(":", " of ")),
+            *("" if x is None else f"{1e3 * x:.3f}" for x in (f.tool, f.before, f.after)),
+            f"{f.p_value:.1g}",
+        )
+        for f in report.effects
+    )
+    return PageTable("Effects", (*header, "p"), rows, words=4, below=legend(_EFFECT_COLUMNS).text.strip())
+
+
+def account_tables(verdict: Verdict | None, fold: bool = False) -> list[PageTable]:
+    """Where the squared error of the nominal model went, of positions and orientations, where that is known.
+
+    fold: small rows of effects as one row.
+    """
+    if verdict is None:
+        return []
+    both = (("mm", verdict.account_mm2, verdict.floor_mm), ("deg", verdict.account_deg2, verdict.floor_deg))
+    return [_account(unit, rows, floor is not None, fold) for unit, rows, floor in both if rows]
+
+
+def _account(unit: str, rows: Sequence[Row], floor_known: bool, fold: bool) -> PageTable:
+    total = sum(row.value for row in rows)
+    small = [row for row in rows if row.what.startswith(_EFFECT) and abs(row.value) < _SMALL * total]
+    small = small if fold and len(small) >= _MANY else []
+    cells = []
+    for row in rows:
+        known = floor_known or row.what not in _OF_FLOOR
+        if row not in small:
+            sizes = (*_sizes(row.value, total), span(row.ci95)) if known else ("not known", "", "", "")
+            cells.append((_words(row.what), *sizes))
+        elif row is small[-1]:
+            words = f"{len(small)} effects of less than {_SMALL:.0%} each, in report.json"
+            cells.append((words, *_sizes(sum(one.value for one in small), total), ""))
+    cells.append(("nominal model", *_sizes(total, total), ""))
+    header = ("account of the squared error", f"{unit}²", "of the nominal", f"root, {unit}", f"95 % interval, {unit}²")
+    return PageTable(f"Account in {unit}²", header, tuple(cells))
+
+
+def _sizes(value: float, total: float) -> tuple[str, str, str]:
+    """A part of the squared error: itself, as a share, and its root with its sign."""
+    value = 0.0 if abs(value) < _ROUNDING * total else value
+    root = abs(value) ** 0.5 * (-1.0 if value < 0.0 else 1.0)
+    return f"{value:.4g}", f"{round(100.0 * value / max(total, 1e-300), 2) + 0.0:.2f} %", f"{root:.4f}"
+
+
+def _words(what: str) -> str:
+    effect = what.removeprefix(_EFFECT)
+    return effect.replace(":", " of ") if effect != what else _WORDS.get(what, what.replace("_", " "))
+
+
+def span(ends: Sequence[float] | None, digits: int | None = None) -> str:
+    """Both ends of an interval, with three significant digits or so many behind the point; nothing for None."""
+    form = ".3g" if digits is None else f".{digits}f"
+    return "" if ends is None else " … ".join(f"{end:{form}}" for end in ends)
