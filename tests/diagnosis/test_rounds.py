@@ -87,3 +87,13 @@ def test_what_is_not_there_is_not_worth_having(scanned: Scanned) -> None:
     assert [len(model.effects) for _, model in worth] == list(range(1, len(new)))
     alone = identify(s.fit.start.with_effects(chosen[:1]), s.fitted, s.fit.parameters, tolerance=FITTED)
     assert missed_by(worth[0][1]) == pytest.approx(missed_by(alone.model), rel=0.05)
+
+
+def test_what_moves_all_ways_is_begun_in_all_ways(scanned: Scanned) -> None:
+    s = scanned
+    drift = next(e for e in s.scanner.effects if (e.family, e.direction) == ("drift", "all"))
+    assert len(s.scanner.amplitudes(s.fit, drift)) == 6
+    beside, share = s.scanner.together(s.fit, (s.first.effect, drift))
+    alone = s.scanner.together(s.fit, (s.first.effect,))[1]
+    assert beside.shape == (6,)
+    assert share > alone

@@ -235,14 +235,16 @@ class Scanner:
         return _alone(self.rows_of(space, effect), space)
 
     def together(self, fit: Fit, effects: Sequence[Effect]) -> tuple[Array, float]:
-        """Amplitudes of effects, one after the other, that explain most of this fit's residual together, and its
-        share.
+        """What several effects explain most of this fit's residual with: the amplitudes of the last (m,), and the share
+        of them all.
         """
         space = self.space_of(fit)
         for effect in effects:
             if id(effect) not in space.rows_of:
                 space.rows_of[id(effect)] = effect, self.rows_of(space, effect)
-        return _alone(np.concatenate([space.rows_of[id(effect)][1] for effect in effects]), space)
+        rows = [space.rows_of[id(effect)][1] for effect in effects]
+        amplitudes, share = _alone(np.concatenate(rows), space)
+        return amplitudes[-len(rows[-1]) :], share
 
     def rows_of(self, space: Space, effect: Effect) -> Array:
         """An effect's columns in the rows of a fit, (m, 6 N), the fitted projected out."""

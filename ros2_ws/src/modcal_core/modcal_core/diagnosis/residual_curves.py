@@ -45,7 +45,7 @@ _BEGIN = 1e-4  # rad or m: the size at which the search for sizes begins; where 
 _TOLD = 1.0  # numbers that the samples must tell of a small curve: of less it says nothing worth keeping
 _TOLD_OF_ONE = 0.75  # the same of a single number, which is then two deviations from nothing
 _FOLDS = 5  # of cross-validation; the usual number (Breiman & Spector 1992)
-_DEALS = 3  # ways of dealing stretches to folds, which are summed: one alone may flatter
+_LOOKED = 1  # number of the fold after which it ends where nothing is gained so far
 _SURE = 2.0  # standard errors by which it must predict better: one chance in forty for nothing
 _FEWEST = 20  # stretches of stations that are kept together; a standard error of fewer says little
 
@@ -67,9 +67,8 @@ def with_residual_curves(
         return fit
     samples = train.join(others) if len(others) else train
     samples = samples.select(~outlying(fit.model, fit.noise, samples))
-    rows = spread_rows(len(samples), _MAX)
-    samples, unit = samples.select(rows), _units(samples, block)[rows]
-    unit = np.unique(unit, return_inverse=True)[1]
+    samples = samples.select(spread_rows(len(samples), _MAX))
+    unit = _units(samples, block)
     effects = _held(fit.model, samples)
     if unit.max(initial=0) + 1 < _FEWEST or all(e.held is None for e in effects):
         return fit
@@ -189,24 +188,24 @@ def _surely_better(equations: _Equations, unit: np.ndarray) -> bool:
     Sizes are found without what is left out from the beginning: from where all samples lead, which is near, too much of
     what is left out stays in them (of a real WAM arm the gain is a fifth larger so, and taken for sure).
     """
-    rng, before, after = np.random.default_rng(0), np.zeros(len(unit)), np.zeros(len(unit))
-    for _ in range(_DEALS):
-        fold = rng.permutation(np.arange(unit.max() + 1) % _FOLDS)[unit]
-        for k in range(_FOLDS):
-            out = fold[equations.sample] == k
-            J, r, rows = equations.J[:, out], equations.r[out], equations.sample[out]
-            for square, values in ((before, equations.plainly(out)), (after, equations.likely(out).values)):
-                square += np.bincount(rows, (r - values @ J[: len(values)]) ** 2, len(unit))
-        gain, error, worth = _gains(before, after, unit)
-        if gain <= worth:  # for time: it is of no use
+    fold = np.random.default_rng(0).permutation(np.arange(unit.max() + 1) % _FOLDS)[unit]
+    before, after = np.zeros(len(unit)), np.zeros(len(unit))
+    for k in range(_FOLDS):
+        out = fold[equations.sample] == k
+        J, r, rows = equations.J[:, out], equations.r[out], equations.sample[out]
+        for square, values in ((before, equations.plainly(out)), (after, equations.likely(out).values)):
+            square += np.bincount(rows, (r - values @ J[: len(values)]) ** 2, len(unit))
+        if k >= _LOOKED and not _gains(before, after, unit, fold <= k)[0] > 0.0:  # for time: it is of no use
             return False
+    gain, error, worth = _gains(before, after, unit, fold < _FOLDS)
     return gain > max(worth, _SURE * error)
 
 
-def _gains(before: Array, after: Array, unit: np.ndarray) -> tuple[float, float, float]:
-    """What squares of samples (N,) gain, the standard error of that, and what they must."""
-    limit = DRAWN_IN * float(np.median(before)) + 1e-300
-    before, after = np.minimum(before, limit), np.minimum(after, limit)
-    means = np.bincount(unit, before - after) / np.bincount(unit)
+def _gains(before: Array, after: Array, unit: np.ndarray, seen: np.ndarray) -> tuple[float, float, float]:
+    """What squares of samples (N,) gain, the standard error of that, and what they must, of those that were seen."""
+    limit = DRAWN_IN * float(np.median(before[seen])) + 1e-300
+    before, after = np.minimum(before[seen], limit), np.minimum(after[seen], limit)
+    count = np.bincount(unit[seen])
+    means = np.bincount(unit[seen], before - after)[count > 0] / count[count > 0]
     error = float(np.std(means, ddof=1)) / np.sqrt(len(means))
     return float(means.mean()), error, MIN_GAIN * float(before.mean())

@@ -45,7 +45,7 @@ def chosen_together(
     before, apart = 0.0, set(refused)
     while choice is not None and choice.p_value <= SIGNIFICANT:
         amplitudes, share = scanner.together(fit, [*(one.choice.effect for one in found), choice.effect])
-        started = choice.effect.started(amplitudes[-choice.effect.shape.size :])
+        started = choice.effect.started(amplitudes)
         if share - before < _MANY * MIN_GAIN or _stands_alone(started, scanner.effects):
             break
         found.append(StartedChoice(choice, started))
