@@ -13,7 +13,7 @@ form. So the forms are fitted, and compared.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +29,7 @@ _TIE = 2.0  # in −log10 p: a hundredfold in chance, which of odds is called de
 # Share of a free shape's explanation, whose further amplitudes take some per cent of pure noise (sweep); and of the
 # best explanation: what only stands elsewhere is plainer than any curve
 _NEARLY = 0.9
-_LOOK_AHEAD, _LOOKED_AT = 3, 60  # plain causes that together may beat a free shape, of so many of the best
+_LOOK_AHEAD = 3  # plain causes that together may beat a free shape
 _PLAINLY_MORE = 1.3  # times what the best line explains, for a whole curve, its chance taken off
 _RHYTHM = 10.0  # cycles a turn that are one kind of rhythm
 _MAX_NAMED = 12  # in a sentence
@@ -75,7 +75,8 @@ def choose(
     top = int(np.argmax(score))
     if not plain[top] and plain.any():
         best_plain = int(np.argmax(np.where(plain, score, -1.0)))
-        if _explain_together(evidence, scanner, fit, plain) >= _NEARLY * float(evidence.explained[top]):
+        enough = _NEARLY * float(evidence.explained[top])
+        if any(share >= enough for share in _explain_together(evidence, best_plain, scanner, fit, plain)):
             top = best_plain
     pool = plain if plain[top] else allowed
     alike = np.flatnonzero(pool & (score >= score[top] - _TIE * evidence.inflation)).tolist()
@@ -130,20 +131,16 @@ def one_motion_names(effect: Effect) -> tuple[str, ...]:
     return tuple(f"{place} {effect.direction} by {effect.public_driver}" for place in one_motion(effect.place))
 
 
-def _explain_together(evidence: Evidence, scanner: Scanner, fit: Fit, plain: np.ndarray) -> float:
-    """The share that a few plain causes of different places or drivers explain together, the best first."""
-    best: dict[tuple[str, str, str], Effect] = {}
-    for i in np.argsort(-np.where(plain, evidence.score, -np.inf))[: int(plain.sum())]:
-        effect = evidence.effects[i]
-        best.setdefault((effect.place, effect.direction, effect.driver), effect)
-        if len(best) == _LOOKED_AT:
-            break
-    first, *others = best.values()
-    chosen = [first]
-    for _ in range(min(_LOOK_AHEAD - 1, len(others))):
-        chosen.append(max(others, key=lambda effect: scanner.together(fit, (*chosen, effect))[1]))
-        others.remove(chosen[-1])
-    return scanner.together(fit, chosen)[1]
+def _explain_together(evidence: Evidence, first: int, scanner: Scanner, fit: Fit, plain: np.ndarray) -> Iterator[float]:
+    """The share that one plain cause explains, two, … together, each the best of what those before it leave."""
+    left, chosen = 1.0, evidence.effects[first]
+    for more in reversed(range(_LOOK_AHEAD)):
+        amplitudes, share = scanner.alone(fit, chosen)
+        left *= 1.0 - share
+        yield 1.0 - left
+        if more:
+            fit = replace(fit, model=fit.model.with_effects((*fit.model.effects, chosen.started(amplitudes))))
+            chosen = evidence.effects[int(np.argmax(np.where(plain, scanner.evidence(fit).score, -1.0)))]
 
 
 def _rivals(evidence: Evidence, best: int, alike: list[int]) -> list[Effect]:
