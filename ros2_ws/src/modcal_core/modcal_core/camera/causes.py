@@ -69,7 +69,7 @@ class CameraScanner(Scanner):
     def information(self, fit: WithModel, effect: Effect) -> float:
         """What the images say of an effect's one amplitude, as the inverse of a variance, all else being fitted."""
         space = self.space_of(fit)
-        return float(np.sum(self.rows_of(space, effect)[0] ** 2))
+        return max(float(space.products(self.rows_of(space, effect))[0, 0]), 0.0)
 
 
 def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:

@@ -133,14 +133,15 @@ def one_motion_names(effect: Effect) -> tuple[str, ...]:
 
 def _explain_together(evidence: Evidence, first: int, scanner: Scanner, fit: Fit, plain: np.ndarray) -> Iterator[float]:
     """The share that one plain cause explains, two, … together, each the best of what those before it leave."""
-    left, chosen = 1.0, evidence.effects[first]
-    for more in reversed(range(_LOOK_AHEAD)):
-        amplitudes, share = scanner.alone(fit, chosen)
-        left *= 1.0 - share
+    left, best, chosen = 1.0, first, [evidence.effects[first]]
+    while True:
+        left *= 1.0 - float(evidence.explained[best])
         yield 1.0 - left
-        if more:
-            fit = replace(fit, model=fit.model.with_effects((*fit.model.effects, chosen.started(amplitudes))))
-            chosen = evidence.effects[int(np.argmax(np.where(plain, scanner.evidence(fit).score, -1.0)))]
+        if len(chosen) == _LOOK_AHEAD:
+            return
+        evidence = scanner.evidence(fit, beside=chosen)
+        best = int(np.argmax(np.where(plain, evidence.score, -1.0)))
+        chosen.append(evidence.effects[best])
 
 
 def _rivals(evidence: Evidence, best: int, alike: list[int]) -> list[Effect]:

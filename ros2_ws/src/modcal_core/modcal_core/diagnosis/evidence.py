@@ -195,31 +195,35 @@ class Scanner:
         self._seen = [*self._seen[-_KEPT:], (fit, found)]
         return found
 
-    def evidence(self, fit: Fit, trials: bool = False) -> Evidence:
-        """What each candidate explains of this fit's residual. trials: compare it with noise."""
+    def evidence(self, fit: Fit, trials: bool = False, beside: Sequence[Effect] = ()) -> Evidence:
+        """What each candidate explains of this fit's residual. trials: compare it with noise. beside: effects that take
+        their part of it first.
+        """
         space = self.space_of(fit)
         signs = np.ones((1, len(self.drivers)))
         if trials:
             drawn = np.random.default_rng(0).choice([-1.0, 1.0], (_TRIALS, self.unit.max() + 1))
             signs = np.concatenate([signs, drawn[:, self.unit]])
-        left = space.signed(signs)
-        left.against.update(left.contract(self._columns(self._keys, space)))
+        more = space.spanned([self.rows_of(space, effect) for effect in beside])
+        left = space.signed(signs, more)
+        for directions in (more, left) if beside else (left,):
+            directions.against.update(directions.contract(self._columns(self._keys, space)))
+        freedom = space.freedom - more.Q.shape[2]
         total = np.sum(left.Q**2, axis=(0, 1)) + 1e-300
         share, score, best = [np.zeros(0)], [np.zeros(0)], np.zeros(len(signs))
-        for bank in self.banks:
-            inverse, sizes = inverses(*self._gram(bank, space))
+        for bank, (gram, own) in zip(self.banks, self._grams(space), strict=True):
+            taken = bank.gram_of_sums(more.against, more.sums) if beside else 0.0
+            inverse, sizes = inverses(gram - taken, own)
             shares = explained(inverse, bank.sums(left.against, left.sums)) / total
             share.append(shares[:, 0])
             score.append(np.zeros(len(shares)))
             for m in np.unique(sizes).tolist():
-                if (table := score_table(int(m), space.freedom)) is not None:
+                if (table := score_table(int(m), freedom)) is not None:
                     here = sizes == m
                     score[-1][here] = np.interp(shares[here, 0], *table)
                     # more explained is a better score: of candidates alike in size only the best in a trial is asked
                     best = np.maximum(best, np.interp(shares[here].max(axis=0), *table))
-        return Evidence(
-            self.effects, np.concatenate(share), np.concatenate(score), space.freedom, self.complexity, best[1:]
-        )
+        return Evidence(self.effects, np.concatenate(share), np.concatenate(score), freedom, self.complexity, best[1:])
 
     def enough(self, fit: Fit, least: int = MIN_FREEDOM) -> bool:
         """Whether the samples leave rows enough beyond what is fitted to say anything."""
@@ -227,31 +231,26 @@ class Scanner:
 
     def amplitudes(self, fit: Fit, effect: Effect) -> Array:
         """The amplitudes with which an effect explains most of this fit's residual, (m,)."""
-        return self.alone(fit, effect)[0]
-
-    def alone(self, fit: Fit, effect: Effect) -> tuple[Array, float]:
-        """The amplitudes with which an effect explains most of this fit's residual, (m,), and what share that is."""
-        space = self.space_of(fit)
-        return _alone(self.rows_of(space, effect), space)
+        return self.together(fit, (effect,))[0]
 
     def together(self, fit: Fit, effects: Sequence[Effect]) -> tuple[Array, float]:
         """What several effects explain most of this fit's residual with: the amplitudes of the last (m,), and the share
         of them all.
         """
         space = self.space_of(fit)
-        for effect in effects:
-            if id(effect) not in space.rows_of:
-                space.rows_of[id(effect)] = effect, self.rows_of(space, effect)
-        rows = [space.rows_of[id(effect)][1] for effect in effects]
-        amplitudes, share = _alone(np.concatenate(rows), space)
-        return amplitudes[-len(rows[-1]) :], share
+        each = [self.rows_of(space, effect) for effect in effects]
+        rows = np.concatenate(each)
+        gram, n = space.products(rows), rows @ space.residual.ravel()
+        own = np.diag(gram)
+        scale = np.where(own > 1e-12 * own.max(initial=1e-300), np.sqrt(np.abs(own)), np.inf)  # no sample, no amplitude
+        amplitudes = np.linalg.lstsq(gram / np.outer(scale, scale), n / scale, rcond=1e-4)[0] / scale
+        return amplitudes[-len(each[-1]) :], float(n @ amplitudes) / space.total
 
     def rows_of(self, space: Space, effect: Effect) -> Array:
-        """An effect's columns in the rows of a fit, (m, 6 N), the fitted projected out."""
+        """An effect's columns in the rows of a fit, (m, 6 N)."""
         keys, numbers = self._factor(effect)
-        rows = np.stack([self._column(key, space) * x for key, x in zip(keys, numbers, strict=True)])
-        flat, Q = rows.reshape(len(rows), -1), space.Q.reshape(rows[0].size, space.Q.shape[-1])
-        return np.asarray(flat - (flat @ Q) @ Q.T)
+        rows = [self._column(key, space) * x for key, x in zip(keys, numbers, strict=True)]
+        return np.reshape(rows, (len(rows), -1))
 
     def _column(self, key: Key, space: Space) -> Array:
         if key not in space.columns:
@@ -263,24 +262,18 @@ class Scanner:
         """Unit columns (6, N) of places and directions."""
         return {key: self._column(key, space) for key in keys}
 
-    def _gram(self, bank: Bank, space: Space) -> tuple[Array, Array]:
-        """Products of each candidate's columns with each other (C, m, m), the fitted projected out, and their squares
-        before that, (C, m).
+    def _grams(self, space: Space) -> list[tuple[Array, Array]]:
+        """For each bank products of each candidate's columns with each other (C, m, m), the fitted projected out, and
+        their squares before that, (C, m).
         """
-        gram = bank.gram(self._columns(bank.keys, space))
-        if not space.fitted.against:  # of all banks: what there is to read is then read once
-            space.fitted.against.update(space.fitted.contract(self._columns(self._keys, space)))
-        along = bank.gram_of_sums(space.fitted.against, space.fitted.sums)
-        return gram - along, np.einsum("cii->ci", gram).copy()
-
-
-def _alone(rows: Array, space: Space) -> tuple[Array, float]:
-    """Amplitudes (m,) of rows (m, R) that explain most of the residual, and its share."""
-    gram, n = rows @ rows.T, rows @ space.residual.ravel()
-    own = np.diag(gram)
-    scale = np.where(own > 1e-12 * own.max(initial=1e-300), np.sqrt(np.abs(own)), np.inf)  # no sample, no amplitude
-    amplitudes = np.linalg.lstsq(gram / np.outer(scale, scale), n / scale, rcond=1e-4)[0] / scale
-    return np.asarray(amplitudes), float(n @ amplitudes) / space.total
+        if not space.grams:
+            columns, fitted = self._columns(self._keys, space), space.fitted
+            fitted.against.update(fitted.contract(columns))
+            for bank in self.banks:
+                gram = bank.gram(columns)
+                along = bank.gram_of_sums(fitted.against, fitted.sums)
+                space.grams.append((gram - along, np.einsum("cii->ci", gram).copy()))
+        return space.grams
 
 
 def inverses(gram: Array, own: Array) -> tuple[Array, np.ndarray]:

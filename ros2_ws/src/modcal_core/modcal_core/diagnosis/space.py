@@ -5,7 +5,7 @@ Each sample has six rows, weighted; what is fitted is projected out of the resid
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -14,7 +14,7 @@ import scipy.linalg
 
 from modcal_core.calibration import Fit, Groups, RowView, linearise
 from modcal_core.diagnosis.spectra import Key, KnownSums
-from modcal_core.effects import Drivers, Effect
+from modcal_core.effects import Drivers
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 
@@ -54,7 +54,7 @@ class Space:
 
     Q: orthonormal columns of all that is fitted, (6, N, D). Parameters are held by their priors, as extra rows that ask
     each to stay and are left out here: without them a direction that the readings hardly show would explain anything.
-    rows: those that may not be zero. rows_of: effects, by their identity, in these rows.
+    rows: those that may not be zero. grams: what a scanner knows of its candidates beside the fitted.
     """
 
     view: RowView
@@ -64,7 +64,7 @@ class Space:
     freedom: int
     rows: int = 6
     columns: dict[Key, Array] = field(default_factory=dict)
-    rows_of: dict[int, tuple[Effect, Array]] = field(default_factory=dict)
+    grams: list[tuple[Array, Array]] = field(default_factory=list)
 
     @classmethod
     def of(cls, fit: Fit, drivers: Drivers) -> Space:
@@ -90,17 +90,32 @@ class Space:
         free = equations(fit, samples) - round(float(np.vdot(flat, flat)))
         return cls(view, weight, residual, Q, free, rows)
 
-    @cached_property
+    @property
     def fitted(self) -> Directions:
         """The directions of Q."""
         return Directions(self.Q[: self.rows])
 
-    def signed(self, signs: Array) -> Directions:
-        """The residual under the signs (trials, N) of samples, what is fitted projected out, as directions."""
+    def products(self, rows: Array) -> Array:
+        """Products of rows (m, 6 N) with each other, (m, m), what is fitted projected out."""
+        along = rows @ self.Q.reshape(self.residual.size, -1)
+        return np.asarray(rows @ rows.T - along @ along.T)
+
+    def spanned(self, rows: Sequence[Array]) -> Directions:
+        """Directions of rows (m, 6 N), what is fitted projected out."""
+        each, Q = np.concatenate([*rows, np.zeros((0, self.residual.size))]), self.Q.reshape(self.residual.size, -1)
+        each = each / np.maximum(np.linalg.norm(each, axis=1, keepdims=True), 1e-300)
+        _, size, flat = np.linalg.svd(each - (each @ Q) @ Q.T, full_matrices=False)
+        flat = flat[size > np.sqrt(_NOTHING)]
+        return Directions(flat.reshape(len(flat), *self.residual.shape)[:, : self.rows].transpose(1, 2, 0))
+
+    def signed(self, signs: Array, beside: Directions) -> Directions:
+        """The residual under the signs (trials, N) of samples, what is fitted and more projected out, as directions."""
         left = self.residual[: self.rows, :, None] * signs.T
-        rows, flat = self.rows * signs.shape[1], left.reshape(-1, len(signs))
-        Q = self.Q[: self.rows].reshape(rows, self.Q.shape[2])
-        return Directions((flat - Q @ (Q.T @ flat)).reshape(left.shape))
+        flat = left.reshape(-1, len(signs))
+        for Q in (self.Q[: self.rows], beside.Q):
+            along = Q.reshape(len(flat), -1)
+            flat = flat - along @ (along.T @ flat)
+        return Directions(flat.reshape(left.shape))
 
     @cached_property
     def total(self) -> float:
