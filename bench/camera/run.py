@@ -95,7 +95,7 @@ def arms(task: harness.Task) -> harness.Result:
     r = solved(s, np.random.default_rng(seed))
     tip, (near, _) = r.fit.flange, postures_in_view(r.fit, np.random.default_rng(seed + 1))
     far = postures_anywhere(s.chain, np.random.default_rng(seed + 1))
-    z = (r.fit.state.lens.values - s.lens.values) / np.sqrt(np.diag(r.fit.covariance))[r.fit.poses.count + 1 :][:9]
+    z = (r.fit.state.lens.values - s.lens.values) / r.fit.std[0][r.fit.poses.count + 1 :][:9]
     out = {"opencv": against_opencv(s), "effects": [f"{c.effect.family} {c.effect.label}" for c in r.evidence.causes]}
     out |= {"seconds": time.process_time() - began, "images": len(s.views), "lens_sigmas": list(z)}
     out["mounted"] = s.on_tip == r.fit.poses.camera_on_tip

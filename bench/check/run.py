@@ -89,7 +89,7 @@ def checked(place: Workplace, before: Any, about: dict[str, Any], rng: np.random
         sizes = {}
         for name, model in (("repaired", found.repaired), ("full", again)):
             p = model.predict(fresh.q)[:, :3, 3]
-            claimed = claim_at_tool(model, samples, Cell(), fresh.q, frozen=True).mm["rms"].value
+            claimed = claim_at_tool(model, samples, Cell(), fresh.q, frozen="whole").mm["rms"].value
             sizes[name] = distance(p, fresh.p), distance(p, fresh.exact), claimed
             out |= dict(zip((f"{name}_mm", f"{name}_true_mm", f"{name}_expected_mm"), sizes[name], strict=True))
         out["ratio"] = [a / b if a and b else None for a, b in zip(sizes["repaired"], sizes["full"], strict=True)]

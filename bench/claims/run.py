@@ -130,7 +130,9 @@ def by_tables(what: dict[str, object], site: Site, recording: Recording) -> harn
     worse["within"] = report.get("apply_within") is not None
     claim = report.get("claim_mm")
     most = report["tolerance"]["ci95"][1] if claim is None else claim["p95"]["ci95"][1]
-    return {**judged(what, report, true, nominal, most), "apply": report.get("apply"), **worse, "claim": claim}
+    told = "no reading" if claim and claim["unshown_mm"] > 0.5 * most else "readings"
+    found = {"apply": report.get("apply"), **worse, "claim": claim, "most of it by": told}
+    return {**judged(what, report, true, nominal, most), **found}
 
 
 def by_camera(what: dict[str, object], site: Site) -> harness.Result:
@@ -200,7 +202,7 @@ def main() -> int:
     for r in results:
         r["open"] = WAYS[r["way"]][2]
         r["kind"] = "none" if r.get("effect") == "none" else "outside" if r.get("effect") in OUTSIDE else "known"
-    for by in ("way", "links", "kind", "open", "arm"):
+    for by in ("way", "links", "kind", "open", "most of it by", "arm"):
         rows(results, by)
     harness.counts("outcomes", results, "way", "outcome")
     return failed

@@ -1,8 +1,7 @@
 """Write the reference pages from the code: ``python scripts/reference``, as ``make docs`` does.
 
 The pages of ``TRACKED`` stand in docs/reference and are committed. Those of ``BUILT`` go into a build folder, from
-which mkdocs takes them (docs_site.py). With ``--check`` nothing is written, and the command fails when a tracked page
-differs from what the code says.
+which mkdocs takes them (docs_site.py). What is said names the tracked pages that differed from what the code says.
 """
 
 from __future__ import annotations
@@ -49,18 +48,13 @@ SOURCES = {
 
 
 def main() -> int:
-    """Exit code: 0, or 1 after the names of the tracked pages that are out of date."""
+    """Exit code: 0."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="compare the tracked pages and write nothing")
     parser.add_argument("--folder", type=Path, default=ROOT / "docs" / "reference", help="of the tracked pages")
     parser.add_argument("--built", type=Path, default=ROOT / "build" / "reference", help="of the pages for the site")
     chosen = parser.parse_args()
     tracked = {chosen.folder / name: text(name, page) for name, page in TRACKED.items()}
     stale = [file for file, wanted in tracked.items() if not file.is_file() or file.read_text("utf-8") != wanted]
-    if chosen.check:
-        if stale:
-            print(f"out of date: {', '.join(file.name for file in stale)}: run make docs", file=sys.stderr)
-        return int(bool(stale))
     for file in stale:
         write(file, tracked[file])
     for name, page in BUILT.items():

@@ -127,13 +127,6 @@ def test_the_truth_lies_within_the_stated_uncertainty(oriented: bool, degrees: f
         assert 1.0 < mean < 3.1
 
 
-@pytest.mark.slow
-def test_the_pitch_lies_within_its_uncertainty() -> None:
-    z2 = [(f.model.pitch - s.pitch) ** 2 / f.covariance["pitch"][0, 0]
-          for s, f in repeated("screw", True, 70.0, 1e-3, 0.2 * DEGREE, 30, 0.05)]  # fmt: skip
-    assert 0.4 < np.mean(z2) < 2.1  # 1 ± 0.26
-
-
 @pytest.mark.parametrize("oriented", [True, False])
 def test_a_quarter_of_gross_outliers_does_no_harm(oriented: bool, rng: np.random.Generator) -> None:
     seen = noisy(ideal("revolute", np.linspace(0.0, 1.2, 120), rng, 0.5), rng, 1e-3, 0.2 * DEGREE)
@@ -155,23 +148,6 @@ def test_another_frame_gives_the_same_joint_there(rng: np.random.Generator) -> N
     np.testing.assert_allclose(there.model.point, se3.apply(T, here.model.point), atol=1e-5)
     np.testing.assert_allclose(there.model.axis, T[:3, :3] @ here.model.axis, atol=1e-5)
     assert there.log_likelihood == pytest.approx(here.log_likelihood, abs=1e-3)
-
-
-@pytest.mark.parametrize("kind", ["rigid", "prismatic", "revolute", "screw"])
-@pytest.mark.parametrize("oriented", [True, False])
-def test_one_pose_is_placed_as_many_are(kind: Kind, oriented: bool, rng: np.random.Generator) -> None:
-    for _ in range(20):
-        R = so3.exp(rng.normal(size=3)) if oriented else None
-        h = rng.choice([-0.05, 0.05]) if kind == "screw" else 0.0
-        motion = AXES[kind].motion(rng.normal(size=3), so3.exp(rng.normal(size=3)), R, 0.4, h)
-        T = motion.joint().pose(rng.uniform(-3.0, 3.0)) @ se3.exp(rng.normal(0.0, 0.1, 6))
-        p, S = T[:3, 3], T[:3, :3] if oriented else None
-        one = Track.trusted(p[None], None if S is None else S[None])
-        for sigma in ((1e-2, 0.05), (1.0, 1e9)):
-            a, e = motion.placed(p, S, sigma)
-            many = motion.configurations(one, sigma)
-            assert a == pytest.approx(float(many[0]), abs=1e-12)
-            np.testing.assert_allclose(e, motion.residuals(one, many)[0], atol=1e-12)
 
 
 def shared(n: int, rho: float, rng: np.random.Generator) -> Array:
@@ -253,21 +229,6 @@ def test_configuration_undoes_pose_and_position(kind: str, seed: int) -> None:
     np.testing.assert_allclose(model.configuration(model.pose(a)), a, atol=1e-9)
     np.testing.assert_allclose(model.configuration(p), a, atol=1e-9)
     np.testing.assert_allclose(model.configuration(p[3]), a[3], atol=1e-9)
-
-
-def test_configuration_is_the_nearest_one(rng: np.random.Generator) -> None:
-    for kind in MOVING:
-        model, _, p, _ = some(kind)
-        beside = p[4] + rng.normal(0.0, 0.02, 3)
-        grid = np.linspace(-2.0, 2.0, 40001)
-        nearest = grid[np.argmin(np.linalg.norm(model.position(grid) - beside, axis=1))]
-        assert model.configuration(beside) == pytest.approx(nearest, abs=2e-4)
-
-
-def test_a_long_thread_is_followed_over_many_turns() -> None:
-    seen = ideal("screw", np.linspace(0.0, 40.0, 50), np.random.default_rng(5), 0.1, 0.02)
-    model, *_ = some("screw", 5, 0.1, 0.02)
-    np.testing.assert_allclose(model.configuration(seen.positions), seen.a, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["rigid", *MOVING])

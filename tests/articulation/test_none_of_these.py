@@ -7,12 +7,10 @@ import pytest
 from articulation.objects import Seen, ideal, noisy, real
 from scipy.spatial.transform import Rotation
 
-from modcal_core.articulation import choice as choice_module
 from modcal_core.articulation.choice import Choice, choose
 from modcal_core.articulation.evidence import hidden
 from modcal_core.articulation.models.prismatic import PrismaticMotion
-from modcal_core.articulation.track import Track, backwards, lone, telling, travelled
-from modcal_core.articulation.two_motions import best_cut
+from modcal_core.articulation.track import Track, backwards, lone
 
 DEGREE = np.pi / 180.0
 
@@ -87,13 +85,6 @@ def test_a_bow_that_handles_have_proves_no_hinge() -> None:
     assert not choice.misfit.fails
 
 
-def test_moved_and_mirrored_the_same_samples_tell(rng: np.random.Generator) -> None:
-    seen = noisy(ideal("revolute", np.concatenate([np.zeros(60), np.linspace(0.0, 1.0, 60)]), rng, 0.4), rng, 1e-3)
-    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    for p in (seen.positions @ turn.T + 1.0, seen.positions * [-1.0, 1.0, 1.0]):
-        assert np.array_equal(telling(Track(p)), telling(Track(seen.positions)))
-
-
 @pytest.mark.slow
 def test_what_two_motions_explain_down_to_the_noise_is_not_certainly_one() -> None:
     """A door on two pins: within 3 mm of one hinge all the way, which is no more than handles and cameras leave."""
@@ -165,24 +156,6 @@ def test_the_reverse_has_the_opposite_direction_and_a_moved_or_mirrored_track_th
     assert backwards(p) == backwards(p @ turn.T + [1.0, -2.0, 0.5]) == backwards(p * [-1.0, 1.0, 1.0])
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_of_the_reverse_the_same_samples_tell_and_the_same_path_was_travelled(seed: int) -> None:
-    track = flawed("prismatic", seed)
-    other = reverse(track)
-    assert np.array_equal(telling(track), np.sort(len(track) - 1 - telling(other)))
-    way, back = travelled(track), travelled(other)
-    assert way == pytest.approx(way[-1] - back[::-1], abs=1e-12)
-    assert (np.diff(way) >= 0.0).all()
-
-
-def test_two_motions_are_cut_at_the_same_sample(rng: np.random.Generator) -> None:
-    track = slid_then_turned(rng, False)
-    cut, other = best_cut(track), best_cut(reverse(track))
-    assert cut is not None
-    assert other is not None
-    assert cut == len(track) - other
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "oriented"), [("prismatic", False), ("revolute", True)])
 def test_a_track_and_its_reverse_are_told_alike(kind: str, oriented: bool) -> None:
@@ -194,42 +167,6 @@ def test_a_track_and_its_reverse_are_told_alike(kind: str, oriented: bool) -> No
         one.fit.configurations[-1] + (-1.0 if opposed else 1.0) * other.fit.configurations[::-1], abs=1e-4
     )
     assert other.fit.configurations[0] == 0.0
-
-
-@pytest.mark.slow
-def test_pooled_from_either_end_the_kinds_are_as_probable(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not because one end was agreed upon: what is pooled is short enough that it does not matter where it begins."""
-    track = flawed("prismatic", 0)
-    one = choose(track)
-    monkeypatch.setattr(choice_module, "one_way", lambda t: reverse(t) if not backwards(t.positions) else t)
-    assert one.probabilities == pytest.approx(choose(track).probabilities, abs=0.02)
-
-
-@pytest.mark.slow
-def test_a_phase_is_told_alike_from_either_end(rng: np.random.Generator) -> None:
-    track = slid_then_turned(rng, False)
-    one, other = choose(track), choose(reverse(track))
-    assert [phase.choice.kind for phase in one.phases] == [phase.choice.kind for phase in other.phases][::-1]
-    assert one.phases[0].end == pytest.approx(one.phases[1].end - other.phases[0].end, abs=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("tilt", [4.5])
-def test_rotations_that_disagree_by_a_few_degrees_are_weighed_alike_from_either_end(tilt: float) -> None:
-    """An axis that rotations show tilted: a fit takes the positions' side or theirs, and must not do so by chance."""
-    a = np.linspace(0.0, 1.6, 120)
-    rng = np.random.default_rng(5)
-    seen = noisy(ideal("revolute", a, rng, 0.35), rng, 2e-4)
-    middle = seen.positions[60] - seen.point
-    forward = np.cross(seen.axis, middle / np.linalg.norm(middle))  # so that the handle sags, and climbs nowhere
-    leaning = Rotation.from_rotvec(np.radians(tilt) * forward).apply(seen.axis)
-    R = (Rotation.from_rotvec(np.outer(a, leaning)) * Rotation.from_rotvec(rng.normal(0.0, 5e-4, (120, 3)))).as_matrix()
-    track = Track(seen.positions, R)
-    one, other = choose(track), choose(reverse(track))
-    assert one.kind == "revolute", one.why
-    same(one, other)
-    for choice in (one, other):
-        assert choice.misfit.position < 8e-3
 
 
 @pytest.mark.slow

@@ -211,13 +211,6 @@ def test_a_hinge_of_two_pins_is_not_trusted_once_the_second_is_seen() -> None:
     assert watched(whole + rng.normal(0.0, 5e-4, (190, 3)), R)[-1].trusted
 
 
-def test_a_drawer_that_bows_is_one_motion() -> None:
-    """A way that bends by two millimetres, one way and back, is furniture."""
-    rng, s = np.random.default_rng(2), np.linspace(0.0, 0.4, 180)
-    bow = np.stack([s, 2e-3 * np.sin(np.pi * s / 0.31), 1e-3 * np.cos(np.pi * s / 0.23)], axis=1)
-    assert watched(bow + rng.normal(0.0, 5e-4, (180, 3)), None)[-1].trusted
-
-
 @pytest.mark.slow
 def test_a_new_grasp_half_way_is_not_trusted_until_the_tracker_is_reset() -> None:
     rng, (p, a) = np.random.default_rng(3), _arc(80.0, 0.7, 200)
@@ -258,18 +251,6 @@ def test_the_same_pull_is_trusted_after_the_same_way_however_often_it_is_seen(ki
     assert max(ways) < 0.22
 
 
-def test_nothing_is_trusted_before_twice_the_way_ahead_is_known() -> None:
-    """However many poses come: a slow hand is not believed sooner."""
-    assert earned(pulled_at("prismatic", 200.0, 1e-4, 1, far=0.18), far=0.18) > 0.14
-
-
-def test_poses_that_come_too_far_apart_are_said() -> None:
-    assert not any(s.sparse for s in pulled_at("revolute", 5.0, 1e-3, 2))
-    last = pulled_at("revolute", 2.0, 1e-3, 2)[-1]
-    assert last.sparse
-    assert last.apart_m == pytest.approx(0.05, rel=0.3)
-
-
 def test_one_stamp_far_ahead_or_behind_stands_alone() -> None:
     for leap in (10.0, -10.0):
         order = StampOrder()
@@ -292,13 +273,6 @@ def test_a_pause_is_no_leap_and_a_gap_in_a_recording_is_believed_at_the_second_p
     assert [order.judge(60.0, 30.1), order.judge(60.1, 30.2)] == ["alone", "next"]
 
 
-def test_a_pose_that_comes_late_is_left_out() -> None:
-    order = StampOrder()
-    order.judge(1.0, 1.0)
-    assert order.judge(0.5, 1.1) == "late"
-    assert order.last == 1.0
-
-
 @pytest.mark.parametrize("step", [3e-4, 2.5e-3])
 def test_each_millimetre_is_paid_for_and_no_pose_pays_for_its_neighbours(step: float) -> None:
     """What falls due from mark to mark is spread over the poses between; a pose never thinks for many."""
@@ -309,19 +283,6 @@ def test_each_millimetre_is_paid_for_and_no_pose_pays_for_its_neighbours(step: f
         paid.append(travel.steps_due(0.1 * i))  # slow enough for all that falls due
     assert sum(paid) >= travel.path / 1e-3 - 5
     assert max(paid) <= math.ceil(step / 1e-3)
-
-
-def test_an_arm_that_flies_by_costs_no_more_than_a_quick_pull() -> None:
-    """1.5 m/s, seen 200 times a second: some steps of computation a pose fall due, and are not made up for afterwards."""
-    travel, seconds = Travel(), 4.0
-    paid = []
-    for i in range(round(200 * seconds)):
-        travel.stepped(7.5e-3, 0.0)
-        travel.come(np.array([7.5e-3 * i, 0.0, 0.0]), 1e-4)
-        paid.append(travel.steps_due(i / 200))
-    assert 200 * seconds <= sum(paid) <= 260 * seconds + 60
-    rest = [travel.steps_due(seconds + i / 200) for i in range(200)]
-    assert sum(rest) <= 80
 
 
 @pytest.mark.slow

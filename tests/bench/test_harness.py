@@ -14,19 +14,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 
 from modcal_core.diagnosis import pruning, search
 from modcal_msgs_py.mcap_read import read_recording
 
 BENCH = Path(__file__).resolve().parents[2] / "bench"
-ROWS = [
-    {"part": "a", "seed": 0, "mm": 1.0, "good": True, "failed": None},
-    {"part": "a", "seed": 1, "mm": 3.0, "good": False, "failed": None},
-    {"part": "b", "seed": 0, "mm": None, "good": True, "failed": None},
-    {"part": "b", "seed": 1, "failed": "ValueError: no"},
-]
 
 
 @pytest.fixture(scope="module")
@@ -52,42 +45,6 @@ def test_options_are_of_the_type_of_their_default(harness: ModuleType) -> None:
     assert harness.told(given, "share", "how") == {"share": 1.0, "how": "y"}
     with pytest.raises(SystemExit):
         harness.parsed(made, ["--how", "z"])
-
-
-def test_tasks_have_as_many_seeds_as_are_asked_for_or_usual(harness: ModuleType) -> None:
-    made = harness.parser("A bench.", seeds=None, names=("one", "two"))
-    usual = harness.tasks(harness.parsed(made, []), {"one": 2, "two": 1}, part=("one", "two"))
-    assert usual == [{"part": "one", "seed": 0}, {"part": "one", "seed": 1}, {"part": "two", "seed": 0}]
-    asked = harness.parsed(made, ["--seeds", "1", "--first", "7"])
-    assert harness.tasks(asked, {"one": 2, "two": 1}, part=["one"]) == [{"part": "one", "seed": 7}]
-
-
-def test_parts_go_by_the_first_value_and_failures_are_kept(
-    harness: ModuleType, capsys: pytest.CaptureFixture[str]
-) -> None:
-    given = harness.parsed(harness.parser("A bench.", seeds=0), ["--jobs", "1"])
-    parts = {"a": lambda task: {"x": 2 * task["n"]}, "b": lambda task: {"x": 1 // task["n"]}}
-    results = harness.each(parts, [{"part": "a", "n": 4}, {"part": "b", "n": 0}], given)
-    assert results[0]["x"] == 8
-    assert "ZeroDivisionError" in results[1]["failed"]
-    assert harness.ended(results[:1], ("all", True)) == 0
-    assert harness.ended(results) == 1
-    assert harness.ended(results[:1], ("a limit", False)) == 1
-    assert "not met: a limit" in capsys.readouterr().out
-
-
-def test_a_summary_has_a_row_a_group_without_what_failed(
-    harness: ModuleType, capsys: pytest.CaptureFixture[str]
-) -> None:
-    columns = {"mean": harness.over("mm", np.mean), "good": harness.over("good", harness.share)}
-    harness.summary("sizes", ROWS, "part", columns, sums=True)
-    lines = [line.replace("│", " ").split() for line in capsys.readouterr().out.splitlines() if "│" in line]
-    assert lines == [
-        ["a", "2", "2", "1", "of", "2"],
-        ["b", "1", "–", "1", "of", "1"],
-        ["all", "3", "2", "2", "of", "3"],
-    ]
-    assert [len(rs) for rs in harness.grouped(ROWS, "part", "seed").values()] == [1, 1, 1]
 
 
 def test_a_share_has_the_interval_of_clopper_and_pearson(harness: ModuleType) -> None:
@@ -173,19 +130,6 @@ def checkout(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_mutant_is_found_where_its_function_has_gone(bench: dict[str, ModuleType], checkout: Path) -> None:
-    Mutant, find = bench["fragments"].Mutant, bench["fragments"].find
-    place = find(checkout, Mutant("", "elsewhere.A.g", "", "1, 2", "1, 3"))
-    assert (place.path.name, place.line) == ("two.py", 3)
-    assert "return [\n            1, 3,\n" in place.mutated("1, 3")
-
-
-def test_a_mark_stands_before_the_whole_of_a_condition(bench: dict[str, ModuleType], checkout: Path) -> None:
-    place = bench["fragments"].find(checkout, bench["fragments"].Mutant("", "one.f", "", "x < 2", "x <= 2"))
-    assert place.line == 2
-    ast.parse(bench["fragments"].marked(place.text, {place.line: ["a", "b"]}))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("function", "old"), [("one.f", "x > 2"), ("one.f", "return"), ("one.h", "x < 2")])
 def test_a_mutant_that_is_gone_says_so(bench: dict[str, ModuleType], checkout: Path, function: str, old: str) -> None:
@@ -211,19 +155,6 @@ def test_a_number_moves_in_every_module_that_imported_it_and_comes_back(sweep: M
     with sweep.changed("modcal_core.diagnosis.pruning", "MIN_GAIN", 1.3):
         assert pruning.MIN_GAIN == search.MIN_GAIN == pytest.approx(1.3 * before)
     assert pruning.MIN_GAIN == search.MIN_GAIN == before
-
-
-@pytest.mark.parametrize(
-    ("value", "factor", "expected"), [(0.5, 0.7, 0.35), (2, 0.7, 1), (2, 1.3, 3), (10, 1.3, 13), (10, 0.7, 7)]
-)
-def test_what_counts_stays_whole_and_moves(sweep: ModuleType, value: float, factor: float, expected: float) -> None:
-    assert sweep.moved(value, factor) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("name", ["NO_SUCH_NUMBER", "annotations"])
-def test_a_name_that_is_no_number_is_refused_at_once(sweep: ModuleType, name: str) -> None:
-    with pytest.raises(LookupError, match=name):
-        sweep.value_of("modcal_core.diagnosis.pruning", name)
 
 
 @pytest.mark.parametrize(

@@ -60,16 +60,6 @@ def test_every_kind_can_be_made_and_names_what_is_wrong(bench: dict[str, ModuleT
             assert bench["case"].KINDS[group][name].says, name
 
 
-def test_postures_are_come_back_to(bench: dict[str, ModuleType]) -> None:
-    works = bench["sites"].Cell("ur10", np.random.default_rng(2))
-    q, again = works.postures(80)
-    assert again.sum() == 6
-    for k in np.flatnonzero(again):
-        (first,) = np.flatnonzero((q[:k] == q[k]).all(axis=1))
-        assert k - first > 1
-        assert (np.sign(q[k] - q[k - 1]) != np.sign(q[first] - q[first - 1])).any()
-
-
 def test_a_clean_recording_misses_mujoco_by_its_floor_only(bench: dict[str, ModuleType]) -> None:
     works = bench["sites"].Cell("xarm7", np.random.default_rng(3))
     session = works.clean(60)
@@ -106,19 +96,6 @@ def test_faults_are_where_they_are_said_to_be(bench: dict[str, ModuleType], tmp_
 def meant(made: Any) -> list[str]:
     """Joints that the true words of a fault name."""
     return [n for n in made.judged.names if made.fault and any(re.search(word, n, re.I) for word in made.must_name)]
-
-
-def test_false_words_are_what_the_true_ones_leave(bench: dict[str, ModuleType]) -> None:
-    one, tool, fine = (case(bench, name) for name in ("joint_of_other_sign", "three_tools", "clean_poses"))
-    joints = {rf"\b{name}\b" for name in one.judged.names}
-    assert len(one.must_name) == 1
-    assert set(one.must_not) == joints - {rf"\b{one.must_name[0]}\b"}
-    assert set(tool.must_not) == joints
-    assert fine.must_not == (".",)
-    assert not case(bench, "nonsense").must_not
-    assert case(bench, "frozen_elastic").planted == ("compliance",)
-    row = bench["case"].Row("", ("tool",), "regime", True, {}, (40,))
-    assert row(bench["sites"].Cell("ur10", np.random.default_rng(0)), np.random.default_rng(0)).must_not == ("regime",)
 
 
 def test_what_is_named_falsely_is_counted_beside_the_outcome(bench: dict[str, ModuleType]) -> None:

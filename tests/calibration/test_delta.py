@@ -130,16 +130,6 @@ def test_parameters_of_the_arms_come_back() -> None:
     assert 0.5 < np.std(scores) < 1.6
 
 
-@pytest.mark.slow
-def test_a_delta_without_shaft_and_one_with_poses() -> None:
-    for kind, shaft in (("point", False), ("pose", True)):
-        cell = record_delta(8, 120, kind, shaft)
-        data = to_json_data(calibrate(cell.samples, cell.nominal, np.random.default_rng(0)).report)
-        assert data["error_mm"]["final"]["rms"] < 1.3 * FLOOR_MM, kind
-        assert data["effects"] == []
-        assert np.abs(np.array([p["value"] for p in data["parameters"]])).max() < 0.1
-
-
 def test_joint_positions_that_no_platform_fits_are_refused() -> None:
     cell = record_delta(10, 60)
     short = Delta.build(cell.nominal.names, offset=0.15, proximal=0.3, distal=0.42)

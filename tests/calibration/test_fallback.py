@@ -113,16 +113,6 @@ def test_a_bend_that_goes_on_outside_is_worth_the_full_model(rng: np.random.Gene
     assert missed(bent.predict(outside.q), outside) < 0.5 * alone
 
 
-def test_where_the_full_model_hardly_knows_itself_geometry_speaks(made: Calibration) -> None:
-    """The ends of this recording do not tell, for its curve is as loose there as outside."""
-    assert not made.geometry_outside
-    full, q = made.calibrated, np.tile([0.3, -1.2, 0.0, 0.4, 0.8, 0.1], (3, 1))
-    q[:, ELBOW] = [HIGH - 0.1, HIGH + 0.3, LOW - 0.3]
-    doubted = made.fallback(full, made.geometric)
-    np.testing.assert_allclose(doubted.share(samples_of(ur10(), q, made.predict(q))), [0.0, 1.0, 1.0])
-    assert replace(made, left_alone=0.0).fallback(full, made.geometric) is None  # files of before say nothing of it
-
-
 def test_nothing_jumps_on_the_way_out(made: Calibration) -> None:
     q = np.tile([0.3, -1.2, 0.0, 0.4, 0.8, 0.1], (401, 1))
     q[:, ELBOW] = np.linspace(HIGH - 0.1, HIGH + 0.1, 401)

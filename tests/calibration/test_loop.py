@@ -37,14 +37,6 @@ def test_the_three_sets_never_meet(block: int | None) -> None:
     assert [len(s) for s in stations] == [80, 32, 48] if block in (1, None) else sets.unit == "block"
 
 
-def test_a_dense_recording_is_split_by_blocks() -> None:
-    samples = record(1, 600).samples
-    walk = np.cumsum(0.01 * np.random.default_rng(0).normal(size=(600, 6)), axis=0)
-    sets = split(replace(samples, q=walk), np.random.default_rng(0))
-    assert sets.unit == "block"
-    assert np.mean(np.diff(np.sort(sets.held_out)) == 1) > 0.8
-
-
 def test_so_few_that_no_effect_is_told_from_noise_are_for_the_geometry() -> None:
     made = record(4, 11, "pose")
     report = calibrate(made.samples, ur10(), np.random.default_rng(0)).report
@@ -133,14 +125,6 @@ def test_all_readings_of_a_posture_are_in_one_set(order: str) -> None:
     # nor are two readings of one posture two independent witnesses
     units = independent_units(samples, sets.held_out, blocks=False)
     assert len(np.unique(units)) == len(held[2])
-
-
-def test_across_a_change_a_posture_stays_in_its_set() -> None:
-    rows = np.tile(np.arange(40), 2)
-    samples = taken(rows)
-    sets = split(samples, rng_of(0), None, [float(samples.stamps[40]) - 1.0])
-    for part in (sets.train, sets.explain, sets.held_out):
-        assert sorted(rows[part[part < 40]]) == sorted(rows[part[part >= 40]])
 
 
 def test_equations_are_those_of_different_postures() -> None:

@@ -13,7 +13,7 @@ from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.prediction import driver_ranges, typical_sizes
 from modcal_core.calibration.store import Calibration
 from modcal_core.effects.drivers import DriverLimits
-from modcal_core.effects.effect import AXIS, LENGTH, SHIFT, Effect
+from modcal_core.effects.effect import AXIS, LENGTH, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3
@@ -202,12 +202,3 @@ def test_another_recording_does_not_continue_a_drift(clock: bool) -> None:
     p, at = carried.model.predict_samples(samples), int(np.argmin(np.abs(grown - held)))
     assert np.linalg.norm(p[at, :3, 3] - samples.reading[at]) < 1.1 * np.abs(grown - held).min() + 1e-9
     assert BY_TIME.label in carried.notes[0]
-
-
-def test_what_goes_by_no_time_is_carried_over() -> None:
-    moved = Effect("step", "tool", SHIFT, "time", Shape("until", {"at": 1.7e9 + 60.0})).started(np.array([1e-3, 0, 0]))
-    for effect in (BY_HEAT, BY_EFFORT, moved):
-        calibration, samples = frozen(effect)
-        carried = carried_over(calibration, samples)
-        assert (carried.not_applied, carried.notes) == ((), ())
-        assert carried.model.effects == calibration.calibrated.effects

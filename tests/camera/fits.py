@@ -11,9 +11,11 @@ from camera.scenes import CameraScene, scene
 
 from modcal_core.calibration import Model
 from modcal_core.camera.arm_poses import ArmPoses, with_parameters
-from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.cameras import Camera, Cameras
+from modcal_core.camera.corners import CommonPrior, CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import board_poses
+from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import Mounting, find_mounting
 from modcal_core.camera.prepared import CameraImages
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
@@ -44,6 +46,11 @@ def start(s: CameraScene, velocity: float = 0.0) -> tuple[CornerTable, ArmPoses]
     found = find_mounting(chain_forward(s.chain, s.q), board_poses(table, s.lens, FLAT))
     moving = np.full_like(s.q, velocity)
     return table, arm_poses(s.chain, s.q, moving, found)
+
+
+def alone(table: CornerTable, poses: ArmPoses, prior: CommonPrior, lens: Lens) -> Cameras:
+    """One camera, and nothing beside it."""
+    return Cameras((Camera.of("images", table, poses, prior, lens),))
 
 
 def problem(s: CameraScene, *further: CameraImages, **options: object) -> CameraProblem:

@@ -281,7 +281,7 @@ def test_an_arm_by_two_cameras_and_a_body_glued_by_hand(corners: bool) -> None:
     assert arm_error(s, r.fit) < 3e-4 < 1.2e-3 < arm_error(s, r.nominal)
     late = {f"{i}" for i in np.flatnonzero((s.q != s.as_moved).any(axis=1))}
     assert set(r.ready.left_out) == late & {v.name for v in s.images[0].views}
-    assert set(r.further[0].left_out) == late & {v.name for v in s.images[1].views}
+    assert set(r.prepared[1].left_out) == late & {v.name for v in s.images[1].views}
     # where its markers are, to a sixth of how far they are off
     places = r.fit.state.shape[SHAPE:].reshape(20, -1)
     B = s.true_body()
@@ -289,15 +289,15 @@ def test_an_arm_by_two_cameras_and_a_body_glued_by_hand(corners: bool) -> None:
     size = r.fit.state.shape[0] * (s.drawing.middles - s.drawing.middles.mean(axis=0))
     gap = places[:, :3] + size - true
     assert np.sqrt((gap**2).sum(1).mean()) < np.sqrt((true**2).sum(1).mean()) / 3.0
-    std = np.sqrt(np.diag(r.fit.covariance))[-places.size :].reshape(20, -1)[:, :3]
+    std = r.fit.std[0][-places.size :].reshape(20, -1)[:, :3]
     z = (places[:, :3] - true)[:, 0] / std[:, 0]
     assert np.median(np.abs(z)) < 2.0
     # both cameras, from nothing
-    ((second, *_),) = r.fit.of_further()
+    second = r.fit.states[1]
     for lens, true_lens in ((r.fit.state.lens, s.lenses[0]), (second.lens, s.lenses[1])):
         assert np.abs(lens.values - true_lens.values)[:4].max() < 12.0
     assert (second.shape == r.fit.state.shape).all()
-    assert r.fit.rms_px < 0.3
+    assert r.fit.rms_px[0] < 0.3
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from camera.boards import BOARD, LENS
-from camera.fits import FLAT, MEASURED, arm_poses, images, solved, start, true_error
+from camera.fits import FLAT, MEASURED, alone, arm_poses, images, solved, start, true_error
 from camera.flange import flange_arm, flange_joints, flange_poses
 from camera.scenes import scene
 from finite_differences import assert_jacobian
@@ -15,9 +15,9 @@ from finite_differences import assert_jacobian
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.parameters import View, ordered_candidates
 from modcal_core.camera.claim import ALL_BUT_IMAGES, APPLY, AS_STATED, DO_NOT_APPLY, arm_draws
-from modcal_core.camera.corners import FIXED, CameraState, CornerTable, common_prior, corner_rows
+from modcal_core.camera.corners import FIXED, CornerTable, common_prior, corner_rows
 from modcal_core.camera.equations import Sizes
-from modcal_core.camera.fit import equations_at, fit_camera
+from modcal_core.camera.fit import fit_cameras
 from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import find_mounting
@@ -114,11 +114,11 @@ def test_likelihood_is_that_of_the_whole_normal_distribution() -> None:
     table = CornerTable.of(few, s.board)
     arm = start(s)[1].select(np.arange(2))
     prior = common_prior(LENS, s.board.scale)
-    state = CameraState(np.zeros(len(arm.parameters)), 0.0, np.r_[LENS.values, FLAT, 0.0], LENS)
-    eq = equations_at(table, arm, prior, state)
+    cameras = alone(table, arm, prior, LENS)
+    eq = cameras.equations(cameras.expected.start)
     # base and tool are known to some centimetres here, so that the covariance written out has digits left
     eq = replace(eq, information=eq.information + 1e3 * np.diag(np.diag(eq.information) < 1.0))
-    rows = corner_rows(table, LENS, FLAT, arm.seen(arm.tool_motions(state.values)[0]))
+    rows = corner_rows(table, LENS, FLAT, arm.seen(arm.tool_motions(arm.values.start)[0]))
     r, (seen,) = rows.residual.ravel(), eq.cameras
     A = np.concatenate([rows.by_pose @ seen.moved[table.view], rows.by_common], axis=2).reshape(len(r), -1)
     own = rows.by_pose @ seen.own[table.view]
@@ -163,13 +163,13 @@ def test_an_arm_that_is_centimetres_off(on_tip: bool) -> None:
     tip = se3.inverse(model.T_tip_tool)[:3, 3]
     said, true = (se3.apply(T, tip) - se3.apply(T, tip).mean(0) for T in (model.predict(q), s.truth(q)))
     turn = so3.exp(np.linalg.lstsq(-so3.hat(said).reshape(-1, 3), (true - said).ravel(), rcond=None)[0])
-    alone = float(np.sqrt(((said @ turn.T - true) ** 2).sum(1).mean()))
-    assert 0.5 * r.claim.alone.interval[1] < alone < min(r.claim.alone.interval[2], 1.1 * error)
+    by_itself = float(np.sqrt(((said @ turn.T - true) ** 2).sum(1).mean()))
+    assert 0.5 * r.claim.alone.interval[1] < by_itself < min(r.claim.alone.interval[2], 1.1 * error)
     # were everything known but what corners and joints scatter, less would be left, and no less than with one thing known
     whole, left = r.claim.shares[ALL_BUT_IMAGES]
     assert left < min(known for name, (_, known) in r.claim.shares.items() if name != ALL_BUT_IMAGES) < whole
     # lens and sheet within what is stated of them
-    std = np.sqrt(np.diag(r.fit.covariance))[-15:-6]
+    std = r.fit.std[0][-15:-6]
     assert (np.abs(r.fit.state.lens.values - s.lens.values) < 4.0 * std).all()
     assert r.claim.held_out_px[1] < 0.1 * r.claim.held_out_px[0]
 
@@ -211,9 +211,9 @@ def test_flange_poses_place_camera_and_target() -> None:
     table = CornerTable.of(s.views, s.board)
     found = find_mounting(A, board_poses(table, s.lens, FLAT))
     arm = arm_poses(flange_arm(), q, np.zeros_like(q), found)
-    arm = replace(arm, parameters=arm.placed, faults=None)
+    arm = arm.nominal
     assert not arm.of_arm.any()
-    fit = fit_camera(table, arm, common_prior(s.lens, s.board.scale), s.lens)
+    fit = fit_cameras(alone(table, arm, common_prior(s.lens, s.board.scale), s.lens))
     assert fit.converged
 
 

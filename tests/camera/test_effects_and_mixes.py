@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from camera.boards import BOARD, views
-from camera.fits import MEASURED, solved, start, true_error
+from camera.fits import MEASURED, alone, solved, start, true_error
 from camera.scenes import PANDA, CameraScene, scene
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.arm_poses import ImageMoments
 from modcal_core.camera.claim import APPLY, CANNOT_TELL
-from modcal_core.camera.fit import fit_camera
+from modcal_core.camera.corners import common_prior
+from modcal_core.camera.fit import fit_cameras
 from modcal_core.camera.other_readings import ReadingsBeside, beside
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.views import postures_in_view
@@ -74,8 +75,8 @@ def test_wrong_readings_beside_images_are_left_out() -> None:
     reading = good.samples.reading.copy()
     reading[4] += [0.0, 0.02, 0.0]
     r = solved(s, beside=replace(good, samples=replace(good.samples, reading=reading)))
-    assert r.fit.poses.beside is not None
-    assert len(r.fit.poses.beside.samples) == 14
+    assert r.fit.cameras.beside is not None
+    assert len(r.fit.cameras.beside.samples) == 14
     assert errors(s, r)[0] < 1e-3
 
 
@@ -89,27 +90,29 @@ def test_too_few_readings_beside_images_are_refused() -> None:
 @pytest.mark.parametrize("with_effect", [False, True])
 def test_derivatives_of_rows_beside_images(with_effect: bool) -> None:
     s = scene(12, True, count=8)
-    _, arm = start(s)
-    arm = replace(arm, beside=tracked(s, count=4))
+    table, arm = start(s)
+    cameras = replace(alone(table, arm, common_prior(s.lens, s.board.scale), s.lens), beside=tracked(s, count=4))
     if with_effect:
         j = s.chain.names[3]
-        arm = arm.with_effects([Effect("gear_ratio", j, "axis", f"position:{j}", Shape("linear"), np.array([1e-3]))])
-    at = arm.values.start + 1e-3 * np.random.default_rng(0).normal(size=arm.count)
-    rows = arm.rows_beside(at, arm.count)
+        play = Effect("gear_ratio", j, "axis", f"position:{j}", Shape("linear"), np.array([1e-3]))
+        cameras = cameras.with_effects((play,))
+    x = cameras.expected.start
+    at = x + 1e-3 * np.random.default_rng(0).normal(size=len(x))
+    rows = cameras.equations(at).beside
     assert rows is not None
-    other = arm.rows_beside(at, arm.count + 15)
-    assert other is not None
-    assert (other.J[:, arm.count :] == 0.0).all()
+    own = np.arange(len(cameras.first.free), len(x))
+    of_arm = np.r_[np.arange(cameras.first.poses.count), own]
+    assert (np.delete(rows.J, of_arm, axis=1) == 0.0).all()
 
     def predicted(v: Array) -> Array:
-        there = arm.rows_beside(v, arm.count)
+        there = cameras.equations(v).beside
         assert there is not None
         return -there.residual
 
     # residuals are taken as seen from the root, which a frame's own turn moves: its shifts are enough here
-    assert arm.beside is not None
-    turned = [p.name.startswith("frame ") for p in arm.beside.own]
-    free = np.flatnonzero(~np.r_[np.zeros(arm.of_model, bool), turned])
+    assert cameras.beside is not None
+    shifts = [not p.name.startswith("frame ") for p in cameras.beside.own]
+    free = np.r_[np.arange(cameras.first.poses.count), own[shifts]]
 
     def partly(v: Array) -> Array:
         whole = at.copy()
@@ -169,13 +172,13 @@ def test_springs_that_images_do_not_show_are_said() -> None:
     assert {one.place for one in r.evidence.hidden} >= {"panda_joint2", "panda_joint4"}
     one = next(h for h in r.evidence.hidden if h.place == "panda_joint4")
     spring = Effect("compliance", one.place, "axis", f"load:{one.place}", Shape("linear")).started(np.zeros(1))
-    fit, poses = r.fit, r.fit.poses.with_effects((spring,))
-    begin = replace(fit.state, values=np.insert(fit.state.values, fit.poses.of_model, 0.0))
-    there = fit_camera(fit.table, poses, fit.prior, begin, fit.sizes, fixed_sizes=True)
-    std = np.sqrt(there.covariance[fit.poses.of_model, fit.poses.of_model])
+    fit, at = r.fit, r.fit.poses.count
+    cameras = fit.cameras.with_effects((spring,))
+    there = fit_cameras(cameras, np.insert(fit.x, at, 0.0), fit.sizes, fixed_sizes=True)
+    std = there.std[0][at]
     assert one.least == pytest.approx(4.0 * std, rel=0.05)
     bent = fit.poses.q.copy()
-    bent[:, 3] += one.least * poses.drivers().values(spring.driver)
+    bent[:, 3] += one.least * there.poses.drivers().values(spring.driver)
     gap = (chain_forward(r.model.serial, bent) - chain_forward(r.model.serial, fit.poses.q))[:, :3, 3]
     assert one.at_tool_m == pytest.approx(np.sqrt((gap**2).sum(1).mean()), rel=0.02)
 

@@ -71,8 +71,8 @@ def test_a_marker_far_from_where_the_others_have_it(corners: bool) -> None:
     ready = prepare_images(s.chain, images)
     fit = ready.fitted(fixed_sizes=True)
     assert not far_markers(fit).any()
-    K, values = ready.table.markers, ready.table.places
-    used = np.flatnonzero(np.bincount(ready.table.marker, minlength=K) > 5)
+    K, values = fit.table.markers, fit.table.places
+    used = np.flatnonzero(np.bincount(fit.table.marker, minlength=K) > 5)
     places = np.zeros((K, values))
     places[:, :3] = 3e-4 * np.random.default_rng(6).standard_normal((K, 3))
     for off_m, far in ((3e-3, []), (0.026, [int(used[2])])):
@@ -84,6 +84,6 @@ def test_a_marker_far_from_where_the_others_have_it(corners: bool) -> None:
         motion[:, :3, 3:] = -so3.hat(middles)
         motion[:, 3:, 3:] = np.eye(3)[: values - 3]
         by = np.linalg.lstsq(motion.reshape(-1, 6), there.ravel(), rcond=None)[0]
-        common = np.r_[fit.state.common[:COMMON], there.ravel() - motion.reshape(-1, 6) @ by]
-        moved = replace(fit.state, common=common)
-        assert list(np.flatnonzero(far_markers(replace(fit, state=moved)))) == far
+        x = fit.x.copy()
+        x[fit.common[COMMON:]] = there.ravel() - motion.reshape(-1, 6) @ by
+        assert list(np.flatnonzero(far_markers(replace(fit, x=x)))) == far

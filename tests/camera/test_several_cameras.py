@@ -13,7 +13,6 @@ from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import PrintedTarget
 from modcal_core.camera.claim import APPLY
-from modcal_core.camera.fit import equations_at
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.prepared import CameraImages
 from modcal_core.camera.solve import CameraSolution, solve_camera
@@ -72,15 +71,16 @@ def three(cell: CameraScene) -> CameraSolution:
 @pytest.mark.slow
 def test_three_cameras_know_the_arm_better_than_one(cell: CameraScene, three: CameraSolution) -> None:
     """Size and bow of the sheet on the tip are one for both that see it; the other sheet gets its size by the arm."""
-    second, hand = three.further
+    _, second, hand = three.prepared
     assert (second.mounting.camera_on_tip, hand.mounting.camera_on_tip) == (False, True)
-    (state, std, _), (of_hand, _, hand_px) = three.fit.of_further()
-    assert second.table.views == len(on_tripod(cell).views) >= 10
+    _, state, of_hand = three.fit.states
+    std = three.fit.std[1][len(state.values) + 1 :]
+    assert second.camera.table.views == len(on_tripod(cell).views) >= 10
     assert (np.abs(state.lens.values - OTHER_LENS.values)[:4] < 4.0 * std[:4]).all()
     assert std[:4].max() < 3.0
     assert (state.shape == three.fit.state.shape).all()
     assert not np.isclose(of_hand.shape[:2], three.fit.state.shape[:2]).any()
-    assert hand_px < 0.5
+    assert three.fit.rms_px[2] < 0.5
     assert three.claim.decision.word == APPLY
     q, _ = postures_in_view(three.fit, np.random.default_rng(1))
     assert true_error(cell, three.fit, q) < three.claim.in_view.interval[2]
@@ -99,14 +99,13 @@ def test_derivatives_and_shared_sheet(three: CameraSolution) -> None:
     rng = np.random.default_rng(0)
     count = len(fit.covariance)
     off = np.sqrt(np.diag(fit.covariance)) * rng.normal(size=count)
-    state = fit.state.moved(off)
+    x0 = fit.x + off
     sizes = replace(fit.sizes, joint=1e-9, shift=1e-9)  # what images have of their own is not differentiated
 
     def cost(x: Array) -> Array:
-        there = equations_at(fit.table, fit.poses, fit.prior, state.moved(x))
-        return np.array([there.solve(sizes).cost])
+        return np.array([fit.cameras.equations(x0 + x).solve(sizes).cost])
 
-    here = equations_at(fit.table, fit.poses, fit.prior, state).solve(sizes)
+    here = fit.cameras.equations(x0).solve(sizes)
     free = here.use
     gradient = np.zeros(count)
     gradient[free] = -2.0 * here.b

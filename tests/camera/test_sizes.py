@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from camera.fits import images, start
+from camera.fits import alone, images, start
 from scipy.optimize import minimize
 
 from modcal_core.camera.corners import common_prior
 from modcal_core.camera.equations import Sizes
-from modcal_core.camera.fit import START, CameraFit, fit_camera, likeliest, usual
+from modcal_core.camera.fit import START, CameraFit, fit_cameras, likeliest, usual
 from modcal_core.geometry.so3 import Array
 
 
@@ -19,7 +19,7 @@ from modcal_core.geometry.so3 import Array
 def fitted(on_tip: bool) -> CameraFit:
     s = images(on_tip)
     table, arm = start(s)
-    return fit_camera(table, arm, common_prior(s.lens, s.board.scale), s.lens)
+    return fit_cameras(alone(table, arm, common_prior(s.lens, s.board.scale), s.lens))
 
 
 @pytest.mark.slow

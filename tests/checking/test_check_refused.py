@@ -74,11 +74,10 @@ def test_another_arm_is_refused_or_not_explained(cell: Cell) -> None:
         check(cell[1], replace(other, frames=cell[1].frames))
 
 
-@pytest.mark.parametrize("kind", ["pose", "point"])
-def test_an_arm_of_other_lengths_in_the_same_cell_is_refused(cell: Cell, kind: str) -> None:
+def test_an_arm_of_other_lengths_in_the_same_cell_is_refused(cell: Cell) -> None:
     """Base and tool stand where they stood; the forearm is five centimetres longer, or all links a tenth."""
     base, tool, q = cell[0].world.T_tracker_base, cell[1].calibrated.T_tip_tool, postures(21)
-    for stretch in (np.where(np.arange(7) == 3, 1.09, 1.0), np.full(7, 1.1)):
+    for kind, stretch in (("pose", np.where(np.arange(7) == 3, 1.09, 1.0)), ("point", np.full(7, 1.1))):
         origins = ur10().origins.copy()
         origins[:, :3, 3] *= stretch[:, None]
         other = World(ur10().with_origins(origins), np.random.default_rng(22), T_tracker_base=base, T_tip_tool=tool)
@@ -96,8 +95,7 @@ def test_angles_that_are_none_are_refused_with_their_joint(cell: Cell) -> None:
         checked(cell, seen)
 
 
-@pytest.mark.parametrize("kind", ["pose", "point"])
-@pytest.mark.parametrize(("what", "after"), [("base", 4), ("tool", 7)])
+@pytest.mark.parametrize(("what", "after", "kind"), [("base", 4, "point"), ("tool", 7, "pose")])
 def test_what_moved_between_two_stations_is_refused(cell: Cell, what: str, after: int, kind: str) -> None:
     for seed in range(2):
         q = postures(seed, 12)
@@ -143,8 +141,8 @@ def test_a_base_that_moved_by_the_distance_of_neighbours_mixed_no_rows_up(cell: 
     assert check(cell[1], readings(q, moved, np.random.default_rng(2), kind="point")).status != "unchanged"
 
 
-@pytest.mark.parametrize("count", [5, 8])
-def test_readings_that_mean_nothing_are_refused_or_not_explained(cell: Cell, count: int) -> None:
+def test_readings_that_mean_nothing_are_refused_or_not_explained(cell: Cell) -> None:
+    count = 5
     q, rng = postures(1, 12), np.random.default_rng(14)
     T = cell[0].world.tool_in_tracker(q)
     some = rng.choice(12, count, replace=False)

@@ -110,6 +110,6 @@ def test_what_it_knows_of_itself(made: tuple[CameraScene, Path]) -> None:
     q = postures(s, 3)
     truth = s.truth(q)
     samples = replace(Samples.from_arrays(q, poses=truth, names=s.chain.names), frames=("target",))
-    claim = claim_at_tool(calibration, samples, Cell(), q, frozen=True)
+    claim = claim_at_tool(calibration, samples, Cell(), q, frozen="whole")
     miss = 1e3 * np.percentile(np.linalg.norm((calibration.predict(q) - truth)[:, :3, 3], axis=1), 95)
     assert miss < claim.mm["p95"].ci95[1] < 10.0 * miss

@@ -54,12 +54,6 @@ def test_pieces_give_the_stations_of_the_whole(bag: Path, monkeypatch: pytest.Mo
     assert np.array_equal(warmth.values, known.values)
 
 
-@pytest.mark.slow
-def test_a_bag_that_is_not_long_is_one_piece(bag: Path) -> None:
-    (only,) = read_pieces(bag)
-    assert (only.since, only.until) == (-np.inf, np.inf)
-
-
 def test_nothing_is_cut_where_a_clock_was_set_back() -> None:
     recording = streams(60)
     assert mcap_read._border(recording) is not None

@@ -17,7 +17,6 @@ from modcal_nodes.cli.main import run
 
 ROBOTS = Path(__file__).resolve().parents[2] / "examples" / "robots"
 TWO = '<link name="torso"/>' + serial("rrrrrrf", "right_", "torso") + serial("rrrrrrf", "left_", "torso")
-TABLE = "convention: dh\nrows: []\n"
 
 
 @pytest.mark.slow
@@ -26,16 +25,6 @@ def test_of_two_arms_the_other_one_is_named(tmp_path: Path, capfd: pytest.Captur
     asked = ["sensitivity", str(tmp_path / "two.urdf"), "--parameters", "calibration", "--out", str(tmp_path / "out")]
     assert run([*asked, "--design", "sobol", "--postures", "4"]) == 0
     assert capfd.readouterr().out.startswith("arm: torso → left_7, 6 joints; --tip right_7 for the other arm\n")
-
-
-def test_a_table_of_a_verb_is_followed_by_its_headings(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["limits", str(ROBOTS / "ur10.urdf"), "--out", str(tmp_path / "out")]) == 0
-    said = capfd.readouterr().out
-    for heading in ("Alone", "Together", "For all postures"):
-        assert f"{heading} (" in " ".join(said.split())
-    assert said.endswith(
-        f"Limits: {tmp_path}/out/limits.json\nAlso in {tmp_path}/out: joint_limits.yaml, report.html\n"
-    )
 
 
 @pytest.mark.slow

@@ -128,12 +128,6 @@ def test_each_recording_has_its_payload_and_a_joint_one_compliance(rng: np.rando
     np.testing.assert_allclose(kept.predict(samples), done.calibration.predict(samples), atol=1e-12)
 
 
-def test_a_stiff_arm_on_a_wall_says_nothing_of_it(rng: np.random.Generator) -> None:
-    done = calibrated(recorded(rng, 90, WALL, compliance=0.0 * COMPLIANCE))
-    assert done.report.loads is None
-    assert not done.report.effects
-
-
 def test_a_stated_way_of_weight_is_kept(rng: np.random.Generator) -> None:
     done = calibrated(recorded(rng, 90, WALL), Cell(gravity=tuple(9.81 * WALL)))
     assert done.report.loads is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -16,7 +17,10 @@ import pytest
 from lxml import html
 from report.browser import CONTRASTS, MIN, browser
 
+import modcal
+
 ROOT = Path(__file__).resolve().parents[2]
+REFERENCE = ROOT / "docs" / "reference"
 SOURCES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
     *sorted((ROOT / "docs").rglob("*.md")),
@@ -81,14 +85,50 @@ def test_a_broken_link_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
+    """Folders of the tracked pages of docs/reference, one of which was old, and of the built ones; what was said."""
+    tracked, built = tmp_path_factory.mktemp("tracked"), tmp_path_factory.mktemp("built")
+    shutil.copytree(REFERENCE, tracked, dirs_exist_ok=True)
+    old = tracked / "parameters.md"
+    old.write_text(old.read_text().replace("`patience_s`", "`patience`"))
+    command = [sys.executable, str(ROOT / "scripts" / "reference"), "--folder", str(tracked), "--built", str(built)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return tracked, built, done.stdout
+
+
+@pytest.mark.slow
+def test_the_tracked_pages_are_up_to_date_and_an_old_one_is_written_again(written: tuple[Path, Path, str]) -> None:
+    tracked, _, said = written
+    assert said == "written: parameters.md\n"
+    assert {file.name for file in tracked.iterdir()} == {file.name for file in REFERENCE.iterdir()}
+    assert (tracked / "parameters.md").read_text() == (REFERENCE / "parameters.md").read_text()
+
+
+@pytest.mark.slow
+def test_what_git_does_not_hold_is_built_whole(written: tuple[Path, Path, str]) -> None:
+    """Every public name and every node has its heading; so have kinds of refusals and packages with constants."""
+    _, built, _ = written
+    api = "\n".join(file.read_text() for file in (built / "api").iterdir())
+    public = {name for name in modcal.__all__ if not name.startswith("_")}
+    assert public
+    assert public <= set(re.findall(r"^## (\w+)$", api, re.MULTILINE))
+    headings = {
+        page: set(re.findall(r"^## (.+)$", (built / page).read_text(), re.MULTILINE))
+        for page in ("messages.md", "refusals.md", "constants.md")
+    }
+    setup = (ROOT / "ros2_ws" / "src" / "modcal_nodes" / "setup.py").read_text()
+    assert headings["messages.md"] == set(re.findall(r'f"(\w+) = \{PACKAGE\}\.(?!cli)', setup))
+    assert any("BadRecording" in heading for heading in headings["refusals.md"])
+    assert "calibration" in headings["constants.md"]
+
+
+@pytest.fixture(scope="module")
+def site(written: tuple[Path, Path, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site, built as `make docs` does; what mkdocs warns of is an error (strict)."""
-    folder, built = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("built")
-    tracked = tmp_path_factory.mktemp("tracked")  # the pages of docs/reference stay as they are
-    written = [sys.executable, str(ROOT / "scripts" / "reference"), "--folder", str(tracked), "--built", str(built)]
-    subprocess.run(written, cwd=ROOT, check=True, capture_output=True, timeout=300)
+    folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
-    where = {**os.environ, "MODCAL_REFERENCE": str(built)}
+    where = {**os.environ, "MODCAL_REFERENCE": str(written[1])}
     done = subprocess.run(command, cwd=ROOT, env=where, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import ast
 import re
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 
-import modcal
 from modcal_nodes.cli.main import VERBS, run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,43 +29,6 @@ def sections(page: str) -> dict[str, str]:
 def named(text: str) -> list[str]:
     """What stands in the first column of a section's tables."""
     return re.findall(r"^\| (?:`|<code>)([^`<]+)", text, re.MULTILINE)
-
-
-def generate(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "scripts" / "reference"), *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
-
-
-@pytest.mark.slow
-def test_the_pages_are_up_to_date_and_an_old_one_is_noticed(tmp_path: Path) -> None:
-    folder = tmp_path / "reference"
-    shutil.copytree(FOLDER, folder)
-    old = folder / "parameters.md"
-    old.write_text(old.read_text().replace("`patience_s`", "`patience`"))
-    done = generate("--check", "--folder", str(folder))
-    assert done.returncode == 1, done.stderr
-    assert done.stderr.startswith("out of date: parameters.md: run make docs"), done.stderr
-    assert "`patience`" in old.read_text()
-
-
-@pytest.mark.slow
-def test_what_git_does_not_hold_is_built_whole(tmp_path: Path) -> None:
-    """Every public name and every node has its heading; so have kinds of refusals and packages with constants."""
-    done = generate("--folder", str(tmp_path / "tracked"), "--built", str(tmp_path / "built"))
-    assert done.returncode == 0, done.stderr
-    assert {file.name for file in (tmp_path / "tracked").iterdir()} == {file.name for file in FOLDER.iterdir()}
-    api = "\n".join(file.read_text() for file in (tmp_path / "built" / "api").iterdir())
-    public = {name for name in modcal.__all__ if not name.startswith("_")}
-    assert public
-    assert public <= set(re.findall(r"^## (\w+)$", api, re.MULTILINE))
-    setup = (NODES / "setup.py").read_text()
-    headings = {
-        page: set(re.findall(r"^## (.+)$", (tmp_path / "built" / page).read_text(), re.MULTILINE))
-        for page in ("messages.md", "refusals.md", "constants.md")
-    }
-    assert headings["messages.md"] == set(re.findall(r'f"(\w+) = \{PACKAGE\}\.(?!cli)', setup))
-    assert any("BadRecording" in heading for heading in headings["refusals.md"])
-    assert "calibration" in headings["constants.md"]
 
 
 @pytest.mark.slow

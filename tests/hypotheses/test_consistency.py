@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.hypotheses.computed_part import computed_in_part
 from modcal_core.hypotheses.hypothesis import Disagreement
 from modcal_core.hypotheses.refusal import disagreement
 from modcal_core.loop import calibrate
@@ -47,12 +48,17 @@ def placed(samples: Samples, T: Array, rows: np.ndarray) -> Samples:
 
 @pytest.mark.slow
 def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) -> None:
-    assert disagreement(clean, CHAIN) is None
     rng = np.random.default_rng(0)
+    order = rng.permutation(80)
+    shuffled = replace(clean, reading=clean.reading[order], R=clean.R[order])
+    points = replace(shuffled, kind=np.full(80, "point"), R=np.broadcast_to(np.eye(3), clean.R.shape))
+    one_posture, few = clean.select(np.zeros(80, int)), clean.select(np.arange(15))
+    for samples in (clean, shuffled, points, one_posture, few):
+        assert disagreement(samples, CHAIN) is None
+        assert computed_in_part(samples, CHAIN) == ()
     random = disagreement(replace(clean, R=Rotation.random(80, rng=rng).as_matrix()), CHAIN)
     assert random is not None
     assert random.what == "positions correlate with the posture and orientations do not"
-    assert disagreement(clean.select(np.zeros(80, int)), CHAIN) is None
 
 
 def test_a_joint_is_not_blamed_for_what_only_makes_the_whole_worse(clean: Samples) -> None:
@@ -79,10 +85,7 @@ def test_two_trackers_and_two_targets_under_one_name(clean: Samples) -> None:
 
 
 @pytest.mark.slow
-def test_a_joint_that_is_stale_or_was_never_reported(clean: Samples) -> None:
-    stale = with_joint(clean, ELBOW, np.where(LATER, clean.q[45, ELBOW], clean.q[:, ELBOW]))
-    said = found(stale).what
-    assert "joint elbow_joint keeps its reported position at stations 46 to 79" in said
+def test_a_joint_that_was_never_reported(clean: Samples) -> None:
     never = found(with_joint(clean, ELBOW, np.zeros(80))).what
     assert "joint elbow_joint is reported as standing still" in never
 
@@ -100,12 +103,6 @@ def test_a_joint_that_is_off_throughout(clean: Samples, column, words: str) -> N
     said = found(with_joint(clean, 3, column(clean.q[:, 3]))).what
     assert "wrist_1_joint" in said
     assert words in said
-
-
-@pytest.mark.slow
-def test_the_refusal_names_it(clean: Samples) -> None:
-    with pytest.raises(BadRecording, match="elbow_joint is reported as standing still"):
-        calibrate(with_joint(clean, ELBOW, np.zeros(80)), CHAIN, np.random.default_rng(0), look_for_effects=False)
 
 
 def test_points_in_millimetres_for_a_part() -> None:
@@ -135,20 +132,13 @@ def test_a_stale_joint_seen_by_points(clean: Samples) -> None:
     points = replace(clean, kind=np.full(80, "point"), R=np.broadcast_to(np.eye(3), clean.R.shape))
     said = found(with_joint(points, ELBOW, np.where(LATER, clean.q[45, ELBOW], clean.q[:, ELBOW]))).what
     assert said.startswith(f"joint {CHAIN.names[ELBOW]} keeps its reported position at stations 4")
-    assert disagreement(points, CHAIN) is None
 
 
 def test_joints_that_are_wrong_throughout(clean: Samples) -> None:
-    assert disagreement(clean, CHAIN) is None
-    order = np.random.default_rng(0).permutation(80)
-    assert disagreement(replace(clean, reading=clean.reading[order], R=clean.R[order]), CHAIN) is None
     q = clean.q.copy()
     q[:, [1, 2]] = q[:, [2, 1]]
     points = replace(clean, q=q, kind=np.full(80, "point"), R=np.broadcast_to(np.eye(3), clean.R.shape))
-    for samples in (points, replace(clean, q=q)):
-        said = disagreement(samples, CHAIN)
-        assert said is not None
-        assert said.what == f"joints {CHAIN.names[1]} and {CHAIN.names[2]} look swapped"
+    assert found(points).what == f"joints {CHAIN.names[1]} and {CHAIN.names[2]} look swapped"
 
 
 @pytest.mark.slow
@@ -161,8 +151,6 @@ def test_a_joint_of_another_arm_and_a_coupled_one_seen_by_points(clean: Samples)
     known = disagreement(coupled, CHAIN)
     assert known is not None
     assert known.what.startswith(f"joint {CHAIN.names[ELBOW]} looks counted together with {CHAIN.names[1]}")
-    order = np.random.default_rng(3).permutation(80)
-    assert disagreement(replace(points, reading=points.reading[order]), CHAIN) is None
 
 
 @pytest.mark.slow
@@ -178,13 +166,8 @@ def test_two_joints_of_a_part(clean: Samples) -> None:
     half = len(clean) // 2
     q = clean.q.copy()
     q[half:, 3:5] = q[half, 3:5]
-    found = disagreement(replace(clean, q=q), CHAIN)
-    assert found is not None
-    assert f"joints {CHAIN.names[3]} and {CHAIN.names[4]} keep their reported positions at stations" in found.what
-    order = np.r_[np.arange(half), half + np.random.default_rng(0).permutation(len(clean) - half)]
-    shuffled = disagreement(replace(clean, reading=clean.reading[order], R=clean.R[order]), CHAIN)
-    assert shuffled is not None
-    assert "belong to other stations, in another order of rows" in shuffled.what
+    said = found(replace(clean, q=q)).what
+    assert f"joints {CHAIN.names[3]} and {CHAIN.names[4]} keep their reported positions at stations" in said
 
 
 @pytest.mark.slow

@@ -30,13 +30,6 @@ def said(samples: Samples, position: Array) -> str:
     return found.what
 
 
-@pytest.mark.slow
-def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) -> None:
-    assert disagreement(clean, CHAIN) is None
-    order = np.random.default_rng(0).permutation(90)
-    assert disagreement(replace(clean, reading=clean.reading[order], R=clean.R[order]), CHAIN) is None
-
-
 def test_other_axes(clean: Samples) -> None:
     p, R = clean.reading, clean.R
     back = np.swapaxes(R, 1, 2)

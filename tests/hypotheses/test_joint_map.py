@@ -39,20 +39,10 @@ def mixed(i: int, j: int, values: list[list[float]]) -> Array:
 
 
 @pytest.mark.slow
-def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) -> None:
-    order = np.random.default_rng(0).permutation(len(clean))
-    shuffled = replace(clean, reading=clean.reading[order], R=clean.R[order])
-    for samples in (clean, shuffled, clean.select(np.arange(20))):
-        assert disagreement(samples, CHAIN) is None
-        assert disagreement(samples, CHAIN) is None
-        assert disagreement(samples, CHAIN) is None
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    "values", [[[1, 1], [1, -1]], [[1, -1], [1, 1]], [[0.5, 0.5], [-0.5, 0.5]], [[1, 0.4], [0, 1]]]
+    ("pair", "values"),
+    [((1, 2), [[1, -1], [1, 1]]), ((0, 3), [[0.5, 0.5], [-0.5, 0.5]]), ((4, 5), [[1, 0.4], [0, 1]])],
 )
-@pytest.mark.parametrize("pair", [(4, 5), (1, 2), (0, 3)])
 def test_two_joints_that_are_mixed(clean: Samples, pair: tuple[int, int], values: list[list[float]]) -> None:
     found = disagreement(reported(clean, mixed(*pair, values)), CHAIN)
     assert found is not None
@@ -62,8 +52,6 @@ def test_two_joints_that_are_mixed(clean: Samples, pair: tuple[int, int], values
 
 @pytest.mark.slow
 def test_sum_and_difference_is_said_in_fractions_and_seen_by_points(clean: Samples) -> None:
-    found = disagreement(points(reported(clean, mixed(4, 5, [[1, 1], [1, -1]]))), CHAIN)
-    assert found is None or "wrist_2" in found.what  # a point sees little of the last joint
     found = disagreement(points(reported(clean, mixed(2, 3, [[1, 1], [1, -1]]))), CHAIN)
     assert found is not None
     a, b = NAMES[2:4]
@@ -79,8 +67,9 @@ def test_joints_of_other_scales_and_zeros(clean: Samples) -> None:
     assert f"{NAMES[2]} by -25.0° and {NAMES[3]} by 14.9°" in found.what  # an arm of its own small errors
 
 
-@pytest.mark.parametrize("of", [points, lambda samples: samples])
-@pytest.mark.parametrize("link", [(0, 2), (0, 3), (0, 5), (1, 6), (3, 6), (2, 5)])
+@pytest.mark.parametrize(
+    ("link", "of"), [((0, 2), points), ((0, 5), lambda s: s), ((1, 6), lambda s: s), ((3, 6), points), ((2, 5), points)]
+)
 def test_readings_of_another_link(clean: Samples, link: tuple[int, int], of) -> None:  # type: ignore[no-untyped-def]
     f = frames(CHAIN, clean.q)
     first, last = (f.transform(k) for k in link)

@@ -35,12 +35,10 @@ def said(samples: Samples) -> str:
 
 
 @pytest.mark.slow
-def test_nothing_is_said_of_a_clean_recording_of_nonsense_and_of_another_tool(clean: Samples) -> None:
-    shuffled = reordered(clean, np.random.default_rng(0).permutation(90))
+def test_another_tool_in_a_part_is_no_other_order(clean: Samples) -> None:
     other = np.arange(90) >= 60
     tool = replace(clean, reading=clean.reading + np.where(other, 0.2, 0.0)[:, None] * clean.R[:, :, 0])
-    for samples in (clean, as_points(clean), shuffled, clean.select(np.arange(20))):
-        assert disagreement(samples, CHAIN) is None
+    assert disagreement(as_points(clean), CHAIN) is None
     assert "the tool (or the target on it) is displaced at stations 60 to 89" in said(tool)
 
 

@@ -30,12 +30,6 @@ def named(found: Disagreement | None) -> str:
     return found.what
 
 
-def test_nothing_is_said_of_a_description_that_fits_and_of_nonsense(clean: Samples) -> None:
-    order = np.random.default_rng(0).permutation(len(clean))
-    assert disagreement(clean, CHAIN) is None
-    assert disagreement(replace(clean, reading=clean.reading[order], R=clean.R[order]), CHAIN) is None
-
-
 def with_origin(j: int, T: Array) -> Chain:
     origins = CHAIN.origins.copy()
     origins[j] = T
@@ -65,7 +59,7 @@ def other_module(j: int, degrees: float, shift: tuple[float, float, float]) -> C
     return with_origin(j, CHAIN.origins[j] @ turn)
 
 
-@pytest.mark.parametrize("j", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("j", [1, 3, 5])
 def test_a_link_of_another_length_and_another_turn(clean: Samples, j: int) -> None:
     """Where axes are parallel, the turn alone could stand at any of them."""
     said = named(disagreement(clean, other_module(j, 90.0, (0.1, 0.0, 0.15))))

@@ -10,8 +10,6 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from modcal_core.errors import BadCommand
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.single import along_screw, pose_error, speeds, tool_from, turned
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.impedance import Gains, Impedance
 
@@ -92,16 +90,6 @@ def test_other_gains_come_in_without_a_jump(rng: np.random.Generator) -> None:
     assert jumps[1] < 0.01 * jumps[0]
 
 
-def test_another_expected_pose_moves_nothing(rng: np.random.Generator) -> None:
-    law = Impedance(Gains.of())
-    law.x, law.v = 0.1 * rng.normal(size=6), 0.1 * rng.normal(size=6)
-    before, after = se3.exp(rng.normal(size=(2, 6)))
-    commanded, speed = law.command(before), before[:3, :3] @ law.v[:3]
-    law.expect(before, after)
-    assert np.abs(law.command(after) - commanded).max() < 1e-12
-    assert np.abs(after[:3, :3] @ law.v[:3] - speed).max() < 1e-12
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -118,20 +106,6 @@ def test_another_expected_pose_moves_nothing(rng: np.random.Generator) -> None:
 def test_gains_that_are_none_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(BadCommand):
         Gains.of(**wrong)  # type: ignore[arg-type]
-
-
-@given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([1e-12, 1e-7, 1e-3, 1.0, 3.0]))
-def test_single_poses_agree_with_the_batched_ones(seed: int, size: float) -> None:
-    rng = np.random.default_rng(seed)
-    T, xi = se3.exp(rng.normal(size=6)), size * rng.uniform(-1.0, 1.0, 6)
-    assert np.abs(turned(xi[3:]) - so3.exp(xi[3:])).max() < 1e-12
-    assert np.abs(along_screw(T, xi) - se3.exp(xi) @ T).max() < 1e-8
-    assert np.abs(along_screw(T, np.r_[xi[:3], 0, 0, 0]) - se3.transform(p=xi[:3]) @ T).max() < 1e-12
-    if np.linalg.norm(xi[3:]) < 3.0:
-        assert np.abs(pose_error(T, tool_from(T, xi)) - xi).max() < 1e-7
-        way, angle = speeds(T, tool_from(T, xi))
-        assert way == pytest.approx(np.linalg.norm(xi[:3]), abs=1e-12)
-        assert angle == pytest.approx(np.linalg.norm(xi[3:]), rel=1e-6, abs=1e-7)
 
 
 @pytest.mark.parametrize("turn", [0.5, 1.2, 3.0])

@@ -90,7 +90,6 @@ LET_GO: dict[str, tuple[Toy, dict[str, float], str, float]] = {
     "locked": (Toy(door(), locked=True), {}, "does not move", 5.0),
     "ends early": (Toy(door(), last=0.5), {}, "stopped moving", ABORT),
     # the setpoint runs on, the hand does not, the wrench comes with fresh stamps and never changes
-    "sensor stuck at 2 N": (Toy(door(), locked=True), {"stuck": 2.0}, "wrench", 5.0),
     "sensor stuck at 25 N": (Toy(door(), locked=True), {"stuck": 25.0}, "wrench", 5.0),
     # it hears its own noise and nothing of the contact: nothing repeats itself, and nothing is felt
     "sensor beside": (Toy(door(), locked=True, delay=20), {"deaf": 1.0}, "the setpoint leads the tool", 5.0),

@@ -137,32 +137,6 @@ def test_a_force_that_rises_steadily_is_foreseen() -> None:
     assert seen[3:] == pytest.approx(F[3:])
 
 
-def test_foresight_sees_no_more_than_there_is() -> None:
-    """A force that stands, or is none, is what it is, for whatever time ahead; a reading heard twice says no more."""
-    foresight = ForcePrediction()
-    F = np.array([3.0, 4.0, 0.0, 0.0, 0.0, 0.0])
-    for k in range(100):
-        seen = foresight.ahead(F, 0.004 * k, 10.0)
-    assert seen == pytest.approx(F)
-    assert (ForcePrediction().ahead(np.zeros(6), 1.0, 10.0) == 0.0).all()
-    foresight = ForcePrediction()
-    foresight.ahead(F, 1.0, 0.1)
-    once = foresight.ahead(2.0 * F, 1.01, 0.1)
-    assert np.linalg.norm(once[:3]) > 10.0
-    assert foresight.ahead(2.0 * F, 1.01, 0.1) == pytest.approx(once)
-
-
-def test_braking_goes_on_by_its_way() -> None:
-    """v t is what v²/2a is."""
-    pace = SpeedGovernor(GovernorSettings(), brake=_BRAKE)
-    pace.speed = 0.06
-    t, way = pace.braking, 0.0
-    while pace.speed > 0.0:
-        way += pace.step(0.0, math.inf, np.zeros(6), _STEP)
-    assert way == pytest.approx(0.06 * t, rel=1e-3)
-    assert math.isclose(pace.braking, 0.0)
-
-
 @pytest.mark.parametrize(("force", "most"), [(44.0, 0.02), (44.0, 4e-3), (20.0, 0.02), (47.5, 0.02)])
 def test_the_slower_of_what_is_felt_and_what_is_in_sight_counts_and_not_both(force: float, most: float) -> None:
     """Up to 30 N the whole speed, none from 47.5 N on; a lower limit is no reason to go at a share of it."""

@@ -1,4 +1,4 @@
-"""Calibration with twists that stay joints: the published experiment in simulation, and where DH fails."""
+"""Calibration with twists that stay joints: the published experiment in simulation, and exact readings met exactly."""
 
 from __future__ import annotations
 
@@ -9,20 +9,17 @@ import pytest
 from cells import samples_of, slider_arm
 from modules.arms import LIBRARY, five_joints, random_assembly
 from modules.workshop import Arm, Made, shelf_of
-from scipy.optimize import least_squares
 
 from modcal_core.calibration.adjoint import identify_twists
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.model import Model, place_model
-from modcal_core.errors import NotEnoughData, NotRepresentable
+from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.modules.library import Assembly
 from modcal_core.modules.poe import chain_of
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.dh import from_dh, to_dh
-from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.mechanism import random_postures
 
 PARALLEL = Assembly.build(  # joints 2, 3 and 4 are parallel
@@ -146,79 +143,6 @@ def test_nothing_is_missing_and_nothing_too_much(kind: str, rng: np.random.Gener
         ]
         r, p = int(chain.revolute.sum()), int((~chain.revolute).sum())
         assert rank[0] == rank[1] == few.shape[1] == 4 * r + 2 * p + (6 if kind == "pose" else 3)
-
-
-class DhFit:
-    """theta, d, a and alpha of every row, the base and the tool, fitted to the same readings."""
-
-    keys = ("theta", "d", "a", "alpha")
-
-    def __init__(self, chain: Chain, start: Model, samples: Samples) -> None:
-        self.table, self.start, self.samples = to_dh(chain), start, samples
-        self.x0 = np.r_[[row.get(k, 0.0) for row in self.table["joints"] for k in self.keys], np.zeros(9)]
-
-    def model(self, x: Array) -> Model:
-        rows = zip(self.table["joints"], x[:-9].reshape(-1, 4), strict=True)
-        joints = [{**row, **dict(zip(self.keys, map(float, v), strict=True))} for row, v in rows]
-        chain = from_dh({**self.table, "joints": joints})
-        T_base, T_tool = self.start.T_frame_base @ se3.exp(x[-6:]), self.start.T_tip_tool @ se3.transform(p=x[-9:-6])
-        return replace(self.start, chain=chain, T_frame_base=T_base, T_tip_tool=T_tool)
-
-    def residual(self, x: Array) -> Array:
-        return (self.model(x).predict(self.samples.q)[:, :3, 3] - self.samples.reading).ravel()
-
-    def jacobian(self, x: Array) -> Array:
-        h = 1e-7
-        return np.stack(
-            [(self.residual(x + h * e) - self.residual(x - h * e)) / (2 * h) for e in np.eye(len(x))], axis=1
-        )
-
-    def condition(self) -> float:
-        """Of as many directions as there are to know, columns scaled."""
-        J = self.jacobian(self.x0)
-        values = np.linalg.svd(J / np.maximum(np.linalg.norm(J, axis=0), 1e-12), compute_uv=False)
-        return float(values[0] / values[4 * self.start.chain.n + 2])
-
-    def newton(self, steps: int) -> float:
-        """Best mean error on the way of undamped steps, such as the twists take."""
-        x, best = self.x0, np.inf
-        for _ in range(steps):
-            best = min(best, mean_error(self.model(x), self.samples))
-            x = x - np.linalg.lstsq(self.jacobian(x), self.residual(x), rcond=1e-6)[0]
-        return best
-
-    def fitted(self, steps: int) -> Model:
-        """Where damped steps lead."""
-        found = least_squares(self.residual, self.x0, self.jacobian, method="trf", x_scale="jac", max_nfev=steps)
-        return self.model(found.x)
-
-
-@pytest.mark.slow
-def test_dh_fails_where_axes_are_nearly_parallel() -> None:
-    """Three axes drawn parallel and made 1 mrad off: no DH row can follow, and twists do not notice."""
-    chain, samples = measured(PARALLEL, 1, 60)
-    start = fit_cell(chain, samples, Cell()).model
-    fit = identify_twists(start, samples)
-    assert mean_error(fit.model, samples) < 5e-5
-    assert fit.iterations <= 5
-    assert fit.condition < 1e3
-    with pytest.raises(NotRepresentable, match="parallel"):
-        to_dh(fit.model.chain)
-    dh = DhFit(chain, start, samples)
-    assert np.abs(chain_forward(from_dh(dh.table), samples.q) - chain_forward(chain, samples.q)).max() < 1e-9
-    assert dh.condition() > 1e6
-    for best in (dh.newton(6), mean_error(dh.fitted(30), samples)):
-        assert best > 10.0 * mean_error(fit.model, samples)
-
-
-def test_the_same_dh_fit_works_where_no_axes_are_parallel() -> None:
-    """So that it is the axes that make it fail, not the way it is fitted."""
-    crossed = Assembly.build((0, 0), [("JR", k % 4, "LR-I", k, (k + 1) % 4) for k in range(4)])
-    chain, samples = measured(crossed, 1, 60)
-    start = fit_cell(chain, samples, Cell()).model
-    dh, twists = DhFit(chain, start, samples), identify_twists(start, samples)
-    assert dh.condition() < 1e4
-    assert dh.newton(6) < 1.05 * mean_error(twists.model, samples)
 
 
 def test_too_few_readings_are_refused() -> None:

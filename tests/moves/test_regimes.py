@@ -60,30 +60,32 @@ def found(samples: Samples) -> list[tuple[int, str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["pose", "point"])
 @pytest.mark.parametrize(
-    ("moved", "expected"),
+    ("kind", "moved", "expected"),
     [
-        pytest.param([(22, (0.01, 0, 0, 0, 0.1, 0), NOT)], [(22, "tool")], id="turned tool"),
-        pytest.param([(12, (0.03, 0, 0.02, 0.2, 0, 0), NOT)], [(12, "tool")], id="another tool at the start"),
-        pytest.param([(80, NOT, (0.02, 0, 0, 0, 0, 0))], [(80, "base")], id="base moved by 20 mm in the middle"),
-        pytest.param([(80, NOT, (0.2, 0.3, 0, 0, 0, 1.5))], [(80, "base")], id="base turned by 86 degrees"),
-        pytest.param([(55, (0.005, 0, 0, 0, 0, 0), NOT)], [(55, "tool")], id="5 mm after a third"),
-        pytest.param([(80, (0.05, 0, 0, 0, 2.5, 0), NOT)], [(80, "tool")], id="another tool, half and half"),
+        pytest.param("point", [(22, (0.01, 0, 0, 0, 0.1, 0), NOT)], [(22, "tool")], id="turned tool"),
+        pytest.param("pose", [(12, (0.03, 0, 0.02, 0.2, 0, 0), NOT)], [(12, "tool")], id="another tool at the start"),
+        pytest.param("point", [(80, NOT, (0.2, 0.3, 0, 0, 0, 1.5))], [(80, "base")], id="base turned by 86 degrees"),
+        pytest.param("pose", [(55, (0.005, 0, 0, 0, 0, 0), NOT)], [(55, "tool")], id="5 mm after a third"),
+        pytest.param("pose", [(80, (0.05, 0, 0, 0, 2.5, 0), NOT)], [(80, "tool")], id="another tool, half and half"),
         pytest.param(
+            "point",
             [(50, (0, 0.01, 0, 0, 0.05, 0), NOT), (110, NOT, (0.01, 0, 0.02, 0, 0, 0.02))],
             [(50, "tool"), (110, "base")],
             id="tool, then base",
         ),
         pytest.param(
+            "pose",
             [(50, (0.02, 0, 0, 0, 0, 0), NOT), (110, (-0.02, 0, 0, 0, 0, 0), NOT)],
             [(50, "tool"), (110, "tool")],
             id="there and back",
         ),
-        pytest.param([(70, (0, 0.01, 0, 0, 0.3, 0), (0.1, 0, 0.02, 0, 0.4, 0.02))], [(70, "both")], id="both at once"),
+        pytest.param(
+            "point", [(70, (0, 0.01, 0, 0, 0.3, 0), (0.1, 0, 0.02, 0, 0.4, 0.02))], [(70, "both")], id="both at once"
+        ),
     ],
 )
-def test_what_moved_and_when(moved: list[Moved], expected: list[tuple[int, str]], kind: str) -> None:
+def test_what_moved_and_when(kind: str, moved: list[Moved], expected: list[tuple[int, str]]) -> None:
     assert found(recorded(moved, kind)) == expected
 
 
@@ -112,13 +114,17 @@ def wrong(share: float, size: float) -> Callable[[Array], Array]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["pose", "point"])
 @pytest.mark.parametrize(
-    "change",
-    [nothing, settling(0.01), drifting(0.01), drifting(0.05), wrong(0.1, 0.05), wrong(0.45, 0.005)],
-    ids=["clean", "settles 10 mm", "drifts 10 mm", "drifts 50 mm", "10 % wrong", "45 % wrong"],
+    ("kind", "change"),
+    [
+        pytest.param("point", nothing, id="clean"),
+        pytest.param("pose", settling(0.01), id="settles 10 mm"),
+        pytest.param("point", drifting(0.01), id="drifts 10 mm"),
+        pytest.param("pose", drifting(0.05), id="drifts 50 mm"),
+        pytest.param("point", wrong(0.45, 0.005), id="45 % wrong"),
+    ],
 )
-def test_what_is_no_move(change: Callable[[Array], Array], kind: str) -> None:
+def test_what_is_no_move(kind: str, change: Callable[[Array], Array]) -> None:
     assert found(recorded([], kind, change=change)) == []
 
 
@@ -132,7 +138,7 @@ def eccentric(amplitude: float, cycles: float) -> Callable[[Array], Array]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("amplitude", "cycles"), [(0.0, 1.0), (0.005, 1.0), (0.02, 3.0)])
+@pytest.mark.parametrize(("amplitude", "cycles"), [(0.0, 1.0), (0.02, 3.0)])
 def test_rings_of_joint_1_are_no_moves(amplitude: float, cycles: float) -> None:
     assert found(recorded([], order=rings, true=eccentric(amplitude, cycles))) == []
 

@@ -182,6 +182,43 @@ def test_cells_that_name_their_numbers(tmp_path: Path, rng: np.random.Generator)
     assert np.abs(import_tables(dict(made.mapping), tmp_path, "m").joints[0].position - q).max() < 1e-6
 
 
+def test_numbers_with_their_unit_and_with_groups_of_thousands(tmp_path: Path, rng: np.random.Generator) -> None:
+    q = postures(rng, 30)
+    table = columns(q, seen(q)[:, :3, 3])
+    table = {k: [f"{v:.6f}°" if k[0] == "J" else f"{v:,.6f} mm" for v in column] for k, column in table.items()}
+    made = find([written(tmp_path, table, marks=(";", "."))], CHAIN)
+    assert not made.open
+    (entry,) = made.mapping["tables"]
+    assert (entry["joints"]["unit"], entry["point"]["unit"]) == ("deg", "mm")
+    assert np.abs(import_tables(dict(made.mapping), tmp_path, "m").joints[0].position - q).max() < 1e-6
+    table["X"][4] = "1.2 m"
+    with pytest.raises(BadTable, match="column 6 holds numbers in m and in mm"):
+        find([written(tmp_path, table, marks=(";", "."))], CHAIN)
+
+
+def test_a_comma_that_may_be_the_decimal_sign_groups_no_thousands(tmp_path: Path, rng: np.random.Generator) -> None:
+    q = postures(rng, 30)
+    cells = {k: [f"{v:.3f}".replace(".", ",") for v in c] for k, c in columns(q, seen(q)[:, :3, 3]).items()}
+    made = find([written(tmp_path, cells, marks=(";", ","))], CHAIN)
+    assert made.mapping["tables"][0]["point"]["unit"] == "mm"
+
+
+@pytest.mark.parametrize(("name", "step_s"), [("Date", 3600.0), ("Timestamp", 20.0)])
+def test_days_of_a_spreadsheet(name: str, step_s: float, tmp_path: Path, rng: np.random.Generator) -> None:
+    q = postures(rng, 20)
+    stamps = 1_700_000_000.0 + step_s * np.arange(20)
+    _, entry, recording = proposed(tmp_path, {name: stamps / 86400.0 + 25569.0, **columns(q, seen(q)[:, :3, 3])})
+    assert entry["time"] == {"seconds": name, "unit": "excel"}
+    assert recording.joints[0].stamps == pytest.approx(stamps, abs=2e-3)
+
+
+def test_axes_that_are_left_handed_are_named(tmp_path: Path, rng: np.random.Generator) -> None:
+    q = postures(rng)
+    p = seen(q)[:, :3, 3][:, [1, 0, 2]]
+    with pytest.raises(BadTable, match="X, Y, Z are left-handed: with one of the axes turned round"):
+        find([written(tmp_path, columns(q, p))], CHAIN)
+
+
 @pytest.mark.parametrize(
     "form", ["%d/%m/%Y %H:%M:%S", "%Y.%m.%d_%H-%M-%S", "%d-%b-%Y %I:%M:%S %p", "%Y-%m-%dT%H:%M:%S.%f000Z"]
 )

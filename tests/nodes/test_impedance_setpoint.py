@@ -158,9 +158,11 @@ def test_a_calibrated_arm_is_where_the_corrector_says(tmp_path: Path) -> None:
     )
     with running(process), listener(domain) as (node, wait):
         arm = PulledArm(node)
-        wait(lambda: arm.said() == "ready", 60.0)  # which nobody has asked it to be
+        # nobody has asked it to be ready, and it is not while the corrector is silent
+        wait(lambda: arm.said().startswith("not ready: tool_pose: no message was received recently"), 60.0)
         wait(lambda: "tool_pose: no message was received recently" in arm.ask(wait, "pull").message, 60.0)
         arm.off = np.array([0.004, -0.003, 0.002])
+        wait(lambda: arm.said() == "ready", 60.0)
         arm.pull(wait)
         wait(lambda: len(arm.poses) > 20, 60.0)
         begun = pose_of(arm.poses[0])[:3, 3] - reached(READY)[:3, 3]

@@ -90,7 +90,7 @@ def test_without_a_number_twice_as_many_as_the_fewest() -> None:
 @pytest.mark.parametrize(
     ("asked", "kind", "words"),
     [
-        (PlanRequest(stations=10), NotPlannable, "modcal calibrate needs at least 17"),
+        (PlanRequest(stations=10), NotPlannable, "modcal calibrate needs at least 13"),
         (PlanRequest(stations=70), NotPlannable, "only 60 of the postures tried"),
         (PlanRequest(accuracy=1e-5), NotPlannable, "what the joints do not repeat alone makes"),
         (PlanRequest(accuracy=6.5e-5), NotPlannable, "stations leave"),

@@ -16,7 +16,6 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.acceleration import Drives, Window, largest_box, read_drives, window
 from modcal_core.robots.bodies import Payload, with_payload
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.fastest_motion import constant_bounds
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
@@ -130,25 +129,6 @@ def test_no_box_is_larger() -> None:
         best = linprog(-np.r_[w, w], A_ub=B * z / h[:, None], b_ub=np.ones(len(h)), bounds=(0, None))
         assert best.status == 0
         assert -best.fun == pytest.approx(2.0 * w.sum(), rel=1e-6)
-
-
-def test_constant_bounds_hold_at_every_posture() -> None:
-    rig = Rig(31)
-    low, high = constant_bounds(rig.window)
-    touched = False
-    for k in range(len(rig.q)):
-        for corner in itertools.product((0, 1), repeat=5):
-            torque = rig.torque(k, np.where(corner, high, low))
-            assert (np.abs(torque) <= rig.drives.torque * (1.0 + 1e-9)).all()
-            touched |= bool(at_limit(torque, rig.drives.torque).any())
-    assert touched
-
-
-def test_part_of_the_torque() -> None:
-    rig = Rig(33)
-    half = window(rig.chain, rig.inertias, rig.drives, rig.q, rig.v, share=0.5)
-    assert np.allclose(half.upper - half.lower, rig.drives.torque)
-    assert np.allclose(half.upper + half.lower, rig.window.upper + rig.window.lower)
 
 
 def test_too_heavy_a_payload_is_said_with_the_joint() -> None:

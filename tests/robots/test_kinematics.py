@@ -36,18 +36,6 @@ def chain_of(arm: str) -> Chain:
     return slider_arm() if arm == "sliders" else read_chain(urdf(arm))
 
 
-def test_frames_of_positions_that_were_asked_for_before(rng: np.random.Generator) -> None:
-    """Their sines are kept: not of positions that were changed since, nor of others of as many."""
-    chain = chain_of("ur10")
-    sets = [rng.uniform(-2.0, 2.0, (100, chain.n)) for _ in range(6)]
-    alone = [[frames(chain, row[None]).p[-1, :, 0] for row in q] for q in sets]
-    for _ in range(2):
-        for q, one_by_one in zip(sets, alone, strict=True):
-            assert np.abs(frames(chain, q).p[-1].T - one_by_one).max() < 1e-14
-    sets[-1][7] = sets[0][7]
-    assert np.abs(frames(chain, sets[-1]).p[-1, :, 7] - alone[0][7]).max() < 1e-14
-
-
 @pytest.mark.parametrize("arm", ARMS)
 def test_against_pinocchio(arm: str, rng: np.random.Generator) -> None:
     chain = chain_of(arm)
@@ -128,8 +116,7 @@ def test_one_posture_is_told_as_many_are(arm: str, rng: np.random.Generator) -> 
             assert np.abs(pose_error(T, goals[i]) - errors[i]).max() < 1e-12
 
 
-@pytest.mark.parametrize("arm", [*ARMS, "sliders"])
-@pytest.mark.parametrize("size", [0.0, 1e-4, 0.3])
+@pytest.mark.parametrize(("arm", "size"), [("panda", 0.0), ("sliders", 1e-4), ("ur10", 0.3)])
 def test_frames_of_one_posture_are_those_of_many(arm: str, size: float, rng: np.random.Generator) -> None:
     """With motions of any size put in at some places, about the joint's axis alone at one of them."""
     chain = chain_of(arm)

@@ -54,16 +54,6 @@ def test_ur_defaults_are_the_published_ones() -> None:
         assert np.abs(pose(data[link]) - pose(published)).max() < 1e-9
 
 
-def test_ur_holds_the_joints_own_origins_and_not_what_lies_before_them() -> None:
-    """base_link is turned by half a turn from where UR's table starts; the description adds that by itself."""
-    chain, text = corrected("ur10")
-    origins = joint_origins(text)
-    data = kinematics_yaml_data(chain, origins)["kinematics"]
-    for name, link in zip(chain.names, UR10, strict=True):
-        assert np.abs(pose(data[link]) - origins[name]).max() < 1e-15 * 4
-    assert np.abs(pose(data["shoulder"]) - chain.origins[0]).max() > 1.0
-
-
 def test_a_hash_is_the_arms_own() -> None:
     """None is invented; that of the maker's file is kept, with whatever else stands in it."""
     chain, text = corrected("ur10")
@@ -125,14 +115,6 @@ def test_the_factory_file_of_another_arm_is_refused() -> None:
     chain, text = corrected("ur10")
     with pytest.raises(BadTable, match="factory kinematics: puts wrist_1_joint 5. mm and .* give the file of this arm"):
         kinematics_yaml_data(chain, joint_origins(text), {"kinematics": other})
-
-
-def test_ur_with_a_prefix() -> None:
-    text = urdf("ur10")
-    for name in chain_of("ur10").names:
-        text = text.replace(f'joint name="{name}"', f'joint name="left_ur_{name}"')
-    data = kinematics_yaml_data(read_chain(text), joint_origins(text))
-    assert data == kinematics_yaml_data(chain_of("ur10"), joint_origins(urdf("ur10")))
 
 
 @pytest.mark.slow

@@ -23,10 +23,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal": (50, 30),
     "modcal_core": (2190, 1180),
     "modcal_core/articulation": (5140, 3530),
-    "modcal_core/calibration": (6970, 4340),
+    "modcal_core/calibration": (6980, 4340),
     "modcal_core/camera": (5180, 3390),
     "modcal_core/checking": (990, 630),
-    "modcal_core/claim": (1150, 720),
+    "modcal_core/claim": (1220, 760),
     "modcal_core/correction": (990, 640),
     "modcal_core/diagnosis": (3780, 2600),
     "modcal_core/effects": (2820, 1840),
@@ -41,7 +41,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/moves": (1840, 1240),
     "modcal_core/report": (4930, 2860),
     "modcal_core/robots": (4850, 3090),
-    "modcal_core/verdict": (4010, 2670),
+    "modcal_core/verdict": (4040, 2680),
     "modcal_msgs_py": (4590, 3110),
     "modcal_msgs_py/tables": (3720, 2640),
     "modcal_nodes": (80, 30),
@@ -57,10 +57,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (2070, 1520),
     "modcal_nodes/watching": (280, 200),
-    "tests": (49890, 34470),
+    "tests": (49920, 34500),
 }
-SOURCE = (92200, 60350)
-TEXT = 178800  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (92300, 60450)
+TEXT = 178900  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 78
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

@@ -91,6 +91,18 @@ def test_one_wrong_reading_does_not_set_the_floor() -> None:
     floor = floors(residuals, samples, np.zeros(len(samples), bool), None).position
     assert floor is not None
     assert floor.rms == pytest.approx(np.sqrt(3.0) * 1e-2, rel=0.5)
+    assert floor.refused == pytest.approx(3.0 * np.sqrt(3.0) / np.sqrt(2.0), rel=0.05)
+
+
+def test_returns_too_good_for_an_arm_show_no_floor_unless_the_instrument_is_stated() -> None:
+    samples = visited(3, 40, 12)
+    for size, known in ((2e-6, False), (1.5e-5, True)):
+        residuals = noise(samples, np.random.default_rng(5), size)
+        found = floors(residuals, samples, np.zeros(len(samples), bool), None, reach=1.3)
+        assert (found.position is not None) == known
+        assert bool(found.unknown) != known
+        stated = Stated(instrument_mm=0.002)
+        assert floors(residuals, samples, np.zeros(len(samples), bool), stated, reach=1.3).position is not None
 
 
 @pytest.mark.slow

@@ -106,7 +106,7 @@ def evaluate(
     )
     accepted = samples.select(~wrong) if single else samples
     stood = replace(calibration, nominal=models["nominal"], calibrated=models["final"])
-    claim = claim_at_tool(stood, accepted, cell, frozen=True)
+    claim = claim_at_tool(stood, accepted, cell, frozen="arm" if refit_base or refit_tool else "whole")
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, residuals, refit_base, refit_tool)
     judged = with_places(judge(case, grounds, cell.stated), case, grounds.outside)
     return Outcome(

@@ -125,7 +125,7 @@ _UNSEEN = 1e-2  # standard deviations; what a shorter step changes in the residu
 # A large fit begins with a few of its samples, so many at most, one in so many, and so many for each parameter at least
 _FEW, _MANY, _EACH = 500, 8, 4
 _EQUATIONS_WITH_EFFECTS = 1.5  # a third of them is left, which effects may take up
-EQUATIONS_PER_PARAMETER = 1.25  # with fewer, less than a fifth of the equations is left to tell noise from a fit to it
+EQUATIONS_PER_PARAMETER = 1.0  # fewer leave the rest to what arms are like
 
 
 @dataclass(frozen=True)
@@ -400,9 +400,14 @@ def require_enough(samples: Samples, parameters: int, known: int = 0, share: flo
         raise NotEnoughData(f"{samples.stations} stations{of_them} for {parameters} parameters", said, remedy)
 
 
-def enough_for_effects(samples: Samples, parameters: int, known: int = 0) -> bool:
-    """Whether samples tell effects from noise beside so many parameters. known: as of :func:`require_enough`."""
-    return _equations(samples)[0] >= _EQUATIONS_WITH_EFFECTS * parameters - known
+def enough_for_effects(
+    samples: Samples, parameters: int, known: int = 0, each: float = _EQUATIONS_WITH_EFFECTS
+) -> bool:
+    """Whether samples tell effects from noise beside so many parameters, or give so many equations for each of them.
+
+    known: as of :func:`require_enough`.
+    """
+    return _equations(samples)[0] >= each * parameters - known
 
 
 def _equations(samples: Samples) -> tuple[float, int]:

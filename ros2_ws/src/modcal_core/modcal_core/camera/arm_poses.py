@@ -8,11 +8,6 @@ A fit has a minimal set of parameters. What it leaves out moves the tool as some
 upper arm is off by what the shoulder's side of it is off and by what the elbow's is. So the covariance of the set is
 that of all faults, brought to it by the derivatives of a general arm's readings; taken from its own parameters alone it
 would have such lengths known to seven tenths of what they are.
-
-A further camera that watches the same arm shares the arm and its effects, and, where it is the same target file, the
-size of the print: two sheets of one printer, or one sheet, are wrong by the same. Seen from the same side it is one
-sheet, whose bow is shared as well. Lens, clock and places of its own stand behind the values of the first camera's fit,
-and its images come into the equations as theirs do (equations.CameraRows).
 """
 
 from __future__ import annotations
@@ -23,7 +18,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from modcal_core.calibration import (
     Model,
@@ -37,8 +31,6 @@ from modcal_core.calibration import (
     model_at,
     ordered_candidates,
 )
-from modcal_core.camera.corners import CLOCK_S, CameraState, CommonPrior, CornerTable
-from modcal_core.camera.other_readings import BesideRows, ReadingsBeside
 from modcal_core.effects import Drivers, Effect, prior_stds
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POSE, Samples, SignalTrack
@@ -124,7 +116,7 @@ _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
 class ValuePrior(NamedTuple):
-    """start: of values, in a fit (V,). mean, information: of their prior, (V,) and (V, V)."""
+    """start: of V values in a fit, (V,). mean, information: of their prior, (V,) and (V, V)."""
 
     start: Array
     mean: Array
@@ -133,14 +125,12 @@ class ValuePrior(NamedTuple):
 
 @dataclass(frozen=True)
 class ArmPoses:
-    """The arm at N images. model: base and tool as found first, and the effects that it has. parameters: what a fit may
-    change besides the effects. q: (N, n).
+    """The arm at N images of one camera. model: base and tool as found first, and the effects that it has. parameters:
+    what a fit may change besides the effects; values of both, in this order, are P. q: (N, n).
 
     velocity: of the joints [rad/s, m/s], (N, n), zeros where it stood. camera_on_tip: else the target is. moments: what
-    else is known of the arm at the images. beside: readings of other instruments. further: cameras besides this one.
-    faults: expected of those parameters that are the arm's, None where there are none.
-    Values are those of the parameters, behind them those of the effects, of what the other instruments have of their
-    own, and of what further cameras have, P in all.
+    else is known of the arm at the images. faults: expected of those parameters that are the arm's, None where there
+    are none.
     """
 
     model: Model
@@ -149,8 +139,6 @@ class ArmPoses:
     velocity: Array
     camera_on_tip: bool
     moments: ImageMoments = NOTHING_KNOWN
-    beside: ReadingsBeside | None = None
-    further: tuple[FurtherCamera, ...] = ()
     faults: ArmFaults | None = None
 
     def select(self, rows: np.ndarray) -> ArmPoses:
@@ -171,38 +159,25 @@ class ArmPoses:
         return self.faults.stated if self.faults is not None else None
 
     @property
-    def placed(self) -> tuple[ModelParameter, ...]:
-        """Parameters of base and tool alone."""
-        return tuple(p for p in self.parameters if not p.of_arm)
+    def nominal(self) -> ArmPoses:
+        """The same arm as it is drawn, of which base and tool alone are fitted."""
+        return replace(self, parameters=tuple(p for p in self.parameters if not p.of_arm), faults=None)
 
     @property
     def count(self) -> int:
         """P."""
-        return self._of_first + sum(len(c.own) for c in self.further)
-
-    @property
-    def _of_first(self) -> int:
-        """How many of the values are not those of further cameras."""
-        return self.of_model + (len(self.beside.own) if self.beside else 0)
-
-    @property
-    def of_model(self) -> int:
-        """How many of the values are those of the arm's model: its parameters and its effects."""
         return len(self.parameters) + sum(len(e.values) for e in self.model.effects)
 
     @cached_property
     def values(self) -> ValuePrior:
         """What is expected of the P values. Base and tool are free; ``faults`` refines what is expected of the arm."""
         own = np.array([p.prior_std if p.of_arm else _FREE for p in self.parameters])
-        first: list[tuple[Array, Array, Array]] = [(np.zeros(len(own)), np.zeros(len(own)), own)]
+        parts = [(np.zeros(len(own)), np.zeros(len(own)), own)]
         for effect in self.model.effects:  # settings are expected to be as they were found
             settings = np.where(np.arange(len(effect.values)) < len(effect.amplitudes), 0.0, effect.values)
-            first.append((effect.values, settings, prior_stds(effect, self.drivers())))
-        if (beside := self.beside) is not None:
-            first.append((np.zeros(len(beside.own)), np.zeros(len(beside.own)), beside.prior_std))
-        parts = [(start, mean, np.diag(std**-2.0)) for start, mean, std in first] + [one.values for one in self.further]
-        starts, means, known = zip(*parts, strict=True)
-        return ValuePrior(np.concatenate(starts), np.concatenate(means), block_diag(*known))
+            parts.append((effect.values, settings, prior_stds(effect, self.drivers())))
+        start, mean, std = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return ValuePrior(start, mean, np.diag(std**-2.0))
 
     @property
     def moves(self) -> bool:
@@ -221,29 +196,9 @@ class ArmPoses:
         q = self.q + offset_s * self.velocity
         return self.model.drivers(self.moments.samples(self.model, q, self.velocity))
 
-    def further_at(self, state: CameraState) -> list[tuple[FurtherCamera, np.ndarray, CameraState]]:
-        """(further camera, where each of its parameters stands among all, −1 for one that is not fitted, its state) of
-        each, at a state of all.
-        """
-        out, first = [], self._of_first
-        for one in self.further:
-            own = replace(one, poses=one.poses.with_effects(self.model.effects))
-            out.append((own, *one.at(self, state, first)))
-            first += len(one.own)
-        return out
-
     def model_at(self, values: Array) -> Model:
         """The model with these values put in."""
-        return model_at(self.model, self.parameters, values[: self.of_model])
-
-    def rows_beside(self, values: Array, count: int) -> BesideRows | None:
-        """The rows of other instruments at these values, their derivatives the first of ``count`` columns."""
-        if self.beside is None:
-            return None
-        arm = np.flatnonzero([p.of_arm for p in self.parameters])
-        columns = np.r_[arm, np.arange(len(self.parameters), self._of_first)]
-        among = [self.parameters[i] for i in arm]
-        return self.beside.rows(among, values[columns], self.model.effects, columns, count)
+        return model_at(self.model, self.parameters, values)
 
     def tool_motions(self, values: Array, offset_s: float = 0.0) -> tuple[Array, Array]:
         """(T_frame_tool (N, 4, 4), its derivative (N, 6, P): shift of the tool's origin and turn, along the frame).
@@ -252,11 +207,8 @@ class ArmPoses:
         """
         at = self.drivers(offset_s)
         now = self.model_at(values)
-        N = len(self.q)
-        J = linearise(self.model, self.parameters, values[: self.of_model], at.samples, drivers=at).J
-        motions = self.of_root(now, J.reshape(-1, 6, N))
-        others = np.zeros((N, 6, self.count - self.of_model))
-        return now.predict_samples(at.samples), np.concatenate([motions, others], axis=2)
+        J = linearise(self.model, self.parameters, values, at.samples, drivers=at).J
+        return now.predict_samples(at.samples), self.of_root(now, J.reshape(-1, 6, len(self.q)))
 
     def of_root(self, now: Model, motions: Array) -> Array:
         """Motions (K, 6, N) of the tool, position and turn as seen from the root, along the frame, (N, 6, K)."""
@@ -333,55 +285,3 @@ def with_stated(poses: ArmPoses, error_m: float | None) -> ArmPoses:
     rest = off - basis @ (basis.T @ off)
     rms = float(np.sqrt((rest**2).sum() / len(poses.q)))
     return replace(poses, faults=replace(faults, stated=error_m / max(rms, 1e-12)))
-
-
-@dataclass(frozen=True)
-class FurtherCamera:
-    """name: of its topic. table, poses, prior: as of a fit of its own. begin: where that fit ended. shared: which of
-    lens, shape, readout and places of markers are those of the first camera, (15 + Z,).
-    """
-
-    name: str
-    table: CornerTable
-    poses: ArmPoses
-    prior: CommonPrior
-    begin: CameraState
-    shared: np.ndarray
-
-    @property
-    def own(self) -> np.ndarray:
-        """Which of its parameters, clock, lens, shape, readout and places are its own, indices (P' + 16 + Z)."""
-        P = len(self.poses.parameters)
-        placed = np.flatnonzero([not p.of_arm for p in self.poses.parameters])
-        common = np.flatnonzero(self.prior.free & ~self.shared)
-        return np.r_[placed, np.full(int(self.poses.moves), P), P + 1 + common].astype(int)
-
-    @property
-    def values(self) -> ValuePrior:
-        """What is expected of its own values: places where they were found first."""
-        P, own = len(self.poses.parameters), self.own
-        whole = block_diag(self.poses.values.information[:P, :P], np.array([[CLOCK_S**-2]]), self.prior.information)
-        mean = np.r_[np.zeros(P + 1), self.prior.mean]
-        return ValuePrior(_vector(self.begin)[own], mean[own], whole[np.ix_(own, own)])
-
-    def at(self, first: ArmPoses, state: CameraState, place: int) -> tuple[np.ndarray, CameraState]:
-        """(where each of its parameters, the effects, clock, lens, shape, readout and places stand among those of all,
-        −1 for what is not fitted; its state) at a state of all. first: the first camera's poses. place: of the first of
-        its own values.
-        """
-        P = len(self.poses.parameters)
-        columns = np.full(P + 1 + len(self.prior.mean), -1)
-        at = {p.name: i for i, p in enumerate(first.parameters)}
-        columns[:P] = [at[p.name] if p.of_arm else -1 for p in self.poses.parameters]
-        # no more than the first camera has, whose target may be another
-        columns[P + 1 :][self.shared] = first.count + 1 + np.flatnonzero(self.shared)
-        columns[self.own] = place + np.arange(len(self.own))
-        x = np.where(columns >= 0, np.r_[state.values, state.offset_s, state.common][columns], _vector(self.begin))
-        effects = np.arange(len(first.parameters), first.of_model)
-        there = CameraState(np.r_[x[:P], state.values[effects]], float(x[P]), x[P + 1 :], self.begin.kind)
-        return np.insert(columns, P, effects), there
-
-
-def _vector(state: CameraState) -> Array:
-    """Parameters without effects, clock, lens, shape, readout and places as one vector, absolute."""
-    return np.r_[state.values, state.offset_s, state.common]

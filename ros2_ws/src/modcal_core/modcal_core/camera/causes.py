@@ -21,22 +21,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from modcal_core.calibration import Model, RowView
+from modcal_core.calibration import RowView
+from modcal_core.camera.cameras import Cameras
 from modcal_core.camera.corners import POSE, CornerTable
-from modcal_core.camera.fit import CameraFit, camera_rows, equations_at, fit_camera
+from modcal_core.camera.fit import CameraFit, fit_cameras
 from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, Scanner, Space, choose
 from modcal_core.effects import AXIS, Drivers, Effect, candidates
 from modcal_core.geometry import Array
 
 _ONLY_ROUNDING = 1e-9  # of an image's information, which a direction it does not see gets
-
-
-@dataclass(frozen=True)
-class WithModel:
-    """A camera fit with further effects in its model, their values as they are there."""
-
-    fit: CameraFit
-    model: Model
 
 
 @dataclass(frozen=True)
@@ -58,28 +51,21 @@ class CameraScanner(Scanner):
     def __init__(self, effects: Sequence[Effect], drivers: Drivers) -> None:
         """effects: the candidates. drivers: at the images."""
         super().__init__(effects, drivers)
-        self._known: tuple[WithModel, CameraSpace] | None = None
+        self._known: tuple[CameraFit, CameraSpace] | None = None
 
-    def space_of(self, fit: WithModel) -> CameraSpace:  # type: ignore[override]
+    def space_of(self, fit: CameraFit) -> CameraSpace:  # type: ignore[override]
         """The rows of all images, and what is fitted."""
         if self._known is None or self._known[0] is not fit:
             self._known = fit, _space(fit, self.drivers)
         return self._known[1]
 
-    def information(self, fit: WithModel, effect: Effect) -> float:
+    def information(self, fit: CameraFit, effect: Effect) -> float:
         """What the images say of an effect's one amplitude, as the inverse of a variance, all else being fitted."""
         space = self.space_of(fit)
         return max(float(space.products(self.rows_of(space, effect))[0, 0]), 0.0)
 
 
-def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
-    fit = asked.fit
-    if len(asked.model.effects) > len(fit.poses.model.effects):  # more than were fitted: to look ahead
-        poses = fit.poses.with_effects(asked.model.effects)
-        parameters, own = np.split(fit.state.values, [len(poses.parameters)])[0], fit.state.values[fit.poses.of_model :]
-        values = np.concatenate([parameters, *(e.values for e in asked.model.effects), own])
-        state = replace(fit.state, values=values)
-        fit = replace(fit, poses=poses, state=state, equations=equations_at(fit.table, poses, fit.prior, state))
+def _space(fit: CameraFit, drivers: Drivers) -> CameraSpace:
     solved = fit.equations.solve(fit.sizes)
     moved = fit.equations.cameras[0].moved
     E = solved.of_views
@@ -88,7 +74,9 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
     L = np.linalg.cholesky(E[:, :, :POSE] + (_ONLY_ROUNDING * size)[:, None, None] * np.eye(POSE))
     white = np.swapaxes(L, 1, 2)
     beside = np.linalg.solve(L, E[:, :, POSE:])  # by lens and sheet, and the residual
-    rows = np.concatenate([white @ moved, beside[:, :, :-1]], axis=2)[:, :, solved.use].transpose(1, 0, 2)
+    rows = np.zeros((N, POSE, len(fit.x)))
+    rows[:, :, fit.equations.cameras[0].columns] = np.concatenate([white @ moved, beside[:, :, :-1]], axis=2)
+    rows = rows[:, :, solved.use].transpose(1, 0, 2)
     # a root of all that stands beside these rows is left out below them: lens and sheet, other instruments, the prior
     scale = 1.0 / np.sqrt(np.diag(solved.H))
     root = np.linalg.cholesky(solved.H * np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
@@ -141,18 +129,17 @@ def find_causes(
         return fit, (), None
     scanner = CameraScanner(looked_for, drivers)
     while len(causes) < _MAX and len(refused) < _REFUSED:
-        asked = WithModel(fit, fit.poses.model.with_effects(_valued(fit)))
-        if not scanner.enough(asked):  # type: ignore[arg-type]
+        if not scanner.enough(fit):  # type: ignore[arg-type]
             break
-        evidence = scanner.evidence(asked, trials=True)  # type: ignore[arg-type]
+        evidence = scanner.evidence(fit, trials=True)  # type: ignore[arg-type]
         if evidence.p_value > SIGNIFICANT:
             break
-        choice = choose(evidence, scanner, asked, refused)  # type: ignore[arg-type]
+        choice = choose(evidence, scanner, fit, refused)  # type: ignore[arg-type]
         if choice is None:
             break
         progress(choice.effect.label)
-        started = choice.effect.started(scanner.amplitudes(asked, choice.effect))  # type: ignore[arg-type]
-        better = _with(fit, started)
+        started = choice.effect.started(scanner.amplitudes(fit, choice.effect))  # type: ignore[arg-type]
+        better = fit_cameras(*_with_effects(fit, (*_valued(fit), started)), fit.sizes)
         gain = fit.misfit - better.misfit
         if better.converged and gain > _GAIN and predicted(better) < predicted(fit):
             causes.append(
@@ -177,20 +164,20 @@ def _valued(fit: CameraFit) -> tuple[Effect, ...]:
     return tuple(out)
 
 
-def _with(fit: CameraFit, effect: Effect) -> CameraFit:
-    """Everything fitted again, with one more effect."""
-    poses = fit.poses.with_effects((*_valued(fit), effect))
-    begin = replace(fit.state, values=np.insert(fit.state.values, fit.poses.of_model, effect.values))
-    return fit_camera(fit.table, poses, fit.prior, begin, fit.sizes)
+def _with_effects(fit: CameraFit, effects: Sequence[Effect]) -> tuple[Cameras, Array]:
+    """(the cameras with these effects, all values there). The values of effects are those that they have."""
+    before, behind = len(fit.poses.parameters), fit.poses.count
+    x = np.concatenate([fit.x[:before], *(e.values for e in effects), fit.x[behind:]])
+    return fit.cameras.with_effects(effects), x
 
 
 def _unseen(fit: CameraFit, part: int) -> tuple[np.ndarray, CornerTable, Array]:
     """(every fourth image, mask (N,); its corners; how far these are from where a fit of the others has them [px])."""
-    held = np.arange(fit.table.views) % _PARTS == part
-    table, poses = fit.table.select(held), fit.poses.select(held)
-    others = fit.table.select(~held), fit.poses.select(~held)
-    state = fit_camera(*others, fit.prior, fit.state, fit.sizes, fixed_sizes=True).state
-    return held, table, camera_rows(table, poses, state, np.empty(0, int)).pixels
+    first = fit.cameras.first
+    held = np.arange(first.table.views) % _PARTS == part
+    others = fit_cameras(fit.cameras.with_first(first.select(~held)), fit.x, fit.sizes, fixed_sizes=True)
+    unseen = first.select(held)
+    return held, unseen.table, unseen.rows(others.state, np.empty(0, int)).pixels
 
 
 def held_out(*fits: CameraFit) -> tuple[float, ...]:
@@ -245,14 +232,13 @@ def hidden_springs(fit: CameraFit) -> tuple[HiddenSpring, ...]:
     if not effects:
         return ()
     scanner = CameraScanner(effects, drivers)
-    asked = WithModel(fit, fit.poses.model_at(fit.state.values))
-    if not scanner.enough(asked):  # type: ignore[arg-type]
+    if not scanner.enough(fit):  # type: ignore[arg-type]
         return ()
     T = fit.poses.tool_at(fit.state.values)
     joints = fit.at_flange(T, fit.poses.own_motions(fit.state.values, T))
     out = []
     for effect in effects:
-        information = scanner.information(asked, effect)
+        information = scanner.information(fit, effect)
         if information > 0.0:
             least = _SEEN / np.sqrt(information)
             moved = joints[:, :, chain.names.index(effect.place)] * drivers.values(effect.driver)[:, None]

@@ -25,9 +25,10 @@ import numpy as np
 import scipy.linalg
 
 from modcal_core.camera.bundle import BoardView, PrintedTarget
+from modcal_core.camera.cameras import Camera
 from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.equations import ALONE, CameraRows, SolvedEquations, stops_of
-from modcal_core.camera.fit import CameraFit, camera_rows
+from modcal_core.camera.fit import CameraFit
 from modcal_core.geometry import Array
 
 WORLD, TIP = "world", "tip"  # halves that may be moved: that in the world, and that on the arm
@@ -57,20 +58,20 @@ class FoundChange:
     focal: float = 0.0
     each: bool = False
 
-    def sentence(self, fit: CameraFit, whose: str = "") -> str:
-        """The finding as a sentence. fit: that it was found in. whose: suffix that names the camera of several."""
+    def sentence(self, camera: Camera, whose: str = "") -> str:
+        """The finding as a sentence. camera: whose images it is of. whose: suffix that names it among several."""
         if self.each:
             return (
                 f"The camera's focal length differs from image to image{whose}, by {100.0 * self.focal:.2g} % RMS: "
                 "switch autofocus and digital zoom off, and take images again that are neither cropped nor scaled."
             )
-        name, then = fit.table.names[self.at], "calibrate from the images before, or from those after"
+        name, then = camera.table.names[self.at], "calibrate from the images before, or from those after"
         if self.focal:
             return (
                 f"The camera{whose} has another focal length from image {name} on, by {100.0 * self.focal:+.1f} %: "
                 f"switch autofocus off, leave focus and zoom alone, and {then}."
             )
-        what = "target" if self.in_world == fit.poses.camera_on_tip else "camera"
+        what = "target" if self.in_world == camera.poses.camera_on_tip else "camera"
         return (
             f"The {what}{whose} was moved before image {name}, by {1e3 * self.shift_m:.1f} mm and "
             f"{np.degrees(self.turn_rad):.2f}°: {then}."
@@ -140,23 +141,24 @@ def of_twist(rows: CameraRows, twists: Array) -> Array:
     return out
 
 
-def find_change(fit: CameraFit) -> FoundChange | None:
-    """The likeliest change among the images of a fit, None if none is beyond doubt."""
+def find_change(fit: CameraFit, camera: int = 0) -> FoundChange | None:
+    """The likeliest change among the images of a camera, None if none is beyond doubt. camera: its number."""
     # a camera that was moved would put the others' images of the same stops elsewhere as well
     cameras = tuple(replace(one, stop=np.full(len(one.stop), ALONE)) for one in fit.equations.cameras)
     fit = replace(fit, equations=replace(fit.equations, cameras=cameras))
-    T, rows = fit.tool, cameras[0]
+    known, state, rows = fit.cameras.every[camera], fit.states[camera], cameras[camera]
+    T, _ = known.poses.tool_motions(state.values, state.offset_s)
     N = len(T)
     if N < 2 * _EDGE:
         return None
     wider = of_twist(rows, np.zeros((N, POSE, 1)))
-    wider[:, POSE : POSE + 2, 0] = fit.state.lens.values[:2]
-    order = stops_of(cameras)[0]
+    wider[:, POSE : POSE + 2, 0] = state.lens.values[:2]
+    order = stops_of(cameras)[camera]
     changes = [
-        Change({0: of_twist(rows, moved)}, _USUAL, order, half=half, places=T[:, :3, 3])
-        for half, moved in zip((WORLD, TIP), fit.poses.half_motions(T), strict=True)
+        Change({camera: of_twist(rows, moved)}, _USUAL, order, half=half, places=T[:, :3, 3])
+        for half, moved in zip((WORLD, TIP), known.poses.half_motions(T), strict=True)
     ]
-    changes += [Change({0: wider}, _USUAL_FOCAL, order), Change({0: wider}, _USUAL_FOCAL, order, each=True)]
+    changes += [Change({camera: wider}, _USUAL_FOCAL, order, each=each) for each in (False, True)]
     solved, places = fit.equations.solve(fit.sizes), np.arange(_EDGE, N - _EDGE + 1)
     screened = [(one, *one.best(solved, places)[:2]) for one in changes]
     weighed = [(one, at, *one.weighed(fit, np.array([at]))) for one, gain, at in screened if gain >= _SCREEN]
@@ -170,10 +172,10 @@ def find_change(fit: CameraFit) -> FoundChange | None:
         if one.each:
             apart = wider.copy()
             apart[:, POSE + 1] *= -1.0
-            shape = replace(one, columns={0: apart})
+            shape = replace(one, columns={camera: apart})
             if x[0] < _LEAST or shape.weighed(fit, places)[0] - misfit < _GAIN:
                 continue
-        return FoundChange(gain, not fit.poses.camera_on_tip, at, focal=float(x[0]), each=one.each)
+        return FoundChange(gain, not known.poses.camera_on_tip, at, focal=float(x[0]), each=one.each)
     return None
 
 
@@ -220,10 +222,9 @@ class CameraWatch:
     def __init__(self, fit: CameraFit, target: PrintedTarget) -> None:
         """fit: the calibration, of one camera or several. target: as it was calibrated with, by all of them."""
         self._fit, self._target = fit, target
-        # poses, state, and where each parameter stands among those of all
-        self._cameras = {"": (fit.poses, fit.state, np.arange(len(fit.covariance)))}
-        for one, columns, state in fit.poses.further_at(fit.state):
-            self._cameras[one.name] = one.poses, state, columns
+        every = zip(fit.cameras.every, fit.states, fit.cameras.columns, strict=True)
+        # the camera, its state, and where each value stands among those of all
+        self._cameras = {one[0].name if k else "": one for k, one in enumerate(every)}
         known, information = fit.equations.solve(fit.sizes), np.zeros_like(fit.covariance)
         information[np.ix_(known.use, known.use)] = known.H
         known_only = replace(fit.equations, beside=None, faults=None, places=None)
@@ -281,13 +282,14 @@ class CameraWatch:
         rows: list[CameraRows] = []
         tools = []
         for camera in dict.fromkeys(one.camera for one in seen):
-            own, (poses, state, columns) = [one for one in seen if one.camera == camera], self._cameras[camera]
-            at = poses.at_postures(np.stack([one.q for one in own]))
-            here = camera_rows(CornerTable.of([one.view for one in own], self._target), at, state, columns)
+            own, (known, state, columns) = [one for one in seen if one.camera == camera], self._cameras[camera]
+            at = known.poses.at_postures(np.stack([one.q for one in own]))
+            table = CornerTable.of([one.view for one in own], self._target)
+            here = replace(known, table=table, poses=at).rows(state, columns)
             T = at.tool_at(state.values)
             label = "camera" if len(self._cameras) == 1 else f"camera {camera}" if camera else "first camera"
             for half, twists in zip((WORLD, TIP), at.half_motions(T), strict=True):
-                name = label if (half == TIP) == poses.camera_on_tip else "target"
+                name = label if (half == TIP) == at.camera_on_tip else "target"
                 halves.setdefault((half, name), {})[len(rows)] = of_twist(here, twists)
             rows.append(replace(here, stop=np.array([one.stop for one in own])))
             tools.append(T[:, :3, 3])

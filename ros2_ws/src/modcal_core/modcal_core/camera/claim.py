@@ -233,9 +233,9 @@ def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
     """
     J, C = fit.flange_motions(q), fit.covariance
     P = J.shape[2]
-    common = np.arange(P + 1, len(C))
+    common = fit.common
     groups = {"lens": common[:LENS], "print scale": common[SCALE], "flatness": common[BENT], "clock": np.array([P])}
-    groups |= {"readout": common[[READOUT]], "places of markers": common[COMMON:], ALL_BUT_IMAGES: np.arange(P, len(C))}
+    groups |= {"readout": common[[READOUT]], "places of markers": common[COMMON:], ALL_BUT_IMAGES: np.r_[P, common]}
     whole = mean_square(J, C[:P, :P])
     out = {}
     for name, rows in groups.items():

@@ -228,11 +228,15 @@ class CameraState:
         """In which a rolling shutter goes down an image."""
         return float(self.common[READOUT])
 
-    def moved(self, step: Array) -> CameraState:
-        """The state a step (P + 1 + 15 + Z,) farther."""
+    @property
+    def vector(self) -> Array:
+        """All values, (P + 16 + Z,): of the arm, the clock's offset, and what images share."""
+        return np.r_[self.values, self.offset_s, self.common]
+
+    def at(self, vector: Array) -> CameraState:
+        """The state with these values (P + 16 + Z,)."""
         P = len(self.values)
-        there = self.values + step[:P], self.offset_s + float(step[P]), self.common + step[P + 1 :]
-        return CameraState(*there, self.kind)
+        return CameraState(vector[:P], float(vector[P]), vector[P + 1 :], self.kind)
 
 
 def shape_of(common: Array) -> Array:
@@ -269,12 +273,6 @@ class CommonPrior:
     def shape(self) -> Array:
         """Prior mean of shape and marker places, (5 + Z,)."""
         return shape_of(self.mean)
-
-    def with_block(self, rows: slice, information: Array) -> CommonPrior:
-        """The same with other information about these values, which are fitted."""
-        every, free = self.information.copy(), self.free.copy()
-        every[rows, rows], free[rows] = information, True
-        return replace(self, information=every, free=free)
 
     def with_places(self, places: PlacePrior) -> CommonPrior:
         """The same with markers whose places are expected so, of a body, which has no bow."""

@@ -187,10 +187,9 @@ def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequenc
 class Equations:
     """All factors at one state.
 
-    cameras: of each, those of the first standing where they are among all. offset (K + 15 + Z,): the state less the
-    prior's mean. information: of the prior but for the arm's faults and the places of markers, (K + 15 + Z, K + 15 +
-    Z). free: (K + 15 + Z,) bool. arm: indices of the faults of the arm. beside: rows of other instruments. faults:
-    expected of the arm. places: expected of the last Z, None of a flat sheet.
+    cameras: of each. offset (V,): all values less the prior's mean. information: of the prior but for the arm's faults
+    and the places of markers, (V, V). free: (V,) bool. arm: indices of the faults of the arm. beside: rows of other
+    instruments. faults: expected of the arm. places: expected of the last Z of the first camera, None of a flat sheet.
     """
 
     cameras: tuple[CameraRows, ...]
@@ -208,13 +207,13 @@ class Equations:
         return _Sums.of(self.cameras, len(self.offset))
 
     def prior(self, sizes: Sizes) -> Array:
-        """Information of the prior, (K + 15 + Z, K + 15 + Z)."""
+        """Information of the prior, (V, V)."""
         out = self.information.copy()
         if self.faults is not None:
             out[np.ix_(self.arm, self.arm)] = self.faults.information(sizes.arm, sizes.lengths)
         if self.places is not None:
-            first = len(out) - len(self.places.apart)
-            out[first:, first:] = self.places.information(sizes.places)
+            rows = self.cameras[0].columns[-len(self.places.apart) :]
+            out[np.ix_(rows, rows)] = self.places.information(sizes.places)
         return out
 
     def with_block(
@@ -313,7 +312,7 @@ class SolvedEquations:
         return np.asarray(own - own[:, :, :POSE] @ self.S @ own)
 
     def step(self, damping: float = 0.0) -> Array:
-        """The step of all parameters (K + 15 + Z,), zero for those held fixed."""
+        """The step of all parameters (V,), zero for those held fixed."""
         scale = 1.0 / np.sqrt(np.diag(self.H))
         H = self.H * np.outer(scale, scale) + damping * np.eye(len(self.b))
         out = np.zeros(len(self.equations.offset))
@@ -321,7 +320,7 @@ class SolvedEquations:
         return out
 
     def covariance(self) -> Array:
-        """Covariance of all parameters, (K + 15 + Z, K + 15 + Z); zero for fixed ones."""
+        """Covariance of all parameters, (V, V); zero for fixed ones."""
         scale = 1.0 / np.sqrt(np.diag(self.H))
         inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(self.H * np.outer(scale, scale)), np.eye(len(self.b)))
         out = np.zeros(self.equations.information.shape)

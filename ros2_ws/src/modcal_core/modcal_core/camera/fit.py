@@ -9,26 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.optimize import minimize
 
 from modcal_core.calibration import Model, Uncertainty, View, general_samples, linearise
 from modcal_core.camera.arm_poses import ArmPoses
-from modcal_core.camera.corners import (
-    CLOCK_S,
-    READOUT,
-    CameraState,
-    CommonPrior,
-    CornerTable,
-    corner_rows,
-    grams,
-)
-from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, SolvedEquations
+from modcal_core.camera.cameras import Cameras
+from modcal_core.camera.corners import CameraState, CommonPrior, CornerTable
+from modcal_core.camera.equations import Equations, Sizes, SolvedEquations
 from modcal_core.camera.intrinsics import damped
-from modcal_core.camera.lens import Lens
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POSE
 
@@ -103,29 +95,65 @@ _SETTLED = 0.05  # change of a size's logarithm
 
 @dataclass(frozen=True)
 class CameraFit:
-    """table, poses, prior: what was fitted. state: where it ended. sizes: of the errors. covariance: of parameters,
-    clock, lens, shape, readout and the places of Z values of markers, (P + 16 + Z, P + 16 + Z). equations: at the
-    state. converged: whether it met.
+    """cameras: what was fitted. x: where the values of all ended, (V,). sizes: of the errors. covariance: of the
+    values, (V, V). equations: at them. converged: whether it met.
     """
 
-    table: CornerTable
-    poses: ArmPoses
-    prior: CommonPrior
-    state: CameraState
+    cameras: Cameras
+    x: Array
     sizes: Sizes
     covariance: Array
     equations: Equations
     converged: bool
 
     @property
+    def table(self) -> CornerTable:
+        """Corners of the first camera."""
+        return self.cameras.first.table
+
+    @property
+    def poses(self) -> ArmPoses:
+        """The arm at the images of the first camera."""
+        return self.cameras.first.poses
+
+    @property
+    def prior(self) -> CommonPrior:
+        """What is expected of lens and target of the first camera."""
+        return self.cameras.first.prior
+
+    @cached_property
+    def states(self) -> list[CameraState]:
+        """Where each camera ended."""
+        return self.cameras.states(self.x)
+
+    @property
+    def state(self) -> CameraState:
+        """Where the first camera ended."""
+        return self.states[0]
+
+    @property
+    def common(self) -> np.ndarray:
+        """Where lens, shape, readout and places of markers of the first camera stand among all values, (15 + Z,)."""
+        return self.cameras.columns[0][self.poses.count + 1 :]
+
+    @cached_property
+    def std(self) -> list[Array]:
+        """Standard deviations of the values of each camera, (P + 16 + Z,), 0 of what was not fitted."""
+        std = np.sqrt(np.diag(self.covariance))
+        return [np.where(columns >= 0, std[columns], 0.0) for columns in self.cameras.columns]
+
+    @property
     def pixels(self) -> Array:
-        """By how much corners (M, 2) are elsewhere than the model has them, the images' own twists not put in [px]."""
+        """By how much corners (M, 2) of the first camera are elsewhere than the model has them, the images' own twists
+        not put in [px].
+        """
         return self.equations.cameras[0].pixels
 
     @property
-    def rms_px(self) -> float:
-        """RMS distance of corners from the model [px]."""
-        return self.table.rms(self.pixels)
+    def rms_px(self) -> list[float]:
+        """RMS distance of corners from the model, of each camera [px]."""
+        every = zip(self.cameras.every, self.equations.cameras, strict=True)
+        return [one.table.rms(rows.pixels) for one, rows in every]
 
     @property
     def misfit(self) -> float:
@@ -159,17 +187,6 @@ class CameraFit:
         """Motion of the flange at postures q (M, n) per parameter of arm, effects and other instruments, (M, 3, P)."""
         return self.at_flange(*self.poses.at_postures(q).tool_motions(self.state.values))
 
-    def of_further(self) -> list[tuple[CameraState, Array, float]]:
-        """(state; standard deviations of lens, shape, readout and places, (15 + Z,), those of the first camera as in
-        this fit; RMS of its corners [px]) of each further camera.
-        """
-        out, std = [], np.sqrt(np.diag(self.covariance))
-        every = zip(self.poses.further_at(self.state), self.equations.cameras[1:], strict=True)
-        for (camera, columns, state), rows in every:
-            own = columns[len(state.values) + 1 :]
-            out.append((state, np.where(own >= 0, std[own], 0.0), camera.table.rms(rows.pixels)))
-        return out
-
     def weighed(
         self,
         equations: Equations | None = None,
@@ -182,87 +199,41 @@ class CameraFit:
         return solved, misfit_of(solved) + usual(sizes)
 
 
-_Place = tuple[CameraState, SolvedEquations]
+_Place = tuple[Array, SolvedEquations]
 
 
-def fit_camera(
-    table: CornerTable,
-    poses: ArmPoses,
-    prior: CommonPrior,
-    begin: Lens | CameraState,
-    sizes: Sizes = START,
-    fixed_sizes: bool = False,
+def fit_cameras(
+    cameras: Cameras, begin: Array | None = None, sizes: Sizes = START, fixed_sizes: bool = False
 ) -> CameraFit:
-    """The fit from a state, or from a lens and from base and tool of the poses' model, nominal arm.
+    """The fit of all cameras from values (V,), or from where the cameras begin.
 
     sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
-    if isinstance(begin, Lens):
-        begin = CameraState(poses.values.start, 0.0, np.r_[begin.values, prior.mean[len(begin.values) :]], begin)
-    state = begin
-    afar = sizes == START
-    if poses.arm_stated is not None:
-        sizes = replace(sizes, arm=poses.arm_stated)
+    x = cameras.expected.start if begin is None else begin
+    afar, stated = sizes == START, cameras.first.poses.arm_stated
+    if stated is not None:
+        sizes = replace(sizes, arm=stated)
 
-    def at(state: CameraState) -> tuple[_Place, float]:
-        solved = equations_at(table, poses, prior, state).solve(sizes)
-        return (state, solved), solved.cost
+    def at(x: Array) -> tuple[_Place, float]:
+        solved = cameras.equations(x).solve(sizes)
+        return (x, solved), solved.cost
 
     def stepped(here: _Place, damping: float) -> tuple[_Place, float] | None:
-        there = here[0].moved(here[1].step(damping))
-        every = [there, *(own for *_, own in poses.further_at(there))]
+        there = here[0] + here[1].step(damping)
+        every = cameras.states(there)
         possible = all((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all() for s in every)
         return at(there) if possible else None
 
     settled = fixed_sizes
     for k in range(_ROUNDS + 1):
-        (state, solved), converged = damped(at(state), stepped, _FIT_MET, 1e-6 * _FIT_MET, _STEPS)
+        (x, solved), converged = damped(at(x), stepped, _FIT_MET, 1e-6 * _FIT_MET, _STEPS)
         equations = solved.equations
         if settled or k == _ROUNDS:
             break
         new, afar = likeliest(equations, sizes, afar=afar), False
         settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
         sizes = new
-    covariance = equations.solve(sizes).covariance()
-    return CameraFit(table, poses, prior, state, sizes, covariance, equations, converged)
-
-
-def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state: CameraState) -> Equations:
-    """The equations at a state, of all cameras and other instruments."""
-    P = poses.count
-    free = np.r_[np.ones(P, bool), poses.moves, prior.free]
-    free[P + 1 + READOUT] &= poses.moves
-    cameras = [camera_rows(table, poses, state, np.arange(len(free)))]
-    cameras += [camera_rows(one.table, one.poses, there, columns) for one, columns, there in poses.further_at(state)]
-    return Equations(
-        tuple(cameras),
-        np.r_[state.values - poses.values.mean, state.offset_s, state.common - prior.mean],
-        block_diag(poses.values.information, np.array([[CLOCK_S**-2]]), prior.information),
-        free,
-        np.flatnonzero(poses.of_arm),
-        poses.rows_beside(state.values, P + 1),
-        poses.faults,
-        prior.places,
-    )
-
-
-def camera_rows(table: CornerTable, poses: ArmPoses, state: CameraState, columns: np.ndarray) -> CameraRows:
-    """The factors of one camera. columns: where its parameters stand among those of all."""
-    T, motions = poses.tool_motions(state.values, state.offset_s)
-    own = poses.own_motions(state.values, T)
-    by_clock = own[:, :, :-3] @ poses.velocity[:, :, None]
-    moved = poses.as_twists(T, np.concatenate([motions, by_clock], axis=2))
-    sweep = moved[:, :, -1] if poses.moves else None
-    rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
-    return CameraRows(
-        grams(table, rows),
-        moved,
-        poses.as_twists(T, own),
-        columns,
-        int((table.weight > 0.0).sum()),
-        poses.moments.stop if len(poses.moments.stop) else np.full(len(T), ALONE),
-        rows.pixels,
-    )
+    return CameraFit(cameras, x, sizes, equations.solve(sizes).covariance(), equations, converged)
 
 
 def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:
@@ -270,7 +241,7 @@ def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:
     it.
     """
     poses = fit.poses
-    count, P = poses.of_model, len(poses.parameters)
+    count, P = poses.count, len(poses.parameters)
     samples = general_samples(model, [View(POSE, f) for f in range(len(model.frames))], each=max(24, count))
     ended = linearise(poses.model, poses.parameters, fit.state.values[:count], samples).J
     written = linearise(

@@ -6,28 +6,15 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle, PrintedTarget, PrintScale
-from modcal_core.camera.changes import FoundChange
+from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle, PrintedTarget
 from modcal_core.camera.claim import APPLY, DecisionGrounds, ToolError, decide
-from modcal_core.camera.corners import BOW as BENT
-from modcal_core.camera.corners import SCALE, CornerTable
+from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.mounting import Mounting
 from modcal_core.camera.other_readings import ReadingsBeside
 from modcal_core.camera.prepared import MOSTLY
-from modcal_core.camera.statements import (
-    BOW,
-    IN_DOUBT,
-    LENS_VALUES,
-    SIZE,
-    DoubtedStatement,
-    StatedCamera,
-    arm_contradicted,
-    contradicted,
-)
+from modcal_core.camera.statements import SIZE, DoubtedStatement
 from modcal_core.camera.views import covered, tilt_and_distance
-from modcal_core.geometry import Array
 
 _MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (verdict.md)
 _CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
@@ -44,11 +31,9 @@ _NOMINAL = (
 )
 
 
-def problems(fit: CameraFit, nominal: CameraFit, change: FoundChange | None, wrong: Sequence[str]) -> tuple[str, ...]:
-    """What contradicts the fit, in sentences. wrong: statements that images contradict."""
+def problems(fit: CameraFit, nominal: CameraFit, wrong: Sequence[str]) -> tuple[str, ...]:
+    """What contradicts the fit, in sentences. wrong: moves among the images, and statements that these contradict."""
     out = [] if fit.converged and nominal.converged else ["The fit did not reach its minimum."]
-    if change is not None:
-        out.append(change.sentence(fit))
     out += wrong
     if fit.sizes.joint > _UNSTEADY:
         out.append(
@@ -99,71 +84,6 @@ def size_open(
         f"If the {what} has the size that is stated, it is clearly better; these images leave that open: "
         f"{again}, or add a length of another kind, such as a few tracker points."
     )
-
-
-_PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
-
-
-def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: StatedCamera) -> tuple[str, ...]:
-    """What the images contradict of what was stated. doubted: of this fit."""
-    out = [_contradiction(what, other, stated) for what, other in contradicted(fit, doubted).items()]
-    if (times := arm_contradicted(fit)) is not None:
-        out.append(
-            f"The arm is some {times:.1f} times as far off as --arm-mm states: state what you know of it, or check the "
-            "square's size."
-        )
-    return tuple(out)
-
-
-def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintScale) -> tuple[str, ...]:
-    """What the images leave in doubt of what was stated, in sentences."""
-    out = []
-    for doubt in doubted:
-        if doubt.chance > IN_DOUBT:
-            common = fit.state.common + doubt.solved.step()[fit.poses.count + 1 :]
-            what = {
-                SIZE: f"a {_sized(fit)} {_percent(fit, common, scale)} off its stated size",
-                BOW: f"a sheet bent by {1e3 * float(np.abs(common[BENT]).max()):.1f} mm",
-                LENS_VALUES: "another lens than the stated one",
-            }[doubt.what]
-            out.append(
-                f"An arm with these faults and {what} look much alike (chance of the latter "
-                f"{100.0 * doubt.chance:.0f} %): check that statement, or add a length of another kind, such "
-                "as a few tracker points."
-            )
-    return tuple(out)
-
-
-def _contradiction(what: str, other: CameraFit, stated: StatedCamera) -> str:
-    """The sentence for a wrong statement. other: the fit with its tolerance widened."""
-    std = np.sqrt(np.diag(other.covariance))[other.poses.count + 1 :]
-    if what == SIZE:
-        return (
-            f"The {_sized(other)} is {_percent(other, other.state.common, stated.scale)} off its stated size, ± "
-            f"{100.0 * float(std[LENS]):.1f} %, or the arm is built to another scale than its URDF: measure "
-            f"{'across it' if other.table.places else 'a square'}, and check the target file."
-        )
-    if what == BOW:
-        worst = float(np.abs(other.table.bow @ other.state.shape[2:]).max())
-        return f"The sheet is bent by {1e3 * worst:.1f} mm towards its edge: glue it to something flat."
-    found, values, names = other.state.lens.values, stated.lens.values, stated.lens.names
-    i = int(np.argmax(np.abs(found - values) / np.maximum(std[:LENS], 1e-9)))
-    return (
-        f"The images contradict the stated lens: {_PLAIN.get(names[i], names[i])} {found[i]:.4g} ± {std[i]:.2g} "
-        f"and not {values[i]:.4g}. Give the camera_info of this camera, focus and resolution, or leave it away."
-    )
-
-
-def _sized(fit: CameraFit) -> str:
-    """What has a size."""
-    return "body" if fit.table.places else "sheet"
-
-
-def _percent(fit: CameraFit, common: Array, scale: PrintScale) -> str:
-    """By how much a sheet is off along x and y, or a body as a whole."""
-    x, y = common[SCALE] + 1.0
-    along_x = f"{100.0 * (x / scale.x - 1.0):+.1f} %"
-    return along_x if fit.table.places else f"{along_x} (x) and {100.0 * (y / scale.y - 1.0):+.1f} % (y)"
 
 
 _SIGHTINGS = 8  # images of a marker, for most of them to say something of the marker

@@ -9,17 +9,18 @@ marker most of whose points are out has another number, or another place, than t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.calibration import Model, exceeded_chi2, median_chi2
-from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, ImageMoments, with_parameters
+from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, ImageMoments, with_parameters, with_stated
 from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
+from modcal_core.camera.cameras import Camera, Cameras
 from modcal_core.camera.corners import FREE, POSE, SHAPE, CommonPrior, CornerTable, common_prior, corner_rows
 from modcal_core.camera.equations import numbered
-from modcal_core.camera.fit import START, CameraFit, fit_camera
+from modcal_core.camera.fit import START, CameraFit, fit_cameras
 from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
@@ -94,32 +95,28 @@ ELSEWHERE = "far from where the arm has it"
 
 @dataclass(frozen=True)
 class PreparedImages:
-    """given: all images. table: corners of those in use. poses: the nominal arm at these, base and tool as found.
-    lens: to begin with. prior: of lens and sheet. mounting: as found. left_out: images by reason.
+    """given: all images. camera: those in use, the nominal arm at them, base and tool as found. mounting: as found.
+    left_out: images by reason.
     """
 
     given: CameraImages
-    table: CornerTable
-    poses: ArmPoses
-    lens: Lens
-    prior: CommonPrior
+    camera: Camera
     mounting: Mounting
     left_out: dict[str, str]
 
     def without(self, bad: np.ndarray, why: str) -> PreparedImages:
         """Without these images (N,). why: they are left out."""
-        out = {name: why for name, b in zip(self.table.names, bad, strict=True) if b}
-        return replace(self, table=self.table.select(~bad), poses=self.poses.select(~bad), left_out=self.left_out | out)
+        out = {name: why for name, b in zip(self.camera.table.names, bad, strict=True) if b}
+        return replace(self, camera=self.camera.select(~bad), left_out=self.left_out | out)
 
     def fitted(self, last: CameraFit | None = None, fixed_sizes: bool = False) -> CameraFit:
         """A fit of these images. last: one to begin with. fixed_sizes: take the sizes of errors as they are there."""
-        begin, sizes = (self.lens, START) if last is None else (last.state, last.sizes)
-        return fit_camera(self.table, self.poses, self.prior, begin, sizes, fixed_sizes)
+        begin, sizes = (None, START) if last is None else (last.x, last.sizes)
+        return fit_cameras(Cameras((self.camera,)), begin, sizes, fixed_sizes)
 
     def nominal(self) -> CameraFit:
         """A fit of camera and target to these images, the arm held nominal."""
-        still = replace(self.poses, parameters=self.poses.placed, further=(), faults=None)
-        return fit_camera(self.table, still, self.prior, self.lens)
+        return fit_cameras(Cameras((self.camera.with_poses(self.camera.poses.nominal),)))
 
 
 @dataclass(frozen=True)
@@ -149,13 +146,13 @@ def prepare_images(
     images: CameraImages,
     fixed: Sequence[str] = (),
     inertias: Inertias | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    arm_m: float | None = None,
 ) -> PreparedImages:
     """The images of one camera, ready for a fit.
 
-    fixed: parameters that stay as they are. Raises ModcalError for images that cannot carry a fit.
+    fixed: parameters that stay as they are. arm_m: RMS error of the nominal arm, as stated [m]. Raises ModcalError for
+    images that cannot carry a fit.
     """
-    progress("lens and mounting")
     kept = _Kept(images.name, np.arange(len(images.views)), CornerTable.of(images.views, images.target), {})
     kept, lens, prior, mounting = (_of_body if kept.table.places else _of_sheet)(chain, images, kept)
     q, on_tip = images.q[kept.rows], mounting.camera_on_tip
@@ -163,7 +160,8 @@ def prepare_images(
     base, tool, arm = mounting.T_frame_base[None], mounting.T_tip_tool, NominalArm(chain, inertias)
     model = Model(chain, ("target" if on_tip else "camera",), base, tool, arm=arm)
     poses = with_parameters(ArmPoses(model, (), q, velocity, on_tip, images.moments.select(kept.rows)), fixed)
-    return PreparedImages(images, kept.table, poses, lens, prior, mounting, kept.left_out)
+    camera = Camera.of(images.name, kept.table, with_stated(poses, arm_m), prior, lens)
+    return PreparedImages(images, camera, mounting, kept.left_out)
 
 
 def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
@@ -360,16 +358,17 @@ def first_fit(ready: PreparedImages) -> tuple[CameraFit, PreparedImages]:
     The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or
     marker would make all errors look as large as its own; then they hardly change but for a marker that was far off.
     """
-    if not ready.table.places:
+    table = ready.camera.table
+    if not table.places:
         fit = ready.fitted()
-        again = _without(ready, ready.table.weight == 0.0, fit)
+        again = _without(ready, table.weight == 0.0, fit)
         return (fit, ready) if again is None else (again.fitted(fit), again)
-    far = np.zeros(ready.table.markers, bool)
+    far = np.zeros(table.markers, bool)
     last: CameraFit | None = None
     for _ in range(_CLEANED):
         last = replace(ready.fitted(last, fixed_sizes=True), sizes=START)
         far |= far_markers(last)
-        again = _without(ready, gross(last.pixels) | far[ready.table.marker])
+        again = _without(ready, gross(last.pixels) | far[last.table.marker])
         if again is None:
             break
         ready = again
@@ -378,7 +377,7 @@ def first_fit(ready: PreparedImages) -> tuple[CameraFit, PreparedImages]:
     for _ in range(_CLEANED):
         more = far_markers(fit) & ~far
         far |= more
-        again = _without(ready, misread_points(fit) | far[ready.table.marker], fit)
+        again = _without(ready, misread_points(fit) | far[fit.table.marker], fit)
         if again is None:
             break
         ready, cleaned = again, True
@@ -390,13 +389,14 @@ def _without(ready: PreparedImages, out: np.ndarray, fit: CameraFit | None = Non
     """The images without these points (M,) and without those most of whose points they are; None if nothing changes,
     or too little is left. fit: where points are as they were, without images that are elsewhere by it.
     """
-    weight = np.where(out, 0.0, 1.0)
-    strange = mostly_out(ready.table, out) if ready.table.places else np.zeros(ready.table.views, bool)
-    if (weight == ready.table.weight).all() and not strange.any():
+    table, weight = ready.camera.table, np.where(out, 0.0, 1.0)
+    strange = mostly_out(table, out) if table.places else np.zeros(table.views, bool)
+    if (weight == table.weight).all() and not strange.any():
         # not before misread points are out, which draw their image away
         strange = strange if fit is None else elsewhere(fit)
         if not strange.any():
             return None
     if (~strange).sum() < MIN_VIEWS:
         return None
-    return replace(ready, table=replace(ready.table, weight=weight)).without(strange, ELSEWHERE)
+    camera = replace(ready.camera, table=replace(table, weight=weight))
+    return replace(ready, camera=camera).without(strange, ELSEWHERE)

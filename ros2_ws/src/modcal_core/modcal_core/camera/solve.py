@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Model, least_change
-from modcal_core.camera.arm_poses import FurtherCamera, with_stated
 from modcal_core.camera.bundle import MarkerBundle
+from modcal_core.camera.cameras import Camera, Cameras
 from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, held_out, hidden_springs
 from modcal_core.camera.changes import FoundChange, find_change
 from modcal_core.camera.claim import (
@@ -29,12 +29,10 @@ from modcal_core.camera.claim import (
     shares,
     tool_error,
 )
-from modcal_core.camera.corners import BOW, COMMON, FREE, READOUT, SCALE
-from modcal_core.camera.fit import CameraFit, fit_camera
+from modcal_core.camera.corners import FREE
+from modcal_core.camera.fit import CameraFit, fit_cameras
 from modcal_core.camera.other_readings import MIN, ReadingsBeside
 from modcal_core.camera.outlook import (
-    contradictions,
-    in_doubt,
     left_out_images,
     left_out_points,
     metric_of,
@@ -43,7 +41,16 @@ from modcal_core.camera.outlook import (
     weak_directions,
 )
 from modcal_core.camera.prepared import CameraImages, PreparedImages, first_fit, prepare_images, together
-from modcal_core.camera.statements import SIZE, CameraFinding, DoubtedStatement, StatedCamera, doubts, findings
+from modcal_core.camera.statements import (
+    SIZE,
+    CameraFinding,
+    DoubtedStatement,
+    StatedCamera,
+    contradictions,
+    doubts,
+    findings,
+    in_doubt,
+)
 from modcal_core.camera.views import postures_anywhere, postures_in_view
 from modcal_core.diagnosis import EffectChoice
 from modcal_core.errors import BadRecording
@@ -107,19 +114,22 @@ class CameraClaim:
 
 @dataclass(frozen=True)
 class CameraSolution:
-    """ready: the first camera's images. further: those of others, in the order of the fit. fit: of everything.
-    geometric: the same without effects. nominal: the same images, the nominal arm. notes: what was done to the images,
-    in sentences.
+    """prepared: the images of each camera, in the order of the fit. fit: of everything. geometric: the same without
+    effects. nominal: the images of the first camera, the nominal arm. notes: what was done to the images, in sentences.
     """
 
-    ready: PreparedImages
-    further: tuple[PreparedImages, ...]
+    prepared: tuple[PreparedImages, ...]
     fit: CameraFit
     geometric: CameraFit
     nominal: CameraFit
     evidence: CameraEvidence
     claim: CameraClaim
     notes: tuple[str, ...] = ()
+
+    @property
+    def ready(self) -> PreparedImages:
+        """The images of the first camera."""
+        return self.prepared[0]
 
     @property
     def judged(self) -> ToolError:
@@ -148,14 +158,10 @@ def solve_camera(
     problem: CameraProblem, rng: np.random.Generator, progress: Callable[[str], None] = lambda _: None
 ) -> CameraSolution:
     """The calibration of an arm from what cameras saw. Raises ModcalError for images that cannot carry a fit."""
-    images, *others = together(problem.cameras)
-    ready = prepare_images(problem.chain, images, problem.fixed, problem.inertias, progress)
-    progress("fit")
-    further = [further_of(problem, one, ready) for one in others]
-    poses = replace(ready.poses, beside=problem.beside, further=tuple(camera for camera, *_ in further))
-    fit, ready = first_fit(replace(ready, poses=with_stated(poses, problem.arm_m)))
-    geometric = _without_far(fit, ready)
-    nominal = replace(ready, poses=geometric.poses).nominal()
+    progress("lens and mounting")
+    prepared, geometric = _fitted(problem, progress)
+    ready = prepared[0]
+    nominal = ready.nominal()
     fit, causes, left = geometric, tuple[CameraCause, ...](), None
     hidden = tuple[HiddenSpring, ...]()
     if problem.look_for_effects:
@@ -164,19 +170,24 @@ def solve_camera(
         hidden = hidden_springs(fit)
 
     progress("verdict")
+    images = ready.given
     near, _ = postures_in_view(fit, rng)
     became = images.stated if images.lens is not None and images.stated != FREE else None
-    stated = StatedCamera(images.lens or ready.lens, became, images.target.scale)
+    stated = StatedCamera(images.lens or ready.camera.begin.lens, became, images.target.scale)
     doubted = doubts(fit, stated)
-    change = find_change(fit)
-    against = problems(fit, nominal, change, contradictions(fit, doubted, stated))
-    against += left_out_images(ready.left_out, len(images.views))
-    against += tuple(said for *_, sentences in further for said in sentences)
+    change, of_others = find_change(fit), tuple[str, ...]()
+    for k, (one, camera) in enumerate(zip(prepared, fit.cameras.every, strict=True)):
+        whose = f" of {camera.name}" if k else ""
+        found = find_change(fit, k) if k else change
+        of_others += () if found is None else (found.sentence(camera, whose),)
+        of_others += left_out_images(one.left_out, len(one.given.views), whose)
+    against = problems(fit, nominal, (*of_others, *contradictions(fit, doubted, stated)))
     open_points: tuple[str, ...] = ()
     if isinstance(images.target, MarkerBundle):
-        same = [(f" of {c.name}", c.table) for c, r, _ in further if r.given.target == images.target]
-        every = [(" of the first camera" if same else "", fit.table), *same]
-        against_points, open_points = left_out_points(every, images.target)
+        same = [one for one in fit.cameras.every if one.table.target == images.target]
+        names = [" of the first camera" if len(same) > 1 else "", *(f" of {one.name}" for one in same[1:])]
+        every = zip(names, (one.table for one in same), strict=True)
+        against_points, open_points = left_out_points(list(every), images.target)
         against += against_points
     other_length = problem.arm_m is not None or (problem.beside is not None and problem.beside.metric)
     evidence = CameraEvidence(
@@ -197,7 +208,25 @@ def solve_camera(
     )
     claim = _claim(problem, errors, fit, near, doubted, evidence.problems)
     claim = replace(claim, held_out_px=held_out(nominal, fit))
-    return CameraSolution(ready, tuple(each for _, each, _ in further), fit, geometric, nominal, evidence, claim)
+    return CameraSolution(prepared, fit, geometric, nominal, evidence, claim)
+
+
+def _fitted(problem: CameraProblem, progress: Callable[[str], None]) -> tuple[tuple[PreparedImages, ...], CameraFit]:
+    """(the images of each camera, the fit of all): each camera is fitted by itself first, without strange images."""
+    names = [one.name for one in problem.cameras]
+    if twice := [name for k, name in enumerate(names) if name in names[:k]]:
+        raise BadRecording(twice[0], "is given twice", "give each camera once")
+    prepared: list[PreparedImages] = []
+    begun: list[Camera] = []
+    for images in together(problem.cameras):
+        ready = prepare_images(problem.chain, images, problem.fixed, problem.inertias, problem.arm_m)
+        progress("fit")
+        fit, ready = first_fit(ready)
+        prepared.append(ready)
+        begun.append(replace(ready.camera, begin=fit.state))
+    if len(begun) > 1 or problem.beside is not None:
+        fit = _without_far(fit_cameras(Cameras(tuple(begun), problem.beside)))
+    return tuple(prepared), fit
 
 
 def _claim(
@@ -228,46 +257,20 @@ def _claim(
     return CameraClaim(*errors, decision, shared, rests, metric)
 
 
-def further_of(
-    problem: CameraProblem, images: CameraImages, of_first: PreparedImages
-) -> tuple[FurtherCamera, PreparedImages, list[str]]:
-    """(a further camera from a fit of its own, its images, what contradicts it). of_first: the first camera's images.
-
-    Raises ModcalError for images that cannot carry a fit by themselves.
-    """
-    if images.name == problem.cameras[0].name:
-        raise BadRecording(images.name, "is given twice", "give each camera once")
-    ready = prepare_images(problem.chain, images, problem.fixed, problem.inertias)
-    fit, ready = first_fit(replace(ready, poses=with_stated(ready.poses, problem.arm_m)))
-    out = [] if fit.converged else [f"The fit of {images.name} by itself did not reach its minimum."]
-    if (change := find_change(fit)) is not None:
-        out.append(change.sentence(fit, f" of {images.name}"))
-    out += left_out_images(ready.left_out, len(images.views), f" of {images.name}")
-    same_target = images.target == of_first.given.target
-    same_side = ready.mounting.camera_on_tip == of_first.mounting.camera_on_tip
-    shared = np.zeros(len(fit.prior.mean), bool)
-    shared[SCALE] = same_target
-    shared[BOW] = same_target and same_side
-    shared[COMMON:] = same_target and same_side  # two bodies of one drawing have markers glued each by itself
-    prior = replace(fit.prior, free=fit.prior.free & (fit.poses.moves | (np.arange(len(shared)) != READOUT)))
-    camera = FurtherCamera(images.name, fit.table, fit.poses, prior, fit.state, shared)
-    return camera, ready, out
-
-
 def _nearest(fit: CameraFit) -> Model:
     """The model of a fit, with the least change to the drawing that gives its kinematics."""
     return least_change(fit.poses.model_at(fit.state.values), fit.poses.model.chain)
 
 
-def _without_far(fit: CameraFit, ready: PreparedImages) -> CameraFit:
+def _without_far(fit: CameraFit) -> CameraFit:
     """The fit without readings of other instruments that are nowhere near the arm."""
     for _ in range(_CLEANED):
-        beside, rows = fit.poses.beside, fit.equations.beside
+        beside, rows = fit.cameras.beside, fit.equations.beside
         if beside is None or rows is None:
             break
         far = beside.far(rows, fit.sizes.other)
         if not far.any() or (~far).sum() < MIN:
             break
-        poses = replace(fit.poses, beside=replace(beside, samples=beside.samples.select(~far)))
-        fit = fit_camera(fit.table, poses, ready.prior, ready.lens, fit.sizes)
+        beside = replace(beside, samples=beside.samples.select(~far))
+        fit = fit_cameras(replace(fit.cameras, beside=beside), sizes=fit.sizes)
     return fit

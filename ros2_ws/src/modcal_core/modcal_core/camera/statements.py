@@ -9,21 +9,23 @@ relaxed against held, all parameters integrated out and the sizes of all errors 
   of the error at the tool holds either way.
 * A default, as no delay or a flat sheet, is fitted, and is held at its value. Far less likely: the value is named.
 
+Either is another prior of a few values in the equations of the fit, solved from there.
+
 Every relaxed statement has a price in nats, and they share one probability with each other and with none of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.camera.bundle import PrintScale
 from modcal_core.camera.corners import BOW as BENT
-from modcal_core.camera.corners import READOUT, SCALE, SHAPE, CommonPrior, common_prior
+from modcal_core.camera.corners import READOUT, SCALE, SHAPE, common_prior
 from modcal_core.camera.equations import SolvedEquations
-from modcal_core.camera.fit import CameraFit, fit_camera, usual
+from modcal_core.camera.fit import CameraFit, usual
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
 from modcal_core.effects import ReportEntry
@@ -35,7 +37,6 @@ _BACKED = 0.5 * float(np.log(20.0))
 # Of −2 log likelihood, the price of what is set free taken off: odds of 20 : 1. Where all is as stated it is −4 to −9
 # (32 cells), for the price is that of a χ² of two with its chance below 0.2 %.
 GAIN = 6.0
-_SCREEN = 2.0  # the same at the state of the fit, which is a unit or two off; below it no second fit is worth its time
 # Tolerances of what is not as stated, relative: of a size, and of its length against its width. Prints that nobody
 # measured are fitted to the page (94 to 97 %), all of it alike; who misreads two rulers does not misread them alike.
 _ANY_PRINT = 0.03, PrintScale.std_apart
@@ -58,76 +59,123 @@ class StatedCamera:
 
 @dataclass(frozen=True)
 class DoubtedStatement:
-    """A relaxed statement. what: size, bow or lens. prior: with it. solved: the equations with that prior at the state
-    of the fit, and the sizes of errors. misfit: −2 log likelihood there. chance: that the statement is wrong, given the
-    images. counted: the same as it counts against an arm made worse: of a size without a stated tolerance the images do
-    not lower it, for what they say hangs on how far off wrong sizes are supposed to be.
+    """A relaxed statement. what: size, bow or lens. solved: the equations with it relaxed at the state of the fit, and
+    the sizes of errors. gain: of −2 log likelihood. chance: that the statement is wrong, given the images. counted: the
+    same as it counts against an arm made worse: of a size without a stated tolerance the images do not lower it, for
+    what they say hangs on how far off wrong sizes are supposed to be.
     """
 
     what: str
-    prior: CommonPrior
     solved: SolvedEquations
-    misfit: float
+    gain: float
     chance: float
     counted: float
+
+    def values(self, fit: CameraFit) -> tuple[Array, Array]:
+        """(lens, shape, readout and places of markers; their standard deviations) with it relaxed, (15 + Z,) each."""
+        there = fit.state.common + self.solved.step()[fit.common]
+        return there, np.sqrt(np.diag(self.solved.covariance()))[fit.common]
 
 
 def doubts(fit: CameraFit, stated: StatedCamera) -> tuple[DoubtedStatement, ...]:
     """Each of the statements relaxed, and the chance that it is wrong."""
-    scale = stated.scale
-    common = fit.poses.count + 1 + np.arange(len(fit.prior.mean))
-    relaxed = []
-    for what, prior in _wider(fit.prior, stated).items():
-        there = fit.equations.with_block(common, prior.information, fit.state.common - prior.mean, prior.free)
-        relaxed.append((what, prior, *fit.weighed(there)))
+    scale, relaxed = stated.scale, []
+    for what, at, information, mean in _relaxed(fit, stated):
+        there = fit.equations.with_block(fit.common[at], information, fit.state.common[at] - mean)
+        relaxed.append((what, *fit.weighed(there)))
     backed = 2.0 + (scale.measured and not scale.unsaid) - scale.nominal
     price = _BACKED * np.array([backed if what == SIZE else 2.0 for what, *_ in relaxed])
-    gain = np.array([min(fit.misfit - misfit, 100.0) for *_, misfit in relaxed])
-    odds = np.exp(0.5 * gain - price)
+    gain = np.array([fit.misfit - misfit for *_, misfit in relaxed])
+    odds = np.exp(0.5 * np.minimum(gain, 100.0) - price)
     chances = odds / (1.0 + odds.sum())
     least = np.exp(-2.0 * _BACKED) if scale.unsaid and not scale.nominal else 0.0
     return tuple(
-        DoubtedStatement(*one, float(chance), max(float(chance), least if one[0] == SIZE else 0.0))
-        for one, chance in zip(relaxed, chances, strict=True)
+        DoubtedStatement(what, solved, float(more), float(chance), max(float(chance), least * (what == SIZE)))
+        for (what, solved, _), more, chance in zip(relaxed, gain, chances, strict=True)
     )
 
 
-def _wider(prior: CommonPrior, stated: StatedCamera) -> dict[str, CommonPrior]:
-    """The prior with each of the statements relaxed, by what it is about."""
-    scale = stated.scale
+def _relaxed(fit: CameraFit, stated: StatedCamera) -> Iterator[tuple[str, slice, Array, Array]]:
+    """(what a statement is about, its values among lens and shape, their information and mean with it relaxed)."""
+    scale, prior = stated.scale, fit.prior
     both, apart = _ANY_READING if scale.measured and not scale.nominal else _ANY_PRINT
     cov = PrintScale(std=both, std_apart=apart).covariance
     if prior.places is not None:  # the print of its markers is another statement, and stands
         cov = np.asarray(np.linalg.inv(prior.information[SCALE, SCALE]) + np.diag([both**2, 0.0]))
-    out = {SIZE: prior.with_block(SCALE, np.asarray(np.linalg.inv(cov)))}
+    yield SIZE, SCALE, np.asarray(np.linalg.inv(cov)), prior.mean[SCALE]
     if prior.places is None:  # a body has no bow
-        out[BOW] = prior.with_block(BENT, np.eye(SHAPE - 2) / _ANY_BOW_M**2)
+        yield BOW, BENT, np.eye(SHAPE - 2) / _ANY_BOW_M**2, prior.mean[BENT]
     if stated.became is not None:
-        unknown = common_prior(stated.lens, PrintScale(), None)
-        values = slice(0, LENS)
-        wide = prior.with_block(values, unknown.information[values, values])
-        out[LENS_VALUES] = replace(wide, mean=np.r_[unknown.mean[values], prior.mean[LENS:]])
-    return out
+        unknown, values = common_prior(stated.lens, PrintScale(), None), slice(0, LENS)
+        yield LENS_VALUES, values, unknown.information[values, values], unknown.mean[values]
 
 
-def contradicted(fit: CameraFit, doubted: Sequence[DoubtedStatement]) -> dict[str, CameraFit]:
-    """What the images contradict of what was stated, with the fit that has it relaxed. doubted: of this fit."""
-    out = {}
+def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: StatedCamera) -> tuple[str, ...]:
+    """What the images contradict of what was stated, in sentences. doubted: of this fit."""
+    out = [_contradiction(fit, doubt, stated) for doubt in doubted if doubt.gain > GAIN]
+    if fit.poses.faults is not None and fit.poses.arm_stated is not None:
+        solved, misfit = fit.weighed(replace(fit.equations, faults=replace(fit.poses.faults, stated=None)))
+        times = solved.sizes.arm / fit.sizes.arm
+        if times > 1.0 and misfit < fit.misfit - GAIN:
+            out.append(
+                f"The arm is some {times:.1f} times as far off as --arm-mm states: state what you know of it, or check "
+                "the square's size."
+            )
+    return tuple(out)
+
+
+def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintScale) -> tuple[str, ...]:
+    """What the images leave in doubt of what was stated, in sentences."""
+    out = []
     for doubt in doubted:
-        if doubt.misfit < fit.misfit - _SCREEN:
-            other = fit_camera(fit.table, fit.poses, doubt.prior, fit.state.lens, fit.sizes)
-            if other.converged and other.misfit < fit.misfit - GAIN:
-                out[doubt.what] = other
-    return out
+        if doubt.chance > IN_DOUBT:
+            common, _ = doubt.values(fit)
+            what = {
+                SIZE: f"a {_sized(fit)} {_percent(fit, common, scale)} off its stated size",
+                BOW: f"a sheet bent by {1e3 * float(np.abs(common[BENT]).max()):.1f} mm",
+                LENS_VALUES: "another lens than the stated one",
+            }[doubt.what]
+            out.append(
+                f"An arm with these faults and {what} look much alike (chance of the latter "
+                f"{100.0 * doubt.chance:.0f} %): check that statement, or add a length of another kind, such "
+                "as a few tracker points."
+            )
+    return tuple(out)
 
 
-def arm_contradicted(fit: CameraFit) -> float | None:
-    """How many times as far off as stated the arm is, None where the images do not say so, or nobody states it."""
-    if fit.poses.faults is None or fit.poses.arm_stated is None:
-        return None
-    solved, misfit = fit.weighed(replace(fit.equations, faults=replace(fit.poses.faults, stated=None)))
-    larger = solved.sizes.arm > fit.sizes.arm and misfit < fit.misfit - GAIN
-    return solved.sizes.arm / fit.sizes.arm if larger else None
+def _contradiction(fit: CameraFit, doubt: DoubtedStatement, stated: StatedCamera) -> str:
+    """The sentence for a wrong statement."""
+    common, std = doubt.values(fit)
+    if doubt.what == SIZE:
+        return (
+            f"The {_sized(fit)} is {_percent(fit, common, stated.scale)} off its stated size, ± "
+            f"{100.0 * float(std[LENS]):.1f} %, or the arm is built to another scale than its URDF: measure "
+            f"{'across it' if fit.table.places else 'a square'}, and check the target file."
+        )
+    if doubt.what == BOW:
+        worst = float(np.abs(fit.table.bow @ common[BENT]).max())
+        return f"The sheet is bent by {1e3 * worst:.1f} mm towards its edge: glue it to something flat."
+    found, values, names = common[:LENS], stated.lens.values, stated.lens.names
+    i = int(np.argmax(np.abs(found - values) / np.maximum(std[:LENS], 1e-9)))
+    return (
+        f"The images contradict the stated lens: {_PLAIN.get(names[i], names[i])} {found[i]:.4g} ± {std[i]:.2g} "
+        f"and not {values[i]:.4g}. Give the camera_info of this camera, focus and resolution, or leave it away."
+    )
+
+
+_PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
+
+
+def _sized(fit: CameraFit) -> str:
+    """What has a size."""
+    return "body" if fit.table.places else "sheet"
+
+
+def _percent(fit: CameraFit, common: Array, scale: PrintScale) -> str:
+    """By how much a sheet is off along x and y, or a body as a whole."""
+    x, y = common[SCALE] + 1.0
+    along_x = f"{100.0 * (x / scale.x - 1.0):+.1f} %"
+    return along_x if fit.table.places else f"{along_x} (x) and {100.0 * (y / scale.y - 1.0):+.1f} % (y)"
 
 
 @dataclass(frozen=True)
@@ -178,7 +226,7 @@ def _by_line(fit: CameraFit, value: Array, std: Array) -> str:
     )
 
 
-def _sized(fit: CameraFit, value: Array, std: Array) -> str:
+def _printed(fit: CameraFit, value: Array, std: Array) -> str:
     (x, y), spread = 100.0 * value, f"off its stated size, ± {100.0 * std[0]:.2f} %"
     if fit.table.places:
         return f"The body is {x:+.2f} % and its markers {y:+.2f} % {spread}"
@@ -195,7 +243,7 @@ _SCALED = slice(1 + SCALE.start, 1 + SCALE.stop)  # of the defaults' values, beh
 _DEFAULTS = (
     _Default(CLOCK, slice(0, 1), "all", "velocity", ("delay_s",), "s", _late),
     _Default(CLOCK, slice(1 + READOUT, 2 + READOUT), "all", "line", ("line_s",), "s", _by_line),
-    _Default(TARGET, _SCALED, "size", "constant", ("size_x", "size_y"), "1", _sized),
+    _Default(TARGET, _SCALED, "size", "constant", ("size_x", "size_y"), "1", _printed),
     _Default(
         TARGET,
         slice(1 + BENT.start, 1 + BENT.stop),

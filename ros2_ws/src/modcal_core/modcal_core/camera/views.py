@@ -17,7 +17,7 @@ import numpy as np
 from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
 from modcal_core.camera.claim import frame_basis, mean_square
 from modcal_core.camera.corners import POSE, CornerTable
-from modcal_core.camera.fit import CameraFit, camera_rows
+from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import Lens
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3
@@ -205,8 +205,9 @@ def _rows(fit: CameraFit, target: CalibrationTarget, q: Array) -> list[Array]:
         ids = np.flatnonzero(shown)
         cov = np.tile(_NOISE_PX**2 * np.eye(2), (len(ids), 1, 1))
         views.append(BoardView(f"{k}", ids, np.zeros((len(ids), 2)), cov))
-    table = CornerTable.of(views, target)
-    rows = camera_rows(table, fit.poses.at_postures(q), fit.state, np.arange(len(fit.covariance)))
+    first = fit.cameras.first
+    camera = replace(first, table=CornerTable.of(views, target), poses=first.poses.at_postures(q))
+    rows = camera.rows(fit.state, fit.cameras.columns[0])
     G = rows.grams[:, :-1, :-1]
     E = G - G[:, :, :POSE] @ rows.own_twists(replace(fit.sizes, noise=1.0)) @ G[:, :POSE]
     P = fit.poses.count
@@ -214,7 +215,7 @@ def _rows(fit: CameraFit, target: CalibrationTarget, q: Array) -> list[Array]:
     for one, moved in zip(E, rows.moved, strict=True):
         A = np.zeros((len(one), len(fit.covariance)))
         A[:POSE, :P] = moved[:, :P]
-        A[POSE:, P + 1 :] = np.eye(len(one) - POSE)
+        A[POSE:, rows.columns[P + 1 :]] = np.eye(len(one) - POSE)
         scale = np.sqrt(np.maximum(np.diag(one), 1e-300))
         values, vectors = np.linalg.eigh(one / np.outer(scale, scale))
         keep = values > 1e-9 * values[-1]

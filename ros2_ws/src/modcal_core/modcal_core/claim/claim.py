@@ -21,6 +21,7 @@ from modcal_core.calibration import (
     RowView,
     Uncertainty,
     linearise,
+    outside_drivers,
     procrustes,
 )
 from modcal_core.claim.beyond import growth
@@ -38,6 +39,7 @@ StatisticName = Literal["mean", "rms", "p95", "max"]
 NAMES: tuple[StatisticName, ...] = ("mean", "rms", "p95", "max")
 _SEED = 47  # the same readings give the same word
 _DRAWS, _POSTURES = 400, 200
+_TIMES = 5  # of a recording, at one of which the next one may be as a whole
 _TRIES = 50  # for each posture of a robot that cannot take all of them
 _SURE = 0.95
 _BEYOND = 1.05  # of the upper end: effects that no function of one joint stands for (bench/claims)
@@ -110,20 +112,19 @@ def claim_at_tool(
     samples: Samples,
     cell: Cell,
     postures: Array | None = None,
-    frozen: bool = False,
+    frozen: Literal["", "arm", "whole"] = "",
     carried: Model | None = None,
 ) -> Claim:
     """The claim of a calibration by these samples, none of them wrong.
 
-    postures: joint positions asked for (M, n) [rad, m]; None: random ones in the recorded ranges. frozen: it was made
-    from other samples, and what it knows of its arm from them counts beside these; where base and tool are now, and
-    how far they are from where it has them, these alone tell. carried: the model as another recording gets it, where
-    that is less.
+    postures: joint positions asked for (M, n) [rad, m]; None: random ones in the recorded ranges. frozen: what was made
+    from other samples, which counts beside these: the whole, or the arm alone, base and tool being of these. Where they
+    surely moved, these alone tell how far. carried: the model as another recording gets it, where that is less.
     """
     whole = calibration.calibrated
     about = arms_near(whole, calibration.nominal.chain, samples, cell)
-    about = with_carried(about, calibration) if frozen else about
-    claim, drawn = _claim(about, replace(calibration, calibrated=carried or whole), samples, cell, postures)
+    about = with_carried(about, calibration, placed=frozen == "whole") if frozen else about
+    claim, drawn = _claim(about, replace(calibration, calibrated=carried or whole), samples, postures)
     return claim if frozen or shows_base(samples, _frame(samples)) else replace(claim, known=known(about, drawn))
 
 
@@ -135,13 +136,13 @@ def expected_claim(
     planned: stations with readings of any value. postures: asked for, (M, n) [rad, m]; None: in the planned ranges.
     """
     about = arms_near(calibration.calibrated, calibration.nominal.chain, planned, cell, noise=noise)
-    return _claim(about.unread(), calibration, planned, cell, postures)[0]
+    return _claim(about.unread(), calibration, planned, postures)[0]
 
 
 @dataclass(frozen=True)
 class _Errors:
     """Errors of the calibrated arm at M postures, by draws (D, 3 M) [m]. turned: of its orientations [rad]. open: what
-    no reading holds of the positions. other: what the nominal arm is off besides (3 M,). samples: these postures.
+    no reading holds of the positions. other: what the nominal arm is off besides, alike. samples: these postures.
     """
 
     calibrated: Array
@@ -162,7 +163,7 @@ class _Errors:
 
 
 def _claim(
-    about: Neighbourhood, calibration: Calibration, samples: Samples, cell: Cell, postures: Array | None
+    about: Neighbourhood, calibration: Calibration, samples: Samples, postures: Array | None
 ) -> tuple[Claim, Drawn]:
     rng = np.random.default_rng(_SEED)
     drawn = draw(about, _DRAWS, rng)
@@ -171,7 +172,7 @@ def _claim(
     there = _at(about, samples, q if len(q) else samples.q, rng)
     at = _errors(about, calibration, drawn, there)
     M = len(at.samples)
-    joints = _joints(about, at.samples, drawn, cell, rng)
+    joints = _joints(about, at.samples, drawn, rng)
     if about.g.any():  # there are readings
         joints = joints * np.tile(growth(about, drawn.values, samples, at.samples.q, rng), 6)
     at = replace(at, calibrated=at.calibrated + joints[:, : 3 * M], turned=at.turned + joints[:, 3 * M :])
@@ -202,11 +203,22 @@ def _errors(about: Neighbourhood, calibration: Calibration, drawn: Drawn, asked:
     J = _without_scale(about, linearise(about.model, about.parameters, about.values, samples).J)
     position, rotation = np.split(J, 2, axis=1)
     apart, _ = _apart(about.model, calibration.nominal.with_effects(()), samples, placed)
-    lost, turned = _apart(about.model, _applied(calibration), samples, placed)
+    applied = _applied(calibration)
+    met = [_apart(about.model, applied, met, placed) for met in _courses(about, samples)]
+    lost, turned = (np.array(each)[np.arange(len(drawn.values)) % len(met)] for each in zip(*met, strict=True))
     P = _unknown(about, drawn, position, samples, placed)
-    move, other, lost = (rows - (rows @ P) @ P.T for rows in (position, apart[None], lost[None]))
+    move, apart, lost = (rows - (rows @ P) @ P.T for rows in (position, apart[None], lost))
     calibrated, turned = drawn.values @ move + lost, drawn.values @ rotation + turned
-    return _Errors(calibrated, turned, drawn.open @ move, other[0] - lost[0], samples)
+    return _Errors(calibrated, turned, drawn.open @ move, apart - lost, samples)
+
+
+def _courses(about: Neighbourhood, asked: Samples) -> list[Samples]:
+    """The postures asked for as other recordings may have them: where something goes by time, all of them at one."""
+    if not any("time" in outside_drivers(e) and e.shape.kind not in STEPS for e in about.model.effects):
+        return [asked]
+    rows = np.argsort(asked.stamps)[np.linspace(0.0, len(asked) - 1.0, _TIMES).astype(int)]
+    where = {name: getattr(asked, name) for name in ("q", "frame", "kind", "reading", "R")}
+    return [replace(asked.select(np.full(len(asked), row)), **where) for row in rows]
 
 
 def _applied(calibration: Calibration) -> Model:
@@ -299,19 +311,13 @@ def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, place
     return np.linalg.qr(np.array(out).T)[0] if out else np.zeros((3 * len(asked), 0))
 
 
-def _joints(about: Neighbourhood, asked: Samples, drawn: Drawn, cell: Cell, rng: np.random.Generator) -> Array:
+def _joints(about: Neighbourhood, asked: Samples, drawn: Drawn, rng: np.random.Generator) -> Array:
     """What joints do not repeat, at every posture of every draw, (D, 6 M) [m, then rad]."""
     M, D = len(asked), len(drawn.scale)
     view = _view(about, asked)
     n = about.model.chain.n
     motions = np.stack([joint_motion(view, about.model.chain, j) for j in range(n)])
-    likely = about.shares
-    instrument = cell.stated.instrument_mm
-    if instrument is not None:
-        most = 1.0 - (1e-3 * instrument) ** 2 / 3.0 / about.read**2
-        likely = np.where(max(most, SHARES[0]) >= SHARES, likely, 0.0)
-        likely = likely / likely.sum() if likely.sum() > 0.0 else np.eye(len(SHARES))[0]
-    share = rng.choice(SHARES, D, p=likely)
+    share = rng.choice(SHARES, D, p=about.shares)
     rho = drawn.scale * np.sqrt(share / max(about.joints, 1e-300))
     out = np.zeros((D, 6, M))
     for j in range(n):

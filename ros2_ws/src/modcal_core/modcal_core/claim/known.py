@@ -4,8 +4,8 @@ A fit leaves out what others can say as well to the instrument that was there. B
 tool can say, and the tool is where it was. Beside contacts, bearings or sockets it may be the size of the arm, which
 moves the tool: there the covariance holds every direction of the tool, each as wide as arms are likely to be off.
 
-A frozen calibration takes what it says of the arm to other readings, and nothing of base and tool, which may have been
-moved since.
+A frozen calibration takes what it says of the arm to other readings; of base and tool, which may have been moved since,
+only where the readings do not surely say so: else the noise of the instrument would count as a move.
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from modcal_core.calibration import (
     FINEST,
     Calibration,
+    ModelParameter,
     Uncertainty,
     View,
     choose_parameters,
@@ -31,6 +33,7 @@ from modcal_core.measurements import POINT, POSE
 from modcal_core.measurements.kinds import KIND_NAMES
 
 _SAME = 1e-7  # of the largest; directions that move readings less are said by others
+_MOVED = 0.999  # of what base and tool seem to gain by a move where there was none (F test)
 _EXACT = 1e-10  # m or rad, and share of a variance; nothing is known better
 
 
@@ -49,15 +52,43 @@ def known(about: Neighbourhood, drawn: Drawn) -> Uncertainty:
     return Uncertainty(wide, half @ half.T)
 
 
-def with_carried(about: Neighbourhood, calibration: Calibration) -> Neighbourhood:
-    """The neighbourhood of other readings, with what the calibration knows of the arm and its effects beside them."""
-    kept = calibration.uncertainty
-    if kept is None:
+def with_carried(about: Neighbourhood, calibration: Calibration, placed: bool) -> Neighbourhood:
+    """The neighbourhood of other readings, with what the calibration knows of the arm and its effects beside them.
+
+    placed: base and tool are where the calibration has them; what it knows of them counts, unless they surely moved.
+    """
+    if calibration.uncertainty is None:
         return about
+    moved = _with_carried(about, calibration, of_arm=True)
+    names = {p.name for p in about.parameters}
+    own = [p for p in calibration.uncertainty.parameters if not p.of_arm]
+    if not placed or not own or not names.issuperset(p.name for p in own):
+        return moved
+    stayed = _with_carried(about, calibration, of_arm=False)
+    k, rest = len(own), max(float(about.rows.sum()) - len(own), 1.0)
+    by_chance = 0.5 * (rest + k) * np.log1p(k / rest * scipy.special.fdtri(k, rest, _MOVED))
+    return stayed if _misfit(stayed) - _misfit(moved) < by_chance else moved
+
+
+def _misfit(about: Neighbourhood) -> float:
+    """What the readings are less likely by, in nats, at the values that all that is known makes most likely."""
+    H, g = about.equations(np.ones(len(about.rows)))
+    scaled = H * np.outer(about.std, about.std) + np.eye(len(H))
+    d = about.std * np.linalg.solve(scaled, about.std * g - about.shipped / about.std)
+    square = about.square - 2.0 * about.g @ d + (about.H @ d) @ d
+    return float(0.5 * about.rows @ np.log(np.maximum(square, 1e-300)))
+
+
+def _with_carried(about: Neighbourhood, calibration: Calibration, of_arm: bool) -> Neighbourhood:
+    """of_arm: with what is known of the arm alone."""
+    kept = calibration.uncertainty
+    assert kept is not None
     P, names = len(kept.parameters), len(about.parameters)
-    own = [j for j, p in enumerate(kept.parameters) if p.of_arm]
+    own = [j for j, p in enumerate(kept.parameters) if p.of_arm or (not of_arm and _usable(p))]
     as_kept = np.zeros((len(own), len(about.std)))
     as_kept[:, :names] = _as_kept(about, calibration)[own]
+    if of_arm:
+        as_kept[:, about.place < 0] = 0.0
     widths = [kept.parameters[j].prior_std for j in own]
     effects = calibration.calibrated.effects
     values = len(kept.covariance) - P
@@ -106,12 +137,16 @@ def _as_kept(about: Neighbourhood, calibration: Calibration) -> Array:
     )
     kind = POINT if calibration.kind == POINT else POSE
     samples = general_samples(model, [View(kind, 0)], each=60)
-    usable = [j for j, p in enumerate(kept) if p.instrument < 0 and p.frame <= 0]
-    arm = [j for j, p in enumerate(about.parameters) if p.of_arm]
-    every = [*(kept[j] for j in usable), *(about.parameters[j] for j in arm)]
+    usable, ours = ([j for j, p in enumerate(some) if _usable(p)] for some in (kept, about.parameters))
+    every = [*(kept[j] for j in usable), *(about.parameters[j] for j in ours)]
     J = linearise(model, every, np.zeros(len(every)), samples).J
     scale = np.maximum(np.linalg.norm(J[: len(usable)], axis=1), 1e-300)
     out = np.zeros((len(kept), len(about.parameters)))
     solved = np.linalg.lstsq(J[: len(usable)].T / scale, J[len(usable) :].T, rcond=1e-9)[0]
-    out[np.ix_(usable, arm)] = solved / scale[:, None]
+    out[np.ix_(usable, ours)] = solved / scale[:, None]
     return out
+
+
+def _usable(p: ModelParameter) -> bool:
+    """Whether a value is of the arm, the tool or the first frame."""
+    return p.instrument < 0 and p.frame <= 0

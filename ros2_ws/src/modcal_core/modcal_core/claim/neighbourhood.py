@@ -48,7 +48,8 @@ UNNAMED_M = 5e-5  # of each function by which the whole arm is off
 FREE_M, FREE_RAD = 0.5, 1.0  # of bases, tool and constants of instruments, of which nothing is expected
 _SHOWN = 1e6  # deviations; a free value that is known better than that needs no wider prior
 SHARES = np.linspace(0.05, 0.99, 16) ** 2  # of the scatter's square that joints may have
-# rad; how well joints repeat, an arm of 1 m to some 0.02 mm, by Student's law of their logarithm, of two degrees
+# rad; how well joints repeat, an arm of 1 m to some 0.02 mm; and how far the logarithms of that and of an instrument's
+# noise are from usual ones, by Student's law of two degrees
 _REPEATED, _SPREAD = 1.5e-5, np.log(2.0)
 _ROTATION = "~rotation"  # of poses, whose noise is its own; last among the kinds
 _FINEST, _USUAL = 5e-6, 5e-5  # m or rad; what instruments read no better than, and usually
@@ -93,7 +94,7 @@ class ArmEvidence:
 class Neighbourhood(ArmEvidence):
     """model: the calibrated one, with the functions as effects of no size. parameters: of the geometry. place: of
     values of the arm, else -1 (K,). joints: mean squared weighed reading of the main kind per rad² of all joints, each
-    alone. shares: how likely each of SHARES is. read: what the main kind scatters by.
+    alone. shares: how likely each of SHARES is. expected: noise of its instrument, in units of the fit's.
     """
 
     model: Model
@@ -101,14 +102,15 @@ class Neighbourhood(ArmEvidence):
     place: np.ndarray
     joints: float
     shares: Array
-    read: float
+    expected: float
 
     def unread(self) -> Neighbourhood:
-        """The same before the readings are there: they miss the model by their noise, about the calibrated arm."""
-        nothing, likely = np.zeros_like(self.shipped), np.exp(_of_repeating(self.joints))
-        return replace(
-            self, g=0.0 * self.g, square=self.rows, shipped=nothing, pull=nothing, shares=likely / likely.sum()
-        )
+        """The same before the readings are there: they miss the model by their noise, about the calibrated arm, and
+        joints have what the instrument leaves of it.
+        """
+        nothing, shares = np.zeros_like(self.shipped), np.zeros(len(SHARES))
+        shares[np.abs(SHARES - (1.0 - self.expected**2)).argmin()] = 1.0
+        return replace(self, g=0.0 * self.g, square=self.rows, shipped=nothing, pull=nothing, shares=shares)
 
     @property
     def values(self) -> Array:
@@ -162,7 +164,11 @@ def arms_near(
     others = [False] * (len(values) - len(parameters))
     of_arm = np.array([p.of_arm for p in parameters] + others)
     moves = of_arm | np.array([p.name.startswith("tool/") for p in parameters] + others)
-    read = [_read(noise, name, known_p[samples.kind == name], known_r) for name in names]
+    usual = _USUAL / np.array([_read(noise, name, known_p[samples.kind == name], known_r) for name in names])
+    instrument = cell.stated.instrument_mm
+    by = 1.0 if instrument is None else 1e-3 * instrument / np.sqrt(3.0) / _USUAL
+    expected = float(by * usual[main])
+    shares = _likely(joints.told, joints.square, expected)
     return Neighbourhood(
         model=model,
         parameters=parameters,
@@ -172,16 +178,16 @@ def arms_near(
         square=square,
         rows=rows,
         stated=stated,
-        usual=_USUAL / np.array(read),
+        usual=usual,
         std=std,
         sort=sort,
         group=group,
         place=np.where(of_arm, group, -1),
         joints=joints.square,
-        shares=joints.shares,
+        shares=shares,
         main=main,
-        pull=np.where(moves, joints.pull, 0.0) * float(joints.shares @ SHARES) / max(joints.square, 1e-300),
-        read=read[main],
+        pull=np.where(moves, joints.pull, 0.0) * float(shares @ SHARES) / max(joints.square, 1e-300),
+        expected=expected,
     )
 
 
@@ -278,13 +284,13 @@ def _from_nominal(parameters: Sequence[ModelParameter], chain: Mechanism, nomina
 class _OfJoints:
     """What joints that do not repeat do to the weighed readings.
 
-    square: mean over rows of their squared motion per rad², or m², of every joint. shares: how likely each of SHARES of
-    the scatter is theirs (S,). pull: what the gradient is off by, for derivatives are taken where joints were reported,
-    per rad² (K,).
+    square: mean over rows of their squared motion per rad², or m², of every joint. told: how likely the readings are if
+    each of SHARES of the scatter is theirs (S,), in logs. pull: what the gradient is off by, for derivatives are taken
+    where joints were reported, per rad² (K,).
     """
 
     square: float
-    shares: Array
+    told: Array
     pull: Array
 
 
@@ -333,15 +339,18 @@ def _of_joints(
     told = -0.5 * (
         np.log(spread).sum(axis=(1, 2)) - blind * np.log(1.0 - SHARES) + seen * np.log(np.maximum(scale, 1e-300))
     )
-    told += _of_repeating(square)
-    likely = np.exp(told - told.max())
-    return _OfJoints(square, likely / likely.sum(), pull * len(samples) / len(rows))
+    return _OfJoints(square, told, pull * len(samples) / len(rows))
 
 
-def _of_repeating(square: float) -> Array:
-    """How likely shares of the scatter (S,) are by how joints usually repeat, in logs. square: as of joints."""
-    away = np.log(np.sqrt(SHARES / max(square, 1e-300)) / _REPEATED) / _SPREAD
-    return np.asarray(-1.5 * np.log1p(0.5 * away**2) - 0.5 * np.log(SHARES))
+def _likely(told: Array, square: float, usual: float) -> Array:
+    """How likely shares of the scatter (S,) are by how joints usually repeat and instruments usually read besides.
+
+    told, square: as of joints. usual: noise of the instrument, in that of the fit.
+    """
+    of_joints, of_reading = np.sqrt(SHARES / max(square, 1e-300)) / _REPEATED, np.sqrt(1.0 - SHARES) / usual
+    away = np.log([of_joints, of_reading]) / _SPREAD
+    log = told - 1.5 * np.log1p(0.5 * away**2).sum(axis=0) - 0.5 * np.log(SHARES) - np.log(1.0 - SHARES)
+    return np.asarray(np.exp(log - log.max()) / np.exp(log - log.max()).sum())
 
 
 def shows_base(samples: Samples, frame: int) -> bool:

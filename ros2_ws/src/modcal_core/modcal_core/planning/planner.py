@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.calibration import EQUATIONS_PER_PARAMETER, SHARES, Calibration, Cell, NoiseModel
+from modcal_core.calibration import EQUATIONS_PER_PARAMETER, SHARES, Calibration, Cell, NoiseModel, Stated
 from modcal_core.claim import Claim, expected_claim
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
@@ -135,7 +135,8 @@ class Planner:
         distance = float(np.mean(np.linalg.norm(planned.reading, axis=1)))
         size = np.hypot([noise.position + noise.per_metre * distance, noise.rotation], scatter[[0, 3]])
         made = Calibration(model, model, model, np.stack([every.min(axis=0), every.max(axis=0)]))
-        return expected_claim(made, planned, Cell(), NoiseModel(*size.tolist()), self.pool.where[:_CLAIMED])
+        cell = Cell(stated=Stated(instrument_mm=1e3 * np.sqrt(3.0) * (noise.position + noise.per_metre * distance)))
+        return expected_claim(made, planned, cell, NoiseModel(*size.tolist()), self.pool.where[:_CLAIMED])
 
     def left(self, rows: Array) -> float:
         """RMS error of the tool [m] that a fit to stations with these rows leaves."""

@@ -5,7 +5,7 @@ Held-out pixels stand in it and are never called accuracy; what stands for accur
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -25,10 +25,8 @@ from modcal_core.camera import (
     BundleMarker,
     CameraCause,
     CameraSolution,
-    CameraState,
     Lens,
     MarkerBundle,
-    PreparedImages,
     ToolError,
     uncertainty_about,
 )
@@ -63,26 +61,22 @@ def lens_data(lens: Lens, std: Array) -> dict[str, Any]:
     return {name: {"value": float(value), "std": float(s)} for name, value, s, used in known if used}
 
 
-def _further(solution: CameraSolution) -> Iterator[tuple[PreparedImages, CameraState, Array, float]]:
-    """(images, state, standard deviations, RMS [px]) of further cameras."""
-    for ready, (state, std, rms_px) in zip(solution.further, solution.fit.of_further(), strict=True):
-        yield ready, state, std, rms_px
-
-
 def further_data(solution: CameraSolution) -> list[dict[str, Any]]:
     """The further cameras."""
+    fit = solution.fit
+    every = zip(solution.prepared, fit.states, fit.std, fit.rms_px, strict=True)
     return [
         {
             "name": one.given.name,
             "mounting": "tip" if one.mounting.camera_on_tip else "world",
             "target": one.given.target.label,
-            "images": {"given": len(one.given.views), "used": one.table.views, "left_out": one.left_out},
+            "images": {"given": len(one.given.views), "used": one.camera.table.views, "left_out": one.left_out},
             "rms_px": rms_px,
-            "lens": lens_data(state.lens, std),
+            "lens": lens_data(state.lens, std[len(state.values) + 1 :]),
             "clock_s": state.offset_s,
             "readout_s": state.readout_s,
         }
-        for one, state, std, rms_px in _further(solution)
+        for one, state, std, rms_px in list(every)[1:]
     ]
 
 
@@ -125,8 +119,7 @@ def body_data(solution: CameraSolution) -> dict[str, Any] | None:
     target, fit = solution.ready.given.target, solution.fit
     if not isinstance(target, MarkerBundle):
         return None
-    P = fit.poses.count + 1
-    std = np.sqrt(np.diag(fit.covariance))[P + SCALE.start : P + SCALE.stop]
+    std = fit.std[0][fit.poses.count + 1 :][SCALE]
     sizes = {"size": (fit.state.shape[0], std[0])}
     if target.turning:
         sizes["print_size"] = (fit.state.shape[1], std[1])
@@ -166,8 +159,7 @@ def _places(solution: CameraSolution, target: MarkerBundle) -> list[_MarkerPlace
     """Where the markers are, in the order of the target."""
     fit = solution.fit
     values = fit.state.shape[SHAPE:].reshape(len(target.markers), -1)
-    first = fit.poses.count + 1 + COMMON
-    std = np.sqrt(np.diag(fit.covariance))[first:].reshape(values.shape)
+    std = fit.std[0][fit.poses.count + 1 + COMMON :].reshape(values.shape)
     grown = fit.state.shape[0] * (target.middles - target.middles.mean(axis=0))
     return [
         _MarkerPlace(one, v[:3] + g, float(np.sqrt((s[:3] ** 2).mean())), float(np.linalg.norm(v[3:])))
@@ -189,7 +181,7 @@ def camera_calibration(solution: CameraSolution) -> Calibration:
     """The calibration as other verbs read it: the arm watched from the frame ``camera`` or ``target``."""
     fit = solution.fit
     seen = np.stack([fit.poses.q.min(axis=0), fit.poses.q.max(axis=0)])
-    std = np.sqrt(np.diag(fit.covariance))
+    std = fit.std[0]
     table = tuple(
         (p.name, float(v), float(s), p.unit)
         for p, v, s in zip(fit.poses.parameters, fit.state.values, std, strict=False)
@@ -223,7 +215,7 @@ def camera_files(
         **arm_files(camera_calibration(solution), robot.chain, robot.description),
         "camera.yaml": to_yaml(camera_info(solution.fit.state.lens)),
     }
-    for i, (state, *_) in enumerate(solution.fit.of_further(), start=2):
+    for i, state in enumerate(solution.fit.states[1:], start=2):
         files[f"camera_{i}.yaml"] = to_yaml(camera_info(state.lens, f"camera_{i}"))
     if not page:
         return files
@@ -257,8 +249,8 @@ def camera_report(
     fit, decision = solution.fit, solution.claim.decision
     P = fit.poses.count
     R = P + 1 + READOUT
-    std = np.sqrt(np.diag(fit.covariance))
-    values = np.r_[fit.state.values, fit.state.offset_s, fit.state.common]
+    std = fit.std[0]
+    values = fit.state.vector
     problems = () if decision.word in (APPLY, CANNOT_TELL) else decision.because
     trace = Trace(robot=robot.name, instrument=f"camera, {solution.ready.given.target.label}")
     out = dict(left_out) | solution.ready.left_out
@@ -303,7 +295,7 @@ def camera_report(
                 "arm_alone": _errors(solution.claim.alone),
             },
             "held_out_px": dict(zip(("nominal", "calibrated"), map(finite, solution.claim.held_out_px), strict=True)),
-            "rms_px": fit.rms_px,
+            "rms_px": fit.rms_px[0],
             "sizes": asdict(fit.sizes),
             "lens": lens_data(fit.state.lens, std[P + 1 :]),
             "sheet": {

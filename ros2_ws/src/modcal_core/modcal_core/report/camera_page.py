@@ -224,7 +224,7 @@ def camera_certificate(
         ("Robot", said.robot or robot or None),
         ("Serial number", said.serial or None),
         ("Date of the recording", None),
-        ("Images", f"{fit.table.views} of {images}, {int(fit.table.weight.sum())} corners, {fit.rms_px:.2f} px RMS"),
+        ("Images", f"{fit.table.views} of {images}, {int(fit.table.weight.sum())} corners, {fit.rms_px[0]:.2f} px RMS"),
         ("Instrument", said.instrument or f"camera of {fit.state.lens.size[0]} × {fit.state.lens.size[1]} pixels"),
         ("Target", f"{solution.ready.given.target.label}; {solution.ready.mounting.label}"),
         ("Its lengths by", "; ".join(solution.claim.metric) or "nothing"),

@@ -21,9 +21,10 @@ from modcal_core.verdict.verdict import Interval, Repeatability
 
 _JUMP = 30.0  # times; six Gaussian differences along one line leave such a gap among their sizes once in some 700
 _MORE_THAN_STATED = 1.44  # times the square, as for the error itself
-_OF_REACH = (
-    2e-4  # that an arm may not repeat, RMS; data sheets have RP of 0.3 to 2e-4, which is twice the RMS (ISO 9283)
-)
+# that an arm may not repeat, RMS; data sheets have RP of 0.3 to 2e-4, which is twice the RMS (ISO 9283)
+_OF_REACH = 2e-4
+# of the reach; of the best arms data sheets have RP of 1.4e-5, which trackers do not read, but to some 10 µm
+LEAST_OF_REACH = 7.5e-6
 MIN_ASKED = 9  # returns; of fewer, random signs cannot be told from others with the chance below
 _CHANCE, _TRIES = 0.005, 999  # of each of two questions
 _MAX_REFUSED = 0.25  # share of postures that may be plainly wrong; beyond, they are no longer exceptions
@@ -34,7 +35,8 @@ class Floor:
     """F² and its parts [mm² or deg²], RMS over space squared.
 
     instrument: 0 where it is contained in the repeatability, as with returns. returns: how many were used. freedom:
-    degrees of freedom that it is known by, 0 where it was stated.
+    degrees of freedom that it is known by, 0 where it was stated. refused: by how much returns differ, at most, that
+    were left out of it [mm or deg]; 0 where none was.
     """
 
     square: float
@@ -42,6 +44,7 @@ class Floor:
     instrument: float
     returns: int = 0
     freedom: float = 0.0
+    refused: float = 0.0
 
     @property
     def rms(self) -> float:
@@ -115,6 +118,13 @@ def _no_floor(
         return ""
     if floor.rms < 1e3 * FINEST:
         return "Postures that were visited again read the same to the last digit, which no instrument does."
+    least = 1e3 * LEAST_OF_REACH * reach
+    if floor.rms < least < np.inf and stated.instrument_mm is None:
+        return (
+            f"Postures that were visited again differ by {floor.rms:.2g} mm RMS, less than an arm of this size and its "
+            f"instrument are known to ({least:.2g} mm): returns show no floor unless the instrument's accuracy is "
+            "stated."
+        )
     known = known_sigma(samples.sigma_position)
     instrument = stated.instrument_mm or 1e3 * float(np.sqrt(3.0 * np.median(known**2)))
     limit = 1e3 * _OF_REACH * reach
@@ -245,6 +255,7 @@ def _of_returns(
         min((instrument or 0.0) ** 2, square),
         int(freedom[good].sum()),
         axes_of(scatter[good] / freedom[good], freedom[good]) * float(freedom[good].sum()),
+        float(np.sqrt(each[~good].max(initial=0.0))),
     )
 
 

@@ -295,6 +295,10 @@ def _not_asked(seen: Findings) -> Iterator[NotAsked]:
     if returns is not None and 0 < returns.returns < MIN_ASKED:
         needs = f"{MIN_ASKED} postures visited twice ({returns.returns} so far)"
         yield NotAsked("whether what returns differ by depends on time, side or posture", needs)
+    for floor, unit in zip(seen.known.seen, (" mm", "°"), strict=True):
+        if floor is not None and floor.refused:
+            what = f"whether returns that differ by up to {floor.refused:.2g}{unit}, and are left out of the floor, are"
+            yield NotAsked(f"{what} wrong readings", "a third visit to these postures")
 
 
 def _vague(tail: Tail, seen: Predictable, unit: str) -> str:

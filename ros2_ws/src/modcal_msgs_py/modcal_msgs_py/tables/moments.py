@@ -19,7 +19,8 @@ from modcal_msgs_py.tables.labels import words
 from modcal_msgs_py.tables.readings import COLUMN, mapping, one_of
 from modcal_msgs_py.tables.table import Table
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "excel": 86400.0}  # excel: days since 1899-12-30
+_EXCEL_1970 = 25569.0  # days
 _LAST = 2.0**31  # s; stamps of messages end in 2038
 _ORDER_STEP = 1e-3  # s between rows that a table stamps alike
 _COLUMNS: Schema = {"type": ["string", "integer", "array"], "items": COLUMN, "minItems": 1, "maxItems": 2}
@@ -49,7 +50,8 @@ def stamps_of(table: Table, time: Mapping[str, Any], clock: float) -> tuple[Arra
         table.lack(np.flatnonzero([not cell for cell in table.text(column)]), f"column {column}")
     else:
         column = time["seconds"]
-        out = SECONDS[time.get("unit", "s")] * table.numbers(column)
+        unit = time.get("unit", "s")
+        out = SECONDS[unit] * (table.numbers(column) - (_EXCEL_1970 if unit == "excel" else 0.0))
     for i in np.flatnonzero(np.isfinite(out) & ~((out >= 0.0) & (out < _LAST))):
         table.bad(int(i), column, f"{out[i]:g} s is not a plausible time", "is not a plausible time")
         out[i] = np.nan
@@ -94,6 +96,8 @@ _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%I:%M:%S %p", "%H:%M", "%H%
 _BETWEEN, _ZONES = (" ", "T", "_", ", ", ",", "-", ""), ("", "Z", "%z", " %z", " UTC")
 _ORDER_S = 10.0  # s between rows of which only the order is known
 _EPOCH = 1e9  # s since 1970 are more than this, from 2001 on
+_EXCEL_DAYS = 30000.0, 60000.0  # from 1982 to 2064
+_DAYS = words("date datum datetime")
 _ROWS = 200  # that are tried with a format
 
 
@@ -163,10 +167,14 @@ def _seconds(numbers: Numbers, k: int) -> RowTimes | None:
         return None
     label = numbers.labels[k]
     told = label.unit if label.unit in SECONDS else next((w for w in label.words if w in SECONDS), None)
+    dated = bool(_DAYS & set(label.words)) or float(np.median(np.diff(column))) < _ORDER_STEP
+    if told is None and dated and _EXCEL_DAYS[0] < column.min() and column.max() < _EXCEL_DAYS[1]:
+        stated = {"seconds": numbers.key(k), "unit": "excel"}
+        return RowTimes(stated, (k,), f"{numbers.shown(k)} holds the time in Excel's days, by its size")
     since_1970 = [u for u, s in SECONDS.items() if s * column.min() > _EPOCH and s * column.max() < _LAST]
     unit = since_1970[0] if len(since_1970) == 1 else told or "s"
     how = "since 1970, by its size" if len(since_1970) == 1 else "by its label" if told else "assumed: no unit is told"
     if SECONDS[unit] * column.max() >= _LAST:
         return None
-    stated: dict[str, Any] = {"seconds": numbers.key(k), **({"unit": unit} if unit != "s" else {})}
+    stated = {"seconds": numbers.key(k), **({"unit": unit} if unit != "s" else {})}
     return RowTimes(stated, (k,), f"{numbers.shown(k)} holds the time in {unit} ({how})")

@@ -65,6 +65,11 @@ from modcal_msgs_py.tables.together import Together, together
 _ORDERS = 6  # of columns without labels that are judged in full
 _MAX_BODIES = 10  # that are judged where labels do not tell
 _MAX = 300  # rows that meanings are judged by
+_NO_ARM = "no columns are found that could be the joints of this arm and the position of a target on it"
+_CHECK = (
+    "check --urdf, --base and --tip, and that joints and readings of a row belong together, or write a mapping: "
+    "docs/import.md"
+)
 _WIDTH = 116  # of comments
 
 Watch = Callable[[str], None]
@@ -149,7 +154,7 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     else:
         fits = search.otherwise(fits)
         if not any(f.best.near for f in fits):
-            raise BadTable(way.sheet.path.name, *_no_arm(fits))
+            raise BadTable(way.sheet.path.name, *search.no_arm(fits))
         fits, questions = decided(numbers, fits)
         read, asked, assumed = _decided(numbers, chain, fits, labelled)
         questions = (*questions, *asked)
@@ -160,14 +165,6 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     beside = find_beside(around, labelled)
     asked_all = tuple(dict.fromkeys((*questions, *beside.questions)))
     return _made(_Findings(numbers, time, read, beside, way, asked_all, assumed), arm)
-
-
-def _no_arm(fits: Sequence[Fitted]) -> tuple[str, str]:
-    said = "no columns are found that could be the joints of this arm and the position of a target on it"
-    if fits:
-        said += f"; the best leave {1e3 * min(f.best.match.typical for f in fits):.0f} mm"
-        said += ", and no joint that is counted otherwise explains it"
-    return said, "check --urdf, --base and --tip, or write a mapping: docs/import.md"
 
 
 class _Search:
@@ -300,6 +297,21 @@ class _Search:
         alike = [f.body for f in plain if f.body.position == point.body.position]
         made = [self._fitted(b, [some[0].joints], some) for b in dict.fromkeys((*alike, point.body))]
         return [f for f in made if f is not None and f.best.near] or fits
+
+    def no_arm(self, fits: Sequence[Fitted]) -> tuple[str, str]:
+        """Why nothing is proposed, and what to do about it: the readings' axes, where that is proved."""
+        if not fits:
+            return _NO_ARM, _CHECK
+        best = min(fits, key=lambda f: f.best.match.typical)
+        values = self._numbers.values[best.rows]
+        postures = [Postures(choice.postures(self._chain, values), "") for choice in best.choices]
+        found = judge(self._chain, postures, _columns_read(best.body, values)[0] * [1.0, 1.0, -1.0], None)
+        if found and found[0].explained(self._chain):
+            said = f"{self._numbers.shown(*best.body.position)} are left-handed: with one of the axes turned round the "
+            said += f"nominal arm misses by {1e3 * found[0].match.typical:.3g} mm"
+            return said, "swap two of the columns, or change the sign of one, as the instrument's axes are"
+        said = f"{_NO_ARM}; the best leave {1e3 * best.best.match.typical:.0f} mm"
+        return f"{said}, and no joint that is counted otherwise explains it", _CHECK
 
     def _of_targets(self, point: Fitted) -> Fitted | None:
         meaning, numbers, rows = point.best.meaning, self._numbers, point.rows
@@ -456,7 +468,10 @@ def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
     for key, stated in (("temperature", beside.temperature), ("signals", beside.signals)):
         if stated:
             entry[key] = stated
-    said += [*found.assumed, *beside.said, *_unused(numbers, {*used, *found.time.columns})]
+    by = [(one["by"], Path(one["files"]).stem) for one in way.stated if one["by"] != "row"]
+    keys = {key for pairs, stem in by for ours, theirs in pairs.items() for key in (ours, theirs, f"{stem}.{theirs}")}
+    used |= {*found.time.columns, *(k for k in range(sheet.width) if numbers.key(k) in keys)}
+    said += [*found.assumed, *beside.said, *_unused(numbers, used)]
     mapping: dict[str, Any] = {"undecided": list(found.questions)} if found.questions else {}
     mapping |= {**arm.stated, "tables": [entry]}
     return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), found.questions)

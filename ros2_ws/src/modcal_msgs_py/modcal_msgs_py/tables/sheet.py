@@ -24,6 +24,10 @@ MISSING = words(
 ) | {""}
 _NO_READING = -1e28  # NDI writes -3.697314e28 where a tool was not seen
 _NAMED = re.compile(r"\s*([A-Za-z]\w*)\s*[=:]\s*(?=[-+.,\d])")  # X=12.5
+_CELL_UNIT = r"°|deg|rad|gon|mm|cm|m|in"  # 12.5 mm
+_BEHIND = re.compile(rf"(?<=[\d.,])\s*(?:{_CELL_UNIT})$", re.IGNORECASE)
+# Groups of thousands; only a decimal sign behind them tells them from decimals: 1,234 may be either
+_GROUPED = {sign: rf"\d{{1,3}}(?:[{other}'’]\d{{3}})+{re.escape(sign)}\d+" for sign, other in ((".", ","), (",", "."))}
 _SPACED = re.compile(r"(?<=\w)[ \t]*=[ \t]*(?=[-+.,\d])")
 _MAX_BYTES = 1 << 29
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -145,9 +149,15 @@ def number(cell: str, decimal: str = ".") -> float | None:
     if text.lower() in MISSING:
         return float("nan")
     try:
-        value = float(_NAMED.sub("", text.replace(decimal, ".") if decimal != "." else text))
+        value = float(text.replace(decimal, "."))
     except ValueError:
-        return None
+        text = _BEHIND.sub("", _NAMED.sub("", text))
+        if re.fullmatch(rf"[+-]?{_GROUPED[decimal]}", text):
+            text = "".join(c for c in text if c.isdigit() or c in f"+-{decimal}")
+        try:
+            value = float(text.replace(decimal, "."))
+        except ValueError:
+            return None
     return float("nan") if value != value or value < _NO_READING else value
 
 
@@ -191,11 +201,27 @@ def read_sheet(path: Path, form: Form) -> Sheet:
         filled = list(_cells(body, form.delimiter))
     except (csv.Error, TypeError) as error:
         raise BadTable(str(path), f"is not a table ({error})", "state its delimiter, or give a CSV file") from error
-    rows = filled[int(form.header) + form.units_rows :]
+    below = filled[int(form.header) + form.units_rows :]
+    rows = [cells for _, cells in below]
     if not rows:
         raise BadTable(str(path), "has no row", "leave the file out")
-    header = _labels(filled[0][1], len(rows[0][1])) if form.header else _names(rows[0][1])
-    return Sheet(path, form, header, [cells for _, cells in rows], [form.preamble_rows + line for line, _ in rows])
+    header = _labels(filled[0][1], len(rows[0])) if form.header else _names(rows[0])
+    units = _units_of_cells(path, rows, form.decimal)
+    return Sheet(path, form, header, rows, [form.preamble_rows + line for line, _ in below], units=units)
+
+
+def _units_of_cells(path: Path, rows: Sequence[Sequence[str]], sign: str) -> tuple[str, ...]:
+    """The units that stand in the cells of each column. Raises BadTable where a column has several."""
+    found: dict[int, set[str]] = {}
+    for row in rows:
+        for k, cell in enumerate(row):
+            if cell and not cell[-1].isdigit() and (one := _PATTERN[sign].fullmatch(cell)) and one["unit"]:
+                found.setdefault(k, set()).add(one["unit"].lower())
+    for k, units in found.items():
+        if len(units) > 1:
+            said = f"column {k} holds numbers in {' and in '.join(sorted(units))}"
+            raise BadTable(path.name, said, "write one unit in all of them")
+    return tuple(next(iter(found.get(k, {""}))) for k in range(max(found) + 1)) if found else ()
 
 
 # --- How a file is written, found out from its text: encoding, separator, decimal sign, labels, units
@@ -206,7 +232,9 @@ _MIN_COLUMNS = 3
 _NUMBERS = 0.5  # share of the cells of a row of numbers
 _PATTERN = {
     sign: re.compile(
-        rf"(?:{_NAMED.pattern})?\s*[+-]?(\d+({re.escape(sign)}\d*)?|{re.escape(sign)}\d+)([eE][+-]?\d+)?\s*"
+        rf"(?:{_NAMED.pattern})?\s*[+-]?({_GROUPED[sign]}|\d+({re.escape(sign)}\d*)?|{re.escape(sign)}\d+)"
+        rf"([eE][+-]?\d+)?\s*(?P<unit>{_CELL_UNIT})?\s*",
+        re.IGNORECASE,
     )
     for sign in ".,"
 }
@@ -273,7 +301,8 @@ def _laid_out(path: Path, text: str, form: Form, least: int) -> Sheet:
     upper = stacked[: max(len(stacked) - 1 - units_rows, 0)]
     preamble = table[first - units_rows - bool(stacked)][0] - 1
     form = replace(form, header=bool(stacked), preamble_rows=preamble, units_rows=units_rows if stacked else 0)
-    units, full = _stacked(stacked[len(upper) + 1 :], width), _stacked([*upper, named], width)
+    full = _stacked([*upper, named], width)
+    units = _stacked([*stacked[len(upper) + 1 :], _units_of_cells(path, every[first:], sign)], width)
     return Sheet(path, form, named, every[first:], [line for line, _ in table[first:]], full, units)
 
 

@@ -41,11 +41,13 @@ def is_kinematic(path: Path) -> bool:
 def proposed(tables: Sequence[Path], urdf: Path, options: ImportOptions, output: Output) -> tuple[Proposal, Path]:
     """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way."""
     out, path = options.out, options.mapping or Path(f"{tables[0].stem}.yaml")
-    if path.exists():
-        raise BadTable(str(path), "exists already", "give --mapping another name, import it, or remove it")
     folders = {table.resolve().parent for table in tables}
     if len(folders) > 1:
         raise BadTable(str(tables[1]), "is in another folder than the first table", "put them into one folder")
+    data = "" if folders == {path.resolve().parent} else f" --data {tables[0].parent}"
+    again = f"modcal import {path}{data}" + (f" --out {out}" if out else "")
+    if path.exists():
+        raise BadTable(str(path), "exists already", f"import it ({again}), give --mapping another name, or remove it")
     robot = Robot.from_urdf(urdf, options.base, options.tip)
     ends = {end: name for end, name in (("base", options.base), ("tip", options.tip)) if name is not None}
     with output.working() as watch:
@@ -54,8 +56,6 @@ def proposed(tables: Sequence[Path], urdf: Path, options: ImportOptions, output:
             tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), {"urdf": where, **ends}), watch
         )
     write_file(path, made.text(", ".join(table.name for table in tables)))
-    data = "" if folders == {path.resolve().parent} else f" --data {tables[0].parent}"
-    again = f"modcal import {path}{data}" + (f" --out {out}" if out else "")
     following = f"answer, then: {again}" if made.open else f"after an edit: {again}" if out else f"next: {again}"
     lines = [
         *(f"proved: {said}" for said in made.proved),

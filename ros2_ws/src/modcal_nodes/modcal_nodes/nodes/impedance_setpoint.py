@@ -35,6 +35,7 @@ from modcal_nodes.setpoint import (
     task,
 )
 
+_READY = "ready"
 _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes
 _RCLError = rclpy_implementation.RCLError
@@ -147,7 +148,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         """Be ready to pull."""
         self._active = True
         self._timer = self.create_timer(1.0 / self._chosen["rate_hz"], self._tick)
-        self._tell(ros.OK, "ready")
+        self._tell(ros.OK, _READY)
         return super().on_activate(state)
 
     @ros.noted
@@ -222,13 +223,8 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         self._arm = None
 
     def _pull(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            self._begin()
-            response.success, response.message = True, "weighing the tool, then pulling"
-        except ModcalError as error:
-            # what is refused message by message counts as silence; the refusal says why
-            said = self._refusals.standing(error.offender)
-            response.success, response.message = False, said or str(error)
+        refused = self._refused(self._begin)
+        response.success, response.message = not refused, refused or "weighing the tool, then pulling"
         self._health.publish()
         return response
 
@@ -241,7 +237,17 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
             response.message = self._said
         return response
 
-    def _begin(self) -> None:
+    def _refused(self, step: Callable[[], object]) -> str:
+        """Why the step of a pull was refused; empty where it was not."""
+        try:
+            step()
+        except ModcalError as error:
+            # what is refused message by message counts as silence; the refusal says why
+            return self._refusals.standing(error.offender) or str(error)
+        return ""
+
+    def _ready_arm(self) -> ArmInputs:
+        """The arm, heard of recently and free to pull. Raises ModcalError where it is not."""
         if not self._active:
             raise BadCommand("pull", "the node is not active", "configure and activate it first")
         if self._object.elsewhere:
@@ -251,7 +257,11 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         if self._arm is None:
             raise BadCommand("robot_description", "not received yet", "publish it (latched), or set the parameter")
         self._arm.require_fresh(self._now())
-        arm, softness = self._arm, self._softness(self._arm)
+        return self._arm
+
+    def _begin(self) -> None:
+        arm = self._ready_arm()
+        softness = self._softness(arm)
         self._efforts = JointEfforts.of(arm.arm.urdf, arm.chain)
         known = limits(arm.chain, self._chosen), softness.least, self._efforts.arm
         self._operation = Operation(arm.chain, task(self._chosen), *known)
@@ -360,12 +370,15 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
             "tick ms, median": f"{took[0]:.2f}",
             "tick ms, 99 %": f"{took[1]:.2f}",
         }
+        level, said = self._level, self._said
+        if said == _READY and (unready := self._refused(self._ready_arm)):
+            level, said = ros.WARN, f"not ready: {unready}"
         model = self._object.kind if self._object.model is not None else "none"
         trusted = {"model": model, "trusted": self._object.at(self._now()).trusted}
         return [
             ros.subscription_status(self._inputs, self._refusals),
             ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "no recent refusal", trusted),
-            ros.Status("pull", self._level, self._said, facts),
+            ros.Status("pull", level, said, facts),
         ]
 
 
