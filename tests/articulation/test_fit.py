@@ -8,13 +8,12 @@ from articulation.objects import Seen, ideal, noisy
 from finite_differences import assert_jacobian
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.models.registry import AXES, joint
+from modcal_core.articulation.models.registry import AXES
 from modcal_core.articulation.models.registry import joint as made
 from modcal_core.articulation.track import Track
 from modcal_core.articulation.urdf import describe, frames, read
@@ -171,26 +170,6 @@ def test_noise_that_neighbours_share_is_not_counted_as_independent() -> None:
     # two directions across the axis, so 2 on the average; the mean of 60 scatters by 13 %, and the correlation that each
     # track shows by a fifth. Counted once instead of twice it would give 6
     assert 1.2 < np.mean(squares) < 3.2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("radius", [0.03, 0.4, 1.5])
-def test_position_and_rotation_agree_on_the_nearest_configuration(radius: float) -> None:
-    """A turn of 1 rad weighs as much as a shift of a hand's length, 0.1 m."""
-    hinge = joint("revolute", np.array([[1, 0, 0, radius], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]),
-                       np.array([0.0, 0.0, 1.0]), np.zeros(3))  # fmt: skip
-    by_place, by_turn = 0.50, 0.56
-    seen = np.eye(4)
-    seen[:3, 3] = radius * np.cos(by_place), radius * np.sin(by_place), 0.0
-    seen[:3, :3] = Rotation.from_rotvec([0.0, 0.0, by_turn]).as_matrix()
-
-    def apart(a: float) -> float:
-        place = radius * np.array([np.cos(a), np.sin(a), 0.0])
-        turn = Rotation.from_matrix(seen[:3, :3]) * Rotation.from_rotvec([0.0, 0.0, -a])
-        return float(np.sum((place - seen[:3, 3]) ** 2) + (0.1 * turn.magnitude()) ** 2)
-
-    nearest = minimize_scalar(apart, bounds=(0.4, 0.7), method="bounded", options={"xatol": 1e-9}).x
-    assert float(hinge.configuration(seen)) == pytest.approx(nearest, abs=1e-4)
 
 
 MOVING = ("prismatic", "revolute", "screw")

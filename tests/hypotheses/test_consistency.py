@@ -105,6 +105,16 @@ def test_a_joint_that_is_off_throughout(clean: Samples, column, words: str) -> N
     assert words in said
 
 
+def test_a_target_of_its_own_in_each_frame_is_named_in_the_refusal(clean: Samples) -> None:
+    frame = np.arange(80) % 2
+    offset = frame[:, None] * [0.2, 0.1, 0.0]
+    points = record(11, 80, "point").samples
+    reading = points.reading + (clean.R @ offset[..., None])[..., 0]
+    two = replace(points, reading=reading, frame=frame, frames=("a", "b"))
+    with pytest.raises(BadRecording, match="frames a, b: agree with the arm one by one, not together"):
+        calibrate(two, CHAIN, np.random.default_rng(0), look_for_effects=False)
+
+
 def test_points_in_millimetres_for_a_part() -> None:
     points = record(12, 80, "point").samples
     said = found(replace(points, reading=points.reading * np.where(LATER, 1e3, 1.0)[:, None]))

@@ -176,18 +176,6 @@ def test_a_posture_is_come_back_to_only_where_the_other_joints_are_as_before() -
     assert sorted(rows[1] for rows in returns_of(beside(elsewhere))) == back[3:]
 
 
-def test_recordings_of_one_clock_are_left_as_they_are() -> None:
-    samples = record(0, 12, "point").samples
-    first, second = samples.select(slice(None, 5)), samples.select(slice(5, None))
-    same, late = after(second, first)
-    assert late == 0.0
-    assert same is second
-    assert between(first, second) == pytest.approx(0.5 * (samples.stamps[4] + samples.stamps[5]))
-    # one from before comes before, whichever is named first
-    assert after(first, second) == (first, 0.0)
-    assert between(second, first) == between(first, second)
-
-
 def test_rows_that_are_counted_from_zero_twice_follow_each_other() -> None:
     samples = record(0, 12, "point").samples
     count = np.arange(12.0)
@@ -251,12 +239,6 @@ def test_a_recording_and_its_parts_are_known(count: int, clock: bool, rng: np.ra
 def met(report: Outcome) -> str:
     tolerance = report.with_tolerance(Asked(5.0)).tolerance
     return tolerance.result
-
-
-def test_a_clock_tells_measurements_that_read_the_same(rng: np.random.Generator) -> None:
-    samples = record(1, 60).samples
-    assert samples.clock
-    assert share_of_known(marks_of(samples), replace(samples, stamps=samples.stamps + 86400.0))[0] == 0.0
 
 
 @pytest.mark.slow

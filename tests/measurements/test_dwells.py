@@ -137,17 +137,6 @@ def test_so_many_rows_come_in_order_and_evenly(count: int, most: int) -> None:
     assert len(set(gaps[1:-1].tolist())) <= 3
 
 
-@pytest.mark.parametrize("period", [2, 7, 24, 100])
-def test_no_raster_is_met(period: int) -> None:
-    """Each place of a raster is seen about equally often, also where the rows are every 24th in the mean."""
-    seen = np.bincount(spread_rows(24_000, 1000) % period, minlength=period)
-    assert np.abs(seen - 1000 / period).max() <= 4 + 0.1 * 1000 / period
-
-
-def test_the_rows_are_the_same_each_time() -> None:
-    assert np.array_equal(spread_rows(12_345, 678), spread_rows(12_345, 678))
-
-
 def test_approach_remembers_the_last_way_of_every_joint() -> None:
     approach = Approach()
     assert approach.update(np.zeros(3)).tolist() == [0, 0, 0]

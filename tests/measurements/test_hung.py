@@ -16,7 +16,6 @@ from modcal_core.measurements.dropouts import (
     GLITCHES,
     HUNG,
     OUTSIDE,
-    UNKNOWN,
     Cleaned,
     cleaned,
     dropped,
@@ -139,10 +138,6 @@ def counts(recording: Recording) -> dict[str, int]:
     return dict(dropped(recording, cut_stations(recording, ur10().names)))
 
 
-def test_finished_stations_lose_nothing() -> None:
-    assert counts(stations(20)) == {}
-
-
 def test_readings_without_a_joint_state_are_counted() -> None:
     whole = stations(30)
     t = whole.readings[0].stamps.copy()
@@ -171,12 +166,6 @@ def test_of_a_stream_all_readings_are_in_a_dwell_between_them_or_wrong() -> None
     spoiled[rows, 0] += 0.2  # a glitch of the tracker
     assert counts(with_reading(whole, values=spoiled))[GLITCHES] == 3
     assert unexpected(dropped(whole, cut_stations(whole, ur10().names))) == outside
-
-
-def test_an_unknown_kind_is_counted() -> None:
-    whole = stations(20)
-    strange = replace(whole.readings[0], kind="smell", frame="nose")
-    assert counts(replace(whole, readings=(*whole.readings, strange))) == {UNKNOWN: 20}
 
 
 def test_pieces_add_up() -> None:

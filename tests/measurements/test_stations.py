@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from cells import ur10
 from cli.recordings import START, recorded, stations, streams, with_joints, with_reading
-from scipy.ndimage import maximum_filter1d
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.alignment import align, clock_offset
-from modcal_core.measurements.dwells import running_max
 from modcal_core.measurements.inspection import inspect
 from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.samples import cut_stations
@@ -177,12 +175,6 @@ def test_each_fault_is_found() -> None:
 def test_readings_and_joints_of_different_days() -> None:
     with pytest.raises(BadRecording, match="do not overlap"):
         cut_stations(streams(5, late=START), NAMES)
-
-
-@pytest.mark.parametrize(("m", "width"), [(1, 3), (64, 7), (64, 65), (64, 201)])
-def test_the_running_maximum_is_that_of_every_window(m: int, width: int, rng: np.random.Generator) -> None:
-    x = rng.normal(size=(m, 3))
-    assert np.array_equal(running_max(x, width), maximum_filter1d(x, width, axis=0, mode="constant", cval=-np.inf))
 
 
 @pytest.mark.slow

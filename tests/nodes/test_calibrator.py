@@ -136,26 +136,6 @@ def test_messages_without_a_station_are_left_out_when_they_grow_old(tmp_path: Pa
         assert answer.success, answer.message
 
 
-def test_spoiled_messages_are_refused_counted_and_harm_nothing(shared: Shared) -> None:
-    begin = shared.again()
-    before = shared.counted("messages refused")
-
-    def spoiled(i: int, message: Any) -> Any:
-        if hasattr(message, "name") and i % 10 == 3:
-            message.position = message.position[:4]  # fewer positions than names
-        elif not hasattr(message, "name") and i % 10 == 7:
-            return None  # the beam was broken
-        return message
-
-    shared.cell.play(stations(60, begin=begin), spoiled)
-    shared.wait(shared.cell.taken, 60.0)
-    shared.wait(lambda: shared.counted("messages refused") == before + 6, 20.0)
-    assert shared.said.level(SAMPLES) == 1
-    assert call(shared.node, shared.wait, "calibrator/solve").success
-    assert "4 positions for 6 names" in shared.calibrator.output
-    assert json.loads((shared.out / "report.json").read_text())["recording"]["stations"] == 48
-
-
 def cannot_be(i: int, message: Any) -> Any:
     """The message, or one of each kind that cannot be."""
     joints = hasattr(message, "name")

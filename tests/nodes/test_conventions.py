@@ -164,13 +164,6 @@ def test_a_misspelt_parameter_is_said_with_the_one_that_is_meant(capfd: pytest.C
 
 
 @pytest.mark.dds
-def test_parameters_that_are_known_are_not_spoken_of() -> None:
-    """Nor those of another node: a file under /** gives all nodes all parameters."""
-    with spun(ImpedanceSetpoint, max_force_n=33.0, max_stations=100) as pair:
-        assert not pair.node.parameters_without_effect
-
-
-@pytest.mark.dds
 def test_solving_nothing_is_refused_and_the_node_lives_on(tmp_path: Path) -> None:
     domain = fresh_domain()
     calibrator = Process("calibrator", domain, tmp_path, out=tmp_path / "out")

@@ -113,7 +113,7 @@ def test_thousands_of_hostile_messages_bring_nothing_unsafe(tmp_path: Path) -> N
                     return wait(lambda: len(arrived) > count, 0.25)
             raise AssertionError("no answer any more")
 
-        for k in range(3000):
+        for k in range(2000):
             kind = rng.random()
             if kind < 0.6:
                 sent["wish"] += 1
@@ -147,8 +147,8 @@ def test_thousands_of_hostile_messages_bring_nothing_unsafe(tmp_path: Path) -> N
     facts = arm.facts("commands")
     tried = int(facts["refused"]) + int(facts["commands"])
     print(f"sent {sent}, of the wishes tried {tried}, refused {facts['refused']}; commands {len(arrived)}")
-    assert tried > 300
-    assert int(facts["refused"]) > 100
+    assert tried > 200
+    assert int(facts["refused"]) > 70
     assert len(arrived) > 20
     for received, message in arrived:
         assert tuple(message.joint_names) == CHAIN.names

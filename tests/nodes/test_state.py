@@ -59,10 +59,6 @@ def test_state_comes_back(tmp_path: Path) -> None:
     assert back.files["calibration.yaml"] == files["calibration.yaml"]
 
 
-def test_nothing_is_read_where_nothing_was_kept(tmp_path: Path) -> None:
-    assert read_state(tmp_path / "none") == State()
-
-
 def test_damaged_stations_are_refused(tmp_path: Path) -> None:
     write_state(tmp_path, State(samples=record(3, 10).samples))
     file = tmp_path / "samples.npz"
@@ -183,16 +179,6 @@ def test_a_trackers_own_clock_makes_no_pieces() -> None:
         memory.add(topic, kind, message, 1e4)
     (piece,) = memory.collected().recordings
     assert len(piece.joints[0].stamps) == len(piece.readings[0].stamps) == 1500
-
-
-def test_two_trackers_with_clocks_of_their_own_make_no_pieces() -> None:
-    memory = Buffer(1e4)
-    t = 5000.0 + np.arange(100.0)
-    for messages in zip(joint_states(t), poses(t, "one"), poses(t - 500.0, "two"), strict=True):
-        for (topic, kind), message in messages:
-            memory.add(topic, kind, message, 1e4)
-    (piece,) = memory.collected().recordings
-    assert [len(reading.stamps) for reading in piece.readings] == [100, 100]
 
 
 def test_pieces_end_when_they_are_long() -> None:

@@ -18,7 +18,7 @@ from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.estimator import Estimator, Information, RandomWalk, triangular
+from modcal_core.online.estimator import Estimator, Information, RandomWalk
 
 
 def batch(samples: Samples, chain: object, effects: tuple[Effect, ...] = ()) -> Fit:
@@ -43,35 +43,6 @@ def test_information_is_the_batch_solution(rng: Generator) -> None:
     H = A.T @ A + 0.01 * np.eye(7)
     assert np.abs(known.mean - np.linalg.solve(H, A.T @ b)).max() < 1e-12
     assert np.abs(known.covariance - np.linalg.inv(H)).max() < 1e-12
-
-
-def test_innovation_is_how_far_rows_lay_from_what_was_expected(rng: Generator) -> None:
-    C = np.cov(rng.normal(size=(7, 40)))
-    known = Information.of_prior(rng.normal(size=7), C)
-    for _ in range(3):  # what stands in the corner from one time does not count the next
-        A, b = rng.normal(size=(5, 7)), 4.0 * rng.normal(size=5)
-        r = b - A @ known.mean
-        expected = r @ np.linalg.solve(A @ known.covariance @ A.T + np.eye(5), r)
-        known = known.with_rows(np.c_[A, b])
-        assert abs(known.innovation / expected - 1.0) < 1e-11
-
-
-def test_definite_once_something_is_known_of_all(rng: Generator) -> None:
-    A, x = rng.normal(size=(5, 5)), rng.normal(size=5)
-    known = Information.of(np.zeros((5, 5)), np.zeros(5)).with_rows(np.c_[A[:3], A[:3] @ x])
-    assert not known.definite
-    known = known.with_rows(np.c_[A[3:], A[3:] @ x])
-    assert known.definite
-    assert np.abs(known.mean - x).max() < 1e-12
-
-
-def test_growing_adds_the_variance_that_was_asked_for(rng: Generator) -> None:
-    root = triangular(rng.normal(size=(9, 5)))
-    known = Information.of(root, rng.normal(size=5))
-    G, variance = rng.normal(size=(5, 3)), np.array([0.5, 0.0, 2.0])
-    grown = known.grown(G, variance)
-    assert np.abs(grown.covariance - known.covariance - G @ np.diag(variance) @ G.T).max() < 1e-12
-    assert np.abs(grown.mean - known.mean).max() < 1e-12
 
 
 @pytest.mark.slow
@@ -216,18 +187,6 @@ def test_of_what_nothing_is_known_nothing_is_said() -> None:
     assert not estimator.values.any()
     feed(estimator, cell.samples.select(np.arange(1, 60)))
     assert np.abs((estimator.values - fit.values) / fit.std).max() < 0.5
-
-
-@pytest.mark.slow
-def test_covariance_stays_positive_definite_for_long() -> None:
-    """Twenty thousand updates on columns of very different size, by the algebra alone."""
-    rng = np.random.default_rng(0)
-    known = Information.of_prior(np.zeros(12), np.eye(12))
-    A = rng.normal(size=(50, 6, 12)) * np.logspace(-4, 4, 12)
-    for i in range(20_000):
-        known = known.with_rows(np.c_[A[i % 50], np.zeros(6)]).grown(np.eye(12)[:, :3], np.full(3, 1e-9))
-    scale = 1.0 / np.sqrt(np.diag(known.covariance))
-    assert np.linalg.eigvalsh(known.covariance * np.outer(scale, scale)).min() > 0.0
 
 
 def _poses(samples: Samples) -> Array:

@@ -6,11 +6,10 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from cells import slider_arm, ur10
-from planning.arms import irb1410
+from cells import ur10
 
 from modcal_core.errors import BadTable
-from modcal_core.planning.sensitivity_study import array_postures, design, orthogonal_array, sobol_postures
+from modcal_core.planning.sensitivity_study import array_postures, orthogonal_array
 
 
 @pytest.mark.parametrize(
@@ -40,27 +39,9 @@ def test_an_array_that_would_be_huge_is_refused() -> None:
         orthogonal_array(40, 31)
 
 
-def test_l25_runs_from_least_to_largest() -> None:
-    arm = irb1410()
-    q = design(arm, "l25", np.random.default_rng(0))
-    assert q.shape == (25, 6)
-    for k in range(6):
-        values, counts = np.unique(q[:, k], return_counts=True)
-        assert np.allclose(values, np.linspace(arm.lower[k], arm.upper[k], 5), atol=1e-12)
-        assert set(counts) == {5}
-
-
 def test_levels_are_different_angles() -> None:
     """From −2π to 2π in five levels three would be one angle; they are spread over a turn instead."""
     q = array_postures(ur10(), 5)
     for k in range(6):
         assert len(np.unique(np.round(np.exp(1j * q[:, k]), 9))) == 5
         assert (q[:, k] >= ur10().lower[k]).all()
-
-
-def test_sobol_postures_fill_the_range_evenly() -> None:
-    arm = slider_arm()
-    q = sobol_postures(arm, 64, np.random.default_rng(3))
-    share = (q - arm.lower) / (arm.upper - arm.lower)
-    for k in range(arm.n):
-        assert (np.bincount((share[:, k] * 8).astype(int), minlength=8) == 8).all()

@@ -69,11 +69,6 @@ def test_interval_weights_by_hand() -> None:
     assert np.allclose(found.multi, np.where(np.isclose(usual, rare), usual, (2.25 * usual + 0.25 * rare) / 2.5))
 
 
-def test_rounding_does_not_make_intervals() -> None:
-    values = 5e-4 + 1e-19 * np.arange(20)
-    assert np.array_equal(interval_probabilities(values, 6), np.ones(20))
-
-
 def test_the_shares_of_a_linear_error_are_those_of_arms_drawn_at_random(abb: ClosedChain) -> None:
     """Each parameter's share is the variance that goes when only it is known."""
     q = sobol_postures(irb1410(), 12, np.random.default_rng(1))

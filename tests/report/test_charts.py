@@ -10,7 +10,6 @@ import pytest
 from matplotlib.ticker import MaxNLocator
 
 from modcal_core.report.charts import AFTER, BAD, Axis, Chart, Panel, round_numbers
-from modcal_core.report.figures import _few_waves
 
 
 def test_ticks_stand_where_those_of_other_charts_do() -> None:
@@ -70,31 +69,3 @@ def test_on_logarithmic_axes_points_stand_where_the_numbers_say() -> None:
     across = np.interp(np.log10([0.02, 0.3, 4.0]), [-2.0, 1.0], [texts["0.01"][0], texts["10"][0]])
     along = np.interp([-3.0, -1.0, 1.0], [-4.0, 2.0], [texts["10⁻⁴"][1] - 2.85, texts["10²"][1] - 2.85])
     np.testing.assert_allclose(dots, np.c_[across, along], atol=0.06)
-
-
-def test_rows_stand_below_each_other_beside_their_names() -> None:
-    panel = Panel(Axis("share", 0.0, 1.0), Axis.rows(["first of all", "second"]), height=100.0)
-    panel.bars((np.zeros(2), np.array([0.25, 0.5])), (np.array([-0.3, 0.7]), np.array([0.3, 1.3])), AFTER)
-    drawn = panel.chart("bars", "Two bars.", "two bars").drawn
-    texts = {t.text: float(t.get("y", "")) for t in ElementTree.fromstring(drawn).iter("text")}
-    bars = re.findall(r"M([\d.]+) ([\d.]+)H([\d.]+)V([\d.]+)H", drawn)
-    (left, top, right, bottom), (_, low, far, below) = (map(float, bar) for bar in bars)
-    assert far - left == pytest.approx(2.0 * (right - left), abs=0.2)
-    for said, ends in (("first of all", (top, bottom)), ("second", (low, below))):
-        assert texts[said] - 2.85 == pytest.approx(np.mean(ends), abs=0.1)
-    assert texts["first of all"] < texts["second"]
-
-
-def test_a_chart_has_the_colours_of_the_page() -> None:
-    drawn = _logarithmic()
-    assert f"var(--{AFTER})" in drawn.drawn
-    assert not re.search(r"#[0-9a-f]{6}|://", drawn.drawn)
-
-
-def test_of_many_waves_a_few_are_drawn_and_of_few_all() -> None:
-    t = np.linspace(0.0, 1.0, 1600)
-    assert _few_waves(np.sin(2.0 * np.pi * 10.0 * t)) == slice(None)
-    assert _few_waves(t) == slice(None)
-    part = _few_waves(np.sin(2.0 * np.pi * 60.0 * t))
-    assert t[part][-1] - t[part][0] == pytest.approx(6.0 / 60.0, rel=0.05)
-    assert t[part].mean() == pytest.approx(0.5, abs=0.02)

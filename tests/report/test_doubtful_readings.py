@@ -54,7 +54,7 @@ def by_joints(made: Recorded, rounded: float = 0.0) -> Samples:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rounded", [0.0, 1e-6, 1e-5, 1e-4])
+@pytest.mark.parametrize("rounded", [0.0, 1e-5])
 def test_a_tcp_topic_is_no_measurement(rounded: float) -> None:
     assert "nominal model reproduces the readings" in said(by_joints(record(1, 100), rounded))
 
@@ -106,7 +106,7 @@ def test_rows_that_are_there_several_times_are_no_returns() -> None:
     assert copied(replace(samples.select(np.repeat(np.arange(40), 2)), station=np.repeat(np.arange(40), 2))) == ()
 
 
-@pytest.mark.parametrize("step", [0.0, 1e-5, 1e-4])
+@pytest.mark.parametrize("step", [0.0, 1e-4])
 def test_computed_readings_are_named_at_any_number(step: float) -> None:
     for count in (8, 10, 15):
         made = record(3, count)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
-from html import unescape
 from html.parser import HTMLParser
 
 import numpy as np
@@ -20,7 +19,6 @@ from modcal_core.outcome.contents import Outcome
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import to_html
 from modcal_core.report.page import FILES, as_script_data
-from modcal_core.report.report import Report
 from modcal_core.report.scene import scene
 
 Element = tuple[str, dict[str, str]]
@@ -227,15 +225,3 @@ def test_joint_offsets_come_first_and_no_table_mixes_units() -> None:
 def test_an_evaluation_is_named_after_its_calibration() -> None:
     report = replace(points(), searched=None)
     assert "<title>cell_3, evaluated on recording</title>" in to_html(report, calibration="cell_3")
-
-
-def test_the_share_of_stations_is_what_was_recorded() -> None:
-    sizes = warm_cell().set_sizes()
-    assert sum(sizes.values()) == COUNT
-    for name, count in sizes.items():
-        assert f"{name.replace('_', '-')} ({count})" in page("warm")
-
-
-def test_a_report_shows_its_page_in_notebooks() -> None:
-    shown = Report.of(points())._repr_html_()
-    assert unescape(shown.partition('srcdoc="')[2].partition('" style=')[0]) == to_html(points())

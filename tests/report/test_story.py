@@ -13,7 +13,7 @@ from modcal_core.effects.registry import family_named
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import rhythm
 from modcal_core.loop import calibrate
-from modcal_core.outcome.entries import Finding, parameters
+from modcal_core.outcome.entries import parameters
 
 CHAIN, SLIDER = ur10(), slider_arm()
 X = np.linspace(-2.0, 2.0, 4096)
@@ -112,34 +112,6 @@ def test_a_size_that_the_stations_do_not_determine_is_not_stated() -> None:
     assert "11.9" not in said
     assert "mrad" not in said
     assert "do not determine the size of any line" in said
-
-
-def test_a_rough_size_is_stated_with_its_spread() -> None:
-    at = ("elbow_joint", AXIS, "direction:elbow_joint")
-    assert "0.2 mrad of" in story("backlash", *at, {"backlash": (2e-4, 1e-5, "rad")})
-    assert "0.2 ± 0.05 mrad of" in story("backlash", *at, {"backlash": (2e-4, 5e-5, "rad")})
-    rough = {"compliance": (5e-6, 1e-6, "rad/(N m)"), "stiffness": (2e5, 4e4, "N m/rad")}
-    assert "stiffness 2e+05 ± 4e+04 N m/rad" in story("compliance", "elbow_joint", AXIS, "load:elbow_joint", rough)
-
-
-def finding(**change: object) -> Finding:
-    given = {"before": 2e-4, "after": 1e-4, "gain_mm2": 0.03, "ci95": (0.02, 0.04), "tool": 2e-4}
-    return Finding(
-        "gear_ratio", "elbow_joint", AXIS, "position:elbow_joint", {"ratio_error": (1e-4, 1e-6, "1")}, 1e-9,
-        **{**given, **change},  # type: ignore[arg-type]
-    )  # fmt: skip
-
-
-def test_a_gain_that_held_out_does_not_show_is_not_claimed() -> None:
-    assert "without it the error would be 0.200 instead of 0.100 mm" in finding().sentence
-    said = finding(gain_mm2=-0.01, ci95=(-0.03, 0.01), before=1.129e-3, after=1.799e-3).sentence
-    assert "the held-out stations do not show that it helps" in said
-    assert "1.799" not in said
-
-
-def test_a_chance_beyond_what_a_law_is_known_for_is_a_bound() -> None:
-    assert finding().chance == "below 1e-06"
-    assert Finding("scale", "tracker", "radial", "reading", {}, 0.03, 0.0, 0.0).chance == "0.03"
 
 
 @pytest.mark.slow

@@ -170,18 +170,6 @@ def test_returns_that_jump_are_no_repeatability() -> None:
     assert "jump" in said
 
 
-@pytest.mark.slow
-def test_noise_along_a_line_does_not_jump() -> None:
-    samples = visited(3, 40, 8)
-    rng = np.random.default_rng(6)
-    count = 0
-    for _ in range(300):
-        residuals = noise(samples, rng)
-        line = replace(residuals, position=residuals.position * [1.0, 0.0, 0.0])
-        count += bool(floors(line, samples, np.zeros(len(samples), bool), None).contradictions)
-    assert count <= 3
-
-
 def test_returns_that_differ_by_more_than_was_stated() -> None:
     samples = visited(3, 40, 8)
     residuals, good = noise(samples, np.random.default_rng(5)), np.zeros(len(samples), bool)

@@ -20,7 +20,7 @@ from modcal_core.report.as_json import to_json_data
 from modcal_core.verdict.floor import Floor, depends_on, floors, returns_of
 from modcal_core.verdict.rejected import too_many
 from modcal_core.verdict.status import MAX_ABOVE_FLOOR
-from modcal_core.verdict.tails import Tail, independent_postures
+from modcal_core.verdict.tails import Tail
 from modcal_core.verdict.verdict import Repeatability
 
 CHAIN = ur10()
@@ -30,8 +30,7 @@ def floor_of(square: float, freedom: float = 0.0) -> Floor:
     return Floor(square, Repeatability(None, "stated"), 0.0, freedom=freedom)
 
 
-@pytest.mark.parametrize("count", [3, 5, 15, 50, 5000])
-@pytest.mark.parametrize("freedom", [0.0, 12.0])
+@pytest.mark.parametrize(("count", "freedom"), [(3, 0.0), (5, 12.0), (50, 0.0), (5000, 12.0)])
 def test_noise_as_large_as_the_floor_is_in_neither_tail(count: int, freedom: float) -> None:
     """Mean squares of what is expected, drawn 500 times, and of floors that are known to a factor."""
     rng = np.random.default_rng(count)
@@ -63,13 +62,6 @@ def test_half_of_the_stations_off_do_not_excuse_themselves() -> None:
     wide, narrow = np.trace(case.known.covariance), np.trace(case.with_floor(0.05, 0.014).known.covariance)
     assert narrow < 0.1 * wide
     assert case.with_floor(None, None) is case
-
-
-def test_postures_count_by_their_distance() -> None:
-    samples = record(1, 30).samples
-    assert independent_postures(samples, False, samples) == 30
-    close = replace(samples, q=samples.q[:1] + 1e-3 * np.random.default_rng(0).normal(size=samples.q.shape))
-    assert independent_postures(close, False, close) == 1
 
 
 @pytest.mark.parametrize("fault", ["drift", "late", "order", ""])
@@ -122,7 +114,7 @@ def test_single_wrong_readings_are_few_at_any_number() -> None:
     assert many(11, 160)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_few_stations_reject_none_that_are_right(seed: int) -> None:
     samples = record(40 + seed, 16).samples
     found = calibrate(samples, CHAIN, np.random.default_rng(0), look_for_effects=False)

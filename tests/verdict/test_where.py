@@ -65,10 +65,6 @@ def test_no_driver_holds_what_was_read(made: Recorded) -> None:
         np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-9 * max(np.abs(one).max(), 1.0))
 
 
-def test_nothing_is_located_on_a_clean_arm(made: Recorded) -> None:
-    assert said(made.samples) == ""
-
-
 @pytest.mark.slow
 def test_a_tracker_whose_scale_changes_with_distance(made: Recorded) -> None:
     far = np.linalg.norm(made.samples.reading, axis=1, keepdims=True)
@@ -109,13 +105,6 @@ def test_a_base_whose_bolts_hold_by_friction(made: Recorded) -> None:
     assert "(slip), as an error of the base" in text
 
 
-def test_play_follows_only_beyond_its_width(made: Recorded) -> None:
-    there = np.array([0.0, 0.5, 2.0, 1.6, 0.0])
-    q = np.repeat(there[:, None], 6, axis=1)
-    ahead = play(replace(made.samples.select(np.arange(5)), q=q, approach=np.zeros_like(q)), (1.0,))[0, 0]
-    assert ahead == pytest.approx([0.0, 0.5, 1.0, 0.6, -1.0])
-
-
 @pytest.mark.slow
 def test_a_frozen_model_of_an_arm_with_a_new_zero_and_outside_its_range(made: Recorded) -> None:
     inner = np.flatnonzero(made.samples.q[:, 1] < 1.0)
@@ -133,13 +122,6 @@ def test_a_joint_is_named_by_the_direction_of_its_error_alone(made: Recorded) ->
     """Its error goes with nothing, but it moves the tool as no other joint does."""
     off = 1e-3 * np.random.default_rng(8).normal(size=len(made.samples))
     assert "of what is left lies along the motion of joint elbow_joint" in said(with_error(made, 2, off))
-
-
-@pytest.mark.slow
-def test_readings_whose_scale_changes_half_way(made: Recorded) -> None:
-    scale = np.where(np.arange(len(made.samples)) < 60, 1.0, 1.0006)[:, None]
-    text = said(replace(made.samples, reading=made.samples.reading * scale))
-    assert "as an error of the tracker's readings" in text
 
 
 @pytest.mark.slow

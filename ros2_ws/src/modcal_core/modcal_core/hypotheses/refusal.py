@@ -13,7 +13,7 @@ import numpy as np
 from modcal_core.calibration import AnyDistance, Cell, Fit, fit_cell, usual_miss
 from modcal_core.errors import BadRecording
 from modcal_core.hypotheses import conventions
-from modcal_core.hypotheses.hand_eye import HandEye
+from modcal_core.hypotheses.hand_eye import HandEye, placed
 from modcal_core.hypotheses.hypothesis import RARE, Disagreement, family
 from modcal_core.hypotheses.search import explain
 from modcal_core.hypotheses.socket_places import misread_joints, require_one_place
@@ -24,6 +24,8 @@ from modcal_core.robots import Mechanism
 LIMIT_OF_REACH = 0.01  # a fitted arm that misses by more than this share of its reach is not an arm with small errors
 EVERYTHING = "joint states and readings"  # the offender of a refusal that can name none
 _DRIFT = 0.1  # of what is missed, that readings move by within a station; noise of an instrument does not miss by far
+
+_OF_A_FRAME = 10  # stations; twelve unknown numbers at most, of thirty or sixty
 
 
 def require_plausible(
@@ -53,7 +55,7 @@ def require_plausible(
         concerned = f"; {found.stations} of {found.of} stations are concerned" if found.stations < found.of else ""
         left = "" if found.missed is None else f"; with that corrected, it misses by {1e3 * found.missed:.1f} mm"
         raise BadRecording(found.what, f"{said}{concerned}{left}", found.remedy)
-    for what, why, remedy in _facts(samples, missed):
+    for what, why, remedy in _facts(samples, whole, missed, chain):
         raise BadRecording(what, f"{why}; {said}" if why else said, remedy)
     raise BadRecording(
         EVERYTHING,
@@ -95,8 +97,15 @@ def _require_statements(
         )
 
 
-def _facts(samples: Samples, missed: float) -> Iterator[tuple[str, str, str]]:
-    """What is plain without a fit: offender, what is seen of it, and the remedy."""
+def _facts(samples: Samples, whole: Samples, missed: float, chain: Mechanism) -> Iterator[tuple[str, str, str]]:
+    """What is plain without a fit of the arm: offender, what is seen of it, and the remedy."""
+    cases = [HandEye.of(whole.select(whole.frame == f), chain) for f in range(len(whole.frames))]
+    if len(cases) > 1 and all(case and len(case) >= _OF_A_FRAME and placed(case).explains for case in cases):
+        yield (
+            f"frames {', '.join(whole.frames)}",
+            "agree with the arm one by one, not together: each shows a target of its own on the tool",
+            "give each target a recording of its own (--also), or a table's mapping the column that tells it (target)",
+        )
     flat = [axis for axis, extent in zip("xyz", np.ptp(samples.reading, axis=0), strict=True) if extent == 0.0]
     if flat and len(samples.frames) == 1:
         yield (

@@ -7,7 +7,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -78,18 +78,15 @@ class Sheet:
     full: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     sure: bool = True
-    _width: list[int] = field(default_factory=list, repr=False)
 
     @property
     def width(self) -> int:
         """Number of columns."""
-        if not self._width:
-            self._width.append(max(len(row) for row in self.rows))
-        return self._width[0]
+        return len(self.rows[0])
 
     def column(self, k: int) -> list[str]:
-        """Cells of a column; of rows that are too short, none."""
-        return [row[k].strip() if k < len(row) else "" for row in self.rows]
+        """Cells of a column."""
+        return [row[k].strip() for row in self.rows]
 
 
 def texts(path: Path, encoding: str | None = None) -> tuple[dict[str, str], str, bool]:
@@ -190,6 +187,17 @@ def _cells(text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
         before = reader.line_num
 
 
+def _filled(cells: Sequence[str], width: int) -> list[str]:
+    """So many cells, empty ones behind those that there are."""
+    return [*cells[:width], *[""] * (width - len(cells))]
+
+
+def _even(rows: list[list[str]], header: Sequence[str]) -> list[list[str]]:
+    """Rows as wide as the widest of them and of the labels."""
+    width = max(len(header), *map(len, rows))
+    return [_filled(row, width) for row in rows]
+
+
 def read_sheet(path: Path, form: Form) -> Sheet:
     """The cells of a file in a stated form; empty lines are left out. Raises BadTable."""
     found, _, _ = texts(path, form.encoding)
@@ -207,7 +215,7 @@ def read_sheet(path: Path, form: Form) -> Sheet:
         raise BadTable(str(path), "has no row", "leave the file out")
     header = _labels(filled[0][1], len(rows[0])) if form.header else _names(rows[0])
     units = _units_of_cells(path, rows, form.decimal)
-    return Sheet(path, form, header, rows, [form.preamble_rows + line for line, _ in below], units=units)
+    return Sheet(path, form, header, _even(rows, header), [form.preamble_rows + line for line, _ in below], units=units)
 
 
 def _units_of_cells(path: Path, rows: Sequence[Sequence[str]], sign: str) -> tuple[str, ...]:
@@ -253,7 +261,7 @@ def sniff(path: Path, least: int = _MIN_COLUMNS) -> Sheet:
         head = "\n".join(text.split("\n", _LINES)[:_LINES])
         for separator, sign in ((a, b) for a in _SEPARATORS for b in ".," if a != b):
             try:
-                count = _block([row for _, row in _cells(head, separator)], sign, least)
+                count, _ = _block([row for _, row in _cells(head, separator)], sign, least)
             except csv.Error:
                 continue
             if count > best[0]:
@@ -272,21 +280,22 @@ def _is_row(cells: list[str], sign: str, least: int) -> int:
     return numbers if numbers >= least and numbers >= _NUMBERS * (len(cells) - missing) else 0
 
 
-def _width(rows: list[list[str]], sign: str, least: int) -> int:
-    """The usual number of columns of rows of numbers; 0 where there are none."""
-    widths = Counter(len(cells) for cells in rows if _is_row(cells, sign, least))
-    return widths.most_common(1)[0][0] if widths else 0
-
-
-def _block(rows: list[list[str]], sign: str, least: int) -> int:
-    width = _width(rows, sign, least)
-    return sum(_is_row(cells, sign, least) for cells in rows if len(cells) == width)
+def _block(rows: list[list[str]], sign: str, least: int) -> tuple[int, int]:
+    """(how many numbers there are in rows of the usual width, this width); zeros where there are none."""
+    counts = Counter[int]()
+    widths = Counter[int]()
+    for cells in rows:
+        if count := _is_row(cells, sign, least):
+            counts[len(cells)] += count
+            widths[len(cells)] += 1
+    width = widths.most_common(1)[0][0] if widths else 0
+    return counts[width], width
 
 
 def _laid_out(path: Path, text: str, form: Form, least: int) -> Sheet:
     table, sign = list(_cells(text, form.delimiter)), form.decimal
     every = [cells for _, cells in table]
-    width = _width(every, sign, least)
+    _, width = _block(every, sign, least)
     first = next(i for i, cells in enumerate(every) if len(cells) == width and _is_row(cells, sign, least))
     above = first
     while above and abs(len(every[above - 1]) - width) <= 1 and not _is_row(every[above - 1], sign, least):
@@ -303,7 +312,7 @@ def _laid_out(path: Path, text: str, form: Form, least: int) -> Sheet:
     form = replace(form, header=bool(stacked), preamble_rows=preamble, units_rows=units_rows if stacked else 0)
     full = _stacked([*upper, named], width)
     units = _stacked([*stacked[len(upper) + 1 :], _units_of_cells(path, every[first:], sign)], width)
-    return Sheet(path, form, named, every[first:], [line for line, _ in table[first:]], full, units)
+    return Sheet(path, form, named, _even(every[first:], named), [line for line, _ in table[first:]], full, units)
 
 
 def _are_units(cells: tuple[str, ...]) -> bool:
@@ -335,20 +344,16 @@ def joined(sheet: Sheet, stated: Mapping[str, Any], folder: Path, source: str, o
     partner = _partners(sheet, other, stated, source)
     names = other.header or tuple(f"{path.stem}.{k}" for k in range(other.width))
     names = tuple(f"{path.stem}.{label}" if label in sheet.header else label for label in names)
-    cells = [other.column(k) for k in range(len(names))]
+    cells = [other.column(k) for k in range(other.width)]
     if other.form.decimal != sheet.form.decimal:
         cells = [[cell.replace(other.form.decimal, sheet.form.decimal) for cell in column] for column in cells]
-    width, new = sheet.width, len(names)
-
-    def beside(ours: tuple[str, ...], theirs: tuple[str, ...]) -> tuple[str, ...]:
-        return (*ours, *[""] * (width - len(ours)), *theirs, *[""] * (new - len(theirs)))[: width + new]
-
+    places = partner.tolist()
     rows = [
-        [*row, *[""] * (width - len(row)), *(column[k] if k >= 0 else "" for column in cells)]
-        for row, k in zip(sheet.rows, partner.tolist(), strict=True)
+        [*row, *(column[k] if k >= 0 else "" for column in cells)] for row, k in zip(sheet.rows, places, strict=True)
     ]
-    full, units = beside(sheet.full, other.full or names), beside(sheet.units, other.units)
-    return Sheet(sheet.path, sheet.form, beside(sheet.header, names), rows, sheet.lines, full, units, sheet.sure)
+    labels = ((sheet.header, names), (sheet.full, other.full or names), (sheet.units, other.units))
+    header, full, units = ((*_filled(ours, sheet.width), *_filled(theirs, other.width)) for ours, theirs in labels)
+    return Sheet(sheet.path, sheet.form, header, rows, sheet.lines, full, units, sheet.sure)
 
 
 def _partners(sheet: Sheet, other: Sheet, stated: Mapping[str, Any], source: str) -> np.ndarray:
@@ -397,7 +402,7 @@ def cell_value(cell: str, decimal: str = ".") -> float | str:
 
 def index(sheet: Sheet, key: Any) -> int:
     """The number of a column that is given by its label or by its number. Raises BadTable."""
-    if isinstance(key, int) and not isinstance(key, bool) and 0 <= key < max(len(sheet.rows[0]), len(sheet.header)):
+    if isinstance(key, int) and not isinstance(key, bool) and 0 <= key < sheet.width:
         return key
     if key in sheet.header:
         if sheet.header.count(key) > 1:
@@ -405,5 +410,5 @@ def index(sheet: Sheet, key: Any) -> int:
             said = f"has {sheet.header.count(key)} columns {key}"
             raise BadTable(sheet.path.name, said, f"give the number of the one that is meant: {places}")
         return sheet.header.index(key)
-    known = ", ".join(label for label in sheet.header if label) or f"0 to {len(sheet.rows[0]) - 1}"
+    known = ", ".join(label for label in sheet.header if label) or f"0 to {sheet.width - 1}"
     raise BadTable(sheet.path.name, f"has no column {key}", f"columns are {known}")

@@ -13,7 +13,7 @@ from modcal_msgs_py.tables.columns import Numbers
 from modcal_msgs_py.tables.labels import COMMANDED, MEASURED, grouped
 from modcal_msgs_py.tables.moments import SECONDS, find_time
 from modcal_msgs_py.tables.readings import UNITS
-from modcal_msgs_py.tables.sheet import sniff
+from modcal_msgs_py.tables.sheet import number, sniff
 
 _FORMS = "x y z, or x y z qx qy qz qw, a time before them or not"
 _WIDTHS = (3, 7)  # of a bare row without its time
@@ -44,11 +44,10 @@ def read_track(path: Path) -> TextTrack:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise BadTable(str(path), "is neither a bag nor text", f"give a bag, or lines of {_FORMS}") from error
-    words = [(number, _words(line)) for number, line in enumerate(lines, 1)]
-    words = [(number, row) for number, row in words if row]
+    words = [(k, row) for k, line in enumerate(lines, 1) if (row := _words(line))]
     if not words:
         raise BadTable(str(path), "holds no numbers", f"give lines of {_FORMS}")
-    if any(_number(word) is None for word in words[0][1]):
+    if any(number(word) is None for word in words[0][1]):
         return _labelled(path, words[0][0])
     return _bare(path, words)
 
@@ -57,23 +56,16 @@ def _words(line: str) -> list[str]:
     return line.partition("#")[0].replace(",", " ").replace(";", " ").split()
 
 
-def _number(word: str) -> float | None:
-    try:
-        return float(word)
-    except ValueError:
-        return None
-
-
 def _bare(path: Path, words: list[tuple[int, list[str]]]) -> TextTrack:
     """Rows of 3 or 7 numbers, or of 4 or 8 that begin with a time."""
     width = len(words[0][1])
     rows = []
-    for number, row in words:
-        found = [value for value in map(_number, row) if value is not None]
+    for line, row in words:
+        found = [value for value in map(number, row) if value is not None]
         if len(found) != len(row):
-            raise BadTable(f"{path}, line {number}", "is not numbers", f"give {_FORMS}")
+            raise BadTable(f"{path}, line {line}", "is not numbers", f"give {_FORMS}")
         if len(row) != width or not {width, width - 1} & set(_WIDTHS):
-            raise BadTable(f"{path}, line {number}", f"has {len(row)} numbers", f"give in every line {_FORMS}")
+            raise BadTable(f"{path}, line {line}", f"has {len(row)} numbers", f"give in every line {_FORMS}")
         rows.append(found)
     values = np.array(rows)
     if width in _WIDTHS:

@@ -223,8 +223,13 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         self._arm = None
 
     def _pull(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        refused = self._refused(self._begin)
-        response.success, response.message = not refused, refused or "weighing the tool, then pulling"
+        try:
+            self._begin()
+            response.success, response.message = True, "weighing the tool, then pulling"
+        except ModcalError as error:
+            # what is refused message by message counts as silence; the refusal says why
+            said = self._refusals.standing(error.offender)
+            response.success, response.message = False, said or str(error)
         self._health.publish()
         return response
 
@@ -237,17 +242,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
             response.message = self._said
         return response
 
-    def _refused(self, step: Callable[[], object]) -> str:
-        """Why the step of a pull was refused; empty where it was not."""
-        try:
-            step()
-        except ModcalError as error:
-            # what is refused message by message counts as silence; the refusal says why
-            return self._refusals.standing(error.offender) or str(error)
-        return ""
-
-    def _ready_arm(self) -> ArmInputs:
-        """The arm, heard of recently and free to pull. Raises ModcalError where it is not."""
+    def _begin(self) -> None:
         if not self._active:
             raise BadCommand("pull", "the node is not active", "configure and activate it first")
         if self._object.elsewhere:
@@ -257,11 +252,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         if self._arm is None:
             raise BadCommand("robot_description", "not received yet", "publish it (latched), or set the parameter")
         self._arm.require_fresh(self._now())
-        return self._arm
-
-    def _begin(self) -> None:
-        arm = self._ready_arm()
-        softness = self._softness(arm)
+        arm, softness = self._arm, self._softness(self._arm)
         self._efforts = JointEfforts.of(arm.arm.urdf, arm.chain)
         known = limits(arm.chain, self._chosen), softness.least, self._efforts.arm
         self._operation = Operation(arm.chain, task(self._chosen), *known)
@@ -370,15 +361,16 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
             "tick ms, median": f"{took[0]:.2f}",
             "tick ms, 99 %": f"{took[1]:.2f}",
         }
-        level, said = self._level, self._said
-        if said == _READY and (unready := self._refused(self._ready_arm)):
-            level, said = ros.WARN, f"not ready: {unready}"
         model = self._object.kind if self._object.model is not None else "none"
         trusted = {"model": model, "trusted": self._object.at(self._now()).trusted}
+        hearing = ros.subscription_status(self._inputs, self._refusals)
+        pull = ros.Status("pull", self._level, self._said, facts)
+        if self._said == _READY and hearing.level != ros.OK:
+            pull = ros.Status("pull", hearing.level, f"not ready: {hearing.message}", facts)
         return [
-            ros.subscription_status(self._inputs, self._refusals),
+            hearing,
             ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "no recent refusal", trusted),
-            ros.Status("pull", level, said, facts),
+            pull,
         ]
 
 
