@@ -42,9 +42,10 @@ from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import first_lens, fit_lens
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M
-from modcal_core.camera.views import postures_anywhere, postures_in_view
+from modcal_core.camera.views import POSTURES, postures_in_view
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array, se3
+from modcal_core.robots import random_postures
 from modcal_nodes.vision import detect
 
 EXPECTED = {"delay": ("clock", "velocity", "all"), "line time": ("clock", "line", "all")}
@@ -94,7 +95,7 @@ def arms(task: harness.Task) -> harness.Result:
     began = time.process_time()
     r = solved(s, np.random.default_rng(seed))
     tip, (near, _) = r.fit.flange, postures_in_view(r.fit, np.random.default_rng(seed + 1))
-    far = postures_anywhere(s.chain, np.random.default_rng(seed + 1))
+    far = random_postures(s.chain, POSTURES, np.random.default_rng(seed + 1))
     z = (r.fit.state.lens.values - s.lens.values) / r.fit.std[0][r.fit.poses.count + 1 :][:9]
     out = {"opencv": against_opencv(s), "effects": [f"{c.effect.family} {c.effect.label}" for c in r.evidence.causes]}
     out |= {"seconds": time.process_time() - began, "images": len(s.views), "lens_sigmas": list(z)}
@@ -191,7 +192,7 @@ def bodies(task: harness.Task) -> harness.Result:
         [c.effect.label for c in r.evidence.causes],
         [f"{f.family} {f.entry.direction}" for f in r.evidence.findings],
     )
-    return {**out, "out": len(r.ready.left_out), "corners_out": r.fit.table.left_out}
+    return {**out, "out": len(r.camera.left_out), "corners_out": r.fit.table.left_out}
 
 
 def of_body(s: BodyScene, fit: CameraFit, point: Array, q: Array) -> dict[str, float]:

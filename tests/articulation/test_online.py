@@ -115,19 +115,6 @@ def test_a_handle_that_leaves_the_path_loses_trust_and_is_learned_anew(rng: np.r
 
 
 @pytest.mark.slow
-def test_gross_outliers_pass_without_a_trace(rng: np.random.Generator) -> None:
-    seen = pulled("revolute", 1.0, rng)
-    bad = rng.random(200) < 0.05
-    bad[:20] = False
-    p = seen.positions + bad[:, None] * rng.normal(0.0, 0.15, (200, 3))
-    R = seen.rotations @ Rotation.from_rotvec(bad[:, None] * rng.normal(0.0, 0.5, (200, 3))).as_matrix()
-    states = watch(Tracker(), Seen(p, R, seen.kind, seen.a, seen.axis, seen.point, 0.0))
-    assert states[-1].kind == "revolute"
-    assert states[-1].trusted
-    assert not [s.event for s in states if s.event]
-
-
-@pytest.mark.slow
 def test_configuration_counts_from_the_beginning(rng: np.random.Generator) -> None:
     seen = pulled("revolute", 1.0, rng)
     last = watch(Tracker(), seen)[-1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from articulation.objects import Array
+from articulation.objects import Array, ideal, noisy
 from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.choice import choose
@@ -74,6 +74,15 @@ def test_what_a_smooth_bend_explains_is_not_certain_and_play_is() -> None:
     a = choice.fit.motion.configurations(track)
     assert bend_explains(track, choice.fit.motion.residuals(track, a), a)
     assert choose(bent(smooth=False)).enough
+
+
+def test_white_noise_and_few_samples_are_no_bend() -> None:
+    rng = np.random.default_rng(1)
+    for n in (8, 30, 200):
+        seen = noisy(ideal("revolute", np.linspace(0.0, 1.0, n), rng, 0.4), rng, 1e-3)
+        e = rng.normal(0.0, 1e-3, (n, 3)) * [0.0, 1.0, 1.0]
+        assert bend_explains(Track(seen.positions), e, np.linspace(0.0, 1.0, n)) == ""
+    assert bend_explains(Track(seen.positions), e, np.zeros(200)) == ""
 
 
 def test_a_bend_is_told_with_its_sizes() -> None:

@@ -15,8 +15,8 @@ from camera.scenes import panda
 from scipy.optimize import least_squares
 
 from modcal_core.camera.bundle import BoardView, BundleMarker, MarkerBundle, body_scale
+from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.prepared import CameraImages
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain

@@ -11,13 +11,12 @@ from camera.scenes import CameraScene, scene
 
 from modcal_core.calibration import Model
 from modcal_core.camera.arm_poses import ArmPoses, with_parameters
-from modcal_core.camera.cameras import Camera, Cameras
-from modcal_core.camera.corners import CommonPrior, CornerTable
+from modcal_core.camera.cameras import Camera, CameraImages, Cameras
+from modcal_core.camera.corners import CameraState, CommonPrior, CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import Mounting, find_mounting
-from modcal_core.camera.prepared import CameraImages
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
 from modcal_core.geometry import se3
@@ -50,7 +49,11 @@ def start(s: CameraScene, velocity: float = 0.0) -> tuple[CornerTable, ArmPoses]
 
 def alone(table: CornerTable, poses: ArmPoses, prior: CommonPrior, lens: Lens) -> Cameras:
     """One camera, and nothing beside it."""
-    return Cameras((Camera.of("images", table, poses, prior, lens),))
+    images = CameraImages(poses.q, (), table.target, lens.size)
+    base, tool = poses.model.T_frame_base[0], poses.model.T_tip_tool
+    mounting = Mounting(poses.camera_on_tip, base, tool, tool[None], 0.0, np.inf, np.zeros(3), np.empty(0))
+    begin = CameraState(poses.values.start, 0.0, np.r_[lens.values, prior.mean[len(lens.values) :]], lens)
+    return Cameras((Camera(images, mounting, table, poses, prior, begin, {}),))
 
 
 def problem(s: CameraScene, *further: CameraImages, **options: object) -> CameraProblem:

@@ -277,11 +277,11 @@ def test_corners_in_another_order_are_named() -> None:
 def test_an_arm_by_two_cameras_and_a_body_glued_by_hand(corners: bool) -> None:
     """Nothing is known of lenses, cameras or body but the drawing; markers are 0.7 mm off it, some misread."""
     s, r = cell(corners), solved(corners)
-    assert (r.ready.mounting.label, r.claim.decision.word) == (IN_WORLD, "apply")
+    assert (r.camera.mounting.label, r.claim.decision.word) == (IN_WORLD, "apply")
     assert arm_error(s, r.fit) < 3e-4 < 1.2e-3 < arm_error(s, r.nominal)
     late = {f"{i}" for i in np.flatnonzero((s.q != s.as_moved).any(axis=1))}
-    assert set(r.ready.left_out) == late & {v.name for v in s.images[0].views}
-    assert set(r.prepared[1].left_out) == late & {v.name for v in s.images[1].views}
+    assert set(r.camera.left_out) == late & {v.name for v in s.images[0].views}
+    assert set(r.fit.cameras.every[1].left_out) == late & {v.name for v in s.images[1].views}
     # where its markers are, to a sixth of how far they are off
     places = r.fit.state.shape[SHAPE:].reshape(20, -1)
     B = s.true_body()
@@ -333,7 +333,7 @@ def test_the_next_images_of_a_body_show_some_markers_and_tell_the_arm() -> None:
     """Planned for the arm by itself; each shows markers whose faces look at the camera, as the scene has it."""
     s = body_scene(3, 30, 1, corners=True, drawing=measured(icosahedron()))
     solution = solve_camera(CameraProblem(s.chain, s.images, look_for_effects=False), np.random.default_rng(1))
-    plan = plan_images(solution.fit, solution.ready.given.target, 4, np.random.default_rng(2))
+    plan = plan_images(solution.fit, solution.camera.given.target, 4, np.random.default_rng(2))
     assert (np.diff(plan.expected_m) < 0.0).all()
     assert solution.claim.alone is not None
     assert plan.expected_m[0] == pytest.approx(solution.claim.alone.interval[0], rel=0.5)

@@ -18,7 +18,7 @@ from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.robot import Robot
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.vision.bag import read_bag_images
-from modcal_nodes.vision.detection import detect_body
+from modcal_nodes.vision.detection import detect
 
 WORDS = "DICT_4X4_50"
 BODY = replace(icosahedron(), dictionary=WORDS)
@@ -37,7 +37,7 @@ def picture(numbers: list[int], side: int = 120) -> np.ndarray:
 
 def test_markers_of_a_body_are_found_one_by_one() -> None:
     """In the order of ArUco: upper left first, clockwise; another's number, and one that stands twice, do not count."""
-    view = detect_body(picture([3, 40, 7, 7]), BODY, "a").view
+    view = detect(picture([3, 40, 7, 7]), BODY, "a").view
     assert view is not None
     assert view.ids.tolist() == [BODY.point(3, corner) for corner in range(4)]
     x, y = view.pixels.T
@@ -49,11 +49,11 @@ def test_markers_of_a_body_are_found_one_by_one() -> None:
 
 
 def test_what_shows_no_marker_of_the_body_says_so() -> None:
-    found = detect_body(picture([40, 41]), BODY, "a")
+    found = detect(picture([40, 41]), BODY, "a")
     assert found.view is None
     assert "no marker of the body" in found.reason
     with pytest.raises(BadTable, match="no dictionary"):
-        detect_body(picture([3]), replace(BODY, dictionary=""), "a")
+        detect(picture([3]), replace(BODY, dictionary=""), "a")
 
 
 def test_detections_of_tags_in_a_bag_are_of_a_body(tmp_path: Path) -> None:

@@ -155,7 +155,7 @@ def test_an_arm_that_is_centimetres_off(on_tip: bool) -> None:
     assert r.claim.decision.word == APPLY
     assert r.fit.sizes.noise == pytest.approx(1.0, abs=0.1)
     assert 2e-5 < r.fit.sizes.joint < 1e-4  # 5e-5 was put in
-    assert not r.ready.left_out
+    assert not r.camera.left_out
     assert r.evidence.moved is None
     # the arm by itself is known better than where the camera, or target, stands
     assert r.claim.alone is not None

@@ -30,8 +30,9 @@ def scaled(s: CameraScene, zooms: Array) -> CameraSolution:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("on_tip", [True, False])
-@pytest.mark.parametrize("what", ["autofocus", "every second image is larger", "nothing"])
+@pytest.mark.parametrize(
+    ("on_tip", "what"), [(True, "autofocus"), (False, "every second image is larger"), (True, "nothing")]
+)
 def test_focus_that_hunts(on_tip: bool, what: str) -> None:
     s = scene(65, on_tip, count=20, board=MEASURED)
     zooms: Array = {

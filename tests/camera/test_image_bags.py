@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from camera.bags import JOINT_STATE, START, header, stops
 from camera.boards import BOARD, seen
 from camera.render import render
 from camera.scenes import PANDA, CameraScene, scene
@@ -30,9 +31,6 @@ from modcal_nodes.vision.bag import JointLog, chosen_stamps
 from modcal_nodes.vision.grey import grey_of
 from modcal_nodes.vision.images import SCALED
 
-START = 1_700_000_000.0
-STAY, GO = 1.0, 1.0  # s, at a posture and to the next
-
 
 @dataclass(frozen=True)
 class Recorded:
@@ -41,11 +39,6 @@ class Recorded:
     bag: Path
     scene: CameraScene
     pictures: list[np.ndarray]
-
-
-def header(stamp: float, frame: str = "") -> Any:
-    time = message_class("builtin_interfaces/msg/Time")(sec=int(stamp), nanosec=round(1e9 * (stamp % 1.0)))
-    return message_class("std_msgs/msg/Header")(stamp=time, frame_id=frame)
 
 
 def raw(stamp: float, pixels: Array, encoding: str = "mono8") -> Any:
@@ -79,33 +72,19 @@ def camera_info(stamp: float, size: tuple[int, int], K: Array, d: Array) -> Any:
 
 def write_cell(folder: Path, s: CameraScene, pictures: Sequence[np.ndarray], lens_of: tuple[int, int] | None) -> Path:
     """A bag of an arm that stops at each posture, one image and one reading of a ball at every stop."""
-    joint_state, point = message_class("sensor_msgs/msg/JointState"), message_class("geometry_msgs/msg/PointStamped")
-    at_point = message_class("geometry_msgs/msg/Point")
-    nothing = np.empty(0)
+    point, at_point = (message_class(f"geometry_msgs/msg/{name}") for name in ("PointStamped", "Point"))
     out: list[tuple[float, str, str, Any]] = []
-    t = START
     rng = np.random.default_rng(2)
     ball = se3.apply(TRACKER @ s.T, BALL) + 5e-5 * rng.standard_normal((len(s.q), 3))
-    for k, (q, picture) in enumerate(zip(s.q, pictures, strict=True)):
-        for share in np.linspace(0.0, 1.0, 50, endpoint=False) if k else ():
-            ease = share * share * (3.0 - 2.0 * share)
-            now = s.q[k - 1] + ease * (q - s.q[k - 1])
-            state = joint_state(header(t), list(s.chain.names), now, nothing, nothing)
-            out.append((t, "/joint_states", "sensor_msgs/msg/JointState", state))
-            t += GO / 50
-        for j in range(50):
-            state = joint_state(header(t), list(s.chain.names), q, nothing, nothing)
-            out.append((t, "/joint_states", "sensor_msgs/msg/JointState", state))
-            if j == 25:
-                name = f"{t:.6f}"
-                packed = cv2.imencode(".png", picture)[1].ravel()
-                image = message_class(COMPRESSED)(header=header(t, "camera"), format="png", data=packed)
-                out.append((t, "/camera/image_raw/compressed", COMPRESSED, image))
-                assert float(name) > 0.0
-            if 10 <= j < 40:
-                said = at_point(*(float(x) for x in ball[k] + 2e-5 * rng.standard_normal(3)))
-                out.append((t, "/tracker/point", "geometry_msgs/msg/PointStamped", point(header(t, "tracker"), said)))
-            t += STAY / 50
+    for t, state, k, share in stops(s.chain.names, s.q):
+        out.append((t, "/joint_states", JOINT_STATE, state))
+        if share == 0.5:
+            packed = cv2.imencode(".png", pictures[k])[1].ravel()
+            image = message_class(COMPRESSED)(header=header(t, "camera"), format="png", data=packed)
+            out.append((t, "/camera/image_raw/compressed", COMPRESSED, image))
+        if 0.2 <= share < 0.8:
+            said = at_point(*(float(x) for x in ball[k] + 2e-5 * rng.standard_normal(3)))
+            out.append((t, "/tracker/point", "geometry_msgs/msg/PointStamped", point(header(t, "tracker"), said)))
     with BagWriter(folder) as bag:
         String = message_class("std_msgs/msg/String")
         bag.write("/robot_description", "std_msgs/msg/String", String(data=PANDA.read_text()), int(1e9 * START))
@@ -154,7 +133,6 @@ def test_images_and_a_tracker_in_one_bag(
     [
         (["--image-topic", "/other"], "holds no images of topic /other"),
         (["--joints", "J"], "--joints needs --images"),
-        (["--block", "2"], "--block does not work with images"),
     ],
 )
 def test_calls_that_cannot_be_done(

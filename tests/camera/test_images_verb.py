@@ -85,8 +85,8 @@ def test_images_to_a_calibrated_arm(cell: tuple[Path, CameraScene], capsys: pyte
 
 
 @pytest.mark.slow
-def test_corners_of_another_program(cell: tuple[Path, CameraScene], capsys: pytest.CaptureFixture[str]) -> None:
-    """The same arm from a CSV of corners; and what a table may not say."""
+def test_corners_of_another_program(cell: tuple[Path, CameraScene]) -> None:
+    """The same arm from a CSV of corners."""
     where, s = cell
     rows = [f"{v.name},{i},{u:.4f},{w:.4f},640,480" for v in s.views for i, (u, w) in zip(v.ids, v.pixels, strict=True)]
     table = where / "corners.csv"
@@ -99,17 +99,6 @@ def test_corners_of_another_program(cell: tuple[Path, CameraScene], capsys: pyte
     calibration = Calibration.load(where / "of_corners")
     off = np.linalg.norm((calibration.predict(s.q) - s.truth(s.q))[:, :3, 3], axis=1)
     assert 1e3 * np.sqrt((off**2).mean()) < report["camera"]["tool_error_mm"]["in_view"]["calibrated"]["high95"]
-    for text, said in (
-        ("image,id,u\n", "no column v"),
-        ("image,id,u,v\n0.png,99,1,2\n", "corner 99, the target has 0 to 23"),
-        ("image,id,u,v\n0.png,1,x,2\n", "line 2"),
-        ("image,id,u,v\n0.png,1,3,2\n", "how large the images are"),
-        ("image,id,u,v,width,height\n0.png,1,3,2,640,480\n0.png,1,3,2,640,480\n", "a corner twice"),
-        ("image,id,u,v,width,height\n0.png,1,3,2,640,480\n0.png,2,3,2,320,480\n", "those before of 640"),
-    ):
-        table.write_text(text)
-        assert run([*call, "--out", str(where / "none")]) == 2
-        assert said in capsys.readouterr().err
 
 
 @pytest.mark.slow

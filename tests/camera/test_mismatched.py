@@ -12,7 +12,8 @@ from camera.fits import MEASURED
 from camera.scenes import scene
 
 from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.prepared import CameraImages, prepare_images, together
+from modcal_core.camera.cameras import CameraImages
+from modcal_core.camera.prepared import prepare_images, together
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 

@@ -11,7 +11,7 @@ from camera.bodies import Faults, body_scene, icosahedron, measured
 from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.corners import COMMON, CornerTable
 from modcal_core.camera.outlook import left_out_points
-from modcal_core.camera.prepared import far_markers, prepare_images, together
+from modcal_core.camera.prepared import far_markers, fitted, prepare_images, together
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
@@ -69,7 +69,7 @@ def test_a_marker_far_from_where_the_others_have_it(corners: bool) -> None:
     s = body_scene(11, 40, 1, Faults(misread=0.0, late=0), corners, drawing=measured(icosahedron()))
     (images,) = together((s.images[0],))
     ready = prepare_images(s.chain, images)
-    fit = ready.fitted(fixed_sizes=True)
+    fit = fitted(ready, fixed_sizes=True)
     assert not far_markers(fit).any()
     K, values = fit.table.markers, fit.table.places
     used = np.flatnonzero(np.bincount(fit.table.marker, minlength=K) > 5)

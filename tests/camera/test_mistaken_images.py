@@ -29,9 +29,10 @@ def test_a_kicked_tripod_is_named(on_tip: bool) -> None:
     assert r.claim.decision.word == DO_NOT_APPLY
     assert r.evidence.moved is not None
     assert r.evidence.moved.at == half
-    assert r.evidence.moved.in_world
-    what = "target" if on_tip else "camera"
-    assert any(said.startswith(f"The {what} was moved before image") for said in r.claim.decision.because)
+    assert r.evidence.moved.what == ("target" if on_tip else "camera")
+    assert any(
+        said.startswith(f"The {r.evidence.moved.what} was moved before image") for said in r.claim.decision.because
+    )
 
 
 @pytest.mark.slow
@@ -56,7 +57,7 @@ def test_an_image_of_another_posture_is_left_out() -> None:
     q = s.q.copy()
     q[7] += 0.05
     r = solved(replace(s, q=q))
-    assert list(r.ready.left_out) == [s.views[7].name]
+    assert list(r.camera.left_out) == [s.views[7].name]
 
 
 @pytest.mark.slow
@@ -99,7 +100,7 @@ def test_pictures_turned_upside_down_are_left_out() -> None:
     turned = [replace(v, pixels=far - v.pixels) if i % 3 == 0 else v for i, v in enumerate(s.views)]
     r = solved(replace(s, views=turned), look_for_effects=False)
     assert r.claim.decision.word == DO_NOT_APPLY
-    assert set(r.ready.left_out) == {v.name for v in turned[::3]}
+    assert set(r.camera.left_out) == {v.name for v in turned[::3]}
 
 
 def test_a_camera_that_hung_is_noticed() -> None:
@@ -107,8 +108,8 @@ def test_a_camera_that_hung_is_noticed() -> None:
     s = images(True)
     hung = [replace(s.views[4], name=v.name) if 4 <= i < 8 else v for i, v in enumerate(s.views)]
     r = solved(replace(s, views=hung), look_for_effects=False)
-    assert set(r.ready.left_out) == {"5.png", "6.png", "7.png"}
-    assert all("the same picture as 4.png" in why for why in r.ready.left_out.values())
+    assert set(r.camera.left_out) == {"5.png", "6.png", "7.png"}
+    assert all("the same picture as 4.png" in why for why in r.camera.left_out.values())
     assert r.claim.decision.word == DO_NOT_APPLY
 
 
@@ -118,7 +119,7 @@ def test_copies_of_images_say_nothing_more() -> None:
     both = replace(s, q=np.concatenate([s.q, s.q]), views=[*s.views, *copies])
     once, twice = (solved(one, look_for_effects=False) for one in (s, both))
     assert twice.claim.in_view.interval == pytest.approx(once.claim.in_view.interval, rel=1e-6)
-    assert set(twice.ready.left_out) == {v.name for v in copies}
+    assert set(twice.camera.left_out) == {v.name for v in copies}
 
 
 def test_two_boards_in_turn_are_refused() -> None:

@@ -14,11 +14,12 @@ import pytest
 from camera.flange import flange_arm, flange_joints
 
 from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
+from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import first_lens, fit_lens
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.prepared import CameraImages, prepare_images
+from modcal_core.camera.prepared import nominal, prepare_images
 from modcal_core.files import read_yaml
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -83,7 +84,7 @@ def placed(lens: Lens | None) -> CameraFit:
     ready = prepare_images(flange_arm(), images)
     assert not ready.mounting.camera_on_tip
     assert ready.mounting.rival > 3.0
-    return ready.nominal()
+    return nominal(ready)
 
 
 def test_placed_without_a_guess_as_well_as_somebody_calibrated_it() -> None:

@@ -12,9 +12,9 @@ from camera.scenes import BOARD_ON_TIP, CAMERA_IN_WORLD, CameraScene, scene
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import PrintedTarget
+from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.claim import APPLY
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.prepared import CameraImages
 from modcal_core.camera.solve import CameraSolution, solve_camera
 from modcal_core.camera.views import postures_in_view
 from modcal_core.errors import BadRecording
@@ -71,11 +71,11 @@ def three(cell: CameraScene) -> CameraSolution:
 @pytest.mark.slow
 def test_three_cameras_know_the_arm_better_than_one(cell: CameraScene, three: CameraSolution) -> None:
     """Size and bow of the sheet on the tip are one for both that see it; the other sheet gets its size by the arm."""
-    _, second, hand = three.prepared
+    _, second, hand = three.fit.cameras.every
     assert (second.mounting.camera_on_tip, hand.mounting.camera_on_tip) == (False, True)
     _, state, of_hand = three.fit.states
     std = three.fit.std[1][len(state.values) + 1 :]
-    assert second.camera.table.views == len(on_tripod(cell).views) >= 10
+    assert second.table.views == len(on_tripod(cell).views) >= 10
     assert (np.abs(state.lens.values - OTHER_LENS.values)[:4] < 4.0 * std[:4]).all()
     assert std[:4].max() < 3.0
     assert (state.shape == three.fit.state.shape).all()

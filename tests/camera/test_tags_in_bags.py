@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from camera.bags import JOINT_STATE, START, header, stops
 from camera.boards import views
 from camera.scenes import PANDA, CameraScene, scene
-from camera.test_image_bags import camera_info, header
+from camera.test_image_bags import camera_info
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -30,7 +31,6 @@ from modcal_nodes.vision.bag import TAGS_SAID, read_bag_images
 from modcal_nodes.vision.images import ImageFolder
 
 GRID = PrintedTarget(APRIL_GRID, 4, 3, 0.04, 0.012, "DICT_APRILTAG_36h11", first_id=5)
-START = 1_700_000_000.0
 POINT, ONE = "apriltag_msgs/msg/Point", "apriltag_msgs/msg/AprilTagDetection"
 FIELDS = {
     POINT: "float64 x\nfloat64 y\n",
@@ -67,8 +67,6 @@ def bag_of_tags(
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in FIELDS.items():
         store.register(get_types_from_msg(text, name))
-    state = message_class("sensor_msgs/msg/JointState")
-    nothing = np.empty(0)
 
     def corner(p: Array) -> Any:
         return store.types[POINT](x=float(p[0]), y=float(p[1]))
@@ -100,31 +98,14 @@ def bag_of_tags(
             write(
                 "/camera/camera_info", CAMERA_INFO, camera_info(START, s.lens.size, s.lens.K, s.lens.values[4:]), START
             )
-        t = START
-        for k, (q, view) in enumerate(zip(s.q, s.views, strict=True)):
-            before = s.q[max(k - 1, 0)]
-            for share in np.linspace(0.0, 1.0, 20, endpoint=False):
-                now = before + share * (q - before)
-                write(
-                    "/joint_states",
-                    "sensor_msgs/msg/JointState",
-                    state(header(t), list(s.chain.names), now, nothing, nothing),
-                    t,
-                )
-                t += 0.05
-            for j in range(20):
-                write(
-                    "/joint_states",
-                    "sensor_msgs/msg/JointState",
-                    state(header(t), list(s.chain.names), q, nothing, nothing),
-                    t,
-                )
-                for topic, one in (("/detections", view), *((("/second/detections", second[k]),) if second else ())):
-                    if j == 10:
-                        by_tag = [(n, one.pixels[one.ids // 4 == n]) for n in np.unique(one.ids // 4)]
-                        found = [detection(int(n), quad) for n, quad in by_tag if len(quad) == 4]
-                        write(topic, TAGS, store.types[TAGS](header(t, "camera"), found), t)
-                t += 0.05
+        for t, state, k, share in stops(s.chain.names, s.q):
+            write("/joint_states", JOINT_STATE, state, t)
+            shown = {"/detections": s.views, **({"/second/detections": second} if second else {})}
+            for topic, seen in shown.items() if share == 0.5 else ():
+                one = seen[k]
+                by_tag = [(n, one.pixels[one.ids // 4 == n]) for n in np.unique(one.ids // 4)]
+                found = [detection(int(n), quad) for n, quad in by_tag if len(quad) == 4]
+                write(topic, TAGS, store.types[TAGS](header(t, "camera"), found), t)
         writer.finish()
     return path
 

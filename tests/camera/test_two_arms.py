@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from camera.bags import JOINT_STATE, START, header, stops
 from camera.boards import BOARD, LENS, facing, views
 from camera.by_tracker import missed_by_tracker
 from camera.scenes import BOARD_ON_TIP, HOME, PANDA
-from camera.test_image_bags import START, header
 
 from modcal_core.calibration import Model
 from modcal_core.calibration.store_parts import arm_to_data, inertias_from_data
@@ -112,21 +112,17 @@ def bag_of_corners(
     size: tuple[int, int],
 ) -> Path:
     """A bag of a robot that stops at each posture, and the corners that detectors publish there, by topic."""
-    joint_state, String = message_class("sensor_msgs/msg/JointState"), message_class("std_msgs/msg/String")
-    cloud, field = message_class(CLOUD), message_class("sensor_msgs/msg/PointField")
-    nothing = np.empty(0)
+    String, cloud = message_class("std_msgs/msg/String"), message_class(CLOUD)
+    field = message_class("sensor_msgs/msg/PointField")
     with BagWriter(folder) as bag:
         bag.write("/robot_description", "std_msgs/msg/String", String(data=description), int(1e9 * START))
-        for k, at in enumerate(q):
-            for j in range(20):
-                t = START + 3.0 * k + 0.05 * j
-                state = joint_state(header(t), list(names), at, nothing, nothing)
-                bag.write("/joint_states", "sensor_msgs/msg/JointState", state, int(1e9 * t))
-                for topic, views_of in seen.items() if j == 10 else ():
-                    empty = cloud(header(t), 0, 0, [], False, 0, 0, np.empty(0, np.uint8), True)
-                    message = fill_corners(empty, field, replace(views_of[k], stamp=t), size, "camera")
-                    message.data = np.frombuffer(message.data, np.uint8)
-                    bag.write(topic, CLOUD, message, int(1e9 * t))
+        for t, state, k, share in stops(names, q):
+            bag.write("/joint_states", JOINT_STATE, state, int(1e9 * t))
+            for topic, views_of in seen.items() if share == 0.5 else ():
+                empty = cloud(header(t), 0, 0, [], False, 0, 0, np.empty(0, np.uint8), True)
+                message = fill_corners(empty, field, replace(views_of[k], stamp=t), size, "camera")
+                message.data = np.frombuffer(message.data, np.uint8)
+                bag.write(topic, CLOUD, message, int(1e9 * t))
     return folder
 
 

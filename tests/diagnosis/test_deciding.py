@@ -145,6 +145,19 @@ SPRING = joint_effect("compliance", "load:elbow_joint", [5e-6], Shape("linear"))
 BY_EFFORT = joint_effect("compliance", "effort:elbow_joint", [-5e-6], Shape("linear"))
 
 
+def test_what_differs_by_little_is_not_called_the_same() -> None:
+    """A ripple of 65 cycles and a payload are no one motion, however small they are; stations enough tell them apart."""
+    calibration = tied(RIPPLE, PAYLOAD)
+    few = propose(calibration, 0, 0, 3, np.random.default_rng(0))
+    assert not few.decides
+    assert not few.same
+    assert few.needed > 3
+    assert propose(calibration, 0, 0, 2 * few.needed, np.random.default_rng(0)).decides
+    said = _worth(few)
+    assert "same motion" not in said
+    assert f"about {few.needed} are needed" in said
+
+
 def test_one_motion_under_two_names_is_said_to_be_one() -> None:
     """A turn about the last axis, behind the joint or at the tool that is mounted along it."""
     turn = joint_effect("gear_ratio", "position:elbow_joint", [3e-4], Shape("linear"), "wrist_3_joint")

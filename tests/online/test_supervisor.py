@@ -15,7 +15,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.supervisor import ASKED, LEARNING, SUSPECTED, TRUSTED, Policy, Supervisor
-from modcal_core.recalibrate import compared
+from modcal_core.recalibrate import SampleMemory, compared, thinned
 
 BUMP = se3.exp(np.array([6e-4, 0.0, -3e-4, 0.0, 0.0, 0.0]))
 
@@ -141,3 +141,13 @@ def test_a_reading_in_a_frame_that_is_not_known_is_counted() -> None:
 def test_equal_models_are_hardly_ever_called_better(rng: Generator) -> None:
     wrong = sum(compared(*np.abs(rng.standard_normal((2, 12)))).better for _ in range(500))
     assert wrong < 25
+
+
+def test_thinning_keeps_the_newest() -> None:
+    samples = later(100)
+    few = thinned(samples, 40)
+    assert len(few) == 40
+    assert (few.stamps[-20:] == samples.stamps[-20:]).all()
+    assert few.stamps[0] == samples.stamps[0]
+    assert thinned(samples, 200) is samples
+    assert SampleMemory((), samples).prepared(record(3, 2).world.nominal, 0.5, 40)[0].stations == 40

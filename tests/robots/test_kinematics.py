@@ -21,7 +21,6 @@ from modcal_core.robots.kinematics import (
     posture_frames,
     spatial_jacobian,
 )
-from modcal_core.robots.mechanism import tool_frames
 from modcal_core.robots.urdf import read_chain
 
 ROBOTS = Path(__file__).resolve().parents[2] / "examples" / "robots"
@@ -129,19 +128,6 @@ def test_frames_of_one_posture_are_those_of_many(arm: str, size: float, rng: np.
         assert one.axes.shape == (chain.n + 1, 3, 3, 1)
         assert np.abs(one.axes[..., 0] - many.axes[..., i]).max() < 1e-14
         assert np.abs(one.p[..., 0] - many.p[..., i]).max() < 1e-14
-
-
-def test_a_tool_that_was_changed_is_seen_from_the_root(rng: np.random.Generator) -> None:
-    """The last one is kept: not one whose numbers were written over, nor that of another arm."""
-    chain, q = chain_of("ur10"), rng.uniform(-2.0, 2.0, (3, 6))
-    tool = se3.exp(rng.normal(size=6))
-    for _ in range(3):
-        for one in (chain, chain.with_origins(chain.origins @ se3.exp(1e-3 * rng.normal(size=(chain.n + 1, 6))))):
-            for _ in range(2):
-                seen = tool_frames(one, tool, q).transform(-1)
-                expected = se3.inverse(one.T_base_root) @ chain_forward(one, q) @ tool
-                assert np.abs(seen - expected).max() < 1e-13
-        tool[:] = se3.exp(rng.normal(size=6))
 
 
 def test_arrays_of_a_chain_cannot_be_changed() -> None:

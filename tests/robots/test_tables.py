@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from collections.abc import Callable
 from typing import Any
@@ -155,6 +156,14 @@ def test_cpc_with_an_axis_pointing_back() -> None:
     table = to_cpc(chain)
     assert [bool(joint.get("reversed")) for joint in table["joints"]] == [False, False, True, True, False, False]
     assert_same(from_cpc(table), chain, 1e-12)
+
+
+def test_cpc_reads_an_axis_by_two_components() -> None:
+    table = to_cpc(ur10())
+    two = copy.deepcopy(table)
+    for joint in two["joints"]:
+        joint["b"] = joint["b"][:2]
+    assert_same(from_cpc(two), from_cpc(table), 1e-12)
 
 
 def test_what_is_left_out_is_zero() -> None:

@@ -98,6 +98,11 @@ def test_one_correction_changes_one_line(k: int) -> None:
     assert_same(read_chain(result), chain.with_origins(origins))
 
 
+def test_writing_what_is_there_changes_nothing() -> None:
+    for text in (AWKWARD.replace("&far;", "0.3"), *map(urdf, ARMS)):
+        assert write_origins(text, joint_origins(text)) == text
+
+
 def test_a_missing_attribute_is_added_only_when_it_says_something() -> None:
     text = urdf("ur10").replace('<origin xyz="-0.612 0 0" rpy="0 0 0"/>', '<origin xyz="-0.612 0 0"/>')
     shift = se3.transform(p=[-0.6, 0.0, 0.0])

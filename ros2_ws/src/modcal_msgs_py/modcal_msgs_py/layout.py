@@ -369,15 +369,11 @@ def definitions(type_name: str, text: str) -> dict[str, Any]:
         return {}
 
 
+@lru_cache(maxsize=16)
 def store_with(type_name: str, text: str) -> Typestore:
     """The Jazzy types, and besides them those that the definition of this type adds, as far as they can be had."""
     if type_name in jazzy().types or not text:
         return jazzy()
-    return _store_with(type_name, text)
-
-
-@lru_cache(maxsize=16)
-def _store_with(type_name: str, text: str) -> Typestore:
     store = get_typestore(Stores.ROS2_JAZZY)
     with contextlib.suppress(Exception):  # as above
         store.register({k: v for k, v in definitions(type_name, text).items() if k not in store.types})

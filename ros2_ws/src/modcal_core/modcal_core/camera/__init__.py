@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from modcal_core.camera.arm_poses import NOTHING_KNOWN, ImageMoments
     from modcal_core.camera.bundle import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, MARKER_CORNERS, TAG, BoardView
     from modcal_core.camera.bundle import BundleMarker, MarkerBundle, PrintedTarget
+    from modcal_core.camera.cameras import CameraImages
     from modcal_core.camera.causes import CameraCause
     from modcal_core.camera.claim import ALL_BUT_IMAGES, APPLY, CANNOT_TELL, ToolError
     from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, SHAPE_NAMES
@@ -17,10 +18,10 @@ if TYPE_CHECKING:
     from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, STATED, Lens
     from modcal_core.camera.mounting import MIN_VIEWS
     from modcal_core.camera.other_readings import ReadingsBeside, beside
-    from modcal_core.camera.prepared import MIN_CORNERS, CameraImages, PreparedImages, enough_corners, view_distances
+    from modcal_core.camera.prepared import MIN_CORNERS, enough_corners, view_distances
     from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
     from modcal_core.camera.target_file import read_any_target, read_target, target_from_data, target_to_data
-    from modcal_core.camera.views import covered, plan_images, tilt_and_distance
+    from modcal_core.camera.views import ViewSpread, plan_images
     from modcal_core.camera.changes import CameraWatch, Moved
 else:
     from modcal_core.lazy import lazy_face
@@ -31,8 +32,8 @@ __all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL",
 __all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE"]
 __all__ += ["POSE", "READOUT", "SCALE", "SHAPE", "SHAPE_NAMES", "STATED", "TAG", "BoardView", "BundleMarker"]
 __all__ += ["CameraCause", "CameraFit", "CameraImages", "CameraProblem", "CameraSolution", "CameraState"]
-__all__ += ["CameraWatch", "CornerTable", "ImageMoments", "Lens", "MarkerBundle", "Moved", "PreparedImages"]
-__all__ += ["PrintedTarget", "ReadingsBeside", "ToolError", "beside", "board_poses", "corner_rows", "covered"]
+__all__ += ["CameraWatch", "CornerTable", "ImageMoments", "Lens", "MarkerBundle", "Moved"]
+__all__ += ["PrintedTarget", "ReadingsBeside", "ToolError", "beside", "board_poses", "corner_rows"]
 __all__ += ["enough_corners", "first_lens", "fit_lens", "grams", "plan_images"]
 __all__ += ["read_any_target", "read_target", "solve_camera", "target_from_data", "target_to_data"]
-__all__ += ["tilt_and_distance", "uncertainty_about", "view_distances"]
+__all__ += ["ViewSpread", "uncertainty_about", "view_distances"]

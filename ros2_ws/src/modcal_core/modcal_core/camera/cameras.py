@@ -15,11 +15,13 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag
 
-from modcal_core.camera.arm_poses import ArmPoses, ValuePrior
+from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, ImageMoments, ValuePrior
+from modcal_core.camera.bundle import BoardView, CalibrationTarget
 from modcal_core.camera.corners import (
     BOW,
     CLOCK_S,
     COMMON,
+    FREE,
     READOUT,
     SCALE,
     CameraState,
@@ -30,32 +32,48 @@ from modcal_core.camera.corners import (
 )
 from modcal_core.camera.equations import ALONE, CameraRows, Equations
 from modcal_core.camera.lens import Lens
+from modcal_core.camera.mounting import Mounting
 from modcal_core.camera.other_readings import BesideRows, ReadingsBeside
 from modcal_core.effects import Effect
 from modcal_core.geometry import Array
 
 
 @dataclass(frozen=True)
-class Camera:
-    """What a camera saw. name: of its topic. table: the corners of its images. poses: the arm at these. prior: of lens,
-    shape, readout and places of markers. begin: the state that a fit begins with.
+class CameraImages:
+    """What one camera saw. name: of its topic, for messages. q, velocity: of the joints at each view, (N, n); None:
+    they stood. size: of the images [px]. lens: as stated, with what becomes of it: free (a start), tolerance, fixed;
+    None: found from the images. camera_on_tip: the mounting where it is stated. flat: the sheet is known to be flat.
+    moments: for effects. fisheye: whether the lens is one, where nothing is stated of it.
     """
 
-    name: str
+    q: Array
+    views: Sequence[BoardView]
+    target: CalibrationTarget
+    size: tuple[int, int]
+    velocity: Array | None = None
+    lens: Lens | None = None
+    stated: str = FREE
+    camera_on_tip: bool | None = None
+    flat: bool = False
+    moments: ImageMoments = NOTHING_KNOWN
+    fisheye: bool = False
+    name: str = "images"
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera of a fit. given: all that it saw. mounting: as found. table: corners of images in use. poses: the arm at
+    these, base and tool as found. prior: of lens, shape, readout and places of markers. begin: the state that a fit
+    begins with. left_out: images by reason.
+    """
+
+    given: CameraImages
+    mounting: Mounting
     table: CornerTable
     poses: ArmPoses
     prior: CommonPrior
     begin: CameraState
-
-    @classmethod
-    def of(cls, name: str, table: CornerTable, poses: ArmPoses, prior: CommonPrior, lens: Lens) -> Camera:
-        """A camera with this lens to begin with, base and tool as found, the arm nominal."""
-        common = np.r_[lens.values, prior.mean[len(lens.values) :]]
-        return cls(name, table, poses, prior, CameraState(poses.values.start, 0.0, common, lens))
-
-    def with_poses(self, poses: ArmPoses) -> Camera:
-        """The same with other poses, which a fit begins with."""
-        return replace(self, poses=poses, begin=replace(self.begin, values=poses.values.start))
+    left_out: dict[str, str]
 
     def with_effects(self, effects: Sequence[Effect]) -> Camera:
         """The same with these effects of the arm in place of those it has."""

@@ -59,11 +59,6 @@ class CameraScanner(Scanner):
             self._known = fit, _space(fit, self.drivers)
         return self._known[1]
 
-    def information(self, fit: CameraFit, effect: Effect) -> float:
-        """What the images say of an effect's one amplitude, as the inverse of a variance, all else being fitted."""
-        space = self.space_of(fit)
-        return max(float(space.products(self.rows_of(space, effect))[0, 0]), 0.0)
-
 
 def _space(fit: CameraFit, drivers: Drivers) -> CameraSpace:
     solved = fit.equations.solve(fit.sizes)
@@ -171,6 +166,12 @@ def _with_effects(fit: CameraFit, effects: Sequence[Effect]) -> tuple[Cameras, A
     return fit.cameras.with_effects(effects), x
 
 
+def _looking_ahead(fit: CameraFit, effects: Sequence[Effect]) -> CameraFit:
+    """The fit with more effects, nothing fitted again."""
+    cameras, x = _with_effects(fit, effects)
+    return replace(fit, cameras=cameras, x=x, equations=cameras.equations(x))
+
+
 def _unseen(fit: CameraFit, part: int) -> tuple[np.ndarray, CornerTable, Array]:
     """(every fourth image, mask (N,); its corners; how far these are from where a fit of the others has them [px])."""
     first = fit.cameras.first
@@ -221,26 +222,22 @@ def hidden_springs(fit: CameraFit) -> tuple[HiddenSpring, ...]:
     """For each joint that gravity loads and of which no spring was found, the softest that images do not show, those
     that move the tool most first; nothing where the arm's masses are unknown, or there are too few images to look.
     """
-    drivers = fit.poses.drivers(fit.state.offset_s)
-    chain = fit.poses.model.chain
-    found = {e.driver for e in fit.poses.model.effects}
-    effects = [
-        e
-        for e in candidates(drivers)
-        if e.driver == f"load:{e.place}" and e.driver not in found and (e.direction, e.shape.kind) == (AXIS, "linear")
-    ]
-    if not effects:
-        return ()
-    scanner = CameraScanner(effects, drivers)
-    if not scanner.enough(fit):  # type: ignore[arg-type]
+    drivers, chain = fit.poses.drivers(fit.state.offset_s), fit.poses.model.chain
+    known = _valued(fit)
+    found = {e.driver for e in known}
+    springs = [e for e in candidates(drivers) if e.driver == f"load:{e.place}" and e.driver not in found]
+    springs = [e for e in springs if (e.direction, e.shape.kind) == (AXIS, "linear")]
+    if not springs or fit.table.views < _ENOUGH:
         return ()
     T = fit.poses.tool_at(fit.state.values)
     joints = fit.at_flange(T, fit.poses.own_motions(fit.state.values, T))
     out = []
-    for effect in effects:
-        information = scanner.information(fit, effect)
+    for spring in springs:
+        equations = _looking_ahead(fit, (*known, spring.started(np.zeros(1)))).equations
+        at = fit.poses.count  # behind all other values of the arm
+        information = 1.0 / equations.solve(fit.sizes).covariance()[at, at] - equations.information[at, at]
         if information > 0.0:
-            least = _SEEN / np.sqrt(information)
-            moved = joints[:, :, chain.names.index(effect.place)] * drivers.values(effect.driver)[:, None]
-            out.append(HiddenSpring(effect.place, float(least), float(least * np.sqrt((moved**2).sum() / len(T)))))
+            least = _SEEN / float(np.sqrt(information))
+            moved = joints[:, :, chain.names.index(spring.place)] * drivers.values(spring.driver)[:, None]
+            out.append(HiddenSpring(spring.place, least, least * float(np.sqrt((moved**2).sum() / len(T)))))
     return tuple(sorted(out, key=lambda one: -one.at_tool_m))

@@ -24,8 +24,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.linalg
 
+from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.bundle import BoardView, PrintedTarget
-from modcal_core.camera.cameras import Camera
 from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.equations import ALONE, CameraRows, SolvedEquations, stops_of
 from modcal_core.camera.fit import CameraFit
@@ -43,37 +43,36 @@ _LEAST = 1e-3  # relative; lenses breathe by more than that when they focus agai
 
 @dataclass(frozen=True)
 class FoundChange:
-    """From the image with index ``at`` on, the half in the world (in_world) or on the arm is elsewhere, or the camera
-    has another focal length.
+    """From the image with index ``at`` on, camera or target is elsewhere, or the camera has another focal length.
 
-    gain: of −2 log likelihood. shift_m, turn_rad: by how much, 0 of a focal length. focal: relative change of the focal
-    length, 0 where something was moved. each: whether it differs from image to image instead, by ``focal`` RMS.
+    what: which of the two. gain: of −2 log likelihood. shift_m, turn_rad: by how much, 0 of a focal length. focal:
+    relative change of the focal length, 0 where something was moved. each: whether it differs from image to image
+    instead, by ``focal`` RMS.
     """
 
     gain: float
-    in_world: bool
+    what: str
     at: int = 0
     shift_m: float = 0.0
     turn_rad: float = 0.0
     focal: float = 0.0
     each: bool = False
 
-    def sentence(self, camera: Camera, whose: str = "") -> str:
-        """The finding as a sentence. camera: whose images it is of. whose: suffix that names it among several."""
+    def sentence(self, names: Sequence[str], whose: str = "") -> str:
+        """The finding as a sentence. names: of the images. whose: suffix that names the camera of several."""
         if self.each:
             return (
                 f"The camera's focal length differs from image to image{whose}, by {100.0 * self.focal:.2g} % RMS: "
                 "switch autofocus and digital zoom off, and take images again that are neither cropped nor scaled."
             )
-        name, then = camera.table.names[self.at], "calibrate from the images before, or from those after"
+        name, then = names[self.at], "calibrate from the images before, or from those after"
         if self.focal:
             return (
                 f"The camera{whose} has another focal length from image {name} on, by {100.0 * self.focal:+.1f} %: "
                 f"switch autofocus off, leave focus and zoom alone, and {then}."
             )
-        what = "target" if self.in_world == camera.poses.camera_on_tip else "camera"
         return (
-            f"The {what}{whose} was moved before image {name}, by {1e3 * self.shift_m:.1f} mm and "
+            f"The {self.what}{whose} was moved before image {name}, by {1e3 * self.shift_m:.1f} mm and "
             f"{np.degrees(self.turn_rad):.2f}°: {then}."
         )
 
@@ -141,24 +140,28 @@ def of_twist(rows: CameraRows, twists: Array) -> Array:
     return out
 
 
-def find_change(fit: CameraFit, camera: int = 0) -> FoundChange | None:
-    """The likeliest change among the images of a camera, None if none is beyond doubt. camera: its number."""
+def half_name(poses: ArmPoses, half: str) -> str:
+    """Whether this half is the camera or the target."""
+    return "camera" if (half == TIP) == poses.camera_on_tip else "target"
+
+
+def find_change(fit: CameraFit) -> FoundChange | None:
+    """The likeliest change among the images of the first camera of a fit, None if none is beyond doubt."""
     # a camera that was moved would put the others' images of the same stops elsewhere as well
     cameras = tuple(replace(one, stop=np.full(len(one.stop), ALONE)) for one in fit.equations.cameras)
     fit = replace(fit, equations=replace(fit.equations, cameras=cameras))
-    known, state, rows = fit.cameras.every[camera], fit.states[camera], cameras[camera]
-    T, _ = known.poses.tool_motions(state.values, state.offset_s)
+    T, rows = fit.tool, cameras[0]
     N = len(T)
     if N < 2 * _EDGE:
         return None
     wider = of_twist(rows, np.zeros((N, POSE, 1)))
-    wider[:, POSE : POSE + 2, 0] = state.lens.values[:2]
-    order = stops_of(cameras)[camera]
+    wider[:, POSE : POSE + 2, 0] = fit.state.lens.values[:2]
+    order = stops_of(cameras)[0]
     changes = [
-        Change({camera: of_twist(rows, moved)}, _USUAL, order, half=half, places=T[:, :3, 3])
-        for half, moved in zip((WORLD, TIP), known.poses.half_motions(T), strict=True)
+        Change({0: of_twist(rows, moved)}, _USUAL, order, half=half, places=T[:, :3, 3])
+        for half, moved in zip((WORLD, TIP), fit.poses.half_motions(T), strict=True)
     ]
-    changes += [Change({camera: wider}, _USUAL_FOCAL, order, each=each) for each in (False, True)]
+    changes += [Change({0: wider}, _USUAL_FOCAL, order, each=each) for each in (False, True)]
     solved, places = fit.equations.solve(fit.sizes), np.arange(_EDGE, N - _EDGE + 1)
     screened = [(one, *one.best(solved, places)[:2]) for one in changes]
     weighed = [(one, at, *one.weighed(fit, np.array([at]))) for one, gain, at in screened if gain >= _SCREEN]
@@ -168,14 +171,14 @@ def find_change(fit: CameraFit, camera: int = 0) -> FoundChange | None:
         if gain < _GAIN:
             break
         if one.half:
-            return FoundChange(gain, one.half == WORLD, at, *one.size(x))
+            return FoundChange(gain, half_name(fit.poses, one.half), at, *one.size(x))
         if one.each:
             apart = wider.copy()
             apart[:, POSE + 1] *= -1.0
-            shape = replace(one, columns={camera: apart})
+            shape = replace(one, columns={0: apart})
             if x[0] < _LEAST or shape.weighed(fit, places)[0] - misfit < _GAIN:
                 continue
-        return FoundChange(gain, not known.poses.camera_on_tip, at, focal=float(x[0]), each=one.each)
+        return FoundChange(gain, "camera", at, focal=float(x[0]), each=one.each)
     return None
 
 
@@ -224,7 +227,7 @@ class CameraWatch:
         self._fit, self._target = fit, target
         every = zip(fit.cameras.every, fit.states, fit.cameras.columns, strict=True)
         # the camera, its state, and where each value stands among those of all
-        self._cameras = {one[0].name if k else "": one for k, one in enumerate(every)}
+        self._cameras = {one[0].given.name if k else "": one for k, one in enumerate(every)}
         known, information = fit.equations.solve(fit.sizes), np.zeros_like(fit.covariance)
         information[np.ix_(known.use, known.use)] = known.H
         known_only = replace(fit.equations, beside=None, faults=None, places=None)
@@ -289,7 +292,7 @@ class CameraWatch:
             T = at.tool_at(state.values)
             label = "camera" if len(self._cameras) == 1 else f"camera {camera}" if camera else "first camera"
             for half, twists in zip((WORLD, TIP), at.half_motions(T), strict=True):
-                name = label if (half == TIP) == at.camera_on_tip else "target"
+                name = label if half_name(at, half) == "camera" else "target"
                 halves.setdefault((half, name), {})[len(rows)] = of_twist(here, twists)
             rows.append(replace(here, stop=np.array([one.stop for one in own])))
             tools.append(T[:, :3, 3])

@@ -14,7 +14,7 @@ from modcal_core.camera.mounting import Mounting
 from modcal_core.camera.other_readings import ReadingsBeside
 from modcal_core.camera.prepared import MOSTLY
 from modcal_core.camera.statements import SIZE, DoubtedStatement
-from modcal_core.camera.views import covered, tilt_and_distance
+from modcal_core.camera.views import ViewSpread
 
 _MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (verdict.md)
 _CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
@@ -126,32 +126,13 @@ def left_out_points(
     return tuple(against), tuple(open_)
 
 
-_TILT = np.radians(20.0)  # below, the focal length is told by perspective of second order only
-_DISTANCES = 1.3  # farthest over nearest
-_COVERED = 0.4  # of the image, in a grid of eight by eight
 _JOINT, _SLIDE = np.radians(20.0), 0.05  # range of a joint that shows what its axis does, rad and m
 
 
 def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
     """What these images leave open, each with what to do, in sentences."""
-    out = []
-    tilts, away = tilt_and_distance(fit.poses.seen(fit.tool), fit.table.points.mean(axis=0))
-    tilt = float(tilts.max())
-    if tilt < _TILT and not fit.table.places:
-        out.append(
-            f"The target was never tilted by more than {np.degrees(tilt):.0f}°: focal length and distance cannot be "
-            "told apart. Take images with 20° to 45° of tilt."
-        )
-    if away.max() < _DISTANCES * away.min():
-        out.append(
-            f"All images are from {away.min():.2f} to {away.max():.2f} m: the distance and the lens go together. "
-            "Take some from half as far, or twice as far."
-        )
-    if (share := covered(fit.table, fit.state.lens.size)) < _COVERED:
-        out.append(
-            f"Corners cover {100.0 * share:.0f} % of the image: the lens is not known at its edges. "
-            "Bring the target into every corner of the image."
-        )
+    table, centre = fit.table, fit.table.points.mean(axis=0)
+    out = ViewSpread.of(table, fit.state.lens.size, fit.poses.seen(fit.tool), centre).sentences(table.places > 0)
     if mounting.one_axis:
         turns = np.degrees(mounting.turns)
         out.append(

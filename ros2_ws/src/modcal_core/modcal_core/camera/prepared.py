@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Model, exceeded_chi2, median_chi2
-from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, ImageMoments, with_parameters, with_stated
-from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
-from modcal_core.camera.cameras import Camera, Cameras
-from modcal_core.camera.corners import FREE, POSE, SHAPE, CommonPrior, CornerTable, common_prior, corner_rows
+from modcal_core.camera.arm_poses import ArmPoses, with_parameters, with_stated
+from modcal_core.camera.bundle import MarkerBundle
+from modcal_core.camera.cameras import Camera, CameraImages, Cameras
+from modcal_core.camera.corners import POSE, SHAPE, CameraState, CommonPrior, CornerTable, common_prior, corner_rows
 from modcal_core.camera.equations import numbered
 from modcal_core.camera.fit import START, CameraFit, fit_cameras
 from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
@@ -37,28 +37,6 @@ from modcal_core.effects import NominalArm
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import Array
 from modcal_core.robots import Chain, Inertias, chain_forward
-
-
-@dataclass(frozen=True)
-class CameraImages:
-    """What one camera saw. name: of its topic, for messages. q, velocity: of the joints at each view, (N, n); None:
-    they stood. size: of the images [px]. lens: as stated, with what becomes of it: free (a start), tolerance, fixed;
-    None: found from the images. camera_on_tip: the mounting where it is stated. flat: the sheet is known to be flat.
-    moments: for effects. fisheye: whether the lens is one, where nothing is stated of it.
-    """
-
-    q: Array
-    views: Sequence[BoardView]
-    target: CalibrationTarget
-    size: tuple[int, int]
-    velocity: Array | None = None
-    lens: Lens | None = None
-    stated: str = FREE
-    camera_on_tip: bool | None = None
-    flat: bool = False
-    moments: ImageMoments = NOTHING_KNOWN
-    fisheye: bool = False
-    name: str = "images"
 
 
 def together(cameras: Sequence[CameraImages]) -> list[CameraImages]:
@@ -93,30 +71,16 @@ _GROSS = 10.0  # times the median distance from where corners should be: errors 
 ELSEWHERE = "far from where the arm has it"
 
 
-@dataclass(frozen=True)
-class PreparedImages:
-    """given: all images. camera: those in use, the nominal arm at them, base and tool as found. mounting: as found.
-    left_out: images by reason.
-    """
+def fitted(camera: Camera, last: CameraFit | None = None, fixed_sizes: bool = False) -> CameraFit:
+    """A fit of one camera. last: one to begin with. fixed_sizes: take the sizes of errors as they are there."""
+    begin, sizes = (None, START) if last is None else (last.x, last.sizes)
+    return fit_cameras(Cameras((camera,)), begin, sizes, fixed_sizes)
 
-    given: CameraImages
-    camera: Camera
-    mounting: Mounting
-    left_out: dict[str, str]
 
-    def without(self, bad: np.ndarray, why: str) -> PreparedImages:
-        """Without these images (N,). why: they are left out."""
-        out = {name: why for name, b in zip(self.camera.table.names, bad, strict=True) if b}
-        return replace(self, camera=self.camera.select(~bad), left_out=self.left_out | out)
-
-    def fitted(self, last: CameraFit | None = None, fixed_sizes: bool = False) -> CameraFit:
-        """A fit of these images. last: one to begin with. fixed_sizes: take the sizes of errors as they are there."""
-        begin, sizes = (None, START) if last is None else (last.x, last.sizes)
-        return fit_cameras(Cameras((self.camera,)), begin, sizes, fixed_sizes)
-
-    def nominal(self) -> CameraFit:
-        """A fit of camera and target to these images, the arm held nominal."""
-        return fit_cameras(Cameras((self.camera.with_poses(self.camera.poses.nominal),)))
+def nominal(camera: Camera) -> CameraFit:
+    """A fit of camera and target to these images, the arm held nominal."""
+    poses = camera.poses.nominal
+    return fitted(replace(camera, poses=poses, begin=replace(camera.begin, values=poses.values.start)))
 
 
 @dataclass(frozen=True)
@@ -147,7 +111,7 @@ def prepare_images(
     fixed: Sequence[str] = (),
     inertias: Inertias | None = None,
     arm_m: float | None = None,
-) -> PreparedImages:
+) -> Camera:
     """The images of one camera, ready for a fit.
 
     fixed: parameters that stay as they are. arm_m: RMS error of the nominal arm, as stated [m]. Raises ModcalError for
@@ -160,8 +124,9 @@ def prepare_images(
     base, tool, arm = mounting.T_frame_base[None], mounting.T_tip_tool, NominalArm(chain, inertias)
     model = Model(chain, ("target" if on_tip else "camera",), base, tool, arm=arm)
     poses = with_parameters(ArmPoses(model, (), q, velocity, on_tip, images.moments.select(kept.rows)), fixed)
-    camera = Camera.of(images.name, kept.table, with_stated(poses, arm_m), prior, lens)
-    return PreparedImages(images, camera, mounting, kept.left_out)
+    poses, common = with_stated(poses, arm_m), np.r_[lens.values, prior.mean[LENS:]]
+    begin = CameraState(poses.values.start, 0.0, common, lens)
+    return Camera(images, mounting, kept.table, poses, prior, begin, kept.left_out)
 
 
 def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
@@ -352,44 +317,44 @@ def far_markers(fit: CameraFit) -> np.ndarray:
     return out
 
 
-def first_fit(ready: PreparedImages) -> tuple[CameraFit, PreparedImages]:
-    """(a fit, what it was made from): misread points of a body, and images nowhere near the arm, are left out.
+def first_fit(camera: Camera) -> CameraFit:
+    """A fit of one camera: misread points of a body, and images nowhere near the arm, are left out.
 
     The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or
     marker would make all errors look as large as its own; then they hardly change but for a marker that was far off.
     """
-    table = ready.camera.table
+    table = camera.table
     if not table.places:
-        fit = ready.fitted()
-        again = _without(ready, table.weight == 0.0, fit)
-        return (fit, ready) if again is None else (again.fitted(fit), again)
+        fit = fitted(camera)
+        again = _without(camera, table.weight == 0.0, fit)
+        return fit if again is None else fitted(again, fit)
     far = np.zeros(table.markers, bool)
     last: CameraFit | None = None
     for _ in range(_CLEANED):
-        last = replace(ready.fitted(last, fixed_sizes=True), sizes=START)
+        last = replace(fitted(camera, last, fixed_sizes=True), sizes=START)
         far |= far_markers(last)
-        again = _without(ready, gross(last.pixels) | far[last.table.marker])
+        again = _without(camera, gross(last.pixels) | far[last.table.marker])
         if again is None:
             break
-        ready = again
-    fit = ready.fitted(last)
+        camera = again
+    fit = fitted(camera, last)
     cleaned = False
     for _ in range(_CLEANED):
         more = far_markers(fit) & ~far
         far |= more
-        again = _without(ready, misread_points(fit) | far[fit.table.marker], fit)
+        again = _without(camera, misread_points(fit) | far[fit.table.marker], fit)
         if again is None:
             break
-        ready, cleaned = again, True
-        fit = ready.fitted(fit, fixed_sizes=not more.any())
-    return (ready.fitted(fit) if cleaned else fit), ready
+        camera, cleaned = again, True
+        fit = fitted(camera, fit, fixed_sizes=not more.any())
+    return fitted(camera, fit) if cleaned else fit
 
 
-def _without(ready: PreparedImages, out: np.ndarray, fit: CameraFit | None = None) -> PreparedImages | None:
+def _without(camera: Camera, out: np.ndarray, fit: CameraFit | None = None) -> Camera | None:
     """The images without these points (M,) and without those most of whose points they are; None if nothing changes,
     or too little is left. fit: where points are as they were, without images that are elsewhere by it.
     """
-    table, weight = ready.camera.table, np.where(out, 0.0, 1.0)
+    table, weight = camera.table, np.where(out, 0.0, 1.0)
     strange = mostly_out(table, out) if table.places else np.zeros(table.views, bool)
     if (weight == table.weight).all() and not strange.any():
         # not before misread points are out, which draw their image away
@@ -398,5 +363,6 @@ def _without(ready: PreparedImages, out: np.ndarray, fit: CameraFit | None = Non
             return None
     if (~strange).sum() < MIN_VIEWS:
         return None
-    camera = replace(ready.camera, table=replace(table, weight=weight))
-    return replace(ready, camera=camera).without(strange, ELSEWHERE)
+    out_now = {name: ELSEWHERE for name, far in zip(table.names, strange, strict=True) if far}
+    kept = replace(camera, table=replace(table, weight=weight), left_out=camera.left_out | out_now)
+    return kept.select(~strange)

@@ -14,7 +14,7 @@ import numpy as np
 
 from modcal_core.calibration import Model, least_change
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.cameras import Camera, Cameras
+from modcal_core.camera.cameras import Camera, CameraImages, Cameras
 from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, held_out, hidden_springs
 from modcal_core.camera.changes import FoundChange, find_change
 from modcal_core.camera.claim import (
@@ -29,7 +29,6 @@ from modcal_core.camera.claim import (
     shares,
     tool_error,
 )
-from modcal_core.camera.corners import FREE
 from modcal_core.camera.fit import CameraFit, fit_cameras
 from modcal_core.camera.other_readings import MIN, ReadingsBeside
 from modcal_core.camera.outlook import (
@@ -40,22 +39,21 @@ from modcal_core.camera.outlook import (
     size_open,
     weak_directions,
 )
-from modcal_core.camera.prepared import CameraImages, PreparedImages, first_fit, prepare_images, together
+from modcal_core.camera.prepared import first_fit, nominal, prepare_images, together
 from modcal_core.camera.statements import (
     SIZE,
     CameraFinding,
     DoubtedStatement,
-    StatedCamera,
     contradictions,
     doubts,
     findings,
     in_doubt,
 )
-from modcal_core.camera.views import postures_anywhere, postures_in_view
+from modcal_core.camera.views import POSTURES, postures_in_view
 from modcal_core.diagnosis import EffectChoice
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
-from modcal_core.robots import Chain, Inertias
+from modcal_core.robots import Chain, Inertias, random_postures
 
 _CLEANED = 3  # times that other instruments' readings are looked through for those far off
 
@@ -114,11 +112,10 @@ class CameraClaim:
 
 @dataclass(frozen=True)
 class CameraSolution:
-    """prepared: the images of each camera, in the order of the fit. fit: of everything. geometric: the same without
-    effects. nominal: the images of the first camera, the nominal arm. notes: what was done to the images, in sentences.
+    """fit: of everything. geometric: the same without effects. nominal: of the first camera and the nominal arm. notes:
+    what was done to the images, in sentences.
     """
 
-    prepared: tuple[PreparedImages, ...]
     fit: CameraFit
     geometric: CameraFit
     nominal: CameraFit
@@ -127,9 +124,9 @@ class CameraSolution:
     notes: tuple[str, ...] = ()
 
     @property
-    def ready(self) -> PreparedImages:
-        """The images of the first camera."""
-        return self.prepared[0]
+    def camera(self) -> Camera:
+        """The first camera."""
+        return self.fit.cameras.first
 
     @property
     def judged(self) -> ToolError:
@@ -159,9 +156,9 @@ def solve_camera(
 ) -> CameraSolution:
     """The calibration of an arm from what cameras saw. Raises ModcalError for images that cannot carry a fit."""
     progress("lens and mounting")
-    prepared, geometric = _fitted(problem, progress)
-    ready = prepared[0]
-    nominal = ready.nominal()
+    geometric, by_itself = _fitted(problem, progress)
+    first = geometric.cameras.first
+    still = nominal(first)
     fit, causes, left = geometric, tuple[CameraCause, ...](), None
     hidden = tuple[HiddenSpring, ...]()
     if problem.look_for_effects:
@@ -170,63 +167,59 @@ def solve_camera(
         hidden = hidden_springs(fit)
 
     progress("verdict")
-    images = ready.given
+    images = first.given
     near, _ = postures_in_view(fit, rng)
-    became = images.stated if images.lens is not None and images.stated != FREE else None
-    stated = StatedCamera(images.lens or ready.camera.begin.lens, became, images.target.scale)
-    doubted = doubts(fit, stated)
+    doubted = doubts(fit, images)
     change, of_others = find_change(fit), tuple[str, ...]()
-    for k, (one, camera) in enumerate(zip(prepared, fit.cameras.every, strict=True)):
-        whose = f" of {camera.name}" if k else ""
-        found = find_change(fit, k) if k else change
-        of_others += () if found is None else (found.sentence(camera, whose),)
-        of_others += left_out_images(one.left_out, len(one.given.views), whose)
-    against = problems(fit, nominal, (*of_others, *contradictions(fit, doubted, stated)))
+    for k, camera in enumerate(fit.cameras.every):
+        whose = f" of {camera.given.name}" if k else ""
+        found = find_change(by_itself[k]) if k else change
+        of_others += () if found is None else (found.sentence(camera.table.names, whose),)
+        of_others += left_out_images(camera.left_out, len(camera.given.views), whose)
+    against = problems(fit, still, (*of_others, *contradictions(fit, doubted, images)))
     open_points: tuple[str, ...] = ()
     if isinstance(images.target, MarkerBundle):
         same = [one for one in fit.cameras.every if one.table.target == images.target]
-        names = [" of the first camera" if len(same) > 1 else "", *(f" of {one.name}" for one in same[1:])]
+        names = [" of the first camera" if len(same) > 1 else "", *(f" of {one.given.name}" for one in same[1:])]
         every = zip(names, (one.table for one in same), strict=True)
         against_points, open_points = left_out_points(list(every), images.target)
         against += against_points
     other_length = problem.arm_m is not None or (problem.beside is not None and problem.beside.metric)
     evidence = CameraEvidence(
         None if change is None or change.each else change,
-        findings(fit, stated.scale, other_length, near),
+        findings(fit, images.target.scale, other_length, near),
         causes,
         left,
         hidden,
-        weak_directions(fit, ready.mounting),
+        weak_directions(fit, first.mounting),
         against,
         open_points,
     )
     draws = arm_draws(fit, rng, doubted)
     errors = (
-        tool_error(fit, nominal, near, draws),
-        tool_error(fit, nominal, postures_anywhere(problem.chain, rng), draws),
-        tool_error(fit, nominal, near, draws, arm_alone=True),
+        tool_error(fit, still, near, draws),
+        tool_error(fit, still, random_postures(problem.chain, POSTURES, rng), draws),
+        tool_error(fit, still, near, draws, arm_alone=True),
     )
     claim = _claim(problem, errors, fit, near, doubted, evidence.problems)
-    claim = replace(claim, held_out_px=held_out(nominal, fit))
-    return CameraSolution(prepared, fit, geometric, nominal, evidence, claim)
+    claim = replace(claim, held_out_px=held_out(still, fit))
+    return CameraSolution(fit, geometric, still, evidence, claim)
 
 
-def _fitted(problem: CameraProblem, progress: Callable[[str], None]) -> tuple[tuple[PreparedImages, ...], CameraFit]:
-    """(the images of each camera, the fit of all): each camera is fitted by itself first, without strange images."""
+def _fitted(problem: CameraProblem, progress: Callable[[str], None]) -> tuple[CameraFit, list[CameraFit]]:
+    """(the fit of all, that of each camera by itself, without strange images, from which it begins)."""
     names = [one.name for one in problem.cameras]
     if twice := [name for k, name in enumerate(names) if name in names[:k]]:
         raise BadRecording(twice[0], "is given twice", "give each camera once")
-    prepared: list[PreparedImages] = []
-    begun: list[Camera] = []
+    alone: list[CameraFit] = []
     for images in together(problem.cameras):
-        ready = prepare_images(problem.chain, images, problem.fixed, problem.inertias, problem.arm_m)
+        camera = prepare_images(problem.chain, images, problem.fixed, problem.inertias, problem.arm_m)
         progress("fit")
-        fit, ready = first_fit(ready)
-        prepared.append(ready)
-        begun.append(replace(ready.camera, begin=fit.state))
-    if len(begun) > 1 or problem.beside is not None:
-        fit = _without_far(fit_cameras(Cameras(tuple(begun), problem.beside)))
-    return tuple(prepared), fit
+        alone.append(first_fit(camera))
+    if len(alone) == 1 and problem.beside is None:
+        return alone[0], alone
+    every = tuple(replace(fit.cameras.first, begin=fit.state) for fit in alone)
+    return _without_far(fit_cameras(Cameras(every, problem.beside))), alone
 
 
 def _claim(

@@ -22,12 +22,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.camera.bundle import PrintScale
+from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.corners import BOW as BENT
-from modcal_core.camera.corners import READOUT, SCALE, SHAPE, common_prior
+from modcal_core.camera.corners import FREE, READOUT, SCALE, SHAPE, common_prior
 from modcal_core.camera.equations import SolvedEquations
 from modcal_core.camera.fit import CameraFit, usual
 from modcal_core.camera.lens import COUNT as LENS
-from modcal_core.camera.lens import Lens
 from modcal_core.effects import ReportEntry
 from modcal_core.geometry import Array
 
@@ -46,15 +46,6 @@ _EXACT = 1e8  # times the information of its prior; a value that is held
 IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
 SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
 TARGET, CLOCK = "target", "clock"  # families of the report
-
-
-@dataclass(frozen=True)
-class StatedCamera:
-    """What is stated of lens and print. became: what becomes of the lens's values, None if nobody stated any."""
-
-    lens: Lens
-    became: str | None
-    scale: PrintScale
 
 
 @dataclass(frozen=True)
@@ -77,9 +68,9 @@ class DoubtedStatement:
         return there, np.sqrt(np.diag(self.solved.covariance()))[fit.common]
 
 
-def doubts(fit: CameraFit, stated: StatedCamera) -> tuple[DoubtedStatement, ...]:
+def doubts(fit: CameraFit, stated: CameraImages) -> tuple[DoubtedStatement, ...]:
     """Each of the statements relaxed, and the chance that it is wrong."""
-    scale, relaxed = stated.scale, []
+    scale, relaxed = stated.target.scale, []
     for what, at, information, mean in _relaxed(fit, stated):
         there = fit.equations.with_block(fit.common[at], information, fit.state.common[at] - mean)
         relaxed.append((what, *fit.weighed(there)))
@@ -95,9 +86,9 @@ def doubts(fit: CameraFit, stated: StatedCamera) -> tuple[DoubtedStatement, ...]
     )
 
 
-def _relaxed(fit: CameraFit, stated: StatedCamera) -> Iterator[tuple[str, slice, Array, Array]]:
+def _relaxed(fit: CameraFit, stated: CameraImages) -> Iterator[tuple[str, slice, Array, Array]]:
     """(what a statement is about, its values among lens and shape, their information and mean with it relaxed)."""
-    scale, prior = stated.scale, fit.prior
+    scale, prior = stated.target.scale, fit.prior
     both, apart = _ANY_READING if scale.measured and not scale.nominal else _ANY_PRINT
     cov = PrintScale(std=both, std_apart=apart).covariance
     if prior.places is not None:  # the print of its markers is another statement, and stands
@@ -105,12 +96,12 @@ def _relaxed(fit: CameraFit, stated: StatedCamera) -> Iterator[tuple[str, slice,
     yield SIZE, SCALE, np.asarray(np.linalg.inv(cov)), prior.mean[SCALE]
     if prior.places is None:  # a body has no bow
         yield BOW, BENT, np.eye(SHAPE - 2) / _ANY_BOW_M**2, prior.mean[BENT]
-    if stated.became is not None:
+    if stated.lens is not None and stated.stated != FREE:
         unknown, values = common_prior(stated.lens, PrintScale(), None), slice(0, LENS)
         yield LENS_VALUES, values, unknown.information[values, values], unknown.mean[values]
 
 
-def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: StatedCamera) -> tuple[str, ...]:
+def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: CameraImages) -> tuple[str, ...]:
     """What the images contradict of what was stated, in sentences. doubted: of this fit."""
     out = [_contradiction(fit, doubt, stated) for doubt in doubted if doubt.gain > GAIN]
     if fit.poses.faults is not None and fit.poses.arm_stated is not None:
@@ -143,18 +134,19 @@ def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintSc
     return tuple(out)
 
 
-def _contradiction(fit: CameraFit, doubt: DoubtedStatement, stated: StatedCamera) -> str:
+def _contradiction(fit: CameraFit, doubt: DoubtedStatement, stated: CameraImages) -> str:
     """The sentence for a wrong statement."""
     common, std = doubt.values(fit)
     if doubt.what == SIZE:
         return (
-            f"The {_sized(fit)} is {_percent(fit, common, stated.scale)} off its stated size, ± "
+            f"The {_sized(fit)} is {_percent(fit, common, stated.target.scale)} off its stated size, ± "
             f"{100.0 * float(std[LENS]):.1f} %, or the arm is built to another scale than its URDF: measure "
             f"{'across it' if fit.table.places else 'a square'}, and check the target file."
         )
     if doubt.what == BOW:
         worst = float(np.abs(fit.table.bow @ common[BENT]).max())
         return f"The sheet is bent by {1e3 * worst:.1f} mm towards its edge: glue it to something flat."
+    assert stated.lens is not None
     found, values, names = common[:LENS], stated.lens.values, stated.lens.names
     i = int(np.argmax(np.abs(found - values) / np.maximum(std[:LENS], 1e-9)))
     return (

@@ -21,9 +21,8 @@ from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import Lens
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3
-from modcal_core.robots import Chain
 
-_POSTURES = 150  # which give the RMS over a range of joints to a few per cent
+POSTURES = 150  # which give the RMS over a range of joints to a few per cent
 _TRIES = 20  # postures drawn for each that shows the target
 _MIN_SEEN = 20  # postures that show the target, below which those of the images are taken
 # Of a body, between two lines of sight: markers are read up to some 60° off square, so turned by half of that most of
@@ -39,21 +38,13 @@ def postures_in_view(fit: CameraFit, rng: np.random.Generator) -> tuple[Array, b
     Where too few do, those of the images themselves, and what lies between neighbours among them.
     """
     q = fit.poses.q
-    tried = rng.uniform(q.min(axis=0), q.max(axis=0), (_TRIES * _POSTURES, q.shape[1]))
-    good = tried[in_view(fit, tried)][:_POSTURES]
+    tried = rng.uniform(q.min(axis=0), q.max(axis=0), (_TRIES * POSTURES, q.shape[1]))
+    good = tried[in_view(fit, tried)][:POSTURES]
     if len(good) >= _MIN_SEEN:
         return good, True
-    a, b = rng.integers(len(q), size=(2, _POSTURES))
-    mixed = q[a] + rng.uniform(0.0, 1.0, (_POSTURES, 1)) * (q[b] - q[a])
-    return np.concatenate([q, mixed[in_view(fit, mixed)]])[:_POSTURES], False
-
-
-def postures_anywhere(chain: Chain, rng: np.random.Generator) -> Array:
-    """Postures (M, n) anywhere within the joint limits; a full turn, or ±0.5 m, where there are none."""
-    span = np.where(chain.revolute, np.pi, 0.5)
-    low = np.where(np.isfinite(chain.lower), chain.lower, -span)
-    high = np.where(np.isfinite(chain.upper), chain.upper, span)
-    return rng.uniform(low, high, (_POSTURES, chain.n))
+    a, b = rng.integers(len(q), size=(2, POSTURES))
+    mixed = q[a] + rng.uniform(0.0, 1.0, (POSTURES, 1)) * (q[b] - q[a])
+    return np.concatenate([q, mixed[in_view(fit, mixed)]])[:POSTURES], False
 
 
 def in_view(fit: CameraFit, q: Array) -> np.ndarray:
@@ -95,10 +86,49 @@ def tilt_and_distance(seen: Array, centre: Array) -> tuple[Array, Array]:
     return np.arccos(np.clip(cosine, 0.0, 1.0)), away
 
 
-def covered(table: CornerTable, size: tuple[int, int]) -> float:
-    """Share of the image's cells, eight by eight, that hold a corner of some image."""
-    cell = np.clip((table.pixels * _GRID / np.array(size)).astype(int), 0, _GRID - 1)
-    return len(np.unique(cell[:, 0] * _GRID + cell[:, 1])) / _GRID**2
+_TILT = float(np.radians(20.0))  # below, the focal length is told by perspective of second order only
+_DISTANCES = 1.3  # farthest over nearest
+_COVERED = 0.4  # of the image, in a grid of eight by eight
+
+
+@dataclass(frozen=True)
+class ViewSpread:
+    """By how much images differ. covered: share of the image's cells, eight by eight, that hold a corner of some image.
+    tilt: of the target against the line of sight [rad], distance: of it [m]; least and largest.
+    """
+
+    covered: float
+    tilt: tuple[float, float]
+    distance: tuple[float, float]
+
+    @classmethod
+    def of(cls, table: CornerTable, size: tuple[int, int], seen: Array, centre: Array) -> ViewSpread:
+        """That of these corners in images of this size [px], the target at T_camera_target (N, 4, 4) in each."""
+        cell = np.clip((table.pixels * _GRID / np.array(size)).astype(int), 0, _GRID - 1)
+        share = len(np.unique(cell[:, 0] * _GRID + cell[:, 1])) / _GRID**2
+        tilt, away = tilt_and_distance(seen, centre)
+        return cls(share, (float(tilt.min()), float(tilt.max())), (float(away.min()), float(away.max())))
+
+    def sentences(self, body: bool = False) -> list[str]:
+        """What these images leave open of the lens, each with what to do. body: the target is none that tilts."""
+        out = []
+        (_, tilt), (near, far) = self.tilt, self.distance
+        if tilt < _TILT and not body:
+            out.append(
+                f"The target was never tilted by more than {np.degrees(tilt):.0f}°: focal length and distance cannot "
+                "be told apart. Take images with 20° to 45° of tilt."
+            )
+        if far < _DISTANCES * near:
+            out.append(
+                f"All images are from {near:.2f} to {far:.2f} m: the distance and the lens go together. "
+                "Take some from half as far, or twice as far."
+            )
+        if self.covered < _COVERED:
+            out.append(
+                f"Corners cover {100.0 * self.covered:.0f} % of the image: the lens is not known at its edges. "
+                "Bring the target into every corner of the image."
+            )
+        return out
 
 
 _PLANNED = 4000  # postures drawn

@@ -86,8 +86,7 @@ def _require_statements(
     alone = fit_cell(chain, samples, Cell())
     if usual_miss(alone.model, samples) >= limit:
         return
-    told = wrong_distances(alone, distances) if distances else None
-    if told is not None:
+    if distances and (told := wrong_distances(alone, distances)) is not None:
         raise BadRecording(told.what, f"{said}, and it does not without them", told.remedy)
     if placed:
         raise BadRecording(

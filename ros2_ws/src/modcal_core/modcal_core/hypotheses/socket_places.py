@@ -38,7 +38,8 @@ def require_one_place(samples: Samples, chain: Mechanism) -> None:
     x = _ball(stood)
     clearly = max(_CLEARLY * limit, _APART * max(_spread(se3.apply(A, x)) for A in stood))
     points = {name: se3.apply(A, x) for name, A in of_each.items()}
-    moved = {name: p for name, p in points.items() if _elsewhere(p, clearly) > _MIN_SHARE}
+    apart = {name: np.linalg.norm(p[:, None] - p[None], axis=-1) > clearly for name, p in points.items()}
+    moved = {name: points[name] for name, far in apart.items() if far.mean(axis=1).min() > _MIN_SHARE}
     if not moved:
         return
     said = []
@@ -75,12 +76,6 @@ def misread_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
     if left[best] * _spread(case.A[:, :3, 3]) > limit or _APART * left[best] > as_is:
         return None
     return Disagreement(table[best].what, table[best].remedy, len(part), len(part))
-
-
-def _elsewhere(points: Array, limit: float) -> float:
-    """Share of points (N, 3) farther than a limit [m] from where most are."""
-    apart = np.linalg.norm(points[:, None] - points[None], axis=-1) > limit
-    return float(apart.mean(axis=1).min())
 
 
 def _ball(of_each: list[Array]) -> Array:

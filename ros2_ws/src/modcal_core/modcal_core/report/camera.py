@@ -45,9 +45,8 @@ def moved_data(solution: CameraSolution) -> dict[str, Any] | None:
     moved = solution.evidence.moved
     if moved is None:
         return None
-    what = "target" if moved.in_world == solution.fit.poses.camera_on_tip else "camera"
     return {
-        "what": what,
+        "what": moved.what,
         "before_image": solution.fit.table.names[moved.at],
         "shift_mm": 1e3 * moved.shift_m,
         "turn_deg": float(np.degrees(moved.turn_rad)),
@@ -64,13 +63,13 @@ def lens_data(lens: Lens, std: Array) -> dict[str, Any]:
 def further_data(solution: CameraSolution) -> list[dict[str, Any]]:
     """The further cameras."""
     fit = solution.fit
-    every = zip(solution.prepared, fit.states, fit.std, fit.rms_px, strict=True)
+    every = zip(fit.cameras.every, fit.states, fit.std, fit.rms_px, strict=True)
     return [
         {
             "name": one.given.name,
             "mounting": "tip" if one.mounting.camera_on_tip else "world",
             "target": one.given.target.label,
-            "images": {"given": len(one.given.views), "used": one.camera.table.views, "left_out": one.left_out},
+            "images": {"given": len(one.given.views), "used": one.table.views, "left_out": one.left_out},
             "rms_px": rms_px,
             "lens": lens_data(state.lens, std[len(state.values) + 1 :]),
             "clock_s": state.offset_s,
@@ -116,7 +115,7 @@ class _MarkerPlace:
 
 def body_data(solution: CameraSolution) -> dict[str, Any] | None:
     """The body as ``report.json`` has it, None of a sheet."""
-    target, fit = solution.ready.given.target, solution.fit
+    target, fit = solution.camera.given.target, solution.fit
     if not isinstance(target, MarkerBundle):
         return None
     std = fit.std[0][fit.poses.count + 1 :][SCALE]
@@ -141,7 +140,7 @@ def body_data(solution: CameraSolution) -> dict[str, Any] | None:
 
 def body_notes(solution: CameraSolution) -> tuple[str, ...]:
     """Where the markers of a body are, in sentences; nothing of a sheet."""
-    target = solution.ready.given.target
+    target = solution.camera.given.target
     if not isinstance(target, MarkerBundle):
         return ()
     places = _places(solution, target)
@@ -252,8 +251,8 @@ def camera_report(
     std = fit.std[0]
     values = fit.state.vector
     problems = () if decision.word in (APPLY, CANNOT_TELL) else decision.because
-    trace = Trace(robot=robot.name, instrument=f"camera, {solution.ready.given.target.label}")
-    out = dict(left_out) | solution.ready.left_out
+    trace = Trace(robot=robot.name, instrument=f"camera, {solution.camera.given.target.label}")
+    out = dict(left_out) | solution.camera.left_out
     return {
         "modcal_report": FORMAT,
         "recording": {
@@ -285,8 +284,8 @@ def camera_report(
             "metric": list(solution.claim.metric),
             "rests_on_size": rests_on_data(solution),
             "mounting": "tip" if fit.poses.camera_on_tip else "world",
-            "rival_mounting": float(solution.ready.mounting.rival),
-            "target": solution.ready.given.target.label,
+            "rival_mounting": float(solution.camera.mounting.rival),
+            "target": solution.camera.given.target.label,
             "images": {"given": images, "used": fit.table.views, "left_out": out},
             "corners": {"used": int(fit.table.weight.sum()), "left_out_share": solution.fit.table.left_out},
             "tool_error_mm": {

@@ -226,7 +226,7 @@ def camera_certificate(
         ("Date of the recording", None),
         ("Images", f"{fit.table.views} of {images}, {int(fit.table.weight.sum())} corners, {fit.rms_px[0]:.2f} px RMS"),
         ("Instrument", said.instrument or f"camera of {fit.state.lens.size[0]} × {fit.state.lens.size[1]} pixels"),
-        ("Target", f"{solution.ready.given.target.label}; {solution.ready.mounting.label}"),
+        ("Target", f"{solution.camera.given.target.label}; {solution.camera.mounting.label}"),
         ("Its lengths by", "; ".join(solution.claim.metric) or "nothing"),
         (f"Nominal arm, {where}", _size(solution.judged, calibrated=False)),
         (f"Calibrated arm, {where}", _size(solution.judged)),

@@ -232,17 +232,13 @@ def _by_name(numbers: Numbers, names: Sequence[str]) -> list[LabelledJoints]:
                 break
             wordy = any(len(w) > 2 and not w.isdigit() for w in core)
             fits = [k for k, label in labels.items() if core and k not in chosen and core <= set(label.words)]
-            fits = [k for k in fits if wordy or _holds(labels[k].words, own)]
+            fits = [k for k in fits if wordy or f" {' '.join(own)} " in f" {labels[k].name} "]
             if not fits:
                 break
             chosen.append(min(fits, key=lambda k: len(labels[k].words)))
         if len(chosen) == len(names):
             out.append(LabelledJoints(tuple(chosen), "the joints' names", role))
     return out
-
-
-def _holds(words: tuple[str, ...], own: tuple[str, ...]) -> bool:
-    return any(words[i : i + len(own)] == own for i in range(len(words) - len(own) + 1))
 
 
 def pool(numbers: Numbers, taken: set[int]) -> list[int]:

@@ -7,7 +7,6 @@ readings alone, on the same clock.
 
 from __future__ import annotations
 
-import codecs
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -187,8 +186,7 @@ def _faulty_form(part: Mapping[str, Any], where: str) -> Iterator[_Fault]:
 
 def _is_text_encoding(name: str) -> bool:
     try:
-        "".encode(name)
-        return codecs.lookup(name) is not None
+        return isinstance("".encode(name), bytes)  # or it raises
     except (LookupError, ValueError, UnicodeError):
         return False
 

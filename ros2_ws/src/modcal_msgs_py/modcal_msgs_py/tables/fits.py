@@ -154,8 +154,7 @@ class Fitted:
 
 def sum_in_words(numbers: Numbers, body: Body) -> str:
     """Columns of a position and of the deviation that is added to it: ``X, Y, Z minus dx, dy, dz``."""
-    sign = "plus" if body.sign > 0.0 else "minus"
-    return f"{numbers.shown(*body.position)} {sign} {numbers.shown(*body.away)}"
+    return f"{numbers.shown(*body.position)} {'plus' if body.sign > 0.0 else 'minus'} {numbers.shown(*body.away)}"
 
 
 def missed(judged: Judged) -> str:
@@ -185,8 +184,7 @@ def _turning_words(numbers: Numbers, body: Body, judged: Judged) -> str:
 
 
 def _positions(judged: Judged) -> str:
-    unit = judged.meaning.unit
-    return f"positions in {'inches' if unit == 'in' else unit}"
+    return f"positions in {'inches' if judged.meaning.unit == 'in' else judged.meaning.unit}"
 
 
 def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -> list[tuple[str, str]]:

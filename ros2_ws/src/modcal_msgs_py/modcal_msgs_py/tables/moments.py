@@ -37,6 +37,11 @@ TIME: Schema = {
 }
 
 
+def in_seconds(values: Array, unit: str) -> Array:
+    """Times [s] of numbers in a unit."""
+    return np.asarray(SECONDS[unit] * (values - (_EXCEL_1970 if unit == "excel" else 0.0)))
+
+
 def stamps_of(table: Table, time: Mapping[str, Any], clock: float) -> tuple[Array, str | None]:
     """Stamps (N,) [s], no two alike, and what has to be said of them. NaN for rows that have none.
 
@@ -50,8 +55,7 @@ def stamps_of(table: Table, time: Mapping[str, Any], clock: float) -> tuple[Arra
         table.lack(np.flatnonzero([not cell for cell in table.text(column)]), f"column {column}")
     else:
         column = time["seconds"]
-        unit = time.get("unit", "s")
-        out = SECONDS[unit] * (table.numbers(column) - (_EXCEL_1970 if unit == "excel" else 0.0))
+        out = in_seconds(table.numbers(column), time.get("unit", "s"))
     for i in np.flatnonzero(np.isfinite(out) & ~((out >= 0.0) & (out < _LAST))):
         table.bad(int(i), column, f"{out[i]:g} s is not a plausible time", "is not a plausible time")
         out[i] = np.nan
@@ -70,20 +74,23 @@ def stamps_of(table: Table, time: Mapping[str, Any], clock: float) -> tuple[Arra
 _FINER = re.compile(r"([.,]\d{6})\d+")  # nanoseconds
 
 
-def _moment(cell: str, form: str) -> float:
-    """Seconds since 1970. Raises ValueError and the like for what is not in this format."""
-    moment = datetime.strptime(_FINER.sub(r"\1", cell), form)
-    if moment.year == 1900:  # a time of day without a date
-        moment = moment.replace(year=1970)
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+def _moment(cell: str, form: str) -> float | None:
+    """Seconds since 1970; None for what is not in this format."""
+    try:
+        moment = datetime.strptime(_FINER.sub(r"\1", cell), form)
+        if moment.year == 1900:  # a time of day without a date
+            moment = moment.replace(year=1970)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, IndexError, KeyError, OverflowError, re.error):
+        return None
 
 
 def _dates(table: Table, column: Any, form: str) -> Array:
     out = np.full(len(table), np.nan)
     for i, cell in enumerate(table.text(column)):
-        try:
-            out[i] = _moment(cell, form) if cell else np.nan
-        except (ValueError, IndexError, KeyError, OverflowError, re.error):
+        if (moment := _moment(cell, form)) is not None:
+            out[i] = moment
+        elif cell:
             table.bad(i, column, f"'{cell[:40]}' is not {form}", form)
     return out
 
@@ -96,7 +103,6 @@ _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%I:%M:%S %p", "%H:%M", "%H%
 _BETWEEN, _ZONES = (" ", "T", "_", ", ", ",", "-", ""), ("", "Z", "%z", " %z", " UTC")
 _ORDER_S = 10.0  # s between rows of which only the order is known
 _EPOCH = 1e9  # s since 1970 are more than this, from 2001 on
-_EXCEL_DAYS = 30000.0, 60000.0  # from 1982 to 2064
 _DAYS = words("date datum datetime")
 _ROWS = 200  # that are tried with a format
 
@@ -139,10 +145,8 @@ def _dates_of_rows(numbers: Numbers, columns: tuple[int, ...]) -> RowTimes | Non
     cells = [cell for cell in (" ".join(row).strip() for row in rows) if cell]
     if not cells or (not any(sign in cells[0] for sign in ":-/.") and len(cells[0]) != 14):
         return None
-    fits: list[str] = []
-    for form, signs in _formats():
-        if set(signs) <= set(cells[0]) and all(_reads(cell, form) for cell in cells):
-            fits.append(form)
+    likely = [form for form, signs in _formats() if set(signs) <= set(cells[0])]
+    fits = [form for form in likely if all((_moment(cell, form) or 0.0) > 0.0 for cell in cells)]
     if not fits:
         return None
     keys = [numbers.key(k) for k in columns]
@@ -153,13 +157,6 @@ def _dates_of_rows(numbers: Numbers, columns: tuple[int, ...]) -> RowTimes | Non
     return RowTimes({"column": keys[0] if len(keys) == 1 else keys, "format": fits[0]}, columns, said)
 
 
-def _reads(cell: str, form: str) -> bool:
-    try:
-        return _moment(cell, form) >= 0.0
-    except (ValueError, OverflowError):
-        return False
-
-
 def _seconds(numbers: Numbers, k: int) -> RowTimes | None:
     column = numbers.values[:, k]
     column = column[np.isfinite(column)]
@@ -167,14 +164,12 @@ def _seconds(numbers: Numbers, k: int) -> RowTimes | None:
         return None
     label = numbers.labels[k]
     told = label.unit if label.unit in SECONDS else next((w for w in label.words if w in SECONDS), None)
-    dated = bool(_DAYS & set(label.words)) or float(np.median(np.diff(column))) < _ORDER_STEP
-    if told is None and dated and _EXCEL_DAYS[0] < column.min() and column.max() < _EXCEL_DAYS[1]:
-        stated = {"seconds": numbers.key(k), "unit": "excel"}
-        return RowTimes(stated, (k,), f"{numbers.shown(k)} holds the time in Excel's days, by its size")
-    since_1970 = [u for u, s in SECONDS.items() if s * column.min() > _EPOCH and s * column.max() < _LAST]
-    unit = since_1970[0] if len(since_1970) == 1 else told or "s"
-    how = "since 1970, by its size" if len(since_1970) == 1 else "by its label" if told else "assumed: no unit is told"
-    if SECONDS[unit] * column.max() >= _LAST:
+    dated = told is None and (bool(_DAYS & set(label.words)) or float(np.median(np.diff(column))) < _ORDER_STEP)
+    dates = {u: in_seconds(column, u) for u in SECONDS if u != "excel" or dated}
+    units = [u for u, t in dates.items() if t.min() > _EPOCH and t.max() < _LAST]
+    unit = units[0] if len(units) == 1 else told or "s"
+    how = "a date, by its size" if len(units) == 1 else "by its label" if told else "assumed: no unit is told"
+    if in_seconds(column, unit).max() >= _LAST:
         return None
     stated = {"seconds": numbers.key(k), **({"unit": unit} if unit != "s" else {})}
     return RowTimes(stated, (k,), f"{numbers.shown(k)} holds the time in {unit} ({how})")

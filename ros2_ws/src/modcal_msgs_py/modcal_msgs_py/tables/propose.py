@@ -66,10 +66,7 @@ _ORDERS = 6  # of columns without labels that are judged in full
 _MAX_BODIES = 10  # that are judged where labels do not tell
 _MAX = 300  # rows that meanings are judged by
 _NO_ARM = "no columns are found that could be the joints of this arm and the position of a target on it"
-_CHECK = (
-    "check --urdf, --base and --tip, and that joints and readings of a row belong together, or write a mapping: "
-    "docs/import.md"
-)
+_CHECK = "check --urdf, --base, --tip and that rows hold joints and readings of one station, or write a mapping"
 _WIDTH = 116  # of comments
 
 Watch = Callable[[str], None]
@@ -86,9 +83,8 @@ class Proposal:
 
     def text(self, source: str) -> str:
         """The mapping as YAML, with comments."""
-        lines = [f"Mapping for modcal import, found out from {source}. Edit it where it is wrong."]
-        for name, said in (("Proved", self.proved), ("Assumed", self.assumed)):
-            lines += [f"{name}: {sentence}." for sentence in said]
+        said = (*(f"Proved: {one}." for one in self.proved), *(f"Assumed: {one}." for one in self.assumed))
+        lines = (f"Mapping for modcal import, found out from {source}. Edit it where it is wrong.", *said)
         folded = (part for line in lines for part in wrap(line, _WIDTH, subsequent_indent="  ", break_on_hyphens=False))
         return "".join(f"# {part}\n" for part in folded) + to_yaml(self.mapping)
 
@@ -307,9 +303,9 @@ class _Search:
         postures = [Postures(choice.postures(self._chain, values), "") for choice in best.choices]
         found = judge(self._chain, postures, _columns_read(best.body, values)[0] * [1.0, 1.0, -1.0], None)
         if found and found[0].explained(self._chain):
-            said = f"{self._numbers.shown(*best.body.position)} are left-handed: with one of the axes turned round the "
-            said += f"nominal arm misses by {1e3 * found[0].match.typical:.3g} mm"
-            return said, "swap two of the columns, or change the sign of one, as the instrument's axes are"
+            names, left = self._numbers.shown(*best.body.position), 1e3 * found[0].match.typical
+            said = f"are left-handed: with one of the axes turned round the nominal arm misses by {left:.3g} mm"
+            return f"{names} {said}", "swap two of the columns, or change the sign of one, as the instrument's axes are"
         said = f"{_NO_ARM}; the best leave {1e3 * best.best.match.typical:.0f} mm"
         return f"{said}, and no joint that is counted otherwise explains it", _CHECK
 
@@ -458,16 +454,13 @@ def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
         entry["joined"] = list(way.stated)
     entry["time"] = found.time.stated
     joints = choice.entry(numbers, chain)
-    for key in ("columns", "units"):
-        if key in beside.joints:
-            joints[key] = {**joints.get(key, {}), **beside.joints[key]}
-    entry["joints"] = {**joints, **{k: v for k, v in beside.joints.items() if k not in ("columns", "units")}}
+    both = {key: {**joints.get(key, {}), **beside.joints[key]} for key in ("columns", "units") if key in beside.joints}
+    entry["joints"] = {**joints, **beside.joints, **both}
     entry |= read.entry(numbers)
     if beside.std:
         next(entry[key] for key in ("pose", "point") if key in entry)["std"] = beside.std
-    for key, stated in (("temperature", beside.temperature), ("signals", beside.signals)):
-        if stated:
-            entry[key] = stated
+    others = {"temperature": beside.temperature, "signals": beside.signals}
+    entry |= {key: stated for key, stated in others.items() if stated}
     by = [(one["by"], Path(one["files"]).stem) for one in way.stated if one["by"] != "row"]
     keys = {key for pairs, stem in by for ours, theirs in pairs.items() for key in (ours, theirs, f"{stem}.{theirs}")}
     used |= {*found.time.columns, *(k for k in range(sheet.width) if numbers.key(k) in keys)}

@@ -25,7 +25,6 @@ MISSING = words(
 _NO_READING = -1e28  # NDI writes -3.697314e28 where a tool was not seen
 _NAMED = re.compile(r"\s*([A-Za-z]\w*)\s*[=:]\s*(?=[-+.,\d])")  # X=12.5
 _CELL_UNIT = r"°|deg|rad|gon|mm|cm|m|in"  # 12.5 mm
-_BEHIND = re.compile(rf"(?<=[\d.,])\s*(?:{_CELL_UNIT})$", re.IGNORECASE)
 # Groups of thousands; only a decimal sign behind them tells them from decimals: 1,234 may be either
 _GROUPED = {sign: rf"\d{{1,3}}(?:[{other}'’]\d{{3}})+{re.escape(sign)}\d+" for sign, other in ((".", ","), (",", "."))}
 _SPACED = re.compile(r"(?<=\w)[ \t]*=[ \t]*(?=[-+.,\d])")
@@ -148,13 +147,9 @@ def number(cell: str, decimal: str = ".") -> float | None:
     try:
         value = float(text.replace(decimal, "."))
     except ValueError:
-        text = _BEHIND.sub("", _NAMED.sub("", text))
-        if re.fullmatch(rf"[+-]?{_GROUPED[decimal]}", text):
-            text = "".join(c for c in text if c.isdigit() or c in f"+-{decimal}")
-        try:
-            value = float(text.replace(decimal, "."))
-        except ValueError:
+        if (found := _PATTERN[decimal].fullmatch(text)) is None:
             return None
+        value = float("".join(c for c in found["number"] if c.isalnum() or c in f"+-{decimal}").replace(decimal, "."))
     return float("nan") if value != value or value < _NO_READING else value
 
 
@@ -214,22 +209,22 @@ def read_sheet(path: Path, form: Form) -> Sheet:
     if not rows:
         raise BadTable(str(path), "has no row", "leave the file out")
     header = _labels(filled[0][1], len(rows[0])) if form.header else _names(rows[0])
+    rows = _even(rows, header)
     units = _units_of_cells(path, rows, form.decimal)
-    return Sheet(path, form, header, _even(rows, header), [form.preamble_rows + line for line, _ in below], units=units)
+    return Sheet(path, form, header, rows, [form.preamble_rows + line for line, _ in below], units=units)
 
 
 def _units_of_cells(path: Path, rows: Sequence[Sequence[str]], sign: str) -> tuple[str, ...]:
     """The units that stand in the cells of each column. Raises BadTable where a column has several."""
-    found: dict[int, set[str]] = {}
-    for row in rows:
-        for k, cell in enumerate(row):
-            if cell and not cell[-1].isdigit() and (one := _PATTERN[sign].fullmatch(cell)) and one["unit"]:
-                found.setdefault(k, set()).add(one["unit"].lower())
-    for k, units in found.items():
+    out = []
+    for k, column in enumerate(zip(*rows, strict=True)):
+        ended = {cell.strip() for cell in column if not cell[-1:].isdigit()}
+        units = {one["unit"].lower() for cell in ended if (one := _PATTERN[sign].fullmatch(cell)) and one["unit"]}
         if len(units) > 1:
             said = f"column {k} holds numbers in {' and in '.join(sorted(units))}"
             raise BadTable(path.name, said, "write one unit in all of them")
-    return tuple(next(iter(found.get(k, {""}))) for k in range(max(found) + 1)) if found else ()
+        out.append("".join(units))
+    return tuple(out)
 
 
 # --- How a file is written, found out from its text: encoding, separator, decimal sign, labels, units
@@ -240,8 +235,9 @@ _MIN_COLUMNS = 3
 _NUMBERS = 0.5  # share of the cells of a row of numbers
 _PATTERN = {
     sign: re.compile(
-        rf"(?:{_NAMED.pattern})?\s*[+-]?({_GROUPED[sign]}|\d+({re.escape(sign)}\d*)?|{re.escape(sign)}\d+)"
-        rf"([eE][+-]?\d+)?\s*(?P<unit>{_CELL_UNIT})?\s*",
+        rf"(?:{_NAMED.pattern})?\s*"
+        rf"(?P<number>[+-]?({_GROUPED[sign]}|\d+({re.escape(sign)}\d*)?|{re.escape(sign)}\d+)(e[+-]?\d+)?)"
+        rf"\s*(?P<unit>{_CELL_UNIT})?\s*",
         re.IGNORECASE,
     )
     for sign in ".,"
@@ -302,7 +298,9 @@ def _laid_out(path: Path, text: str, form: Form, least: int) -> Sheet:
         above -= 1
     stacked = [_labels(cells, width) for cells in every[above:first]]
     units_rows = 0
-    while units_rows < len(stacked) - 1 and _are_units(stacked[-1 - units_rows]):
+    for cells in stacked[:0:-1]:
+        if not any(cells) or not all(_UNIT.fullmatch(cell) for cell in cells):
+            break
         units_rows += 1
     named = stacked[len(stacked) - 1 - units_rows] if stacked else _names(every[first])
     if stacked and len(named) not in (width, width - 1):
@@ -311,13 +309,9 @@ def _laid_out(path: Path, text: str, form: Form, least: int) -> Sheet:
     preamble = table[first - units_rows - bool(stacked)][0] - 1
     form = replace(form, header=bool(stacked), preamble_rows=preamble, units_rows=units_rows if stacked else 0)
     full = _stacked([*upper, named], width)
-    units = _stacked([*stacked[len(upper) + 1 :], _units_of_cells(path, every[first:], sign)], width)
-    return Sheet(path, form, named, _even(every[first:], named), [line for line, _ in table[first:]], full, units)
-
-
-def _are_units(cells: tuple[str, ...]) -> bool:
-    filled = [cell for cell in cells if cell]
-    return bool(filled) and all(_UNIT.fullmatch(cell) for cell in cells)
+    rows = _even(every[first:], named)
+    units = _stacked([*stacked[len(upper) + 1 :], _units_of_cells(path, rows, sign)], width)
+    return Sheet(path, form, named, rows, [line for line, _ in table[first:]], full, units)
 
 
 def _stacked(rows: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
@@ -347,9 +341,8 @@ def joined(sheet: Sheet, stated: Mapping[str, Any], folder: Path, source: str, o
     cells = [other.column(k) for k in range(other.width)]
     if other.form.decimal != sheet.form.decimal:
         cells = [[cell.replace(other.form.decimal, sheet.form.decimal) for cell in column] for column in cells]
-    places = partner.tolist()
     rows = [
-        [*row, *(column[k] if k >= 0 else "" for column in cells)] for row, k in zip(sheet.rows, places, strict=True)
+        [*row, *(column[k] if k >= 0 else "" for column in cells)] for row, k in zip(sheet.rows, partner, strict=True)
     ]
     labels = ((sheet.header, names), (sheet.full, other.full or names), (sheet.units, other.units))
     header, full, units = ((*_filled(ours, sheet.width), *_filled(theirs, other.width)) for ours, theirs in labels)

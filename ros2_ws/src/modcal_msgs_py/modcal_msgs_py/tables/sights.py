@@ -133,10 +133,8 @@ def _framed(numbers: Numbers, found: Sequence[tuple[str, tuple[int, ...]]]) -> I
         anonymous = not stem or (kind != BEARING and (stem[0].isdigit() or len(stem) == 1))
         shared = kind == RANGE and ((stem or "station"), BEARING) in seen
         first = f"{_FRAMES[kind]}_{stem}".rstrip("_") if anonymous and not shared else stem or "station"
-        name = first
-        count = 2
-        while (name, kind) in seen:
-            name, count = f"{first}_{count}", count + 1
+        names = (first, *(f"{first}_{k}" for k in range(2, len(found) + 2)))
+        name = next(name for name in names if (name, kind) not in seen)
         seen.add((name, kind))
         yield SightColumns(name, kind, columns)
 
@@ -157,9 +155,9 @@ def find_sights(
     for kind in dict.fromkeys(one.kind for one in instruments):
         mine = [one for one in instruments if one.kind == kind]
         ways = [
-            (Way(c, *way), _judged(chain, q, values, mine, way))
+            (way, _judged(chain, q, values, mine, way))
             for c, q in enumerate(postures)
-            for way in _ways(values, mine)
+            for way in _ways(c, values, mine)
         ]
         told = [pair for pair in ways if {pair[0].unit} == {numbers.labels[one.columns[0]].unit for one in mine}]
         ways = told if any(match.explained(chain) for _, match in told) else ways
@@ -184,32 +182,25 @@ def find_sights(
     return Sighted(tuple(choices), rows, found, kept, tuple(questions))
 
 
-_Way = tuple[str, bool, bool]
-
-
-def _ways(values: Array, instruments: Sequence[SightColumns]) -> Iterator[_Way]:
-    if instruments[0].kind != BEARING:
-        yield from ((unit, False, False) for unit in LENGTHS)
-        return
+def _ways(choice: int, values: Array, instruments: Sequence[SightColumns]) -> Iterator[Way]:
     angles = [one for one in instruments if len(one.columns) == 2]
     if not angles:
-        yield ("", False, False)
+        yield from (Way(choice, unit) for unit in (LENGTHS if instruments[0].kind != BEARING else [""]))
         return
     largest = max(float(np.abs(values[:, list(one.columns)]).max()) for one in angles)
     some = [unit for unit in _ANGLES if unit != "rad" or largest < _MAX_RAD]
-    yield from product(some, (False, True), (False, True))
+    yield from (Way(choice, *read) for read in product(some, (False, True), (False, True)))
 
 
-def _judged(chain: Chain, q: Array, values: Array, instruments: Sequence[SightColumns], way: _Way) -> SightMatch:
-    unit, zenith, clockwise = way
+def _judged(chain: Chain, q: Array, values: Array, instruments: Sequence[SightColumns], way: Way) -> SightMatch:
     sightings, volume = [], 0.0
     for one in instruments:
         x = values[:, list(one.columns)]
         if len(one.columns) == 3:
             x = x / np.linalg.norm(x, axis=1, keepdims=True)
         else:
-            x = UNITS[unit] * x
-            volume += len(one.columns) * float(np.log(UNITS[unit]))
-            x = direction(x, zenith, clockwise) if one.kind == BEARING else x
+            x = UNITS[way.unit] * x
+            volume += len(one.columns) * float(np.log(UNITS[way.unit]))
+            x = direction(x, way.zenith, way.clockwise) if one.kind == BEARING else x
         sightings.append(Sighting(one.frame, one.kind, x))
     return sights_match(chain, q, sightings, volume)

@@ -163,8 +163,6 @@ def chosen(sheet: Sheet, rows: Mapping[Any, Any], source: str) -> Sheet:
         values = {cell_value(str(one)) for one in (wanted if isinstance(wanted, list) else [wanted])}
         keep &= [cell_value(cell, sheet.form.decimal) in values for cell in sheet.column(index(sheet, key))]
     if not keep.any():
-        raise BadTable(
-            f"{source}: rows", f"no row of {sheet.path.name} is as stated", "check the column and its values"
-        )
+        raise BadTable(f"{source}: rows", f"no row of {sheet.path.name} is as stated", "check column and values")
     some = np.flatnonzero(keep).tolist()
     return replace(sheet, rows=[sheet.rows[i] for i in some], lines=[sheet.lines[i] for i in some])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +55,7 @@ def _joined(known: Together, other: Sheet, path: Path) -> Iterator[Together]:
         how += "" if within is None else f", the nearest within {within:g}"
         options.append(({"by": {ours.key(a): theirs.key(b)}, **near}, how))
     if len(known.sheet.rows) == len(other.rows):
-        how = (
-            f"rows of {path.name} belong to those of {known.sheet.path.name} in their order, as the arm's fit bears out"
-        )
+        how = f"rows of {path.name} belong to those of {known.sheet.path.name} in their order, as the fit bears out"
         options.append(({"by": "row"}, how))
     for by, how in options:
         stated = {"files": path.name, **form, **by}
@@ -66,16 +65,16 @@ def _joined(known: Together, other: Sheet, path: Path) -> Iterator[Together]:
 
 def _shared(ours: Numbers, theirs: Numbers) -> tuple[int, int, float | None] | None:
     """Columns by which rows belong together: same numbers, else times that are near; and how near."""
-    best: tuple[float, int, int, float | None] | None = None
     sides = [
         [k for k in n.usable if isinstance(n.key(k), str) and _KEYS & set(n.labels[k].words)] for n in (ours, theirs)
     ]
-    for a, b in ((a, b) for a in sides[0] for b in sides[1]):
-        share, within = _share(ours.values[:, a], theirs.values[:, b])
-        score = share + 0.2 * (ours.labels[a].words == theirs.labels[b].words) + 0.1 * (within is None)
-        if share >= _SHARED and (best is None or score > best[0]):
-            best = (score, a, b, within)
-    return None if best is None else best[1:]
+    found = [
+        (share + 0.2 * (ours.labels[a].words == theirs.labels[b].words) + 0.1 * (within is None), (a, b, within))
+        for a, b in product(*sides)
+        for share, within in [_share(ours.values[:, a], theirs.values[:, b])]
+        if share >= _SHARED
+    ]
+    return max(found, key=lambda pair: pair[0])[1] if found else None
 
 
 def _share(a: Array, b: Array) -> tuple[float, float | None]:

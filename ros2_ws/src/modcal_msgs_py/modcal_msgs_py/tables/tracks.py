@@ -11,7 +11,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_msgs_py.tables.columns import Numbers
 from modcal_msgs_py.tables.labels import COMMANDED, MEASURED, grouped
-from modcal_msgs_py.tables.moments import SECONDS, find_time
+from modcal_msgs_py.tables.moments import find_time, in_seconds
 from modcal_msgs_py.tables.readings import UNITS
 from modcal_msgs_py.tables.sheet import number, sniff
 
@@ -59,15 +59,12 @@ def _words(line: str) -> list[str]:
 def _bare(path: Path, words: list[tuple[int, list[str]]]) -> TextTrack:
     """Rows of 3 or 7 numbers, or of 4 or 8 that begin with a time."""
     width = len(words[0][1])
-    rows = []
     for line, row in words:
-        found = [value for value in map(number, row) if value is not None]
-        if len(found) != len(row):
+        if any(number(word) is None for word in row):
             raise BadTable(f"{path}, line {line}", "is not numbers", f"give {_FORMS}")
         if len(row) != width or not {width, width - 1} & set(_WIDTHS):
             raise BadTable(f"{path}, line {line}", f"has {len(row)} numbers", f"give in every line {_FORMS}")
-        rows.append(found)
-    values = np.array(rows)
+    values = np.array([list(map(number, row)) for _, row in words], float)
     if width in _WIDTHS:
         return TextTrack(values)
     stamps = values[:, 0]
@@ -95,10 +92,8 @@ def _labelled(path: Path, line: int) -> TextTrack:
     named = grouped(read, "position")
     if len(named) != 1:
         shown = ", ".join(numbers.shown(place[0]) for place in named)
-        said = "has no columns x, y and z by its labels"
-        if named:
-            said = f"has {len(named)} positions by its labels ({shown})"
-        raise BadTable(str(path), said, "give one: columns x, y, z, and qx, qy, qz, qw for rotations")
+        said = f"{len(named)} positions by its labels ({shown})" if named else "no columns x, y and z by its labels"
+        raise BadTable(str(path), f"has {said}", "give one: columns x, y, z, and qx, qy, qz, qw for rotations")
     units = {free[k].unit for k in named[0]}
     unit = units.pop() or "m" if len(units) == 1 else ""
     if unit not in ("m", "cm", "mm", "in"):
@@ -112,7 +107,7 @@ def _labelled(path: Path, line: int) -> TextTrack:
     kept: np.ndarray = np.asarray(np.isfinite(values).all(axis=1))
     stamps = None
     if "seconds" in time.stated:
-        stamps = SECONDS[time.stated.get("unit", "s")] * numbers.values[:, time.columns[0]]
+        stamps = in_seconds(numbers.values[:, time.columns[0]], time.stated.get("unit", "s"))
         kept &= np.isfinite(stamps)
         stamps = stamps[kept]
     if kept.mean() < _MISSING:

@@ -116,7 +116,7 @@ def plan_next_images(camera: CameraOptions, options: Options, count: int, out: P
     with output.working() as watch:
         robot, _, solution = _solved(camera, options, bag, watch)
         watch("choosing images")
-        found = plan_images(solution.fit, solution.ready.given.target, count, np.random.default_rng(options.seed))
+        found = plan_images(solution.fit, solution.camera.given.target, count, np.random.default_rng(options.seed))
     rows = "".join(",".join(f"{v:.9f}" for v in q) + "\n" for q in found.q)
     files = {"stations.csv": ",".join(robot.names) + "\n" + rows}
     out = out or Path(f"{source.resolve().stem}_plan")

@@ -35,7 +35,6 @@ from modcal_nodes.setpoint import (
     task,
 )
 
-_READY = "ready"
 _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes
 _RCLError = rclpy_implementation.RCLError
@@ -148,7 +147,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         """Be ready to pull."""
         self._active = True
         self._timer = self.create_timer(1.0 / self._chosen["rate_hz"], self._tick)
-        self._tell(ros.OK, _READY)
+        self._tell(ros.OK, "ready")
         return super().on_activate(state)
 
     @ros.noted
@@ -235,8 +234,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Let go of what is pulled, and pull no more; answered when that is done."""
-        response.success = True
-        response.message = "nothing was pulled"
+        response.success, response.message = True, "nothing was pulled"
         if self._operation is not None:
             self._let_go("stopped as asked")
             response.message = self._said
@@ -364,13 +362,12 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         model = self._object.kind if self._object.model is not None else "none"
         trusted = {"model": model, "trusted": self._object.at(self._now()).trusted}
         hearing = ros.subscription_status(self._inputs, self._refusals)
-        pull = ros.Status("pull", self._level, self._said, facts)
-        if self._said == _READY and hearing.level != ros.OK:
-            pull = ros.Status("pull", hearing.level, f"not ready: {hearing.message}", facts)
+        deaf = self._said == "ready" and hearing.level != ros.OK
+        said = f"not ready: {hearing.message}" if deaf else self._said
         return [
             hearing,
             ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "no recent refusal", trusted),
-            pull,
+            ros.Status("pull", hearing.level if deaf else self._level, said, facts),
         ]
 
 

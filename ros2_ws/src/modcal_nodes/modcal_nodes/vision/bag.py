@@ -28,9 +28,9 @@ from modcal_core.camera import (
     MarkerBundle,
     PrintedTarget,
 )
-from modcal_core.errors import BadRecording, BadTable, NotEnoughData
+from modcal_core.errors import BadRecording, BadTable
 from modcal_core.geometry import Array
-from modcal_core.measurements import Approach, Listed, Recording, spread_rows
+from modcal_core.measurements import Approach, Listed, Recording, joint_stamps_and, spread_rows
 from modcal_msgs_py import (
     CLOUD,
     TAGS,
@@ -47,9 +47,9 @@ from modcal_msgs_py import (
     stamps_of,
     tag_topics,
 )
-from modcal_nodes.vision.detection import Detection, body_corners, in_order, off_flat, too_few
+from modcal_nodes.vision.detection import Detection, body_corners, detect, in_order, off_flat, too_few
 from modcal_nodes.vision.grey import grey_of
-from modcal_nodes.vision.images import ImageFolder, lens_from_data, look_for, of_one_size
+from modcal_nodes.vision.images import FoundTargets, ImageFolder, lens_from_data
 
 _MAX = 200  # images that are looked at
 _STANDING = 0.01  # rad/s or m/s, below which a joint stands; a millimetre in a tenth of a second at a metre
@@ -94,12 +94,7 @@ def read_bag_images(
     if not len(wanted):
         said = f"none of {len(stamps)} images has joint states around it"
         raise BadRecording(source, said, "record both on one clock")
-    views: list[BoardView] = []
-    sizes: list[tuple[int, int]] = []
-    left_out: dict[str, str] = {}
-    notes: dict[str, None] = {}
-    keep = set(wanted.tolist())
-    done = 0
+    targets, keep = FoundTargets(), set(wanted.tolist())
     if of_tags:
         looked_at = _messages(bag, topic, partial(_tags, target, size or (0, 0)))
     elif topic.type_name == CLOUD:
@@ -110,29 +105,23 @@ def read_bag_images(
         if stamp not in keep:
             continue
         keep.discard(stamp)
-        done += 1
-        progress("finding the target", done / len(wanted))
+        progress("finding the target", 1.0 - len(keep) / len(wanted))
         name = f"{stamp:.6f}"
         found, own_size, note = look(name)
-        if found.view is None:
-            left_out[name] = f"{found.reason}: {found.remedy}"
-            continue
-        notes |= dict.fromkeys([note] if note else ())
-        views.append(replace(found.view, stamp=stamp))
-        sizes.append(own_size)
-    if not views:
-        name, why = next(iter(left_out.items()))
-        reason, _, remedy = why.partition(": ")
-        raise NotEnoughData(source, f"none of {len(wanted)} images can be used; the one at {name} s {reason}", remedy)
-    size, same = of_one_size(views, sizes, left_out)
-    views = [view for view, keep in zip(views, same, strict=True) if keep]
-    at = np.array([view.stamp for view in views])
+        if found.view is not None:
+            found = replace(found, view=replace(found.view, stamp=stamp))
+        targets.take(found, name, own_size, note)
+    size, _ = targets.of_one_size(source, len(wanted))
+    at = np.array([view.stamp for view in targets.views])
     q, velocity = log.at(at)
     moments = ImageMoments(at, log.approach(at), log.effort(at), recording.signals)
     velocity = velocity if moving else np.zeros_like(q)
     # what finds tags mostly looks at images that are rectified already, of which camera_info says something else
     lens, lens_of = (None, "") if of_tags else _lens(bag, recording, topic)
-    return ImageFolder(tuple(views), q, velocity, size, left_out, lens, lens_of, moments, tuple(notes))
+    return ImageFolder(
+        *(tuple(targets.views), q, velocity, size, targets.left_out, lens, lens_of, moments),
+        notes=tuple(targets.notes),
+    )
 
 
 @dataclass(frozen=True)
@@ -146,20 +135,14 @@ class JointLog:
     @classmethod
     def of(cls, recording: Recording, names: Sequence[str]) -> JointLog:
         """Those of these joints in a recording. Raises BadRecording where one was not recorded."""
-        tracks = {name: track for track in recording.joints for name in track.names}
-        for name in names:
-            if name not in tracks:
+        stamps, q = joint_stamps_and(recording, tuple(names), "position")
+        _, efforts = joint_stamps_and(recording, tuple(names), "effort")
+        for name, column in zip(names, q.T, strict=True):
+            if np.isnan(column).all():
                 raise BadRecording(recording.source, f"holds no joint {name}", "record its joint states, or give --tip")
-        first = tracks[names[0]]
-        stamps = np.unique(first.stamps[np.isfinite(first.stamps)])
-        columns, efforts = [], []
-        for name in names:
-            track = tracks[name]
-            order = np.argsort(track.stamps, kind="stable")
-            j = track.names.index(name)
-            columns.append(np.interp(stamps, track.stamps[order], track.position[order, j]))
-            efforts.append(np.interp(stamps, track.stamps[order], track.effort[order, j]))
-        return cls(stamps, np.stack(columns, axis=1), np.stack(efforts, axis=1))
+        stamps, rows = np.unique(stamps, return_index=True)
+        rows = rows[np.isfinite(stamps)]
+        return cls(stamps[: len(rows)], q[rows], efforts[rows])
 
     def known(self, at: Array) -> np.ndarray:
         """Whether joint states stand close around these stamps, (k,)."""
@@ -170,15 +153,15 @@ class JointLog:
 
     def at(self, at: Array) -> tuple[Array, Array]:
         """(positions, velocities) at these stamps, (k, n) each."""
-
-        def sampled(t: Array) -> Array:
-            return np.stack([np.interp(t, self.stamps, column) for column in self.q.T], axis=1)
-
-        return sampled(at), (sampled(at + _BEFORE) - sampled(at - _BEFORE)) / (2.0 * _BEFORE)
+        before, after = (self._sampled(self.q, at + late) for late in (-_BEFORE, _BEFORE))
+        return self._sampled(self.q, at), (after - before) / (2.0 * _BEFORE)
 
     def effort(self, at: Array) -> Array:
         """Efforts at these stamps, (k, n)."""
-        return np.stack([np.interp(at, self.stamps, column) for column in self.efforts.T], axis=1)
+        return self._sampled(self.efforts, at)
+
+    def _sampled(self, columns: Array, at: Array) -> Array:
+        return np.stack([np.interp(at, self.stamps, column) for column in columns.T], axis=1)
 
     def approach(self, at: Array) -> Array:
         """The direction each joint last moved in at these stamps, (k, n)."""
@@ -214,7 +197,7 @@ def _boards(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> I
         if grey is None:
             reason, _, remedy = said.partition(": ")
             return Detection(None, reason, remedy), (0, 0), ""
-        return look_for(grey, target, name), (grey.shape[1], grey.shape[0]), said
+        return detect(grey, target, name), (grey.shape[1], grey.shape[0]), said
 
     for received, message in read_messages(bag, topic.topic):
         image = raw_image(message, received)

@@ -22,11 +22,10 @@ from modcal_core.camera import (
     CornerTable,
     Lens,
     PrintedTarget,
+    ViewSpread,
     board_poses,
-    covered,
     first_lens,
     fit_lens,
-    tilt_and_distance,
 )
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array, se3
@@ -123,7 +122,6 @@ def _motion(one: BoardView, two: BoardView) -> float:
 
 _LOOKED_AT = 40  # images, which tell coverage and tilt as well as all of them
 _ENOUGH = 15  # images that a calibration wants
-_TILT, _WORTH_FARTHER, _COVERED = 20.0, 1.3, 0.4  # degrees, ratio, share; as a calibration asks for
 
 
 @dataclass(frozen=True)
@@ -187,33 +185,27 @@ def images_worth(
         findings.append("No image has joint states around it: record both on one clock.")
     if len(views) < _ENOUGH:
         findings.append(f"{len(views)} images at different postures show the target: take 25 to 30.")
-    edges = share = tilts = distances = None
+    edges, spread = None, None
     if views:
         edges = float(np.median([v.sharpness for v in views]))
         if edges > _SOFT_PX:
             findings.append(f"Edges are {edges:.1f} px wide: focus, stand still, or add light.")
     if len(views) >= MIN_VIEWS and size is not None:
         table = CornerTable.of(views, target)
-        share = covered(table, size)
-        if share < _COVERED:
-            findings.append(f"Corners cover {100.0 * share:.0f} % of the image: bring the target into its corners.")
         try:
             lens = fit_lens(table, first_lens(table, size)).lens
         except ModcalError as error:
             findings.append(f"The lens cannot be told: {error}.")
         else:
             seen = board_poses(table, lens, np.zeros(SHAPE)).T[:, 0]
-            tilt, away = tilt_and_distance(seen, target.points.mean(axis=0))
-            tilts = (float(np.degrees(tilt.min())), float(np.degrees(tilt.max())))
-            distances = (float(away.min()), float(away.max()))
-            if tilts[1] < _TILT:
-                findings.append(f"The target is never tilted by more than {tilts[1]:.0f}°: tilt it by 20° to 45°.")
-            if distances[1] < _WORTH_FARTHER * distances[0]:
-                findings.append(
-                    f"All images are from {distances[0]:.2f} to {distances[1]:.2f} m: take some from twice as far."
-                )
+            spread = ViewSpread.of(table, size, seen, target.points.mean(axis=0))
+            findings += spread.sentences()
     return ImagesWorth(
-        *(topic.topic, len(stamps), looked_at, len(views), size, edges, share, tilts, distances, dict(reasons)),
+        *(topic.topic, len(stamps), looked_at, len(views), size, edges),
+        covered=None if spread is None else spread.covered,
+        tilt_deg=None if spread is None else (float(np.degrees(spread.tilt[0])), float(np.degrees(spread.tilt[1]))),
+        distance_m=None if spread is None else spread.distance,
+        reasons=dict(reasons),
         findings=tuple(findings),
     )
 

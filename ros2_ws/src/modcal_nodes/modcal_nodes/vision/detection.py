@@ -111,19 +111,14 @@ class Detection:
     remedy: str = ""
 
 
-def detect(grey: np.ndarray, target: PrintedTarget, name: str) -> Detection:
-    """The corners of the target in a grey image (h, w) of 8 bits."""
-    if float(np.percentile(grey, 99) - np.percentile(grey, 1)) < _SMALLEST_GREY:
-        return Detection(None, "is of one grey, or nearly", "light the target, and check the exposure")
-    ids, pixels, half = _found(grey, target)
-    if len(ids) == 0:
-        return _why_not(grey, target)
-    if (few := too_few(target, ids)) is not None:
-        return few
-    if target.kind == CHESSBOARD and (strange := _no_such_board(grey, target, ids, pixels)) is not None:
-        return strange
-    if (bent := off_flat(target, ids, pixels)) is not None:
-        return bent
+def detect(grey: np.ndarray, target: PrintedTarget | MarkerBundle, name: str) -> Detection:
+    """The corners of the target in a grey image (h, w) of 8 bits. Raises BadTable where no one says which dictionary
+    the markers of a body are of.
+    """
+    found = _of_body(grey, target) if isinstance(target, MarkerBundle) else _of_sheet(grey, target)
+    if isinstance(found, Detection):
+        return found
+    ids, pixels, half = found
     width = edge_width(grey, pixels, half)
     if width > BLURRED_PX:
         return Detection(None, f"is blurred: edges are {width:.0f} px wide", "hold still, focus, or add light")
@@ -131,9 +126,41 @@ def detect(grey: np.ndarray, target: PrintedTarget, name: str) -> Detection:
     return Detection(BoardView(name, ids, pixels, cov, width))
 
 
-def _fitted(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array, half: int) -> tuple[Array, Array]:
+_Corners = tuple[np.ndarray, Array, int]  # ids (m,), pixels (m, 2), half side of the windows of refinement [px]
+
+
+def _of_sheet(grey: np.ndarray, target: PrintedTarget) -> _Corners | Detection:
+    """The corners of a sheet, or why there are none."""
+    if float(np.percentile(grey, 99) - np.percentile(grey, 1)) < _SMALLEST_GREY:
+        return Detection(None, "is of one grey, or nearly", "light the target, and check the exposure")
+    ids, pixels, half = _found(grey, target)
+    if len(ids) == 0:
+        return _why_not(grey, target)
+    strange = too_few(target, ids)
+    if strange is None and target.kind == CHESSBOARD:
+        strange = _no_such_board(grey, target, ids, pixels)
+    return strange or off_flat(target, ids, pixels) or (ids, pixels, half)
+
+
+def _of_body(grey: np.ndarray, body: MarkerBundle) -> _Corners | Detection:
+    """The corners of a body's markers, or why there are none."""
+    if not body.dictionary:
+        remedy = "add dictionary: DICT_4X4_50, or whichever they are of, or give a CSV of corners"
+        raise BadTable(body.label, "has no dictionary of markers to look for in images", remedy)
+    corners, ids, _ = marker_detector(body.dictionary).detectMarkers(grey)
+    numbers = [] if ids is None else [int(i) for i in np.asarray(ids).ravel()]
+    found = body_corners(body, numbers, [np.asarray(c, dtype=float).reshape(4, 2) for c in corners])
+    if isinstance(found, Detection):
+        return found
+    side = np.linalg.norm(np.diff(found[1].reshape(-1, 4, 2), axis=1), axis=2)
+    return (*found, window_of_side(float(np.median(side))))
+
+
+def _fitted(
+    grey: np.ndarray, target: PrintedTarget | MarkerBundle, ids: np.ndarray, pixels: Array, half: int
+) -> tuple[Array, Array]:
     """(pixels (m, 2), covariance (m, 2, 2)) of corners: those of squares fitted to the grey values about them."""
-    if target.kind not in (CHARUCO, CHESSBOARD):
+    if isinstance(target, MarkerBundle) or target.kind not in (CHARUCO, CHESSBOARD):
         return pixels, corner_covariance(grey, pixels, half, grey_noise(grey))
     fit = fit_board(grey, target, ids, pixels)
     pixels, cov = np.where(fit.good[:, None], fit.pixels, pixels), fit.cov + _PRINT_PX**2 * np.eye(2)
@@ -161,8 +188,8 @@ def off_flat(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> Detection
     return Detection(None, said, "check the target file, show one board only, and keep it flat")
 
 
-def _found(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array, int]:
-    """(ids (m,), pixels (m, 2), half side of the windows of refinement [px])."""
+def _found(grey: np.ndarray, target: PrintedTarget) -> _Corners:
+    """The corners of a sheet, as its finder has them."""
     none = np.empty(0, int), np.empty((0, 2)), _MIN_WINDOW
     if target.kind == CHARUCO:
         for legacy in (False, True):
@@ -184,7 +211,7 @@ def _found(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array, 
     return _markers(grey, target) or none
 
 
-def _markers(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array, int] | None:
+def _markers(grey: np.ndarray, target: PrintedTarget) -> _Corners | None:
     """Corners of the markers of a grid, or of one tag."""
     corners, ids, _ = marker_detector(target.dictionary).detectMarkers(grey)
     if ids is None:
@@ -221,7 +248,7 @@ def in_order(
     return ids, best.reshape(-1, 2)
 
 
-def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> tuple[np.ndarray, Array, int]:
+def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> _Corners:
     """The saddles of a board's corners to a fraction of a pixel, those at the image's edge left out."""
     half = _MIN_WINDOW
     if enough_corners(target.points[ids]):
@@ -359,27 +386,6 @@ def charuco_board(target: PrintedTarget, legacy: bool = False) -> cv2.aruco.Char
     board = cv2.aruco.CharucoBoard((target.columns, target.rows), target.square, target.marker, words, ids)
     board.setLegacyPattern(legacy)
     return board
-
-
-def detect_body(grey: np.ndarray, body: MarkerBundle, name: str) -> Detection:
-    """The corners of the body's markers in a grey image (h, w) of 8 bits. Raises BadTable where no one says which
-    dictionary they are of.
-    """
-    if not body.dictionary:
-        remedy = "add dictionary: DICT_4X4_50, or whichever they are of, or give a CSV of corners"
-        raise BadTable(body.label, "has no dictionary of markers to look for in images", remedy)
-    corners, ids, _ = marker_detector(body.dictionary).detectMarkers(grey)
-    numbers = [] if ids is None else [int(i) for i in np.asarray(ids).ravel()]
-    found = body_corners(body, numbers, [np.asarray(c, dtype=float).reshape(4, 2) for c in corners])
-    if isinstance(found, Detection):
-        return found
-    points, pixels = found
-    half = window_of_side(float(np.median(np.linalg.norm(np.diff(pixels.reshape(-1, 4, 2), axis=1), axis=2))))
-    width = edge_width(grey, pixels, half)
-    if width > BLURRED_PX:
-        return Detection(None, f"is blurred: edges are {width:.0f} px wide", "hold still, focus, or add light")
-    cov = corner_covariance(grey, pixels, half, grey_noise(grey))
-    return Detection(BoardView(name, points, pixels, cov, width))
 
 
 def body_corners(

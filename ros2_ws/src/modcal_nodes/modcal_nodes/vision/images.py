@@ -6,7 +6,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from modcal_core.camera import (
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.files import parse_yaml
 from modcal_core.geometry import Array
-from modcal_nodes.vision.detection import Detection, detect, detect_body
+from modcal_nodes.vision.detection import Detection, detect
 
 SCALED = "Images of 16 bits a channel were scaled to 8, each from its own black to its own white."
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
@@ -83,52 +83,58 @@ def read_images(
     if len(files) > _MAX_IMAGES:
         raise BadRecording(str(folder), f"holds {len(files)} images, {_MAX_IMAGES} are read", "give fewer")
     rows = joints_of_text(text_of(joints), names, str(joints))
-    left_out: dict[str, str] = {}
-    views: list[BoardView] = []
-    at: list[tuple[Array, Array]] = []
-    sizes: list[tuple[int, int]] = []
-    notes: dict[str, None] = {}
+    found, at = FoundTargets(), list[tuple[Array, Array]]()
     for i, file in enumerate(files):
         progress("finding the target", i / len(files))
         if (place := rows.at(file)) is None:
-            left_out[file.name] = "the table has no joints for it: give it a row"
+            found.left_out[file.name] = "the table has no joints for it: give it a row"
             continue
         grey, why = _read_grey(file)
         if grey is None:
-            left_out[file.name] = why
-            continue
-        notes |= dict.fromkeys([why] if why else ())
-        found = look_for(grey, target, file.name)
-        if found.view is None:
-            left_out[file.name] = f"{found.reason}: {found.remedy}"
-            continue
-        views.append(found.view)
-        at.append(place)
-        sizes.append((grey.shape[1], grey.shape[0]))
-    if not views:
-        name, why = next(iter(left_out.items()))
-        reason, _, remedy = why.partition(": ")
-        raise NotEnoughData(str(folder), f"none of {len(files)} images can be used; {name} {reason}", remedy)
-    size, same = of_one_size(views, sizes, left_out)
+            found.left_out[file.name] = why
+        elif found.take(detect(grey, target, file.name), file.name, (grey.shape[1], grey.shape[0]), why):
+            at.append(place)
+    size, same = found.of_one_size(str(folder), len(files))
     q, velocity = (np.stack(part)[same] for part in zip(*at, strict=True))
-    views = [view for view, keep in zip(views, same, strict=True) if keep]
-    return ImageFolder(tuple(views), q, velocity, size, left_out, notes=tuple(notes))
+    return ImageFolder(tuple(found.views), q, velocity, size, found.left_out, notes=tuple(found.notes))
 
 
-def of_one_size(
-    views: Sequence[BoardView], sizes: Sequence[tuple[int, int]], left_out: dict[str, str]
-) -> tuple[tuple[int, int], np.ndarray]:
-    """(the size that most views have, which have it (N,)); the others are added to those left out."""
-    size = Counter(sizes).most_common(1)[0][0]
-    for view, own in zip(views, sizes, strict=True):
-        if own != size:
-            left_out[view.name] = f"is {own[0]} × {own[1]}, most are {size[0]} × {size[1]}: give images of one size"
-    return size, np.array([own == size for own in sizes])
+@dataclass
+class FoundTargets:
+    """What images show of a target. views: of it, sizes: of their images [px]. left_out, notes: as of a folder."""
 
+    views: list[BoardView] = field(default_factory=list)
+    sizes: list[tuple[int, int]] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
+    notes: dict[str, None] = field(default_factory=dict)
 
-def look_for(grey: np.ndarray, target: PrintedTarget | MarkerBundle, name: str) -> Detection:
-    """The corners of a sheet or of a body's markers in a grey image (h, w) of 8 bits."""
-    return detect_body(grey, target, name) if isinstance(target, MarkerBundle) else detect(grey, target, name)
+    def take(self, found: Detection, name: str, size: tuple[int, int], note: str = "") -> bool:
+        """Whether this image shows the target; else it is left out. note: what was done to it."""
+        if found.view is None:
+            self.left_out[name] = f"{found.reason}: {found.remedy}"
+            return False
+        self.notes |= dict.fromkeys([note] if note else ())
+        self.views.append(found.view)
+        self.sizes.append(size)
+        return True
+
+    def of_one_size(self, source: str, count: int) -> tuple[tuple[int, int], np.ndarray]:
+        """(the size that most views have, which of them had it (N,)); the others are left out.
+
+        count: of the images that were looked at. Raises NotEnoughData where none shows the target.
+        """
+        if not self.views:
+            name, why = next(iter(self.left_out.items()))
+            reason, _, remedy = why.partition(": ")
+            raise NotEnoughData(source, f"none of {count} images can be used; {name} {reason}", remedy)
+        size = Counter(self.sizes).most_common(1)[0][0]
+        same = np.array([own == size for own in self.sizes])
+        for view, own in zip(self.views, self.sizes, strict=True):
+            if own != size:
+                said = f"is {own[0]} × {own[1]}, most are {size[0]} × {size[1]}: give images of one size"
+                self.left_out[view.name] = said
+        self.views = [view for view, keep in zip(self.views, same, strict=True) if keep]
+        return size, same
 
 
 def read_camera_info(path: Path) -> Lens:
