@@ -144,6 +144,14 @@ def test_a_fit_that_is_hopeless_ends_where_that_is_seen() -> None:
     assert np.array_equal(same.values, whole.values)
 
 
+@pytest.mark.slow
+def test_what_is_left_counts_what_the_parameters_took() -> None:
+    # 18 poses give 108 rows for 30 parameters: without their degrees of freedom the spread would come out at 0.85
+    fits = [fit_all(ur10(), record(seed, 18).samples) for seed in range(40)]
+    assert np.mean([f.noise.position for f in fits]) == pytest.approx(NOISE_M, rel=0.06)
+    assert np.mean([f.noise.rotation for f in fits]) == pytest.approx(NOISE_RAD, rel=0.06)
+
+
 def test_the_information_is_that_of_the_data_alone() -> None:
     made = record(1, 60, "point")
     still = made.samples.q.copy()

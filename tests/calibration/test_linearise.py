@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cells import record, samples_of, slider_arm, ur10
@@ -139,6 +141,17 @@ def test_blocks_make_no_difference(kinds: tuple[str, ...], monkeypatch: pytest.M
         monkeypatch.setattr(serial, "COLUMNS", 3)
         monkeypatch.setattr(serial, "_KEPT", kept)
         compare(*cell(ur10(), kinds), seed=3)
+
+
+def test_frames_that_share_their_error() -> None:
+    model, samples = cell(ur10(), ("pose", "pose", "pose"))
+    compare(replace(model, leaders=(0, 1, 0)), samples, seed=4)
+
+
+def test_orientations_that_are_far_off() -> None:
+    model, samples = cell(ur10(), ("pose",))
+    about = samples.R[:, :, [1, 2, 0]]  # a third of a turn
+    compare(model, replace(samples, R=np.where(np.arange(8)[:, None, None] % 2, about, samples.R)), seed=5)
 
 
 @pytest.mark.parametrize("kind", ["point", "pose"])

@@ -10,6 +10,7 @@ from scipy.optimize import nnls
 from modcal_core.calibration import noise as distributions
 from modcal_core.calibration.equations import nonnegative
 from modcal_core.calibration.fit import Curvature, inverse_of_triangle
+from modcal_core.calibration.noise import score_of_one, standard_score
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 20])
@@ -26,6 +27,17 @@ def test_the_least_without_negative_values(rng: np.random.Generator, count: int,
         assert (x >= 0.0).all()
         size = np.sqrt(np.diag(X.T @ X))
         np.testing.assert_allclose(x * size, expected * size, rtol=1e-5, atol=1e-6 * np.linalg.norm(r))
+
+
+def test_many_at_once_are_as_each_alone(rng: np.random.Generator) -> None:
+    X, r = rng.normal(size=(40, 3, 30, 5)), rng.normal(size=(40, 3, 30))
+    X[:, 1, :, 1:] *= -1.0
+    r[0, 0] = -X[0, 0].sum(axis=1)
+    A, v = np.swapaxes(X, -1, -2) @ X, np.einsum("wtki,wtk->wti", X, r)
+    x = nonnegative(A, v)
+    assert x.shape == v.shape
+    for i, j in np.ndindex(40, 3):
+        np.testing.assert_allclose(x[i, j], nnls(X[i, j], r[i, j])[0], rtol=1e-7, atol=1e-9)
 
 
 def test_tails_are_those_of_scipy_stats(rng: np.random.Generator) -> None:
@@ -89,3 +101,10 @@ def test_it_is_the_inverse_and_reads_nothing_above_the_diagonal(rows: int) -> No
     inverse = inverse_of_triangle(written_above)
     np.testing.assert_allclose(inverse @ lower, np.eye(rows), atol=1e-12)
     np.testing.assert_array_equal(np.triu(inverse, 1), 0.0)
+
+
+def test_the_score_of_one_is_that_of_many() -> None:
+    squares = np.r_[0.0, np.logspace(-12, 9, 60)]
+    for dimensions in (1, 2, 3, 6):
+        one = [score_of_one(float(square), dimensions) for square in squares]
+        assert np.abs(one / standard_score(squares, dimensions) - 1.0).max() < 1e-12

@@ -41,7 +41,7 @@ def mixed(i: int, j: int, values: list[list[float]]) -> Array:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("pair", "values"),
-    [((1, 2), [[1, -1], [1, 1]]), ((0, 3), [[0.5, 0.5], [-0.5, 0.5]]), ((4, 5), [[1, 0.4], [0, 1]])],
+    [((0, 3), [[0.5, 0.5], [-0.5, 0.5]]), ((4, 5), [[1, 0.4], [0, 1]])],
 )
 def test_two_joints_that_are_mixed(clean: Samples, pair: tuple[int, int], values: list[list[float]]) -> None:
     found = disagreement(reported(clean, mixed(*pair, values)), CHAIN)

@@ -59,7 +59,7 @@ def other_module(j: int, degrees: float, shift: tuple[float, float, float]) -> C
     return with_origin(j, CHAIN.origins[j] @ turn)
 
 
-@pytest.mark.parametrize("j", [1, 3, 5])
+@pytest.mark.parametrize("j", [1, 3])
 def test_a_link_of_another_length_and_another_turn(clean: Samples, j: int) -> None:
     """Where axes are parallel, the turn alone could stand at any of them."""
     said = named(disagreement(clean, other_module(j, 90.0, (0.1, 0.0, 0.15))))

@@ -81,33 +81,6 @@ def test_layout_is_that_of_ros2_bag_record(tmp_path: Path) -> None:
         assert [m.name for m in reader.iter_metadata()] == ["rosbag2"]
 
 
-def test_every_cut_leaves_a_true_beginning(tmp_path: Path) -> None:
-    write_recording(streams(2), tmp_path / "bag")
-    whole = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
-    complete = [bytes(m.cdr) for m in McapFile(tmp_path / "bag" / "bag_0.mcap").messages()]
-    cut = tmp_path / "cut.mcap"
-    last = -1
-    for size in np.linspace(8, len(whole), 120).astype(int):
-        cut.write_bytes(whole[:size])
-        file = McapFile(cut)
-        found = [bytes(m.cdr) for m in file.messages()]
-        assert found == complete[: len(found)]
-        assert len(found) >= last
-        assert (file.cut is None) <= (found == complete)
-        last = len(found)
-    assert last == len(complete)
-
-
-def test_a_flipped_bit_is_noticed(tmp_path: Path) -> None:
-    write_recording(stations(20), tmp_path / "bag")
-    file = tmp_path / "bag" / "bag_0.mcap"
-    data = bytearray(file.read_bytes())
-    data[len(data) // 4] ^= 4
-    file.write_bytes(bytes(data))
-    with pytest.raises(BadRecording, match="holds no message"):
-        read_recording(file)
-
-
 @pytest.mark.parametrize(("encoding", "remedy"), [("json", "write them as a table"), ("ros1", "rosbags-convert")])
 def test_messages_of_other_encodings_are_counted_and_named(encoding: str, remedy: str, tmp_path: Path) -> None:
     for name, ros2 in (("alone", 0), ("beside", 5)):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from modcal_core.measurements.recording import Recording
 from modcal_msgs_py import mcap_read
-from modcal_msgs_py.mcap_walk import HEAD, PADDING, Block, McapFile
+from modcal_msgs_py.mcap_walk import HEAD, PADDING, Block
 from modcal_msgs_py.messages import gathered
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,23 +39,6 @@ def test_the_recording_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     pairs = list(zip(arrays(merged), arrays(apart), strict=True))
     assert len(pairs) == 6
     assert all(a.tobytes() == b.tobytes() for a, b in pairs)
-
-
-def test_there_are_far_fewer_blocks_with_the_same_messages() -> None:
-    (file,) = BAG.glob("*.mcap")
-    apart = list(McapFile(file).blocks())
-    merged = list(gathered(McapFile(file).blocks()))
-    assert len(merged) < 0.05 * len(apart)
-
-    def messages(blocks: list[Block]) -> list[tuple[int, bytes]]:
-        return [
-            (int(head["channel"]), bytes(block.content[start:stop]))
-            for block in blocks
-            for head, start, stop in zip(block.heads, block.starts.tolist(), block.stops.tolist(), strict=True)
-        ]
-
-    assert messages(merged) == messages(apart)
-    assert all(bytes(block.content[-len(PADDING) :]) == PADDING for block in merged)
 
 
 def test_a_channel_that_is_new_is_met_where_it_was() -> None:

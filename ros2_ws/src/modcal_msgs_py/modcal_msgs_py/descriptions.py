@@ -37,10 +37,8 @@ class Descriptions:
 
         topic, chosen = max(texts, key=lambda pair: known(pair[1]))  # the first of equals
         others = len(self._texts[topic]) - 1
-        said = (
-            f"{topic} was published with {others + 1} different contents: the one with most recorded joints was used."
-        )
-        return chosen, [said] if others else []
+        said = f"{topic} was published with {others + 1} different contents: the one with most recorded joints was used"
+        return chosen, [f"{said}."] if others else []
 
 
 def is_link(frame: str, description: str) -> bool:

@@ -110,12 +110,8 @@ class SignalsHeard:
 
     def tracks(self, names: tuple[str, ...]) -> tuple[SignalTrack, ...]:
         """Tracks of those of these names that were received."""
-        out = []
-        for name in names:
-            if kept := self._values.get(name):
-                stamps, values = np.array(kept).T
-                out.append(SignalTrack(name, stamps, values[:, None]))
-        return tuple(out)
+        heard = {name: np.array(kept) for name in names if (kept := self._values.get(name))}
+        return tuple(SignalTrack(name, rows[:, 0], rows[:, 1:]) for name, rows in heard.items())
 
     def silent(self, names: tuple[str, ...], now: float) -> tuple[str, ...]:
         """Those of the names that were received once, but not recently."""
@@ -202,9 +198,8 @@ class Transforms:
         return ReadingTrack(POSE, self.parent, stamps, poses, received, "/tf")
 
     def _moves(self, key: tuple[str, str]) -> bool:
-        edge = self._edges[key]
-        values = np.concatenate(edge.values)
-        return not edge.static and len(values) > 1 and bool((values != values[0]).any())
+        values = np.concatenate(self._edges[key].values)
+        return not self._edges[key].static and len(values) > 1 and bool((values != values[0]).any())
 
     def _way(self) -> list[tuple[tuple[str, str], bool]] | None:
         """Pairs from parent to child, each with whether it is gone from its parent to its child."""

@@ -285,14 +285,9 @@ class Commands:
 
     def tracks(self, order: Callable[[str], int]) -> tuple[JointTrack, ...]:
         """The commands as tracks of positions. order: of a topic, those of the lowest number first."""
-        found = [(topic, self._of_points(topic, names, rows)) for (topic, names), rows in self._points.items()]
+        found = [(topic, _track(topic, names, *rows.columns())) for (topic, names), rows in self._points.items()]
         found += [(topic, _of_plans(topic, names, plans)) for (topic, names), plans in self._plans.items()]
         return tuple(track for topic, track in sorted(found, key=lambda pair: order(pair[0])))
-
-    @staticmethod
-    def _of_points(topic: str, names: tuple[str, ...], rows: TrackRows) -> JointTrack:
-        stamps, received, position = rows.columns()
-        return _track(topic, names, stamps, position, received)
 
 
 def _of_plans(topic: str, names: tuple[str, ...], plans: list[tuple[float, Array, Array]]) -> JointTrack:
@@ -312,7 +307,7 @@ def _of_plans(topic: str, names: tuple[str, ...], plans: list[tuple[float, Array
             positions.append(np.stack([np.interp(at, t, column) for column in x.T], axis=1))
     t = np.concatenate(stamps) if stamps else np.empty(0)
     x = np.concatenate(positions) if positions else np.empty((0, len(names)))
-    return _track(topic, names, t, x, np.full(len(t), np.nan))
+    return _track(topic, names, t, np.full(len(t), np.nan), x)
 
 
 def _between(t: Array) -> Iterator[Array]:
@@ -322,6 +317,6 @@ def _between(t: Array) -> Iterator[Array]:
     yield t[-1:]
 
 
-def _track(topic: str, names: tuple[str, ...], stamps: Array, position: Array, received: Array) -> JointTrack:
+def _track(topic: str, names: tuple[str, ...], stamps: Array, received: Array, position: Array) -> JointTrack:
     unknown = np.full(position.shape, np.nan)
     return JointTrack(names, stamps, position, unknown, unknown, received, topic)

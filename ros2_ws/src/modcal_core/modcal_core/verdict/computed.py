@@ -19,7 +19,6 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, share_of_known, spread_rows
 from modcal_core.measurements.kinds import is_direct
 from modcal_core.robots import Mechanism, forward, is_serial_arm
-from modcal_core.verdict.floor import LEAST_OF_REACH
 from modcal_core.verdict.verdict import NotAsked
 
 # Powers of ten of a metre that tables and pendants round to; an instrument has errors of its own beside its last digit
@@ -100,15 +99,6 @@ def too_small(
     known = stated is not None and stated.rms_mm is not None and stated.instrument_mm is not None
     if known or digits or not is_serial_arm(chain):
         return TooSmall(digits)
-    least = LEAST_OF_REACH * chain.reach()
-    if seen["final"] < least and (stated is None or stated.instrument_mm is None):
-        return TooSmall(
-            unproven=(
-                f"The fitted model misses by {1e3 * seen['final']:.2g} mm, and an arm of this size and an instrument "
-                f"are hardly known to {1e3 * least:.2g} mm: readings that were {COMPUTED} by a controller that knows "
-                "its arm look like that. If they were measured, state the instrument's accuracy.",
-            )
-        )
     if freedom < _FEWEST:
         needs = "more different postures than base and tool have parameters"
         return TooSmall(not_asked=(NotAsked(f"whether readings were {COMPUTED}", needs),))

@@ -24,7 +24,7 @@ _MORE_THAN_STATED = 1.44  # times the square, as for the error itself
 # that an arm may not repeat, RMS; data sheets have RP of 0.3 to 2e-4, which is twice the RMS (ISO 9283)
 _OF_REACH = 2e-4
 # of the reach; of the best arms data sheets have RP of 1.4e-5, which trackers do not read, but to some 10 µm
-LEAST_OF_REACH = 7.5e-6
+_LEAST_OF_REACH = 7.5e-6
 MIN_ASKED = 9  # returns; of fewer, random signs cannot be told from others with the chance below
 _CHANCE, _TRIES = 0.005, 999  # of each of two questions
 _MAX_REFUSED = 0.25  # share of postures that may be plainly wrong; beyond, they are no longer exceptions
@@ -118,7 +118,7 @@ def _no_floor(
         return ""
     if floor.rms < 1e3 * FINEST:
         return "Postures that were visited again read the same to the last digit, which no instrument does."
-    least = 1e3 * LEAST_OF_REACH * reach
+    least = 1e3 * _LEAST_OF_REACH * reach
     if floor.rms < least < np.inf and stated.instrument_mm is None:
         return (
             f"Postures that were visited again differ by {floor.rms:.2g} mm RMS, less than an arm of this size and its "

@@ -140,9 +140,8 @@ class Fitted:
             direction = "points of the tool in the tracker"
             direction += f", {sum_in_words(numbers, body)}" if body.away else ""
             direction += f", of the targets that {numbers.shown(self.target)} tells" if self.target is not None else ""
-        said = "; ".join((_turning_words(numbers, body, best), direction, _positions(best)))
-        rows = f"the nominal arm misses {len(self.rows)} rows by {missed(best)} (median)"
-        out = [f"{said}; joints in {self.choice.units(chain)}: {rows}"]
+        joints = f"joints in {self.choice.units(chain)}: the nominal arm misses {len(self.rows)} rows by {missed(best)}"
+        out = ["; ".join((_turning_words(numbers, body, best), direction, _positions(best), f"{joints} (median)"))]
         if self.choice.counted.words:
             out.append(f"joints are counted otherwise than the robot description does: {self.choice.counted.words}")
         for other in self.found[1:2]:
@@ -205,8 +204,8 @@ def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -
 
 def worse(best: Judged, other: Judged) -> str:
     """By how much another meaning fits worse than the best, in words."""
-    gap = best.match.score - other.match.score
-    return f"worse by {gap:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides; it leaves {missed(other)}"
+    by = f"{best.match.score - other.match.score:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides"
+    return f"worse by {by}; it leaves {missed(other)}"
 
 
 # --- Readings that a table holds as a goal and a deviation from it, as reports of accuracy tests do
