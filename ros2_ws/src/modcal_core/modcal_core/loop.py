@@ -16,6 +16,7 @@ from modcal_core.calibration import Calibration, Cell, Fit, choose_parameters, f
 from modcal_core.claim import fit_held
 from modcal_core.diagnosis import (
     Diagnosis,
+    Sought,
     causes_of_moves,
     diagnose,
     stated_arm,
@@ -65,8 +66,8 @@ def calibrate(
     fits = _geometry(task)
     look_for_effects = look_for_effects and len(task.explain) > 0
     if look_for_effects:
-        fits = _with_effects(task, fits, rng, progress, changed)
-        curves = with_residual_curves(fits.final, task.train, task.explain, rng, task.cell.distances, block)
+        fits = _with_effects(task, fits, progress, changed)
+        curves = with_residual_curves(fits.final, task.train, task.explain, task.cell.distances, block)
         fits = supported(task, replace(fits, final=curves, together=curves is not fits.final))
     # when something moved is read from all stations: one next to it that was held out belongs to either side
     fits = replace(fits, final=replace(fits.final, model=sharpened(fits.final.model, task.samples)))
@@ -90,17 +91,12 @@ def _geometry(task: Task) -> Fits:
     return Fits(nominal, geometric, geometric, chosen, diagnosis)
 
 
-def _with_effects(
-    task: Task, fits: Fits, rng: np.random.Generator, progress: Callable[[str], None], changed: float | None
-) -> Fits:
+def _with_effects(task: Task, fits: Fits, progress: Callable[[str], None], changed: float | None) -> Fits:
     """What is left: where it comes from, an effect for it, and again."""
     suspects = (lambda at: ()) if changed is None else partial(payload.since, time=changed)
     train, explain, known = task.train, task.explain, fits.diagnosis.causes
-
-    def search(fit: Fit) -> Diagnosis:
-        return diagnose(fit, train, explain, rng, task.cell.distances, progress, suspects, known)
-
-    diagnosis, loads = weighed(fits.geometric, train, explain, search, task.cell)
+    sought = Sought(train, explain, task.cell.distances, progress, suspects, known)
+    diagnosis, loads = weighed(fits.geometric, train, explain, partial(diagnose, sought=sought), task.cell)
     geometric = fits.geometric if loads is None else with_arm(fits.geometric, loads.arm)
     return replace(fits, geometric=geometric, final=diagnosis.fit, diagnosis=diagnosis, loads=loads)
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from modcal_core.calibration import Model, RowView
+from modcal_core.calibration import RowView
 from modcal_core.camera.cameras import Cameras
 from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.fit import CameraFit, fit_cameras
@@ -30,14 +30,6 @@ from modcal_core.effects import AXIS, Drivers, Effect, candidates
 from modcal_core.geometry import Array
 
 _ONLY_ROUNDING = 1e-9  # of an image's information, which a direction it does not see gets
-
-
-@dataclass(frozen=True)
-class WithModel:
-    """A camera fit with further effects in its model, their values as they are there."""
-
-    fit: CameraFit
-    model: Model
 
 
 @dataclass(frozen=True)
@@ -59,19 +51,16 @@ class CameraScanner(Scanner):
     def __init__(self, effects: Sequence[Effect], drivers: Drivers) -> None:
         """effects: the candidates. drivers: at the images."""
         super().__init__(effects, drivers)
-        self._known: tuple[WithModel, CameraSpace] | None = None
+        self._known: tuple[CameraFit, CameraSpace] | None = None
 
-    def space_of(self, fit: WithModel) -> CameraSpace:  # type: ignore[override]
+    def space_of(self, fit: CameraFit) -> CameraSpace:  # type: ignore[override]
         """The rows of all images, and what is fitted."""
         if self._known is None or self._known[0] is not fit:
             self._known = fit, _space(fit, self.drivers)
         return self._known[1]
 
 
-def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
-    fit = asked.fit
-    if len(asked.model.effects) > len(fit.poses.model.effects):  # more than were fitted: to look ahead
-        fit = _looking_ahead(fit, asked.model.effects)
+def _space(fit: CameraFit, drivers: Drivers) -> CameraSpace:
     solved = fit.equations.solve(fit.sizes)
     moved = fit.equations.cameras[0].moved
     E = solved.of_views
@@ -123,7 +112,7 @@ class CameraCause:
 
 
 def find_causes(
-    fit: CameraFit, rng: np.random.Generator, progress: Callable[[str], None] = lambda _: None
+    fit: CameraFit, progress: Callable[[str], None] = lambda _: None
 ) -> tuple[CameraFit, tuple[CameraCause, ...], EffectChoice | None]:
     """(the fit with the effects that the images show, these, what is significant but could not be turned into one)."""
     drivers = fit.poses.drivers(fit.state.offset_s)
@@ -135,17 +124,16 @@ def find_causes(
         return fit, (), None
     scanner = CameraScanner(looked_for, drivers)
     while len(causes) < _MAX and len(refused) < _REFUSED:
-        asked = WithModel(fit, fit.poses.model.with_effects(_valued(fit)))
-        if not scanner.enough(asked):  # type: ignore[arg-type]
+        if not scanner.enough(fit):  # type: ignore[arg-type]
             break
-        evidence = scanner.evidence(asked, rng)  # type: ignore[arg-type]
+        evidence = scanner.evidence(fit, trials=True)  # type: ignore[arg-type]
         if evidence.p_value > SIGNIFICANT:
             break
-        choice = choose(evidence, scanner, asked, refused)  # type: ignore[arg-type]
+        choice = choose(evidence, scanner, fit, refused)  # type: ignore[arg-type]
         if choice is None:
             break
         progress(choice.effect.label)
-        started = choice.effect.started(scanner.amplitudes(asked, choice.effect))  # type: ignore[arg-type]
+        started = choice.effect.started(scanner.amplitudes(fit, choice.effect))  # type: ignore[arg-type]
         better = fit_cameras(*_with_effects(fit, (*_valued(fit), started)), fit.sizes)
         gain = fit.misfit - better.misfit
         if better.converged and gain > _GAIN and predicted(better) < predicted(fit):

@@ -163,7 +163,7 @@ def solve_camera(
     hidden = tuple[HiddenSpring, ...]()
     if problem.look_for_effects:
         progress("effects")
-        fit, causes, left = find_causes(geometric, rng, progress)
+        fit, causes, left = find_causes(geometric, progress)
         hidden = hidden_springs(fit)
 
     progress("verdict")

@@ -4,21 +4,20 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.diagnosis.causes import Cause, Diagnosis, EvidenceMap, causes_of_moves
-    from modcal_core.diagnosis.choice import EffectChoice, choose, frozen, located, one_motion_names
+    from modcal_core.diagnosis.choice import SIGNIFICANT, EffectChoice, choose, frozen, located, one_motion_names
     from modcal_core.diagnosis.evidence import Scanner
     from modcal_core.diagnosis.hysteresis import last_moves, moments_on_base, play, slipped
-    from modcal_core.diagnosis.load_hypothesis import stated_arm, with_stated
-    from modcal_core.diagnosis.loads import Loads, by_weight, weighed, with_arm
-    from modcal_core.diagnosis.number_banks import NumberBank
+    from modcal_core.diagnosis.load_hypothesis import by_weight, stated_arm, with_stated
+    from modcal_core.diagnosis.loads import Loads, weighed, with_arm
     from modcal_core.diagnosis.residual_curves import with_residual_curves
-    from modcal_core.diagnosis.search import SIGNIFICANT, diagnose
+    from modcal_core.diagnosis.search import Sought, diagnose
     from modcal_core.diagnosis.space import Space
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["SIGNIFICANT", "Cause", "Diagnosis", "EffectChoice", "EvidenceMap", "Loads", "NumberBank", "Scanner"]
-__all__ += ["Space", "by_weight", "causes_of_moves", "choose", "diagnose", "frozen", "last_moves", "located"]
+__all__ = ["SIGNIFICANT", "Cause", "Diagnosis", "EffectChoice", "EvidenceMap", "Loads", "Scanner", "Sought", "Space"]
+__all__ += ["by_weight", "causes_of_moves", "choose", "diagnose", "frozen", "last_moves", "located"]
 __all__ += ["moments_on_base", "one_motion_names", "play", "slipped", "stated_arm", "weighed", "with_arm"]
 __all__ += ["with_residual_curves", "with_stated"]

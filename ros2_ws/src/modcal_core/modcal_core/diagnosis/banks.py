@@ -11,16 +11,15 @@ products of its columns with each other, times their squares. Three kinds of num
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
 
-from modcal_core.diagnosis.number_banks import ALL
 from modcal_core.diagnosis.spectra import Key, KnownSums, Parts, Spectrum, squared
-from modcal_core.effects import Drivers, Effect
+from modcal_core.effects import Effect
 from modcal_core.geometry import Array
 
 MIN_WAVES = 32  # below that an FFT costs more than it saves
@@ -45,8 +44,8 @@ class Bank(Protocol):
         """How many columns each candidate has."""
         ...
 
-    def sums(self, of: Mapping[Key, Array], known: KnownSums, rows: slice = ALL) -> Array:
-        """Numbers of some candidates times the matrix (N, k) of each column's key, (C, m, k)."""
+    def sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
+        """Numbers of each candidate times the matrix (N, k) of each column's key, (C, m, k)."""
         ...
 
     def gram(self, columns: Mapping[Key, Array]) -> Array:
@@ -79,10 +78,11 @@ class WaveBank:
         """See :class:`Bank`."""
         return 2 * self.which.shape[1]
 
-    def sums(self, of: Mapping[Key, Array], known: KnownSums, rows: slice = ALL) -> Array:
+    def sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
         """See :class:`Bank`."""
-        waves = known.waves(self.spectrum, of[self.key])
-        each = [waves[_part(among, rows)] for among in self._ranges]
+        columns = of[self.key]
+        waves = known.once("waves", self.spectrum, columns, lambda: self.spectrum.sums(columns))
+        each = [waves[among] for among in self._ranges]
         return each[0] if len(each) == 1 else np.concatenate(each, axis=1)
 
     @cached_property
@@ -96,7 +96,8 @@ class WaveBank:
 
     def gram_of_sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
         """See :class:`Bank`."""
-        squares = known.squares(self.spectrum, of[self.key])
+        columns = of[self.key]
+        squares = known.once("squares", self.spectrum, columns, lambda: self.spectrum.squares(columns))
         out = np.empty((len(self.which), self.width, self.width))
         for a, rows in enumerate(self._ranges):
             out[:, 2 * a, 2 * a], out[:, 2 * a + 1, 2 * a + 1] = squares.sine[rows], squares.cosine[rows]
@@ -126,10 +127,11 @@ class StepBank:
         """See :class:`Bank`."""
         return len(self.keys)
 
-    def sums(self, of: Mapping[Key, Array], known: KnownSums, rows: slice = ALL) -> Array:
+    def sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
         """See :class:`Bank`."""
         sign = 1.0 if self.after else -1.0
-        each = [self._part(known.running(self.parts, of[key]))[rows] for key in self.keys]
+        columns = [of[key] for key in self.keys]
+        each = [self._part(known.once("running", self.parts, x, partial(self.parts.running, x))) for x in columns]
         return sign * np.stack(each, axis=1)
 
     def gram_of_sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
@@ -153,42 +155,159 @@ class StepBank:
         return np.asarray(running[-1] - before if self.after else before)
 
 
+@dataclass(frozen=True)
+class NumberBank:
+    """Candidates of any numbers, (C, m, N), at the same places and directions, one for each column."""
+
+    effects: tuple[Effect, ...]
+    of_columns: tuple[Key, ...]
+    numbers: Array
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """See :class:`Bank`."""
+        return tuple(dict.fromkeys(self.of_columns))
+
+    @property
+    def width(self) -> int:
+        """See :class:`Bank`."""
+        return len(self.of_columns)
+
+    def sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
+        """See :class:`Bank`."""
+        C, m, N = self.numbers.shape
+        out = np.empty((C, m, of[self.of_columns[0]].shape[1]))
+        for key, some in self.groups().items():
+            out[:, some] = (self.numbers[:, some].reshape(-1, N) @ of[key]).reshape(C, len(some), -1)
+        return out
+
+    def groups(self) -> dict[Key, list[int]]:
+        """The columns of each key."""
+        return {one: [a for a, key in enumerate(self.of_columns) if key == one] for one in self.keys}
+
+    def gram_of_sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
+        """See :class:`Bank`."""
+        return squared(self.sums(of, known))
+
+    def gram(self, columns: Mapping[Key, Array]) -> Array:
+        """See :class:`Bank`."""
+        C, m, _ = self.numbers.shape
+        groups = list(self.groups().items())
+        if m == 1:
+            return np.asarray((self.numbers[:, 0] ** 2 @ np.sum(columns[groups[0][0]] ** 2, axis=0))[:, None, None])
+        numbers = self.numbers
+        if len(groups) == 1:
+            square = np.sum(columns[groups[0][0]] ** 2, axis=0)
+            return np.asarray((numbers * square) @ numbers.transpose(0, 2, 1))
+        out = np.empty((C, m, m))
+        for i, (one, some) in enumerate(groups):
+            for other, others in groups[i:]:
+                both = np.sum(columns[one] * columns[other], axis=0)
+                product = (numbers[:, some] * both) @ numbers[:, others].transpose(0, 2, 1)
+                for k, a in enumerate(some):
+                    out[:, a, others], out[:, others, a] = product[:, k], product[:, k]
+        return out
+
+
+class NumberPool:
+    """The numbers of many candidates, each once for a key: for each key what they ask for is one product."""
+
+    def __init__(self, banks: Iterable[NumberBank]) -> None:
+        found: dict[Key, list[tuple[int, int, Array]]] = {}
+        self._rows: dict[int, np.ndarray] = {}
+        for bank in banks:
+            self._rows[id(bank)] = np.empty(bank.numbers.shape[:2], np.int64)
+            for key, some in bank.groups().items():
+                found.setdefault(key, []).extend((id(bank), a, bank.numbers[:, a]) for a in some)
+        self._numbers: dict[Key, np.ndarray] = {}
+        first = 0
+        for key, several in found.items():
+            once, which = _each_once(np.concatenate([numbers for _, _, numbers in several]))
+            for bank_id, a, numbers in several:
+                self._rows[bank_id][:, a], which = first + which[: len(numbers)], which[len(numbers) :]
+            self._numbers[key] = once
+            first += len(once)
+        self._count = first
+
+    def rows(self, bank: NumberBank) -> np.ndarray:
+        """Which of all numbers, key after key, the columns of each candidate of a bank have, (C, m)."""
+        return self._rows[id(bank)]
+
+    def times(self, of: Mapping[Key, Array]) -> Array:
+        """All numbers times the matrices (N, k) of their keys, (R, k)."""
+        some = of[next(iter(self._numbers))]
+        out = np.empty((self._count, some.shape[1]), some.dtype)
+        first = 0
+        for key, numbers in self._numbers.items():
+            np.matmul(numbers.astype(some.dtype, copy=False), of[key], out=out[first : first + len(numbers)])
+            first += len(numbers)
+        return out
+
+
+def _each_once(numbers: Array) -> tuple[Array, np.ndarray]:
+    """Rows (R, N) of which no two are the same, and which of them each of these is."""
+    seen: dict[bytes, int] = {}
+    which = np.array([seen.setdefault(row.tobytes(), len(seen)) for row in numbers], np.int64)
+    first = np.unique(which, return_index=True)[1]
+    return numbers[first], which
+
+
+@dataclass(frozen=True)
+class GatheredBank:
+    """Banks of any numbers, of as many columns each, as one. pool: what has their numbers."""
+
+    parts: tuple[NumberBank, ...]
+    pool: NumberPool
+
+    @cached_property
+    def effects(self) -> tuple[Effect, ...]:
+        """See :class:`Bank`."""
+        return tuple(effect for part in self.parts for effect in part.effects)
+
+    @cached_property
+    def keys(self) -> tuple[Key, ...]:
+        """See :class:`Bank`."""
+        return tuple(dict.fromkeys(key for part in self.parts for key in part.keys))
+
+    @property
+    def width(self) -> int:
+        """See :class:`Bank`."""
+        return self.parts[0].width
+
+    def sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
+        """See :class:`Bank`."""
+        return np.asarray(known.once("numbers", self.pool, of, lambda: self.pool.times(of))[self._rows])
+
+    def gram(self, columns: Mapping[Key, Array]) -> Array:
+        """See :class:`Bank`."""
+        return np.concatenate([part.gram(columns) for part in self.parts])
+
+    def gram_of_sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
+        """See :class:`Bank`."""
+        return squared(self.sums(of, known))
+
+    @cached_property
+    def _rows(self) -> np.ndarray:
+        """Which of the pool's numbers each candidate's columns have, (C, m)."""
+        return np.concatenate([self.pool.rows(part) for part in self.parts])
+
+
+def gathered(banks: Iterable[NumberBank]) -> list[NumberBank]:
+    """Banks of any numbers, those of the same columns made one."""
+    alike: dict[tuple[Key, ...], list[NumberBank]] = {}
+    for bank in banks:
+        alike.setdefault(bank.of_columns, []).append(bank)
+    return [
+        NumberBank(tuple(e for bank in some for e in bank.effects), of, np.concatenate([bank.numbers for bank in some]))
+        for of, some in alike.items()
+    ]
+
+
 def _range(rows: np.ndarray) -> slice | np.ndarray:
     """Rows as a slice, which copies nothing, where they are evenly spaced."""
     step = int(rows[1] - rows[0]) if len(rows) > 1 else 1
     even = step > 0 and bool((np.diff(rows) == step).all())
     return slice(int(rows[0]), int(rows[-1]) + 1, step) if even else rows
-
-
-def _part(among: slice | np.ndarray, rows: slice) -> slice | np.ndarray:
-    """Some rows of those."""
-    if isinstance(among, np.ndarray):
-        return among[rows]
-    some = range(among.start, among.stop, among.step)[rows]
-    return slice(some.start, some.stop, some.step)
-
-
-class SpectraOfDrivers:
-    """Spectra of drivers at certain samples, each made once and as long as the longest list of candidates asks for."""
-
-    def __init__(self, drivers: Drivers) -> None:
-        self._drivers = drivers
-        self._most: dict[tuple[str, float], int] = {}
-        self._made: dict[tuple[str, float], Spectrum] = {}
-
-    def foresee(self, driver: str, cycles: Array, multiples: np.ndarray) -> None:
-        """Note that these cycles a turn will be asked for, and that many multiples."""
-        step = wave_step(cycles)
-        if step is not None:
-            key = driver, round(step, 12)
-            self._most[key] = max(self._most.get(key, 0), round(float(cycles.max() / step)) * int(multiples.max()))
-
-    def of(self, driver: str, step: float) -> Spectrum:
-        """Spectrum of a driver."""
-        key = driver, round(step, 12)
-        if key not in self._made:
-            self._made[key] = Spectrum(self._drivers.values(driver), step, self._most[key])
-        return self._made[key]
 
 
 def wave_step(cycles: Array) -> float | None:

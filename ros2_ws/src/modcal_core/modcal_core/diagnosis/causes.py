@@ -67,8 +67,7 @@ def _kind(driver: str) -> tuple[int, str]:
 @dataclass(frozen=True)
 class Cause:
     """An effect that was chosen, and why. p_value: that noise would look as good. same_as, rivals: what explains it
-    as well, by name and as effects. fit: to *train* with this effect and the ones before it. sampled: trials with the
-    signs of stations flipped that p_value was compared with; below one in so many it is extrapolated.
+    as well, by name and as effects. fit: with this effect and the ones before it.
     """
 
     effect: Effect
@@ -76,7 +75,6 @@ class Cause:
     same_as: tuple[str, ...]
     rivals: tuple[Effect, ...]
     fit: Fit
-    sampled: int = 0
 
 
 def causes_of_moves(fit: Fit, samples: Samples) -> tuple[Cause, ...]:

@@ -4,10 +4,7 @@ Scores closer than a hundredfold in chance do not tell candidates apart: they ar
 shape always fits a little better than the cause it imitates; so where a plain cause explains nearly as much, or a few
 plain causes together do, the plain one is taken.
 
-An effect that a fit has already is exchanged for what explains more, were it not there. Beside an effect candidates
-have no more new directions than without it, so that what they would explain without it is no more than by their
-products beside it. Waves, nine in ten of all, are hardly ever near: where even so none of them comes up to the effect,
-they are not weighed again.
+An effect that a fit has already is exchanged for what explains more, were it not there.
 
 A delay of a joint is a share of commanded − measured, or a time. The scan is linear, and there both are one column.
 What tells them apart is of second order, as small as a gear ratio of 1e-5, and would be called one beside the wrong
@@ -16,7 +13,7 @@ form. So the forms are fitted, and compared.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,11 +22,13 @@ from modcal_core.calibration import Fit, Model, NoiseModel
 from modcal_core.diagnosis.evidence import Evidence, Scanner
 from modcal_core.effects import BY_HAND, FREE, Effect, candidates, complexity, family_named, one_motion, put_back_first
 from modcal_core.effects.families import unknown
-from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
 
+SIGNIFICANT = 0.002  # of noise, one scan in 500 has a best as good; what passes is judged on *explain* (sweep)
 _TIE = 2.0  # in −log10 p: a hundredfold in chance, which of odds is called decisive (Jeffreys 1961)
-_NEARLY = 0.93  # share of a free shape's explanation; its further amplitudes take some per cent of pure noise (sweep)
+# Share of a free shape's explanation, whose further amplitudes take some per cent of pure noise (sweep); and of the
+# best explanation: what only stands elsewhere is plainer than any curve
+_NEARLY = 0.9
 _LOOK_AHEAD = 3  # plain causes that together may beat a free shape
 _PLAINLY_MORE = 1.3  # times what the best line explains, for a whole curve, its chance taken off
 _RHYTHM = 10.0  # cycles a turn that are one kind of rhythm
@@ -37,14 +36,13 @@ _MAX_NAMED = 12  # in a sentence
 _MAX_RIVALS = 4  # that are fitted, for time
 _NOT_LINEAR = ("velocity", "clock")  # the drivers of delays, whose second order is in the fit and not in the scan
 _WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplitudes explain by chance
-_NEARLY = 0.9  # share of the best explanation; what only stands elsewhere is plainer than any curve
 _MAX_SCANNED = 500  # samples; more are thinned evenly
 
 
 @dataclass(frozen=True)
 class EffectChoice:
     """The chosen effect, the chance that noise would look as good, what would explain it as well, the share of the
-    squared residual that it explains, and the first of its rivals as effects. flips: trials that the chance comes from.
+    squared residual that it explains, and the first of its rivals as effects.
     """
 
     effect: Effect
@@ -52,7 +50,6 @@ class EffectChoice:
     same_as: tuple[str, ...]
     share: float
     rivals: tuple[Effect, ...] = ()
-    flips: int = 0
 
 
 def choose(
@@ -78,10 +75,11 @@ def choose(
     top = int(np.argmax(score))
     if not plain[top] and plain.any():
         best_plain = int(np.argmax(np.where(plain, score, -1.0)))
-        if _explain_together(evidence, best_plain, scanner, fit, plain, _NEARLY * float(evidence.explained[top])):
+        enough = _NEARLY * float(evidence.explained[top])
+        if any(share >= enough for share in _explain_together(evidence, best_plain, scanner, fit, plain)):
             top = best_plain
     pool = plain if plain[top] else allowed
-    alike = np.flatnonzero(pool & near(score, top, evidence.inflation)).tolist()
+    alike = np.flatnonzero(pool & (score >= score[top] - _TIE * evidence.inflation)).tolist()
     if incumbent is not None and any(evidence.effects[i].key == incumbent.key for i in alike):
         return None
     best: int = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
@@ -93,13 +91,7 @@ def choose(
     names = (*one_motion_names(chosen), *(effect.label for effect in rivals))
     share = float(evidence.explained[best])
     started = tuple(rival.started(scanner.amplitudes(fit, rival)) for rival in rivals[:_MAX_RIVALS])
-    return EffectChoice(chosen, evidence.p_value, names[:_MAX_NAMED], share, started, evidence.flips)
-
-
-def near(score: Array, top: int | None = None, inflation: float = 1.0) -> np.ndarray:
-    """Which of scores (C,) are no more than a tie below one of them, by default the best. inflation: of scores."""
-    best = float(score.max(initial=0.0)) if top is None else float(score[top])
-    return np.asarray(score >= best - _TIE * inflation)
+    return EffectChoice(chosen, evidence.chance(score[top]), names[:_MAX_NAMED], share, started)
 
 
 def _simplicity(effect: Effect) -> tuple[float, ...]:
@@ -139,20 +131,17 @@ def one_motion_names(effect: Effect) -> tuple[str, ...]:
     return tuple(f"{place} {effect.direction} by {effect.public_driver}" for place in one_motion(effect.place))
 
 
-def _explain_together(
-    evidence: Evidence, first: int, scanner: Scanner, fit: Fit, plain: np.ndarray, enough: float
-) -> bool:
-    """Whether a few plain causes, taken one after the other, explain as large a share."""
-    left, chosen = 1.0, evidence.effects[first]
-    for more in reversed(range(_LOOK_AHEAD)):
-        amplitudes, share = scanner.alone(fit, chosen)
-        left *= 1.0 - share
-        if 1.0 - left >= enough or not more:
-            break
-        fit = replace(fit, model=fit.model.with_effects((*fit.model.effects, chosen.started(amplitudes))))
-        now = scanner.beyond(fit, evidence, plain=True)
-        chosen = evidence.effects[int(np.argmax(np.where(plain, now.score, -1.0)))]
-    return 1.0 - left >= enough
+def _explain_together(evidence: Evidence, first: int, scanner: Scanner, fit: Fit, plain: np.ndarray) -> Iterator[float]:
+    """The share that one plain cause explains, two, … together, each the best of what those before it leave."""
+    left, best, chosen = 1.0, first, [evidence.effects[first]]
+    while True:
+        left *= 1.0 - float(evidence.explained[best])
+        yield 1.0 - left
+        if len(chosen) == _LOOK_AHEAD:
+            return
+        evidence = scanner.evidence(fit, beside=chosen)
+        best = int(np.argmax(np.where(plain, evidence.score, -1.0)))
+        chosen.append(evidence.effects[best])
 
 
 def _rivals(evidence: Evidence, best: int, alike: list[int]) -> list[Effect]:
@@ -172,24 +161,10 @@ def better_choice(number: int, fit: Fit, scanner: Scanner) -> tuple[EffectChoice
     effects = fit.model.effects
     old = effects[number]
     without = replace(fit, model=fit.model.with_effects(effects[:number] + effects[number + 1 :]))
-    plain = complexity(old) < FREE  # a plain cause is not given up for a curve
-    if plain and not old.refined and _stands(old, without, fit, scanner):  # what waves explain is not known then
-        return None
-    evidence = scanner.evidence(without, plain=plain)
-    better = choose(evidence, scanner, without, set(), incumbent=old)
+    better = choose(scanner.evidence(without), scanner, without, set(), incumbent=old)
     if better is None or better.effect.key == old.key:
         return None
     return better, better.effect.started(scanner.amplitudes(without, better.effect))
-
-
-def _stands(effect: Effect, without: Fit, beside: Fit, scanner: Scanner) -> bool:
-    """Whether it is among those that explain most, whatever waves explain."""
-    found = scanner.at_most(without, beside)
-    if found is None:
-        return False
-    score, exact = found
-    alike = near(np.where(scanner.complexity < FREE, score, -1.0))
-    return any(exact[i] and alike[i] for i in scanner.numbers_of(effect.key))
 
 
 def other_forms(effect: Effect, candidates: Iterable[Effect]) -> tuple[Effect, ...]:

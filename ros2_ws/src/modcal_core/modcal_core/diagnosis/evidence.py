@@ -1,188 +1,229 @@
-"""How much each candidate effect would explain of what a fit leaves over, and how much pure noise would.
+"""How much each candidate effect would explain of what a fit leaves over: it proposes, and a fit decides.
 
 A candidate's columns are the derivatives of the readings with respect to its amplitudes. What the fitted parameters
 could still explain is projected out of residual and candidates, so nothing is found that they could have taken up.
 
-Noise is not white in a tracker's frame: a joint that does not repeat throws the tool along its own columns. What can be
-relied on is that stations are independent and their noise is as likely to point one way as the other. So the residual
-vectors of whole stations are given random signs, everything is scanned again, and the best candidate found in such a
-recording of pure noise is noted (wild bootstrap; Wu 1986, Liu 1988). Those maxima follow an extreme-value law (Gumbel),
-which gives the chance that noise makes a best as good as the real one, all candidates looked at included.
-
 Every candidate is a direction at a place times numbers, one a sample. So each (place, direction) is contracted with the
 residual and with the projector once, and the thousands of candidates that share it cost sums with their numbers
 (:mod:`banks`).
+
+Noise is not white in a tracker's frame: a joint that does not repeat throws the tool along its own columns. What can be
+relied on is that stations are independent and their noise is as likely to point one way as the other. So the residual
+vectors of whole stations are given random signs as well, and the best candidate found in such a recording of pure noise
+is noted (wild bootstrap; Wu 1986, Liu 1988). Those maxima follow an extreme-value law (Gumbel), which gives the chance
+that noise makes a best as good as the real one, all candidates looked at included. The signs are the same in every
+scan: the same data have the same chance.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import groupby
 
 import numpy as np
 
-from modcal_core.calibration import Fit
-from modcal_core.diagnosis.anchor import Anchor
-from modcal_core.diagnosis.banks import Bank, WaveBank
-from modcal_core.diagnosis.candidate_banks import BankedCandidates
-from modcal_core.diagnosis.explained import (
-    FIRST_FLIPS,
-    FLIPS,
-    against_noise,
-    explained,
-    inverses,
-    is_clear,
-    score_table,
+from modcal_core.calibration import Fit, beyond_gumbel, gumbel_of, independent_unit, log10_beyond_f
+from modcal_core.diagnosis.banks import (
+    Bank,
+    GatheredBank,
+    NumberBank,
+    NumberPool,
+    StepBank,
+    WaveBank,
+    gathered,
+    wave_step,
 )
-from modcal_core.diagnosis.number_banks import NumberBank
-from modcal_core.diagnosis.space import Directions, SignTrials, Space, Weighed
-from modcal_core.diagnosis.spectra import Key
-from modcal_core.effects import USUAL, Drivers, Effect
+from modcal_core.diagnosis.space import Space
+from modcal_core.diagnosis.spectra import Key, Parts, Spectrum
+from modcal_core.effects import (
+    AXIS,
+    LENGTH,
+    PERIODIC,
+    STEPS,
+    Drivers,
+    Effect,
+    columns,
+    complexity,
+    periodic,
+    place_index,
+    plain_columns,
+)
 from modcal_core.geometry import Array
 
 MIN_FREEDOM = 20  # rows beyond what is fitted
+_ONLY_ROUNDING = 1e-13  # added to what is inverted, so that it can be
+# A column is nothing whose square is less of the largest, as where a sample touches the end of a curve's function by
+# rounding; and where all are less than that, whose inverse single precision has no number for
+_ROUNDING, _NO_SQUARE = 1e-24, 1e-30
+_MIN_NEW = 0.0025  # share of a candidate's square (5 % of its size) that the fit cannot make by itself
+_TRIALS = 79  # with random signs: their law's location is known to a ninth of its scale
 _KEPT = 2  # fits whose rows are kept beside those of the last: a look ahead, and back
-_AT_ONCE = 10_000  # candidates times trials; what they explain then stays near the processor
 
 
 @dataclass(frozen=True)
 class Evidence:
     """What C candidates explain. effects: the candidates. explained: share of the residual's squares, (C,). score: how
-    unlikely that share would be of white noise, −log10 p, (C,). p_value: that pure noise would have as good a best.
-    inflation: how much larger scores of this noise are than those of white noise. freedom: rows beyond what is fitted.
-    flips: trials that p_value was compared with. complexity: how much it takes to believe each, (C,). noise: the best
-    score in each trial, (flips,). space: the rows that they were weighed in.
+    unlikely that share would be of white noise, −log10 p, (C,). freedom: rows beyond what is fitted. complexity: how
+    much it takes to believe each, (C,). noise: the best score in each trial, (trials,); empty where none was made.
     """
 
     effects: tuple[Effect, ...]
     explained: Array
     score: Array
-    p_value: float
-    inflation: float
     freedom: int
-    flips: int
     complexity: np.ndarray
     noise: Array
-    space: Space
+
+    @property
+    def p_value(self) -> float:
+        """The chance that pure noise would have as good a best."""
+        return self.chance(float(self.score.max(initial=0.0)))
+
+    def chance(self, score: float) -> float:
+        """The chance that pure noise would have a best of this score; 1 where no trials were made."""
+        if not len(self.noise):
+            return 1.0
+        # within the trials their own count is the better witness; beyond them the law has to do
+        if score > self.noise.max():
+            return max(beyond_gumbel(score, *gumbel_of(self.noise)), 1e-300)
+        return float((self.noise >= score).sum() + 1) / (len(self.noise) + 1)
+
+    @cached_property
+    def inflation(self) -> float:
+        """How much larger scores of this noise are than those of white noise."""
+        if not len(self.noise):
+            return 1.0
+        return max(1.0, float(np.median(self.noise)) / max(np.log10(len(self.effects)) - 0.5, 1.0))
 
 
-@dataclass(frozen=True)
-class _Group:
-    """Banks of as many columns each. plain: whether any of their candidates is no free shape. waves: whether they are
-    waves of joints. rows: of their candidates among all.
-    """
-
-    banks: tuple[Bank, ...]
-    plain: bool
-    waves: bool
-    rows: slice
-
-
-_Tables = Mapping[int, tuple[Array, Array] | None]
-
-
-class Scanner(BankedCandidates):
+class Scanner:
     """Candidates at certain samples, set up once and weighed against the residual of any fit."""
 
     def __init__(self, effects: Sequence[Effect], drivers: Drivers) -> None:
         """effects: the candidates. drivers: at the samples they are looked for on."""
-        super().__init__(effects, drivers)
+        self.drivers = drivers
+        self._composed: dict[Key, list[tuple[int, int, Array | float]]] = {}
+        self._parts: dict[tuple[str, bytes], Parts] = {}  # between the times of steps
+        self._spectra: dict[tuple[str, float], Spectrum] = {}  # as long as the longest list of candidates asks for
+        lists = sorted(_alike(effects), key=lambda alike: -_highest(alike))
+        several: list[Bank] = []
+        single: list[NumberBank] = []
+        for alike in lists:
+            bank = self._at_once(alike) if len(alike) > 1 else None
+            if isinstance(bank, NumberBank):
+                single.append(bank)
+            elif bank is not None:
+                several.append(bank)
+            else:
+                factors = [(effect, *self._factor(effect)) for effect in alike]
+                single += [NumberBank((effect,), keys, numbers[None]) for effect, keys, numbers in factors]
+        banks: list[Bank] = sorted([*several, *gathered(single)], key=lambda bank: bank.width)
+        self.effects = tuple(effect for bank in banks for effect in bank.effects)
+        self.complexity = np.array([complexity(effect) for effect in self.effects], dtype=int)
+        self._numbers: dict[tuple[str, str, str, str], list[int]] = {}
+        for i, effect in enumerate(self.effects):
+            self._numbers.setdefault(effect.key, []).append(i)
+        self.banks = list(_gathered(banks))
+        self._keys = tuple(dict.fromkeys(key for bank in self.banks for key in bank.keys))
+        self.unit = independent_unit(drivers.samples)
         self._seen: list[tuple[Fit, Space]] = []
-        self._anchor: Anchor | None = None
-        self._groups: list[_Group] = []
-        done = 0
-        for (_, plain, waves), some in groupby(self.banks, self._kind):
-            banks = tuple(some)
-            first, done = done, done + sum(len(bank.effects) for bank in banks)
-            self._groups.append(_Group(banks, plain, waves, slice(first, done)))
 
-    def _kind(self, bank: Bank) -> tuple[int, bool, bool]:
-        """What banks of a group share: columns, whether some candidate is no free shape, whether they are waves."""
-        return bank.width, self._plainest(bank) <= USUAL, isinstance(bank, WaveBank)
+    def _at_once(self, alike: list[Effect]) -> Bank:
+        """The bank of candidates that differ in their cycles or times alone."""
+        first, effects = alike[0], tuple(alike)
+        keys, _ = self._factor(first)
+        x = self.drivers.values(first.driver)
+        if first.shape.kind in STEPS:
+            parts, at = self._parts_at(first.driver, x, [e.shape.settings["at"] for e in alike])
+            return StepBank(effects, keys, parts, at, first.shape.kind == "step")
+        cycles = _cycles(alike)
+        step = wave_step(cycles)
+        if step is None:
+            return NumberBank(effects, keys, periodic(first.shape.kind, cycles, x))
+        which = np.round(cycles / step).astype(np.int64)[:, None] * _multiples(first)
+        key = first.driver, round(step, 12)
+        if key not in self._spectra:
+            self._spectra[key] = Spectrum(x, step, int(which.max()))
+        return WaveBank(effects, keys[0], which, self._spectra[key])
+
+    def _parts_at(self, driver: str, x: Array, times: Sequence[float]) -> tuple[Parts, np.ndarray]:
+        """The samples between some values of a driver, and which part begins with each, (C,).
+
+        x: the driver's, (N,).
+        """
+        order = np.argsort(x, kind="stable")
+        before = np.searchsorted(x[order], times)
+        edges = np.unique(np.r_[0, before[before < len(order)]])
+        key = driver, edges.tobytes()
+        if key not in self._parts:
+            self._parts[key] = Parts(order, edges)
+        return self._parts[key], np.searchsorted(edges, before)
+
+    def _factor(self, effect: Effect) -> tuple[tuple[Key, ...], Array]:
+        """The directions at places of an effect's columns, and their numbers (m, N)."""
+        if (plain := plain_columns(effect, self.drivers)) is not None:
+            return tuple(plain[0]), plain[1]
+        terms = columns(effect, self.drivers)
+        if all(len(t) == 1 for t in terms):
+            return tuple((t[0].place, t[0].direction) for t in terms), np.stack([t[0].size for t in terms])
+        if effect.direction == LENGTH:
+            k = place_index(effect.place, self.drivers.arm.chain)
+            along = self.drivers.arm.chain.length_direction(k)
+            key: Key = (k, LENGTH)
+            self._composed[key] = [(k, d, float(along[d])) for d in range(3)]
+            basis = effect.shape.basis(self.drivers.values(effect.driver, effect.lag))
+            return (key,) * len(basis), basis
+        keys: list[Key] = []
+        for i, several in enumerate(terms):
+            own = f" {i} {sorted(effect.shape.settings.items())}" if len(terms) > 1 or effect.shape.settings else ""
+            keys.append((several[0].place, effect.direction + effect.driver + own))
+            self._composed[keys[-1]] = [(t.place, t.direction, t.size) for t in several]
+        return tuple(keys), np.ones((len(keys), len(self.drivers)))
+
+    def numbers_of(self, key: tuple[str, str, str, str]) -> list[int]:
+        """The numbers of the candidates that are one entry of a report."""
+        return self._numbers.get(key, [])
 
     def space_of(self, fit: Fit) -> Space:
         """The rows of this fit at the samples."""
-        for i, (known, space) in enumerate(self._seen):
+        for known, space in self._seen:
             if known is fit:
-                self._seen.append(self._seen.pop(i))
                 return space
-        found = None if self._anchor is None else self._anchor.beside(fit, self.drivers)
-        if found is None:
-            self._seen.clear()  # they hold what is of the anchor
-            self._anchor = Anchor.of(fit, self.drivers)
-            found = self._anchor.space
+        found = Space.of(fit, self.drivers)
         self._seen = [*self._seen[-_KEPT:], (fit, found)]
         return found
 
-    def evidence(
-        self, fit: Fit, rng: np.random.Generator | None = None, flips: int = FLIPS, plain: bool = False
-    ) -> Evidence:
-        """What each candidate explains of this fit's residual; without rng nothing is said of noise (p_value 1).
-
-        plain: banks of nothing but free shapes are left out, which explain nothing then.
+    def evidence(self, fit: Fit, trials: bool = False, beside: Sequence[Effect] = ()) -> Evidence:
+        """What each candidate explains of this fit's residual. trials: compare it with noise. beside: effects that take
+        their part of it first.
         """
         space = self.space_of(fit)
-        asked = self._asked(plain)
-        tables = self._tables(asked, space, space.freedom)
-        whole = space.unsigned
-        squares, best = self._explained(asked, space, space, whole, tables)
-        if rng is not None:
-            signs = rng.choice([-1.0, 1.0], (flips, self.unit.max() + 1))
-            for some in (signs[:FIRST_FLIPS], signs[FIRST_FLIPS:]):
-                if len(some) and (len(best) == 1 or not is_clear(best)):
-                    trials = space.trials(some[:, self.unit])
-                    best = np.concatenate([best, self._explained(asked, space, space, trials, tables)[1]])
-        share = squares / whole.total[0]
-        p_value, inflation = against_noise(best, len(self.effects))
-        return Evidence(
-            effects=self.effects,
-            explained=share,
-            score=self._scores(asked, space, share, tables),
-            p_value=p_value,
-            inflation=inflation,
-            freedom=space.freedom,
-            flips=len(best) - 1,
-            complexity=self.complexity,
-            noise=best[1:],
-            space=space,
-        )
-
-    def beyond(self, ahead: Fit, scan: Evidence, plain: bool = False) -> Evidence:
-        """What candidates explain, at least, of what is left beside more effects than a scan knew.
-
-        ahead: that scan's fit with these effects. scan: its evidence, whose trials say what noise would do: scores are
-        of shares, whatever is left. plain: as for evidence. What the new effects have in common with a candidate is not
-        taken from the candidate's squares, so that its share is too small rather than too large.
-        """
-        asked = self._asked(plain)
-        tables = self._tables(asked, scan.space, scan.space.freedom)
-        space = self.space_of(ahead)
-        squares, best = self._explained(asked, scan.space, space, space.unsigned, tables)
-        share = squares / space.unsigned.total[0]
-        score = self._scores(asked, scan.space, share, tables)
-        p_value = against_noise(np.r_[best, scan.noise], len(self.effects))[0]
-        return replace(scan, explained=share, score=score, p_value=p_value)
-
-    def at_most(self, fit: Fit, beside: Fit) -> tuple[Array, np.ndarray] | None:
-        """Upper bounds of the scores (C,) of this fit's residual with waves unrestricted, and which are exact (C,).
-        None where a direction of a wave is already explained by ``beside``.
-
-        beside: the fit with one effect more. Free shapes score nothing.
-        """
-        asked, wider = self._asked(plain=True), self.space_of(beside)
-        waves = [i for i in asked if self._groups[i].waves]
-        if any((known.sizes < known.inverse.shape[1]).any() for known in (self._weighed(i, wider) for i in waves)):
-            return None
-        space = self.space_of(fit)
-        score, exact = np.zeros(len(self.effects)), np.ones(len(self.effects), bool)
-        for some, of in (([i for i in asked if i not in waves], space), (waves, wider)):
-            tables = self._tables(some, of, space.freedom)
-            squares, _ = self._explained(some, of, space, space.unsigned, tables)
-            score += self._scores(some, of, squares / space.unsigned.total[0], tables)
-        for i in waves:
-            exact[self._groups[i].rows] = False
-        return score, exact
+        signs = np.ones((1, len(self.drivers)))
+        if trials:
+            drawn = np.random.default_rng(0).choice([-1.0, 1.0], (_TRIALS, self.unit.max() + 1))
+            signs = np.concatenate([signs, drawn[:, self.unit]])
+        more = space.spanned([self.rows_of(space, effect) for effect in beside])
+        left = space.signed(signs, more)
+        for directions in (more, left) if beside else (left,):
+            directions.against.update(directions.contract(self._columns(self._keys, space)))
+        freedom = space.freedom - more.Q.shape[2]
+        total = np.sum(left.Q**2, axis=(0, 1)) + 1e-300
+        share, score, best = [np.zeros(0)], [np.zeros(0)], np.zeros(len(signs))
+        for bank, (gram, own) in zip(self.banks, self._grams(space), strict=True):
+            taken = bank.gram_of_sums(more.against, more.sums) if beside else 0.0
+            inverse, sizes = inverses(gram - taken, own)
+            shares = explained(inverse, bank.sums(left.against, left.sums)) / total
+            share.append(shares[:, 0])
+            score.append(np.zeros(len(shares)))
+            for m in np.unique(sizes).tolist():
+                if (table := score_table(int(m), freedom)) is not None:
+                    here = sizes == m
+                    score[-1][here] = np.interp(shares[here, 0], *table)
+                    # more explained is a better score: of candidates alike in size only the best in a trial is asked
+                    best = np.maximum(best, np.interp(shares[here].max(axis=0), *table))
+        return Evidence(self.effects, np.concatenate(share), np.concatenate(score), freedom, self.complexity, best[1:])
 
     def enough(self, fit: Fit, least: int = MIN_FREEDOM) -> bool:
         """Whether the samples leave rows enough beyond what is fitted to say anything."""
@@ -190,24 +231,26 @@ class Scanner(BankedCandidates):
 
     def amplitudes(self, fit: Fit, effect: Effect) -> Array:
         """The amplitudes with which an effect explains most of this fit's residual, (m,)."""
-        return self.alone(fit, effect)[0]
+        return self.together(fit, (effect,))[0]
 
-    def alone(self, fit: Fit, effect: Effect) -> tuple[Array, float]:
-        """The amplitudes with which an effect explains most of this fit's residual, (m,), and what share that is."""
+    def together(self, fit: Fit, effects: Sequence[Effect]) -> tuple[Array, float]:
+        """What several effects explain most of this fit's residual with: the amplitudes of the last (m,), and the share
+        of them all.
+        """
         space = self.space_of(fit)
-        if id(effect) not in space.alone:  # a choice is asked about more than once
-            space.alone[id(effect)] = effect, *self._alone(space, effect)
-        return space.alone[id(effect)][1:]
-
-    def _alone(self, space: Space, effect: Effect) -> tuple[Array, float]:
-        keys, numbers = self._factor(effect)
-        bank = NumberBank((effect,), keys, numbers[None])
-        gram, _ = self._gram(bank, space)
-        n = self._products(bank, space, space.unsigned)[0, :, 0]
-        own = np.einsum("cii->ci", gram)[0]
+        each = [self.rows_of(space, effect) for effect in effects]
+        rows = np.concatenate(each)
+        gram, n = space.products(rows), rows @ space.residual.ravel()
+        own = np.diag(gram)
         scale = np.where(own > 1e-12 * own.max(initial=1e-300), np.sqrt(np.abs(own)), np.inf)  # no sample, no amplitude
-        amplitudes = np.linalg.lstsq(gram[0] / np.outer(scale, scale), n / scale, rcond=1e-4)[0] / scale
-        return np.asarray(amplitudes), float(n @ amplitudes) / float(space.unsigned.total[0])
+        amplitudes = np.linalg.lstsq(gram / np.outer(scale, scale), n / scale, rcond=1e-4)[0] / scale
+        return amplitudes[-len(each[-1]) :], float(n @ amplitudes) / space.total
+
+    def rows_of(self, space: Space, effect: Effect) -> Array:
+        """An effect's columns in the rows of a fit, (m, 6 N)."""
+        keys, numbers = self._factor(effect)
+        rows = [self._column(key, space) * x for key, x in zip(keys, numbers, strict=True)]
+        return np.reshape(rows, (len(rows), -1))
 
     def _column(self, key: Key, space: Space) -> Array:
         if key not in space.columns:
@@ -219,104 +262,100 @@ class Scanner(BankedCandidates):
         """Unit columns (6, N) of places and directions."""
         return {key: self._column(key, space) for key in keys}
 
-    def _asked(self, plain: bool) -> list[int]:
-        """The numbers of the groups that are asked: all, or those of which some are plain."""
-        return [i for i, group in enumerate(self._groups) if group.plain or not plain]
-
-    def _weighed(self, number: int, space: Space) -> Weighed:
-        """What the candidates of a group are in the rows of a fit, computed once."""
-        if number not in space.weighed:
-            grams, squares = zip(*(self._gram(bank, space) for bank in self._groups[number].banks), strict=True)
-            space.weighed[number] = Weighed(*inverses(np.concatenate(grams), np.concatenate(squares)))
-        return space.weighed[number]
-
-    def _tables(self, asked: Sequence[int], space: Space, freedom: int) -> _Tables:
-        """Scores of shares for each number of new directions that candidates of these groups have."""
-        sizes = {int(m) for i in asked for m in np.unique(self._weighed(i, space).sizes)}
-        return {m: score_table(m, freedom) for m in sorted(sizes)}
-
-    def _explained(
-        self, asked: Sequence[int], of: Space, space: Space, trials: SignTrials, tables: _Tables
-    ) -> tuple[Array, Array]:
-        """The squares of the first trial that each candidate explains (C,), and the best score in each, (trials,).
-
-        of: the rows that candidates are weighed in. space: those of the trials.
+    def _grams(self, space: Space) -> list[tuple[Array, Array]]:
+        """For each bank products of each candidate's columns with each other (C, m, m), the fitted projected out, and
+        their squares before that, (C, m).
         """
-        squares = np.zeros(len(self.effects))
-        most = {m: np.zeros(len(trials.total)) for m, table in tables.items() if table is not None}
-        for number in asked:
-            group, weighed = self._groups[number], self._weighed(number, of)
-            done = 0
-            for products in self._in_portions(group.banks, space, trials):
-                rows = slice(done, done + len(products))
-                done += len(products)
-                of_trials = explained(weighed.inverse[rows].astype(products.dtype, copy=False), products)
-                squares[group.rows][rows] = of_trials[:, 0]
-                sizes = weighed.sizes[rows]
-                for m in set(sizes.tolist()) & most.keys():
-                    alike = of_trials if weighed.even else of_trials[sizes == m]
-                    np.maximum(most[m], alike.max(axis=0), out=most[m])
-        # more explained is a better score: of candidates alike in size only the best in a trial is asked for
-        scores = [np.interp(so_far / trials.total, *tables[m]) for m, so_far in most.items()]  # type: ignore[misc]
-        return squares, np.max(scores, axis=0, initial=0.0)
+        if not space.grams:
+            columns, fitted = self._columns(self._keys, space), space.fitted
+            fitted.against.update(fitted.contract(columns))
+            for bank in self.banks:
+                gram = bank.gram(columns)
+                along = bank.gram_of_sums(fitted.against, fitted.sums)
+                space.grams.append((gram - along, np.einsum("cii->ci", gram).copy()))
+        return space.grams
 
-    def _scores(self, asked: Sequence[int], space: Space, share: Array, tables: _Tables) -> Array:
-        """How unlikely shares (C,) would be of white noise, −log10 p; of groups that are not asked nothing."""
-        score = np.zeros(len(share))
-        for number in asked:
-            group, sizes = self._groups[number], self._weighed(number, space).sizes
-            for m in set(sizes.tolist()):
-                if (table := tables[m]) is not None:
-                    here = sizes == m
-                    score[group.rows][here] = np.interp(share[group.rows][here], *table)
-        return score
 
-    def _in_portions(self, banks: Sequence[Bank], space: Space, trials: SignTrials) -> Iterator[Array]:
-        """Products of all candidates of these banks with the trials (C, m, trials), some hundred at once."""
-        at_once = max(_AT_ONCE // len(trials.total), 1)
-        waiting: list[Array] = []
-        for bank in banks:
-            for first in range(0, len(bank.effects), at_once):
-                waiting.append(self._products(bank, space, trials, slice(first, first + at_once)))
-                if sum(map(len, waiting)) >= at_once:
-                    yield waiting[0] if len(waiting) == 1 else np.concatenate(waiting)
-                    waiting = []
-        if waiting:
-            yield np.concatenate(waiting)
+def inverses(gram: Array, own: Array) -> tuple[Array, np.ndarray]:
+    """Inverses (C, m, m) of products of columns with each other, and how many directions are new, (C,).
 
-    def _products(self, bank: Bank, space: Space, trials: SignTrials, rows: slice = slice(None)) -> Array:
-        """Products with the trials (C, m, trials) of some of its candidates, the fitted projected out."""
-        if missing := self._missing(bank, trials.known):
-            trials.known.update(trials.seen_by(self._columns(missing, space)))
-        return bank.sums(trials.known, trials.sums, rows)
+    own: squares of the columns (C, m). Directions that the fit can nearly make by itself are left out.
+    """
+    least = np.maximum(_ROUNDING * own.max(axis=1, keepdims=True), _NO_SQUARE)
+    scale = np.where(own > least, 1.0 / np.sqrt(np.maximum(own, least)), 0.0)
+    scaled = gram * scale[:, :, None] * scale[:, None, :]
+    # Where all directions are new, which is most often, there is nothing to take apart: the least eigenvalue is no less
+    # than one over the size of the inverse.
+    m = gram.shape[1]
+    out = np.asarray(np.linalg.inv(scaled + _ONLY_ROUNDING * np.eye(m)), dtype=float)
+    rest = np.flatnonzero(~(np.einsum("cij,cij->c", out, out) < _MIN_NEW**-2))
+    sizes = np.full(len(scaled), m)
+    value, vector = np.linalg.eigh(scaled[rest])
+    keep = value > _MIN_NEW
+    part = np.where(keep, 1.0 / np.maximum(value, _MIN_NEW), 0.0)[:, None]
+    out[rest], sizes[rest] = (vector * part) @ vector.transpose(0, 2, 1), keep.sum(axis=1)
+    return out * scale[:, :, None] * scale[:, None, :], sizes
 
-    def _gram(self, bank: Bank, space: Space) -> tuple[Array, Array]:
-        """Products of each candidate's columns with each other (C, m, m), the fitted projected out, and their squares
-        before that, (C, m).
-        """
-        if not self._is_own(bank):
-            gram = bank.gram(self._columns(bank.keys, space))
-            parts = [part.sign * self._along(bank, space, part) for part in space.parts]
-            return gram - sum(parts), np.einsum("cii->ci", gram).copy()
-        number = id(bank)
-        if number not in space.squares:
-            space.squares[number] = bank.gram(self._columns(bank.keys, space))
-        gram = space.squares[number]
-        left = gram.copy()
-        for part in space.parts:
-            if number not in part.grams:
-                part.grams[number] = self._along(bank, space, part)
-            left -= part.sign * part.grams[number]
-        return left, np.einsum("cii->ci", gram).copy()
 
-    def _along(self, bank: Bank, space: Space, part: Directions) -> Array:
-        """Products with each other of what of each candidate's columns lies along these directions, (C, m, m)."""
-        if missing := self._missing(bank, part.against):
-            part.against.update(part.contract(self._columns(missing, space)))
-        return bank.gram_of_sums(part.against, part.sums)
+def explained(inverse: Array, n: Array) -> Array:
+    """``nᵀ inverse n`` of each candidate and trial, (C, trials): inverse (C, m, m), n (C, m, trials)."""
+    return np.asarray(np.einsum("cmf,cmf->cf", inverse @ n, n))
 
-    def _missing(self, bank: Bank, known: Mapping[Key, Array]) -> list[Key]:
-        """Keys whose contraction is to be computed for this bank, and those of all others with it: what there is to
-        read is then read once.
-        """
-        return [key for key in (self._keys if self._is_own(bank) else bank.keys) if key not in known]
+
+@lru_cache(maxsize=256)
+def score_table(m: int, freedom: int) -> tuple[Array, Array] | None:
+    """Shares, and −log10 of the chance that white noise gives a candidate of m new directions one as large.
+
+    None where there is nothing to explain, or nothing left to compare with.
+    """
+    if not 0 < m < freedom - 1:
+        return None
+    grid = np.concatenate([np.linspace(0.0, 0.9, 400), 1.0 - np.geomspace(0.1, 1e-9, 300)])
+    ratio = grid / m / ((1.0 - grid) / (freedom - m))
+    table = -log10_beyond_f(ratio, m, freedom - m)
+    # far out the tail underflows; there it is a power of what is left
+    bad = ~np.isfinite(table)
+    if bad.any():
+        last = int(np.argmax(bad)) - 1
+        table[bad] = table[last] + 0.5 * (freedom - m) * np.log10((1.0 - grid[last]) / (1.0 - grid[bad]))
+    return grid, table
+
+
+def _gathered(banks: Sequence[Bank]) -> Iterator[Bank]:
+    """Banks in their order; neighbours of any numbers, alike in width, made one with one pool of numbers."""
+    pool = NumberPool(bank for bank in banks if isinstance(bank, NumberBank))
+    for (_, numbers), some in groupby(banks, lambda bank: (bank.width, isinstance(bank, NumberBank))):
+        if numbers:
+            yield GatheredBank(tuple(bank for bank in some if isinstance(bank, NumberBank)), pool)
+        else:
+            yield from some
+
+
+def _cycles(alike: list[Effect]) -> Array:
+    return np.array([e.shape.settings["cycles"] for e in alike])
+
+
+def _highest(alike: list[Effect]) -> float:
+    """The most cycles a turn of any wave of periodic effects."""
+    several = len(alike) > 1 and alike[0].shape.kind in PERIODIC
+    return float(_cycles(alike).max() * _multiples(alike[0]).max()) if several else 0.0
+
+
+def _multiples(effect: Effect) -> np.ndarray:
+    """What times its cycles the waves of a periodic effect have."""
+    return np.arange(1, effect.shape.size // 2 + 1)
+
+
+def _alike(effects: Sequence[Effect]) -> list[list[Effect]]:
+    """The effects in lists: those that differ in their cycles or their times alone are set up at once.
+
+    Nine in ten candidates are of that kind.
+    """
+    lists: dict[object, list[Effect]] = {}
+    for i, effect in enumerate(effects):
+        kind = effect.shape.kind
+        repeats = kind in PERIODIC and effect.direction == AXIS
+        begins = kind in STEPS and effect.direction != LENGTH
+        key = (effect.place, effect.direction, effect.driver, kind) if repeats or begins else i
+        lists.setdefault(key, []).append(effect)
+    return list(lists.values())

@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 
 from modcal_core.calibration import Cell, StatedPayload, nonnegative
 from modcal_core.diagnosis.space import Space
-from modcal_core.effects import Carried, Drivers, NominalArm, place_index
+from modcal_core.effects import Carried, Drivers, Effect, NominalArm, place_index
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import Samples, SignalTrack
@@ -25,7 +24,6 @@ from modcal_core.robots import Inertias, is_serial_arm, weightless
 
 USUAL_KG, USUAL_PLACE = 20.0, 0.15  # kg, m from the tip: what arms carry, and where, before the data say more
 _WAYS = 150  # directions that are tried, some 15° apart; the best is then refined
-_APART, _FINE = 0.13, 1e-4  # rad: half of what those lie apart, and as finely as anybody asks for
 _STARTS_KG = (0.0, 3.0)  # masses that are begun from
 _PLAIN = 3.0  # gain in units of what is left: then three quarters of what was left are these loads and no others
 _RIDGE = 1e-9  # of the largest square; loads of joints may be alike
@@ -71,15 +69,22 @@ class LoadHypothesis:
         return bool(self.told)
 
     @property
-    def recordings(self) -> int:
-        """How many recordings there are."""
-        return len(self.until) + 1
+    def carried(self) -> int:
+        """How many recordings have a payload of their own to be found."""
+        return len(self.until) + int(self.arm.weighed)
+
+    def beside(self, row: LoadHypothesis) -> LoadHypothesis:
+        """Both together: the numbers of the other stand behind its own."""
+        return replace(self, tilts=self.tilts or row.tilts, carries=row.carries, told=row.told)
+
+    def concerns(self, effect: Effect) -> bool:
+        """Whether an effect goes by what it says."""
+        return effect.shape.kind in ("carried", "product") if self.places else by_weight(effect)
 
     @property
     def size(self) -> int:
         """Number of numbers."""
-        each = 4 * self.recordings if self.arm.weighed else len(self.until)
-        return 2 * self.tilts + each * self.carries + 3 * self.places
+        return len(self.prior_std)
 
     @property
     def down(self) -> Array:
@@ -97,8 +102,9 @@ class LoadHypothesis:
     def prior_std(self) -> Array:
         """How large each number may be before the data must say more, (k,)."""
         each = [USUAL_KG, *[USUAL_KG * USUAL_PLACE] * 3] if self.arm.weighed else [USUAL_KG]
-        count = self.recordings if self.arm.weighed else len(self.until)
-        return np.array([np.pi] * (2 * self.tilts) + each * (count * self.carries) + [USUAL_PLACE] * (3 * self.places))
+        return np.array(
+            [np.pi] * (2 * self.tilts) + each * (self.carried * self.carries) + [USUAL_PLACE] * (3 * self.places)
+        )
 
     @property
     def steps(self) -> Array:
@@ -192,8 +198,7 @@ class LoadHypothesis:
         bare = Drivers(drivers.samples, replace(self.arm, earlier=None))
         which = np.searchsorted(np.array(self.until), drivers.samples.stamps, side="right")
         units = [bare.payload, *(bare.offset if weighed else ())]
-        count = self.recordings if weighed else len(self.until)
-        return [load(at), *((unit[rows, along]) * (which == g) for g in range(count) for unit in units)]
+        return [load(at), *((unit[rows, along]) * (which == g) for g in range(self.carried) for unit in units)]
 
     def _motions(self, space: Space, parts: list[Array]) -> Array:
         """What each part does to the readings at each joint, (S n, 6 N), what is fitted projected out."""
@@ -218,25 +223,13 @@ def _with(inertias: Inertias, arm: NominalArm, carried: Array) -> Inertias:
 
 def _lowest(missed: Callable[[Array], Array], start: Array) -> tuple[float, Array]:
     """The least that is found downhill from a start (k,), and where."""
-    if len(start) > 2:
-        from scipy.optimize import minimize  # slow to import, and of most arms not asked for
+    from scipy.optimize import minimize  # slow to import, and of most arms not asked for
 
-        def missed_by_one(x: Array) -> float:
-            return float(missed(x))
+    def missed_by_one(x: Array) -> float:
+        return float(missed(x))
 
-        found = minimize(missed_by_one, start, method="BFGS")
-        return float(found.fun), np.asarray(found.x)
-    ways = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=len(start)) if any(way)])
-    x, least, step = start, float(missed(start)), _APART  # around a point, and half as far where nothing is lower
-    while step > _FINE:
-        around = x + step * ways
-        values = missed(around)
-        best = int(np.argmin(values))
-        if values[best] < least:
-            least, x = float(values[best]), around[best]
-        else:
-            step *= 0.5
-    return least, x
+    found = minimize(missed_by_one, start, method="BFGS")
+    return float(found.fun), np.asarray(found.x)
 
 
 def _explained(M: Array, v: Array) -> Array:
@@ -297,3 +290,8 @@ def _each(cell: Cell) -> tuple[StatedPayload, ...]:
         said = f"{len(stated)} are stated, and recordings: {count}"
         raise BadTable("cell file: payloads", said, "state one for all recordings, or one for each in their order")
     return stated if len(stated) == count else stated * count
+
+
+def by_weight(effect: Effect) -> bool:
+    """Whether an effect goes by a load that is computed from weight."""
+    return effect.driver.partition(":")[0] in ("load", "payload", "moment") or effect.driver.startswith("offset_")

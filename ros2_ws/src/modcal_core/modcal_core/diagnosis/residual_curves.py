@@ -54,7 +54,6 @@ def with_residual_curves(
     fit: Fit,
     train: Samples,
     others: Samples,
-    rng: np.random.Generator,
     distances: Sequence[AnyDistance] = (),
     block: int | None = None,
 ) -> Fit:
@@ -77,7 +76,7 @@ def with_residual_curves(
     found = len(fit.model.effects)
     sizes, told = equations.sizes_of_effects(equations.likely())
     kept = [i for i, e in enumerate(effects) if sizes[i] > 0.0 and (i < found or told[i] >= _least(e))]
-    if not kept or not _surely_better(equations, unit, rng):
+    if not kept or not _surely_better(equations, unit):
         return fit
     freely = [e if i not in kept else e.held_to(sizes[i]) for i, e in enumerate(fit.model.effects)]
     small = [effects[i].held_to(sizes[i]) for i in kept if i >= found]
@@ -182,14 +181,14 @@ class _Equations:
         )
 
 
-def _surely_better(equations: _Equations, unit: np.ndarray, rng: np.random.Generator) -> bool:
+def _surely_better(equations: _Equations, unit: np.ndarray) -> bool:
     """Whether held curves miss samples that they were not fitted to by less than the fit as it was, by what an effect
     must gain and surely. unit: of each sample, (N,), which are left out together.
 
     Sizes are found without what is left out from the beginning: from where all samples lead, which is near, too much of
     what is left out stays in them (of a real WAM arm the gain is a fifth larger so, and taken for sure).
     """
-    fold = rng.permutation(np.arange(unit.max() + 1) % _FOLDS)[unit]
+    fold = np.random.default_rng(0).permutation(np.arange(unit.max() + 1) % _FOLDS)[unit]
     before, after = np.zeros(len(unit)), np.zeros(len(unit))
     for k in range(_FOLDS):
         out = fold[equations.sample] == k

@@ -1,21 +1,17 @@
 """Effects that one scan shows together: the best, and what explains much of what that leaves, at other places.
 
-A scan is weighed by trials with random signs, whose best scores are of noise whatever is left. So what the chosen
-effects leave is weighed against the same trials, without a fit, where an answer is as clear as one that a scan gives
-early (:func:`explained.is_clear`) and where an effect explains many times what it must; else the round ends.
+Each is significant in the scan, and beside those before it explains many times what it must, without a fit; else the
+round ends.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass
 
 from modcal_core.calibration import Fit, Model, Uncertainty, without
-from modcal_core.diagnosis.choice import EffectChoice, choose, other_forms
+from modcal_core.diagnosis.choice import SIGNIFICANT, EffectChoice, choose, other_forms
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.diagnosis.explained import is_clear
 from modcal_core.diagnosis.pruning import MIN_GAIN
 from modcal_core.effects import Effect, is_large_move, is_turned
 
@@ -46,18 +42,18 @@ def chosen_together(
     """
     found: list[StartedChoice] = []
     choice: EffectChoice | None = first
-    ahead = fit
-    while choice is not None and choice.share >= _MANY * MIN_GAIN:
-        started = choice.effect.started(scanner.amplitudes(ahead, choice.effect))
-        if any(one.started.place == started.place for one in found) or _stands_alone(started, scanner.effects):
+    before, apart = 0.0, set(refused)
+    while choice is not None and choice.p_value <= SIGNIFICANT:
+        amplitudes, share = scanner.together(fit, [*(one.choice.effect for one in found), choice.effect])
+        started = choice.effect.started(amplitudes)
+        if share - before < _MANY * MIN_GAIN or _stands_alone(started, scanner.effects):
             break
         found.append(StartedChoice(choice, started))
         if len(found) == most:
             break
-        ahead = replace(ahead, model=ahead.model.with_effects((*ahead.model.effects, started)))
-        now = scanner.beyond(ahead, evidence)
-        sure = is_clear(np.r_[now.score.max(initial=0.0), now.noise])
-        choice = choose(now, scanner, ahead, refused) if sure else None
+        before = share
+        apart |= {effect.key for effect in scanner.effects if effect.place == started.place}
+        choice = choose(evidence, scanner, fit, apart)
     return tuple(found)
 
 

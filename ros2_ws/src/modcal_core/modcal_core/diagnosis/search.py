@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,9 +25,8 @@ from modcal_core.calibration import (
     without,
 )
 from modcal_core.diagnosis.causes import Cause, Diagnosis, evidence_map
-from modcal_core.diagnosis.choice import EffectChoice, better_choice, choose, other_forms
+from modcal_core.diagnosis.choice import SIGNIFICANT, EffectChoice, better_choice, choose, other_forms
 from modcal_core.diagnosis.evidence import MIN_FREEDOM, Evidence, Scanner
-from modcal_core.diagnosis.explained import FLIPS
 from modcal_core.diagnosis.pruning import (
     DRAWN_IN,
     MIN_GAIN,
@@ -40,7 +40,6 @@ from modcal_core.diagnosis.rounds import chosen_together, surely_worth
 from modcal_core.effects import Drivers, Effect, candidates, family_named, nothing_plainer
 from modcal_core.measurements import Samples, spread_rows
 
-SIGNIFICANT = 0.002  # of noise, one scan in 500 has a best as good; what passes is judged on *explain* (sweep)
 MAX_EFFECTS = 30  # for time
 _MAX_SCANNED = 1000  # samples; a longer recording is thinned evenly
 _MAX_FITTED = 3000  # samples while searching; in the end all of *train* is fitted
@@ -57,82 +56,73 @@ _MAX_REFUSED = 3  # choices in a row that did not predict, before the search end
 _JUDGED = 2  # fits of which is remembered what *explain* says of them: that which stands, and one beside it
 _HALVED = 0.5  # of the rejected, at most, that may be left where an effect is to explain what was rejected
 _MAX_SINGLE = 0.05  # share of the samples up to which rejected ones are taken for single wrong readings
+_TRADES = 0.3  # correlation with a later effect from which one may have stood in for it
+_ROUNDING = 1e-9  # of a covariance at unit diagonal
 _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing; the largest of several is asked
 
 
-def diagnose(
-    fit: Fit,
-    train: Samples,
-    explain: Samples,
-    rng: np.random.Generator,
-    distances: Sequence[AnyDistance] = (),
-    progress: Callable[[str], None] = lambda _: None,
-    suspects: Callable[[Drivers], Iterable[Effect]] = lambda _: (),
-    known: Sequence[Cause] = (),
-    least_freedom: int = MIN_FREEDOM,
-) -> Diagnosis:
-    """The effects that the fit to *train* lacks, judged on *explain*.
+@dataclass(frozen=True)
+class Sought:
+    """What effects are looked for in. train: samples that are fitted. explain: samples that decide. suspects: what to
+    look for besides the candidates. known: causes of effects that the fit has already; they stay. least_freedom: rows
+    beyond what is fitted, with fewer of which nothing is looked for.
+    """
 
-    suspects: what to look for besides the candidates. known: causes of the effects that the fit has already; they stay.
-    least_freedom: rows beyond what is fitted, with fewer of which nothing is looked for.
+    train: Samples
+    explain: Samples
+    distances: tuple[AnyDistance, ...] = ()
+    progress: Callable[[str], None] = lambda _: None
+    suspects: Callable[[Drivers], Iterable[Effect]] = lambda _: ()
+    known: Sequence[Cause] = ()
+    least_freedom: int = MIN_FREEDOM
+
+
+def diagnose(fit: Fit, sought: Sought) -> Diagnosis:
+    """The effects that the fit to *train* lacks, judged on *explain*.
 
     Where the fit rejects more than single wrong readings make up, what it rejects may be the effect that is looked for.
     Then nothing is rejected while searching, if what is found that way leaves less to be rejected.
     """
-    rest = train, explain, rng, distances, progress, suspects, known, least_freedom
     many = rejected_share(fit)
-    if many > _MAX_SINGLE and not known:
-        whole = identify(fit.start, train, fit.parameters, distances, begin=fit.values, reject=False)
-        found = _searched(whole, *rest, reject=False)
+    if many > _MAX_SINGLE and not sought.known:
+        whole = identify(fit.start, sought.train, fit.parameters, sought.distances, begin=fit.values, reject=False)
+        found = _searched(whole, sought, reject=False)
         if found.causes and rejected_share(found.fit) <= min(_HALVED * many, _MAX_SINGLE):
             return found
-    return _searched(fit, *rest)
+    return _searched(fit, sought)
 
 
-def _searched(
-    fit: Fit,
-    train: Samples,
-    explain: Samples,
-    rng: np.random.Generator,
-    distances: Sequence[AnyDistance],
-    progress: Callable[[str], None],
-    suspects: Callable[[Drivers], Iterable[Effect]],
-    known: Sequence[Cause],
-    least_freedom: int,
-    reject: bool = True,
-) -> Diagnosis:
+def _searched(fit: Fit, sought: Sought, reject: bool = True) -> Diagnosis:
     """See :func:`diagnose`. reject: leave out what lies far outside while searching."""
+    train, explain, distances = sought.train, sought.explain, sought.distances
     both = train.join(explain)
     alone = isolated_outliers(fit, both) if reject else np.zeros(len(both), bool)
     both = both.select(_evenly(np.flatnonzero(~alone), _MAX_SCANNED))
     drivers = fit.model.drivers(both)
-    scanner = Scanner([*candidates(drivers), *suspects(drivers)], drivers)
-    search = _EffectSearch(
-        fit,
-        scanner,
-        train.select(_evenly(np.arange(len(train)), _MAX_FITTED)),
-        explain,
-        tuple(distances),
-        tuple(known),
-        reject,
-    )
+    scanner = Scanner([*candidates(drivers), *sought.suspects(drivers)], drivers)
+    fitted = train.select(_evenly(np.arange(len(train)), _MAX_FITTED))
+    search = _EffectSearch(fit, scanner, fitted, explain, distances, tuple(sought.known), reject)
     left: EffectChoice | None = None
     refused: set[tuple[str, str, str, str]] = set()
     scans: list[Evidence] = []
-    flips = FLIPS if len(both) <= _MAX_REVISITED else FLIPS // 2
     missed = 0
     evidence: Evidence | None = None
-    while scanner.enough(search.fit, least_freedom) and len(search.causes) < MAX_EFFECTS and missed <= _MAX_REFUSED:
+    while scanner.enough(search.fit, sought.least_freedom) and len(search.causes) < MAX_EFFECTS:
         if evidence is None:  # after a choice that was refused, the fit is as it was, and so is what it leaves
-            evidence = scanner.evidence(search.fit, rng, flips)
+            evidence = scanner.evidence(search.fit, trials=True)
             scans = [*scans[:1], evidence]
             if evidence.p_value > SIGNIFICANT:
                 left = None
                 break
         choice = choose(evidence, scanner, search.fit, refused)
-        if choice is None:
+        if choice is None or missed > _MAX_REFUSED:
             break
-        progress(choice.effect.label)
+        if choice.p_value > SIGNIFICANT and train.moving.any():
+            left = (
+                left or choice
+            )  # neighbours in motion share their errors: that *explain* is predicted shows too little
+            break
+        sought.progress(choice.effect.label)
         if search.add_several(evidence, choice, refused) or search.add(choice):
             left, missed, evidence = None, 0, None
         else:  # also more of the same, which is not worth having: another may be
@@ -184,7 +174,7 @@ class _EffectSearch:
         effect, self.fit = self._in_best_form(choice.effect, missed)
         rivals = tuple(rival for rival in choice.rivals if rival.key != effect.key)
         same = tuple(name for name in choice.same_as if name != effect.label)
-        self.causes.append(Cause(effect, choice.p_value, same, rivals, self.fit, choice.flips))
+        self.causes.append(Cause(effect, choice.p_value, same, rivals, self.fit))
         better = self._mean_square(self.fit) < (1.0 - MIN_GAIN) * missed
         if better and len(self.causes) > 1 + len(self.known) and self._weighs:
             self.make_plainer()
@@ -219,7 +209,7 @@ class _EffectSearch:
             fit = self._refit(fit, (*old, *(fit.model.effects[len(old) + i] for i, _ in worth)))
         for i, model in worth:
             one, nested = chosen[i].choice, replace(fit, model=model)
-            self.causes.append(Cause(one.effect, one.p_value, one.same_as, one.rivals, nested, one.flips))
+            self.causes.append(Cause(one.effect, one.p_value, one.same_as, one.rivals, nested))
         self.fit = fit
         return True
 
@@ -274,8 +264,8 @@ class _EffectSearch:
         )
 
     def _exchange(self) -> None:
-        """Weigh every earlier effect against the candidates again, with the later ones known."""
-        for i in range(len(self.known), len(self.causes) - 1):
+        """Weigh earlier effects that trade with the last against the candidates again, with the later ones known."""
+        for i in self._trading():
             effects = self.fit.model.effects
             found = better_choice(i, self.fit, self.scanner)
             if found is None:
@@ -285,10 +275,20 @@ class _EffectSearch:
             if self._mean_square(new) < self._mean_square(self.fit):
                 self.fit = new
                 said = self.causes[i]
-                self.causes[i] = Cause(
-                    better.effect, said.p_value, better.same_as, better.rivals, new, sampled=said.sampled
-                )
+                self.causes[i] = Cause(better.effect, said.p_value, better.same_as, better.rivals, new)
                 self._stale = True
+
+    def _trading(self) -> list[int]:
+        """The numbers of earlier effects that can be exchanged for the last, going by correlations of their values."""
+        fit, effects = self.fit, self.fit.model.effects
+        C = uncertainty(fit.model, self.train, fit.parameters, fit, self.distances).covariance
+        edges = len(fit.parameters) + np.cumsum([0, *(len(e.values) for e in effects)])
+        own = [slice(a, b) for a, b in pairwise(edges.tolist())]
+        half = np.linalg.cholesky(_at_unit(C)) if len(effects) > 1 else C
+        bases = [np.linalg.qr(half[rows].T)[0] for rows in own]
+        return [
+            i for i in range(len(self.known), len(effects) - 1) if np.linalg.norm(bases[i].T @ bases[-1], 2) > _TRADES
+        ]
 
     def _take_out(self) -> None:
         """Drop effects that are nothing beside the others."""
@@ -379,6 +379,12 @@ class _EffectSearch:
         samples = self.explain if samples is None else samples
         square = squared_residuals(errors(model, samples), samples, self._geometric.noise)
         return float(np.mean(np.minimum(square, DRAWN_IN * np.median(square) + 1e-300)))
+
+
+def _at_unit(C: np.ndarray) -> np.ndarray:
+    """A covariance (K, K) as correlations, and positive definite beyond rounding."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(C), 1e-300))
+    return np.asarray(C * np.outer(scale, scale) + _ROUNDING * np.eye(len(C)))
 
 
 def _evenly(rows: np.ndarray, most: int) -> np.ndarray:

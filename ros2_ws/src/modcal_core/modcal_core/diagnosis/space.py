@@ -14,59 +14,25 @@ import scipy.linalg
 
 from modcal_core.calibration import Fit, Groups, RowView, linearise
 from modcal_core.diagnosis.spectra import Key, KnownSums
-from modcal_core.effects import Drivers, Effect
+from modcal_core.effects import Drivers
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 
-ROUNDING = 1e-12  # of the square of a column, added to what is inverted
-_NOTHING = 1e-8  # square of a direction that the samples show nothing of: single precision loses more of a column
+_ROUNDING = 1e-12  # of the square of a column, added to what is inverted
+_NOTHING = 1e-8  # square of a direction that the samples show nothing of
 _MANY = 200_000  # numbers of directions; of fewer, double precision costs nothing worth saving
 _FARTHEST = 8.0  # times the median size: noise of any usual tail stays inside, and no sample may rule alone
 
 
-def _contracted(columns: Mapping[Key, Array], matrix: np.ndarray) -> dict[Key, Array]:
-    """Sums over the components of each sample, (N, k), of columns (6, N) times a matrix (N, rows, k)."""
-    units = np.stack([column[: matrix.shape[1]] for column in columns.values()]).astype(matrix.dtype, copy=False)
-    out = np.ascontiguousarray(units.transpose(2, 0, 1)) @ matrix
-    return {key: out[:, i] for i, key in enumerate(columns)}
-
-
-@dataclass(frozen=True)
-class SignTrials:
-    """The residual with the signs of each trial, what is fitted projected out, (rows, N, trials).
-
-    total: squares left, (trials,). known: contractions with columns, (N, trials). sums: of those.
-    """
-
-    left: np.ndarray
-    total: Array
-    known: dict[Key, Array] = field(default_factory=dict)
-    sums: KnownSums = field(default_factory=KnownSums)
-
-    def seen_by(self, columns: Mapping[Key, Array]) -> dict[Key, Array]:
-        """Contractions, sample by sample, of columns (6, N) with the trials, (N, trials) each."""
-        return _contracted(columns, self.left.transpose(1, 0, 2))
-
-
 @dataclass(frozen=True)
 class Directions:
-    """Orthonormal directions that a projector has, or has no longer. Q: (rows, N, P). sign: 1 or −1.
-
-    against: contractions of columns with them, (N, P). grams: of banks, by their number, the products with each other
-    of what lies along them, (C, m, m). sums: of contractions.
+    """Orthonormal directions, or a residual. Q: (rows, N, P). against: contractions of columns with them, (N, P). sums:
+    of contractions.
     """
 
     Q: Array
-    sign: float = 1.0
     against: dict[Key, Array] = field(default_factory=dict)
-    grams: dict[int, Array] = field(default_factory=dict)
     sums: KnownSums = field(default_factory=KnownSums)
-
-    def along(self, residual: Array) -> tuple[Array, float]:
-        """What of a residual (rows, N) lies along them, with their sign, and its square."""
-        flat = self.Q.reshape(residual.size, self.Q.shape[2])
-        seen = residual.ravel() @ flat
-        return (flat @ (self.sign * seen)).reshape(residual.shape), self.sign * float(seen @ seen)
 
     def contract(self, columns: Mapping[Key, Array]) -> dict[Key, Array]:
         """Contractions of columns (6, N) with the directions, sample by sample, (N, P) each.
@@ -74,47 +40,12 @@ class Directions:
         Of many they are in single precision: what lies along them is known to a millionth of a column's square, and
         of that less than 0.0025 is never asked for.
         """
-        return _contracted(columns, self.Q.transpose(1, 0, 2) if self.Q.size < _MANY else self.lean)
-
-    @cached_property
-    def lean(self) -> np.ndarray:
-        """They in single precision, sample by sample, (N, rows, P)."""
-        return np.ascontiguousarray(self.Q.transpose(1, 0, 2), dtype=np.float32)
-
-
-@dataclass(frozen=True)
-class Weighed:
-    """What C candidates of m columns each are in the rows of a fit. inverse: of the products of their columns, the
-    fitted projected out, (C, m, m). sizes: numbers of new directions, (C,).
-    """
-
-    inverse: Array
-    sizes: np.ndarray
-
-    @cached_property
-    def even(self) -> bool:
-        """Whether all have as many new directions."""
-        return bool((self.sizes == self.sizes[:1]).all())
-
-
-@dataclass(frozen=True)
-class DirectionFactor:
-    """How the directions of a space come from P columns at unit size: ``Q = (L⁻¹ J[seen])[kept]``.
-
-    seen: columns of which there is something, (S,): a curve's that reach to no sample are nothing. L: triangle (S, S).
-    kept: of the directions those that are more than rounding, (D,).
-    """
-
-    columns: int
-    seen: np.ndarray
-    L: Array
-    kept: np.ndarray
-
-    def along(self, columns: Sequence[int]) -> Array:
-        """Which orthonormal sums of the directions, (D, a), go with some of the columns."""
-        unit = np.eye(len(self.L))[:, np.isin(self.seen, columns)]
-        F = np.linalg.qr(scipy.linalg.solve_triangular(self.L, unit, lower=True, check_finite=False))[0]
-        return np.asarray(F[self.kept])
+        kind = np.float32 if self.Q.size >= _MANY else np.float64
+        units = np.stack([column[: len(self.Q)] for column in columns.values()])
+        out = np.ascontiguousarray(units.transpose(2, 0, 1), kind) @ np.ascontiguousarray(
+            self.Q.transpose(1, 0, 2), kind
+        )
+        return {key: out[:, i] for i, key in enumerate(columns)}
 
 
 @dataclass(frozen=True)
@@ -123,10 +54,7 @@ class Space:
 
     Q: orthonormal columns of all that is fitted, (6, N, D). Parameters are held by their priors, as extra rows that ask
     each to stay and are left out here: without them a direction that the readings hardly show would explain anything.
-    rows: those that may not be zero. squares: of banks, by their number, the products of their columns with each other.
-    whole, changes: of a space beside another the directions of Q, and those that come on top or go (:mod:`anchor`).
-    weighed: groups of candidates, by their number. alone: effects, by their identity, with the amplitudes and the share
-    of the residual that each has alone.
+    rows: those that may not be zero. grams: what a scanner knows of its candidates beside the fitted.
     """
 
     view: RowView
@@ -136,20 +64,11 @@ class Space:
     freedom: int
     rows: int = 6
     columns: dict[Key, Array] = field(default_factory=dict)
-    squares: dict[int, Array] = field(default_factory=dict)
-    whole: Directions | None = None
-    changes: tuple[Directions, ...] = ()
-    weighed: dict[int, Weighed] = field(default_factory=dict)
-    alone: dict[int, tuple[Effect, Array, float]] = field(default_factory=dict)
+    grams: list[tuple[Array, Array]] = field(default_factory=list)
 
     @classmethod
     def of(cls, fit: Fit, drivers: Drivers) -> Space:
         """Space of a fit at the samples of these drivers."""
-        return cls.with_factor(fit, drivers)[0]
-
-    @classmethod
-    def with_factor(cls, fit: Fit, drivers: Drivers) -> tuple[Space, DirectionFactor]:
-        """The same, and how its directions come from the columns."""
         samples = drivers.samples
         weight = sample_weights(fit, samples)
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
@@ -161,52 +80,51 @@ class Space:
         fitted = len(fit.parameters) if fit.frozen else len(now.J)
         J = by_component(now.J[:fitted], view)
         J *= weight[:rows]
-        flat, factor = _orthonormal(J.reshape(len(J), rows * N), held[:fitted])
+        flat = _orthonormal(J.reshape(len(J), rows * N), held[:fitted])
         D = len(flat)
         Q = np.empty((6, N, D)) if rows == 6 else np.zeros((6, N, D))
         Q[:rows] = flat.reshape(D, rows, N).transpose(1, 2, 0)
         residual = drawn_in(by_sample(now.residual, view) * weight)
-        # What the training set got wrong of the fitted lies in its own columns: it must not be given signs, or it would
-        # join the noise and hide how uneven that is.
-        residual[:rows] -= ((flat @ residual[:rows].ravel()) @ flat).reshape(rows, N)
+        for _ in range(2):  # what samples that were not fitted miss of the fitted is no candidate's to explain
+            residual[:rows] -= ((flat @ residual[:rows].ravel()) @ flat).reshape(rows, N)
         free = equations(fit, samples) - round(float(np.vdot(flat, flat)))
-        return cls(view, weight, residual, Q, free, rows), factor
+        return cls(view, weight, residual, Q, free, rows)
+
+    @property
+    def fitted(self) -> Directions:
+        """The directions of Q."""
+        return Directions(self.Q[: self.rows])
+
+    def products(self, rows: Array) -> Array:
+        """Products of rows (m, 6 N) with each other, (m, m), what is fitted projected out."""
+        along = rows @ self.Q.reshape(self.residual.size, -1)
+        return np.asarray(rows @ rows.T - along @ along.T)
+
+    def spanned(self, rows: Sequence[Array]) -> Directions:
+        """Directions of rows (m, 6 N), what is fitted projected out."""
+        each, Q = np.concatenate([*rows, np.zeros((0, self.residual.size))]), self.Q.reshape(self.residual.size, -1)
+        each = each / np.maximum(np.linalg.norm(each, axis=1, keepdims=True), 1e-300)
+        _, size, flat = np.linalg.svd(each - (each @ Q) @ Q.T, full_matrices=False)
+        flat = flat[size > np.sqrt(_NOTHING)]
+        return Directions(flat.reshape(len(flat), *self.residual.shape)[:, : self.rows].transpose(1, 2, 0))
+
+    def signed(self, signs: Array, beside: Directions) -> Directions:
+        """The residual under the signs (trials, N) of samples, what is fitted and more projected out, as directions."""
+        left = self.residual[: self.rows, :, None] * signs.T
+        flat = left.reshape(-1, len(signs))
+        for Q in (self.Q[: self.rows], beside.Q):
+            along = Q.reshape(len(flat), -1)
+            flat = flat - along @ (along.T @ flat)
+        return Directions(flat.reshape(left.shape))
 
     @cached_property
-    def parts(self) -> tuple[Directions, ...]:
-        """What is projected out: the directions of Q, and changes to them."""
-        return (self.whole or Directions(self.Q[: self.rows]), *self.changes)
-
-    @cached_property
-    def _along(self) -> list[Array]:
-        """Part of each sample's residual along the directions of each part, (N, p)."""
-        return [np.einsum("cNp,cN->Np", part.Q, self.residual[: self.rows]) for part in self.parts]
+    def total(self) -> float:
+        """Squares of the residual."""
+        return float(np.sum(self.residual**2)) + 1e-300
 
     def column(self, place: int, direction: int) -> Array:
         """Motion of the tool per unit of a direction at a place, weighted, (6, N)."""
         return by_sample(self.view.unit_column(place, direction), self.view) * self.weight
-
-    @cached_property
-    def unsigned(self) -> SignTrials:
-        """The residual as it is, which every question about it begins with."""
-        residual = self.residual[: self.rows]
-        along, squares = zip(*(part.along(residual) for part in self.parts), strict=True)
-        left = residual - np.sum(along, axis=0)
-        return SignTrials(left[:, :, None], np.array([np.sum(residual**2) - sum(squares)]))
-
-    def trials(self, signs: Array) -> SignTrials:
-        """The residual under signs (trials, N), in single precision: of noise, whose best is known to a few per cent,
-        that is more than enough.
-        """
-        residual = self.residual[: self.rows].astype(np.float32)
-        left = residual.T[:, :, None] * signs.T.astype(np.float32)[:, None]
-        total = np.full(len(signs), np.sum(self.residual**2))
-        for part, of_samples in zip(self.parts, self._along, strict=True):
-            seen = signs @ of_samples
-            along = part.lean.reshape(-1, part.lean.shape[2]) @ (part.sign * seen.T).astype(np.float32)
-            left -= along.reshape(left.shape)
-            total -= part.sign * np.sum(seen**2, axis=1)
-        return SignTrials(left.transpose(1, 0, 2), total)
 
 
 def sample_weights(fit: Fit, samples: Samples) -> Array:
@@ -221,23 +139,23 @@ def equations(fit: Fit, samples: Samples) -> int:
     return round(Groups.of(samples, bool(fit.model.instruments)).rows)
 
 
-def _orthonormal(J: Array, held: Array) -> tuple[Array, DirectionFactor]:
+def _orthonormal(J: Array, held: Array) -> Array:
     """Columns, which are the rows of J (P, m), each with what is held of it behind, made orthonormal, (D, m).
 
     What is held is left out. J is overwritten.
     """
-    columns, square = len(J), np.einsum("ij,ij->i", J, J)
+    square = np.einsum("ij,ij->i", J, J)
     seen = np.flatnonzero(square)
     if len(seen) < len(J):
         J, square, held = J[seen], square[seen], held[seen]
     size = np.sqrt(square + held**2)
     J /= size[:, None]
-    L = np.asarray(np.linalg.cholesky(J @ J.T + np.diag((held / size) ** 2 + ROUNDING)), dtype=float)
+    L = np.asarray(np.linalg.cholesky(J @ J.T + np.diag((held / size) ** 2 + _ROUNDING)), dtype=float)
     if J.size:  # by the triangle's inverse, from the right: half of the time of a solution, and of its digits
         inverse = scipy.linalg.lapack.dtrtri(np.asfortranarray(L), lower=1)[0]
         J = scipy.linalg.blas.dtrmm(1.0, inverse, J.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
     kept = np.einsum("ij,ij->i", J, J) > _NOTHING
-    return (J if kept.all() else J[kept]), DirectionFactor(columns, seen, L, np.flatnonzero(kept))
+    return J if kept.all() else J[kept]
 
 
 def drawn_in(residual: Array) -> Array:

@@ -69,6 +69,7 @@ def at_tool(model: Model, effects: Sequence[int], samples: Samples) -> float:
 
 _TOLD = 2  # rivals that a sentence gives; report.json has all of them
 MAX_SEEN = 500  # samples at which the size at the tool is taken
+_LEAST_CHANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,8 @@ class Finding:
     """One entry. effects: what it consists of, fitted to all samples (a gear may have several lines). before, after:
     RMS error on held-out without it and with it [m], all else in the final model. gain_mm2, ci95: mean square that its
     removal costs on held-out [mm²], with the 95 % interval over stations; None where there is nothing to remove. tool:
-    RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with. shown: whether it may be
-    named as a cause, by stations that were not used, in any partition of them.
+    RMS by which it moves the tool [m]. shown: whether it may be named as a cause, by stations that were not used, in
+    any partition of them.
     """
 
     family: str
@@ -93,16 +94,12 @@ class Finding:
     gain_mm2: float | None = None
     ci95: tuple[float, float] | None = None
     tool: float | None = None
-    sampled: int = 0
     shown: bool = True
 
     @property
     def chance(self) -> str:
-        """Chance that noise looks as good, as text: what sampling shows, and what is extrapolated."""
-        least = 1.0 / (self.sampled + 1)
-        if not self.sampled or self.p_value >= least:
-            return f"{self.p_value:.2g}"
-        return f"below 1/{self.sampled + 1} by sampling; extrapolated {self.p_value:.0e}"
+        """Chance that noise looks as good, as text: no law of noise is known farther out."""
+        return f"{self.p_value:.2g}" if self.p_value >= _LEAST_CHANCE else f"below {_LEAST_CHANCE:.0e}"
 
     @property
     def sentence(self) -> str:
@@ -169,7 +166,6 @@ def findings(
                 gain_mm2=None if part is None else part.mm2,
                 ci95=None if part is None else part.ci95_mm2,
                 tool=at_tool(shipped, together, few),
-                sampled=min(c.sampled for c in causes),
                 shown=rivals is not None,
             )
         )

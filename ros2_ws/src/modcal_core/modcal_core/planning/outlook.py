@@ -43,7 +43,7 @@ from modcal_core.calibration import (
     views_of,
 )
 from modcal_core.claim import Neighbourhood, arms_near, usual_std
-from modcal_core.diagnosis import causes_of_moves, diagnose, with_residual_curves
+from modcal_core.diagnosis import Sought, causes_of_moves, diagnose, with_residual_curves
 from modcal_core.effects import Effect
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import proved
@@ -114,16 +114,10 @@ def refit(
             nominal = fit_cell(chain, samples, cell, inertias, regimes)
         train, explain = samples.select(trained), samples.select(~trained)
         geometric = fit_geometry(nominal.model, train, choice.parameters, cell)
-        found = diagnose(
-            geometric,
-            train,
-            explain,
-            np.random.default_rng(seed),
-            cell.distances,
-            known=causes_of_moves(geometric, samples),
-            least_freedom=_MIN_FREEDOM,
-        )
-        held = with_residual_curves(found.fit, train, explain, np.random.default_rng(seed), cell.distances)
+        known = causes_of_moves(geometric, samples)
+        sought = Sought(train, explain, tuple(cell.distances), known=known, least_freedom=_MIN_FREEDOM)
+        found = diagnose(geometric, sought)
+        held = with_residual_curves(found.fit, train, explain, cell.distances)
         final = replace(held, model=sharpened(held.model, samples))
         rivals = tuple(cause.rivals for cause in found.causes)
         if found.again is not None:
