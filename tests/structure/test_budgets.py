@@ -21,14 +21,14 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "bench": (15010, 10880),
     "launch": (90, 50),
     "modcal": (50, 30),
-    "modcal_core": (2190, 1190),
+    "modcal_core": (2180, 1180),
     "modcal_core/articulation": (5140, 3530),
     "modcal_core/calibration": (6980, 4340),
-    "modcal_core/camera": (5190, 3410),
+    "modcal_core/camera": (5180, 3400),
     "modcal_core/checking": (990, 630),
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (990, 640),
-    "modcal_core/diagnosis": (3780, 2600),
+    "modcal_core/diagnosis": (2990, 2060),
     "modcal_core/effects": (2820, 1840),
     "modcal_core/geometry": (530, 360),
     "modcal_core/impedance": (3140, 2180),
@@ -36,7 +36,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/outcome": (1040, 640),
     "modcal_core/modules": (3400, 2270),
     "modcal_core/online": (1240, 850),
-    "modcal_core/planning": (3670, 2340),
+    "modcal_core/planning": (3660, 2340),
     "modcal_core/hypotheses": (3790, 2530),
     "modcal_core/moves": (1840, 1240),
     "modcal_core/report": (4920, 2850),
@@ -57,10 +57,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (2050, 1500),
     "modcal_nodes/watching": (280, 200),
-    "tests": (48590, 33530),
+    "tests": (48510, 33470),
 }
-SOURCE = (92350, 60450)
-TEXT = 177800  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (91500, 59900)
+TEXT = 176900  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 78
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
