@@ -185,7 +185,7 @@ def test_a_spring_is_found_by_effort_that_is_missing_in_places() -> None:
     effect = next(e for e in report.effects if e.family != "outliers")  # what no effort tells of may be left out
     assert (effect.family, effect.place, effect.driver) == ("compliance", "elbow_joint", "load:elbow_joint")
     final, before = report.size_mm("final"), report.size_mm("geometric")
-    assert final.rms < 0.6 * before.rms
+    assert final.rms < 0.7 * before.rms  # one message in five says nothing of the load, and stays as bent
 
 
 ELBOW = 2

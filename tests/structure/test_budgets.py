@@ -41,7 +41,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/moves": (1840, 1240),
     "modcal_core/report": (4920, 2850),
     "modcal_core/robots": (4850, 3090),
-    "modcal_core/verdict": (4090, 2710),
+    "modcal_core/verdict": (4100, 2720),
     "modcal_msgs_py": (4580, 3100),
     "modcal_msgs_py/tables": (3730, 2650),
     "modcal_nodes": (80, 30),
@@ -59,7 +59,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/watching": (280, 200),
     "tests": (48510, 33470),
 }
-SOURCE = (91500, 59900)
+SOURCE = (91550, 59900)
 TEXT = 176900  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 78
 LOADED = 225  # modules, to calibrate a bag

@@ -153,7 +153,7 @@ def findings(
         part, first = of.get(together), effects[0]
         # large moves were let in by positions and orientations together
         asked = part is None or part.ci95_mm2[0] > 0.0 or any(map(is_large_move, effects))
-        rivals = proofs.of(together) if asked else None
+        rivals = proofs.of(together, [rival for c in causes for rival in c.rivals]) if asked else None
         entries.append(
             Finding(
                 *(first.family, first.place, first.direction, first.public_driver),

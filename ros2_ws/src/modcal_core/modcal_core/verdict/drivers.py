@@ -30,6 +30,7 @@ _FREQUENCIES = 0.6, 2.0  # rad per deviation of the postures: less than half a w
 _NEAR_STATIONS = 300  # stations from which neighbours in posture are close enough to say anything
 _SLOW, _FAST = 4, 44  # waves over the order of the stations
 _MAX_WAVES, _LOADED_WAVES = 130, 60  # waves a turn that are looked for alone, and times the joint's load
+OTHER_JOINTS = "the positions of the other joints"
 _MAX_SIGNALS, _MAX_BESIDE, _MAX_NAMED = 40, 14, 6  # signals, other joints, names in a sentence
 _CUTS = (0.25, 0.5, 0.75)  # of the order of the stations, at which everything may have become another
 _HATS = 9  # over a range
@@ -205,7 +206,7 @@ class PlaceDrivers:
             yield Waves(f"single waves of the positions of {_listed(beside)}", (self.rest.ends(),), (some,))
 
     def _positions(self) -> Iterator[Part]:
-        own, others = "each joint's own position", "the positions of the other joints"
+        own, others = "each joint's own position", OTHER_JOINTS
         low = [self._waves(j, 2) for j in range(self.chain.n)]
         for j, name in enumerate(self.chain.names):
             number = np.concatenate([self.one, self._waves(j, OWN_WAVES)])

@@ -19,12 +19,13 @@ from functools import cached_property
 import numpy as np
 
 from modcal_core.effects import Effect
+from modcal_core.effects import columns as effect_columns
 from modcal_core.geometry import Array
 from modcal_core.robots import is_serial_arm
 from modcal_core.verdict.account import resampled
-from modcal_core.verdict.case import Case
+from modcal_core.verdict.case import Case, by_sample
 from modcal_core.verdict.crossfit import Baseline, Ridge
-from modcal_core.verdict.drivers import Part
+from modcal_core.verdict.drivers import OTHER_JOINTS, Part
 from modcal_core.verdict.grounds import too_many
 from modcal_core.verdict.predictable import MIN_STATIONS, RestStudy
 from modcal_core.verdict.rest import rows_asked
@@ -52,12 +53,12 @@ class Proofs:
         self._asked = case.fitted and not few and is_serial_arm(case.model.chain)
         self._lost = bool(judged.source) and too_many(case.wrong, case.samples)
 
-    def of(self, numbers: Sequence[int]) -> tuple[str, ...] | None:
+    def of(self, numbers: Sequence[int], others: Sequence[Effect] = ()) -> tuple[str, ...] | None:
         """What predicts as much as the effects of these numbers in the model, taken as one; None where they are not
-        proved. Where too few stations can be asked they are.
+        proved. Where too few stations can be asked they are. others: effects that may be as good.
         """
         if not self._asked or self._lost:
-            return None if self._lost else ()
+            return None if self._lost else tuple(other.label for other in others)
         study, effects = self._study, self._case.model.effects
         ends = len(self._case.known.parameters) + np.cumsum([0, *(len(e.values) for e in effects)])
         own = np.concatenate([np.arange(ends[i], ends[i] + len(effects[i].amplitudes)) for i in numbers])
@@ -76,13 +77,21 @@ class Proofs:
         if any(trial.takes(some, columns, alone, most) for some in groups):
             return None
         rivals: dict[str, float] = {}
-        for part in (part for part in self._parts if not _is_itself(part, first)):
-            gained = trial.takes(part.columns, columns, alone, least) if trial.alike(part.columns) else 0.0
+        found = [(other.label, self._columns(other)) for other in others]
+        found += [(part.name, part.columns) for part in self._parts if not _is_itself(part, first)]
+        for name, some in found:
+            gained = trial.takes(some, columns, alone, least) if trial.alike(some) else 0.0
             if gained > most and self._source:
                 return None
             if gained:
-                rivals[part.name] = max(gained, rivals.get(part.name, gained))
+                rivals[name] = max(gained, rivals.get(name, gained))
         return tuple(sorted(rivals, key=lambda name: -rivals[name]))
+
+    def _columns(self, effect: Effect) -> Array:
+        """What a unit of each amplitude of an effect does to the readings, in units of the noise, (m, 6, N)."""
+        rest, at = self._study.rest, self._study.drivers.at
+        rows = [rest.view.moved_by(terms) for terms in effect_columns(effect, at)]
+        return np.stack([by_sample(row, rest.view.pose, len(rest.samples)) * rest.weight for row in rows])
 
     @cached_property
     def _study(self) -> RestStudy:
@@ -101,9 +110,10 @@ class Proofs:
 
 
 def _is_itself(part: Part, effect: Effect) -> bool:
-    """Whether a part is an effect's own place and driver in other words."""
-    kind = effect.public_driver.partition(":")[0]
-    return effect.place in part.place.split() and _IN_WORDS.get(kind, kind) in part.driver
+    """Whether a part is an effect's own place and driver in other words, or a group that has them."""
+    kind, _, whose = effect.public_driver.partition(":")
+    same = whose in part.driver or (whose != effect.place and OTHER_JOINTS in part.driver)
+    return same and effect.place in part.place.split() and _IN_WORDS.get(kind, kind) in part.driver
 
 
 @dataclass(frozen=True)
