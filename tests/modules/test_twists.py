@@ -149,4 +149,4 @@ def test_too_few_readings_are_refused() -> None:
     chain, samples = measured(five_joints(), 0, 12)
     start = fit_cell(chain, samples, Cell()).model
     with pytest.raises(NotEnoughData):
-        identify_twists(start, samples.select(np.arange(8)))
+        identify_twists(start, samples.select(np.arange(6)))
