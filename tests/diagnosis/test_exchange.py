@@ -20,6 +20,20 @@ PAN, ELBOW, WRIST_2 = 0, 2, 4
 STALE = {PAN: 3e-4, ELBOW: 4e-4, WRIST_2: 3e-4}  # rad, of the side that each comes from
 
 
+def backlash_in_three_joints(count: int) -> Samples:
+    """Stations of an arm of which three joints have backlash."""
+    made = record(8, count)
+    rng = np.random.default_rng(4)
+    q = made.samples.q
+    came = np.sign(np.diff(q, axis=0, prepend=np.zeros((1, 6))))
+    actual = q + 2e-5 * rng.standard_normal(q.shape)
+    for joint, size in STALE.items():
+        actual[:, joint] += size * came[:, joint]
+    T = made.world.tool_in_tracker(actual)
+    T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
+    return replace(samples_of(ur10(), q, T), approach=came)
+
+
 @dataclass(frozen=True)
 class Scanned:
     """A fit of geometry, and what candidates there are."""
@@ -32,16 +46,7 @@ class Scanned:
 @pytest.fixture(scope="module")
 def scanned() -> Scanned:
     """An arm of which three joints have backlash."""
-    made = record(8, 160)
-    rng = np.random.default_rng(4)
-    q = made.samples.q
-    came = np.sign(np.diff(q, axis=0, prepend=np.zeros((1, 6))))
-    actual = q + 2e-5 * rng.standard_normal(q.shape)
-    for joint, size in STALE.items():
-        actual[:, joint] += size * came[:, joint]
-    T = made.world.tool_in_tracker(actual)
-    T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
-    samples = replace(samples_of(ur10(), q, T), approach=came)
+    samples = backlash_in_three_joints(160)
     fit = fit_all(ur10(), samples)
     drivers = fit.model.drivers(samples)
     return Scanned(fit, Scanner(list(candidates(drivers)), drivers), samples)

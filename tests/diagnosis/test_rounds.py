@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from calibration.test_identify import fit_all
-from cells import record, samples_of, ur10
+from cells import ur10
+from diagnosis.test_exchange import STALE, backlash_in_three_joints
 
 from modcal_core.calibration.covariance import uncertainty
 from modcal_core.calibration.fit import FITTED, Fit, identify
@@ -18,9 +19,6 @@ from modcal_core.diagnosis.evidence import Evidence, Scanner
 from modcal_core.diagnosis.rounds import chosen_together, surely_worth
 from modcal_core.effects.registry import candidates
 from modcal_core.measurements.samples import Samples
-
-PAN, ELBOW, WRIST_2 = 0, 2, 4
-STALE = {PAN: 3e-4, ELBOW: 4e-4, WRIST_2: 3e-4}  # rad, of the side that each comes from
 
 
 @dataclass(frozen=True)
@@ -38,16 +36,7 @@ class Scanned:
 @pytest.fixture(scope="module")
 def scanned() -> Scanned:
     """An arm of which three joints have backlash."""
-    made = record(8, 240)
-    rng = np.random.default_rng(4)
-    q = made.samples.q
-    came = np.sign(np.diff(q, axis=0, prepend=np.zeros((1, 6))))
-    actual = q + 2e-5 * rng.standard_normal(q.shape)
-    for joint, size in STALE.items():
-        actual[:, joint] += size * came[:, joint]
-    T = made.world.tool_in_tracker(actual)
-    T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
-    samples = replace(samples_of(ur10(), q, T), approach=came)
+    samples = backlash_in_three_joints(240)
     fitted, others = samples.select(slice(None, 160)), samples.select(slice(160, None))
     fit = fit_all(ur10(), fitted)
     drivers = fit.model.drivers(fitted)

@@ -189,7 +189,7 @@ class _Weighing:
         return [fitted.x] if fitted.determined else []
 
     def tried(self, row: LoadHypothesis, x: Array, best: _Weighed | None) -> _Weighed | None:
-        """The best so far with one more row, begun from its numbers x; None where no effect goes by it."""
+        """The best so far with one more row, begun from its numbers x; None if no effect follows it."""
         both = row
         if best is not None:
             both, x = best.row.beside(row), np.concatenate([best.x, x])

@@ -106,7 +106,7 @@ def cut_off(samples: Samples) -> tuple[str, ...]:
 
 
 def _same_everywhere(position: np.ndarray) -> tuple[np.ndarray, int] | None:
-    """The place that several of some positions (N, 3) share to the last digit, and how many; None where none does."""
+    """The place that several of some positions (N, 3) share to the last digit, and how many; None if all differ."""
     places, counts = np.unique(position, axis=0, return_counts=True)
     most = int(np.argmax(counts))
     few = counts[most] < max(_PILED, _PILED_SHARE * len(position))
