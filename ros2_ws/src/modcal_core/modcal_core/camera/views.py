@@ -32,8 +32,8 @@ _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in 
 _GRID = 8  # cells a side of an image
 
 
-def postures_in_view(fit: CameraFit, rng: np.random.Generator) -> tuple[Array, bool]:
-    """(postures (M, n) within the images' joint ranges that show the target, whether there are enough of them).
+def postures_in_view(fit: CameraFit, rng: np.random.Generator) -> Array:
+    """Postures (M, n) within the images' joint ranges that show the target.
 
     Where too few do, those of the images themselves, and what lies between neighbours among them.
     """
@@ -41,10 +41,10 @@ def postures_in_view(fit: CameraFit, rng: np.random.Generator) -> tuple[Array, b
     tried = rng.uniform(q.min(axis=0), q.max(axis=0), (_TRIES * POSTURES, q.shape[1]))
     good = tried[in_view(fit, tried)][:POSTURES]
     if len(good) >= _MIN_SEEN:
-        return good, True
+        return good
     a, b = rng.integers(len(q), size=(2, POSTURES))
     mixed = q[a] + rng.uniform(0.0, 1.0, (POSTURES, 1)) * (q[b] - q[a])
-    return np.concatenate([q, mixed[in_view(fit, mixed)]])[:POSTURES], False
+    return np.concatenate([q, mixed[in_view(fit, mixed)]])[:POSTURES]
 
 
 def in_view(fit: CameraFit, q: Array) -> np.ndarray:
