@@ -23,7 +23,7 @@ from modcal_core.camera.intrinsics import BoardPose, board_poses
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.hypotheses import BEYOND_DOUBT, HandEye, explain
+from modcal_core.hypotheses import BEYOND_DOUBT, HandEye, explain, of_recording, orders
 from modcal_core.robots import Chain
 
 ON_TIP, IN_WORLD = "camera on the tip, target in the world", "camera in the world, target on the tip"
@@ -145,7 +145,8 @@ def explained(error: BadRecording, chain: Chain, q: Array, poses: BoardPose, on_
     answers = []
     for carried in (True, False) if on_tip is None else (on_tip,):
         T = se3.inverse(poses.T[:, 0]) if carried else poses.T[:, 0]
-        answers.append(explain(HandEye.of_arrays(chain, q, T[:, :3, 3], T[:, :3, :3]), depth=1))
+        case = HandEye.of_arrays(chain, q, T[:, :3, 3], T[:, :3, :3])
+        answers.append(explain(case, [*of_recording(case), *orders(case)], depth=1))
     best = max(answers, key=lambda answer: answer.gain)
     if not best.said or best.gain <= BEYOND_DOUBT:
         return error

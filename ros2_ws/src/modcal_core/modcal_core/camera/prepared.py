@@ -144,21 +144,16 @@ def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     lens = stated or first_lens(kept.table, images.size, model)
     prior = common_prior(lens, target.scale, images.stated if stated is not None else None, images.flat)
     lens = stated or Lens(prior.mean[:LENS], images.size, model)
-    for again in (True, False):  # once more without images that the target fits badly
-        fit, table = fit_lens(kept.table, lens, prior.free[:LENS], prior.information[:LENS, :LENS]), kept.table
-        for _ in range(2):
-            rows = corner_rows(table, fit.lens, np.zeros(SHAPE), fit.T_camera_target)
-            weight = np.where(agreeing(table, rows.residual, rows.pixels), table.weight, 0.0)
-            if (weight == table.weight).all():
-                break
-            table = replace(table, weight=weight)
-            fit = fit_lens(table, lens, prior.free[:LENS], prior.information[:LENS, :LENS])
+    for _ in range(_CLEANED):
+        fit = fit_lens(kept.table, lens, prior.free[:LENS], prior.information[:LENS, :LENS])
+        rows = corner_rows(kept.table, fit.lens, np.zeros(SHAPE), fit.T_camera_target)
+        weight = np.where(agreeing(kept.table, rows.residual, rows.pixels), kept.table.weight, 0.0)
+        table = replace(kept.table, weight=weight)
         poses = board_poses(table, fit.lens, prior.shape)
-        kept = replace(kept, table=table)
         bad = bad_images(table, poses.rms)
-        if not (again and bad.any()):
+        if (weight == kept.table.weight).all() and not bad.any():
             break
-        kept = kept.without(np.where(bad, "the target fits this image badly", ""))
+        kept = replace(kept, table=table).without(np.where(bad, "the target fits this image badly", ""))
     q = images.q[kept.rows]
     try:
         mounting = near_arm(find_mounting(chain_forward(chain, q), poses, images.camera_on_tip), chain, images.name)

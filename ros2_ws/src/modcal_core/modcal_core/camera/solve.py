@@ -16,7 +16,7 @@ from modcal_core.calibration import Model, least_change
 from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.cameras import Camera, CameraImages, Cameras
 from modcal_core.camera.causes import CameraCause, find_causes, held_out
-from modcal_core.camera.changes import FoundChange, find_change
+from modcal_core.camera.changes import Moved, find_change
 from modcal_core.camera.claim import (
     Decision,
     DecisionGrounds,
@@ -80,7 +80,7 @@ class CameraEvidence:
     pass over, though the fit stands.
     """
 
-    moved: FoundChange | None
+    moved: Moved | None
     findings: tuple[CameraFinding, ...]
     causes: tuple[CameraCause, ...]
     left: EffectChoice | None
@@ -169,7 +169,7 @@ def solve_camera(
     for k, camera in enumerate(fit.cameras.every):
         whose = f" of {camera.given.name}" if k else ""
         found = find_change(by_itself[k]) if k else change
-        of_others += () if found is None else (found.sentence(camera.table.names, whose),)
+        of_others += () if found is None else (found.before(camera.table.names[int(found.since)], whose),)
         of_others += left_out_images(camera.left_out, len(camera.given.views), whose)
     against = problems(fit, still, (*of_others, *contradictions(fit, doubted, images)))
     open_points: tuple[str, ...] = ()
@@ -181,7 +181,7 @@ def solve_camera(
         against += against_points
     other_length = problem.arm_m is not None or (problem.beside is not None and problem.beside.metric)
     evidence = CameraEvidence(
-        None if change is None or change.each else change,
+        change,
         findings(fit, images.target.scale, other_length, near),
         causes,
         left,

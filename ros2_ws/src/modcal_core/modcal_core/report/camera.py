@@ -47,7 +47,7 @@ def moved_data(solution: CameraSolution) -> dict[str, Any] | None:
         return None
     return {
         "what": moved.what,
-        "before_image": solution.fit.table.names[moved.at],
+        "before_image": solution.fit.table.names[int(moved.since)],
         "shift_mm": 1e3 * moved.shift_m,
         "turn_deg": float(np.degrees(moved.turn_rad)),
         "focal_percent": 100.0 * moved.focal,

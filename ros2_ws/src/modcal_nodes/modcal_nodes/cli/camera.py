@@ -122,12 +122,10 @@ def plan_next_images(camera: CameraOptions, options: Options, count: int, out: P
     out = out or Path(f"{source.resolve().stem}_plan")
     tilts, away = np.degrees(found.tilt), found.distance
     reach = f"from {away.min():.2f} to {away.max():.2f} m"
-    if found.markers is not None:
-        over = "of the arm by itself wherever the camera stands"
-        shown = f"{found.markers.min()} to {found.markers.max()} markers of the body {reach}"
-    else:
-        over = "where the target is in view"
-        shown = f"the whole target {reach}, tilted by {tilts.min():.0f}° to {tilts.max():.0f}°"
+    shown = f"the target {reach}, tilted by {tilts.min():.0f}° to {tilts.max():.0f}°"
+    over = "where the target is in view"
+    if solution.fit.table.places:
+        over, shown = "of the arm by itself wherever the camera stands", f"the body {reach}"
     said = [
         arm_line(robot),
         f"{count} images more: the expected error at the tool, {over}, falls from "
@@ -140,7 +138,6 @@ def plan_next_images(camera: CameraOptions, options: Options, count: int, out: P
         "expected_mm": (1e3 * found.expected_m).tolist(),
         "tilt_deg": tilts.tolist(),
         "distance_m": away.tolist(),
-        **({} if found.markers is None else {"markers": found.markers.tolist()}),
     }
     output.saved(data, said, out, files, "Images to take", "stations.csv")
 
