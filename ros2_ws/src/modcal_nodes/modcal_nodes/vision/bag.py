@@ -100,7 +100,7 @@ def read_bag_images(
     elif topic.type_name == CLOUD:
         looked_at = _messages(bag, topic, partial(_corners, target))
     else:
-        looked_at = _boards(bag, topic, target)
+        looked_at = boards(bag, topic, target)
     for stamp, look in looked_at:
         if stamp not in keep:
             continue
@@ -189,7 +189,7 @@ def chosen_stamps(stamps: Array, log: JointLog) -> tuple[Array, bool]:
     return stamps[spread_rows(len(stamps), _MAX)], moving
 
 
-def _boards(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> Iterator[tuple[float, _Look]]:
+def boards(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> Iterator[tuple[float, _Look]]:
     """(stamp, what looks for the target) of each image."""
 
     def look(image: RawImage, name: str) -> _Found:

@@ -55,6 +55,13 @@ def grey_noise(grey: np.ndarray) -> float:
     return max(float(_TO_SIGMA * np.median(np.abs(d)) / 6.0), _QUANTISED)
 
 
+def _around(grey: np.ndarray, x: float, y: float, half: int) -> tuple[Array, Array]:
+    """(the grey values about a pixel, one more to each side; their gradients (2, K))."""
+    patch = cv2.getRectSubPix(grey, (2 * half + 3, 2 * half + 3), (float(x), float(y))).astype(float)
+    gx, gy = patch[1:-1, 2:] - patch[1:-1, :-2], patch[2:, 1:-1] - patch[:-2, 1:-1]
+    return patch, 0.5 * np.stack([gx.ravel(), gy.ravel()])
+
+
 def corner_covariance(grey: np.ndarray, pixels: Array, half: int, sigma: float) -> Array:
     """Covariance of corners at pixels (m, 2) refined in windows of this half side, (m, 2, 2) [px²]."""
     offsets = np.arange(-half, half + 1, dtype=float)
@@ -63,10 +70,7 @@ def corner_covariance(grey: np.ndarray, pixels: Array, half: int, sigma: float) 
     square = (dx**2 + dy**2).ravel()
     out = np.empty((len(pixels), 2, 2))
     for i, (x, y) in enumerate(pixels):
-        patch = cv2.getRectSubPix(grey, (2 * half + 3, 2 * half + 3), (float(x), float(y))).astype(float)
-        gx = 0.5 * (patch[1:-1, 2:] - patch[1:-1, :-2]).ravel()
-        gy = 0.5 * (patch[2:, 1:-1] - patch[:-2, 1:-1]).ravel()
-        g = np.stack([gx, gy])
+        g = _around(grey, x, y, half)[1]
         H = (weight * g) @ g.T
         M = (weight**2 * square * g) @ g.T
         values, vectors = np.linalg.eigh(H)
@@ -80,12 +84,9 @@ def corner_covariance(grey: np.ndarray, pixels: Array, half: int, sigma: float) 
 def edge_width(grey: np.ndarray, pixels: Array, half: int) -> float:
     """Median width of the edges at these corners [px]: contrast over the steepest gradient."""
     widths = []
-    reach = max(half, 4)
     for x, y in pixels[:: max(1, len(pixels) // 20)]:
-        patch = cv2.getRectSubPix(grey, (2 * reach + 3, 2 * reach + 3), (float(x), float(y))).astype(float)
-        gx = 0.5 * (patch[1:-1, 2:] - patch[1:-1, :-2])
-        gy = 0.5 * (patch[2:, 1:-1] - patch[:-2, 1:-1])
-        steepest = float(np.percentile(np.hypot(gx, gy), 98))
+        patch, g = _around(grey, x, y, max(half, 4))
+        steepest = float(np.percentile(np.hypot(*g), 98))
         contrast = float(np.percentile(patch, 95) - np.percentile(patch, 5))
         widths.append(contrast / max(steepest, 1e-6))
     return float(np.median(widths))
