@@ -87,6 +87,7 @@ def likeliest(
     return Sizes.of_logs(inside(minimize(misfit, first, method="L-BFGS-B", bounds=bounds, options=_DOWNHILL).x))
 
 
+LIKELIER = 6.0  # of −2 log likelihood, the price of what is set free taken off: odds of 20 : 1
 _STEPS = 30  # at the same sizes
 _FIT_MET = 1e-4  # gain of −2 log likelihood
 _ROUNDS = 4  # of fitting and finding the sizes; they settle in two or three

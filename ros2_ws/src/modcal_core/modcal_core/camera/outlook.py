@@ -16,10 +16,8 @@ from modcal_core.camera.prepared import MOSTLY
 from modcal_core.camera.statements import SIZE, DoubtedStatement
 from modcal_core.camera.views import ViewSpread
 
-_MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (verdict.md)
-_CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
+PASSED = 0.05  # share of images, corners or points left out that a verdict passes over (verdict.md)
 _UNSTEADY = 2e-3  # rad (or m) a joint, or m, that an image differs from the fit: ten times what gears and springs do
-_MOSTLY = 0.5  # of the mean square error at the tool
 _UNMEASURED = {
     "sheet": "measured: measure its rulers (modcal target --measured)",
     "body": "stated: measure across it with a calliper and state size_tolerance",
@@ -42,7 +40,7 @@ def problems(fit: CameraFit, nominal: CameraFit, wrong: Sequence[str]) -> tuple[
             "that autofocus and digital zoom are off, and that nothing is loose."
         )
     # of a body points are misread, and the places of its markers say what is wrong of its size
-    if not fit.table.places and fit.table.left_out > _CORNERS_OUT:
+    if not fit.table.places and fit.table.left_out > PASSED:
         out.append(f"{100.0 * fit.table.left_out:.0f} % of all corners fit no flat target of the stated form.")
     return tuple(out)
 
@@ -50,7 +48,7 @@ def problems(fit: CameraFit, nominal: CameraFit, wrong: Sequence[str]) -> tuple[
 def left_out_images(left_out: Collection[str], count: int, whose: str = "") -> tuple[str, ...]:
     """Sentence that more images than a verdict passes over were left out of so many; nothing where that is not so."""
     said = f"{len(left_out)} of {count} images{whose} were left out."
-    return (said,) if len(left_out) > _MANY_OUT * count else ()
+    return (said,) if len(left_out) > PASSED * count else ()
 
 
 def metric_of(target: CalibrationTarget, arm_m: float | None, beside: ReadingsBeside | None) -> tuple[str, ...]:
@@ -75,7 +73,7 @@ def size_open(
         whole, known = shared.get("print scale", (0.0, 0.0))
         rest = f"; with it, {1e3 * known**0.5:.2f} mm are left."
         said = f"Most of that is the {what}'s size, which nobody has {_UNMEASURED[what]}{rest}"
-        return said if known < _MOSTLY * whole else ""
+        return said if known < MOSTLY * whole else ""
     if max(doubted, key=lambda d: d.counted).what != SIZE:
         return ""
     if decide(error.as_stated, DecisionGrounds(stated_m=arm_m)).word != APPLY:
@@ -87,11 +85,7 @@ def size_open(
     )
 
 
-_SIGHTINGS = 8  # images of a marker, for most of them to say something of the marker
-_PASSED = 0.05  # share of points left out that a verdict passes over (verdict.md)
-# Share beyond which what is left is no majority to rely on: where a fifth of markers is misread, every second image
-# that shows three has a misread one among them.
-_TOO_MANY = 0.2
+_TOO_MANY = 0.2  # share beyond which what is left is no majority to rely on
 _NAMED = 3  # markers in a sentence
 
 
@@ -99,31 +93,24 @@ def left_out_points(
     cameras: Sequence[tuple[str, CornerTable]], target: MarkerBundle
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """(what speaks against the fit, what a verdict may not pass over though the fit stands) of points of a body that
-    were left out. A marker most of whose points are out speaks against it only where that is more than others outvote.
+    were left out, misread or of markers that are not where the file has them.
 
     cameras: (what a sentence calls it, corners, weight 0 where they are left out), of each that sees this body.
     """
     against, open_ = [], []
     for name, table in cameras:
-        out = table.weight == 0.0
-        every = [table.marker == k for k in range(table.markers)]
-        seen = [k for k, own in enumerate(every) if len(np.unique(table.view[own])) >= _SIGHTINGS]
-        strange = [k for k in seen if float(out[every[k]].mean()) > MOSTLY]  # in images enough to say so
+        seen, kept = (np.bincount(table.marker, part, table.markers) for part in (None, table.weight))
+        strange = [
+            one.label for one, some, all_ in zip(target.markers, kept, seen, strict=True) if some < MOSTLY * all_
+        ]
+        said = f"{100.0 * table.left_out:.0f} % of the points{name} fit no body of the stated form, and are left out"
         if strange:
-            named = ", ".join(target.markers[k].label for k in strange[:_NAMED])
-            more = f" and {len(strange) - _NAMED} more" if len(strange) > _NAMED else ""
-            open_.append(
-                f"Most points of {named}{more}{name} are nowhere near their place, and are left out: check number, "
-                "place and corner_order in the target file, and whether it came loose."
+            said += (
+                f", most of those of {', '.join(strange[:_NAMED])}{' and others' * (len(strange) > _NAMED)}: check "
+                "number, place and corner_order in the target file, and whether it came loose"
             )
-        rest = ~np.isin(table.marker, strange)
-        share = float(out[rest].mean()) if rest.any() else 0.0
-        if max(share, len(strange) / max(table.markers, 1)) > _TOO_MANY:
-            against.append(f"{100.0 * float(out.mean()):.0f} % of all points{name} fit no body of the stated form.")
-        elif share > _PASSED:
-            open_.append(
-                f"{100.0 * share:.0f} % of the points{name} are misread, spread over markers and images, and left out."
-            )
+        if strange or table.left_out > PASSED:
+            (against if table.left_out > _TOO_MANY else open_).append(f"{said}.")
     return tuple(against), tuple(open_)
 
 

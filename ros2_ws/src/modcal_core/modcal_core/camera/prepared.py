@@ -66,7 +66,7 @@ _IMAGE_PX, _IMAGE_TIMES = 1.0, 5.0  # RMS of an image that is blurred or misread
 _ONE_LINE = 0.1  # of its length, how wide a group of corners is that is none
 _ALL_BUT_ONE = 0.03  # the same once any one of them is left out; of a board's corners on a line nothing, of others 0.05
 MIN_CORNERS = 4  # of an image, not on one line: the fewest that a homography is taken from
-MOSTLY = 0.5  # of the points of an image, or of a marker, beyond which it is not where it should be
+MOSTLY = 0.5  # of the points of an image, or of a marker, beyond which it is not where it should be; or of an error
 _GROSS = 10.0  # times the median distance from where corners should be: errors that are no one's share never reach it
 ELSEWHERE = "far from where the arm has it"
 

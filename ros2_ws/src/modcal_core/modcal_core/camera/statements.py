@@ -26,7 +26,7 @@ from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import FREE, READOUT, SCALE, SHAPE, common_prior
 from modcal_core.camera.equations import SolvedEquations
-from modcal_core.camera.fit import CameraFit, usual
+from modcal_core.camera.fit import LIKELIER, CameraFit, usual
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.effects import ReportEntry
 from modcal_core.geometry import Array
@@ -34,9 +34,6 @@ from modcal_core.geometry import Array
 # Nats for each thing that backs a statement: that it is made, a value of one's own, and a tolerance stated with it. The
 # first two are odds of 20 : 1.
 _BACKED = 0.5 * float(np.log(20.0))
-# Of −2 log likelihood, the price of what is set free taken off: odds of 20 : 1. Where all is as stated it is −4 to −9
-# (32 cells), for the price is that of a χ² of two with its chance below 0.2 %.
-GAIN = 6.0
 # Tolerances of what is not as stated, relative: of a size, and of its length against its width. Prints that nobody
 # measured are fitted to the page (94 to 97 %), all of it alike; who misreads two rulers does not misread them alike.
 _ANY_PRINT = 0.03, PrintScale.std_apart
@@ -103,11 +100,11 @@ def _relaxed(fit: CameraFit, stated: CameraImages) -> Iterator[tuple[str, slice,
 
 def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: CameraImages) -> tuple[str, ...]:
     """What the images contradict of what was stated, in sentences. doubted: of this fit."""
-    out = [_contradiction(fit, doubt, stated) for doubt in doubted if doubt.gain > GAIN]
+    out = [_contradiction(fit, doubt, stated) for doubt in doubted if doubt.gain > LIKELIER]
     if fit.poses.faults is not None and fit.poses.arm_stated is not None:
         solved, misfit = fit.weighed(replace(fit.equations, faults=replace(fit.poses.faults, stated=None)))
         times = solved.sizes.arm / fit.sizes.arm
-        if times > 1.0 and misfit < fit.misfit - GAIN:
+        if times > 1.0 and misfit < fit.misfit - LIKELIER:
             out.append(
                 f"The arm is some {times:.1f} times as far off as --arm-mm states: state what you know of it, or check "
                 "the square's size."
@@ -267,10 +264,10 @@ def findings(fit: CameraFit, scale: PrintScale, other_length: bool, q: Array) ->
         value, off, std = values[row.at], (values - default)[row.at], np.sqrt(np.diag(C)[rows])
         exact = np.diag(_EXACT * np.diag(fit.equations.information)[rows])
         held = fit.equations.with_block(rows, exact, off)
-        if held.solve(fit.sizes).misfit() + usual(fit.sizes) - plain <= GAIN:  # other sizes only help it
+        if held.solve(fit.sizes).misfit() + usual(fit.sizes) - plain <= LIKELIER:  # other sizes only help it
             continue
         gain = fit.weighed(held)[1] - plain
-        if gain <= GAIN:
+        if gain <= LIKELIER:
             continue
         shift = C[:P, rows] @ np.linalg.solve(C[np.ix_(rows, rows)], off)
         at_tool = float(np.sqrt(((J @ shift) ** 2).sum() / len(q)))
