@@ -161,9 +161,8 @@ def test_a_ratio_and_backlash_are_found_from_corners() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [60, 61])
-def test_a_clean_arm_has_no_effects(seed: int) -> None:
-    s = scene(seed, bool(seed % 2), count=25, length_std=3e-3, angle_std=4e-3, board=MEASURED)
+def test_a_clean_arm_has_no_effects() -> None:
+    s = scene(61, True, count=25, length_std=3e-3, angle_std=4e-3, board=MEASURED)
     r = solved(s)
     assert not r.evidence.causes
     assert r.evidence.left is None

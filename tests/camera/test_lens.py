@@ -73,13 +73,6 @@ def test_corner_derivatives(rng: np.random.Generator) -> None:
     assert_jacobian(predicted, J, np.zeros(27), tolerance=1e-7)
 
 
-def test_pose_of_the_board_and_its_twin(rng: np.random.Generator) -> None:
-    T = facing(rng, 8)
-    found = board_poses(CornerTable.of(views(rng, T, noise=1e-3), BOARD), LENS, FLAT)
-    assert np.abs(se3.log(se3.inverse(found.T[:, 0]) @ T)).max() < 1e-4
-    assert (found.rms < 2e-3).all()
-
-
 def test_a_board_far_away_has_a_twin(rng: np.random.Generator) -> None:
     """Another minimum, tilted to the other side of the line of sight, which noise makes about as good."""
     T = facing(rng, 20, near=3.0, far=4.0)
@@ -159,13 +152,10 @@ def test_a_fisheye_is_found_from_images_alone(rng: np.random.Generator) -> None:
     ("ids", "enough"),
     [
         ([0, 1, 6, 7], True),
-        ([0, 1, 6, 8], True),
-        ([1, 3, 8, 21], True),
         ([0, 1, 6], False),
         ([0, 1, 2, 3, 4, 5], False),  # a row
         ([0, 1, 2, 8], False),  # three on a line and one: no homography goes through them alone
         ([2, 3, 7, 12], False),  # the same along a diagonal
-        ([0, 1, 2, 3, 4, 5, 9], False),
         ([0, 1, 2, 3, 4, 5, 8, 9], True),
     ],
 )

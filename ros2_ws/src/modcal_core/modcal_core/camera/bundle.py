@@ -45,8 +45,7 @@ class PrintScale:
 
     x, y: ratio to what the file states. std: relative standard deviation of what x and y share. std_apart: of their
     difference. leaning: covariance of these two, where one of x and y is known better. measured: whether somebody has
-    measured it. nominal: whether what was measured is what the file states, and nobody said how well. unsaid: whether
-    nobody said how well it was measured, whatever it was.
+    measured it. unsaid: whether nobody said how well.
     """
 
     x: float = 1.0
@@ -55,7 +54,6 @@ class PrintScale:
     std_apart: float = 0.003  # paper feed against the width of the head
     measured: bool = False
     leaning: float = 0.0
-    nominal: bool = False
     unsaid: bool = False
 
     @property

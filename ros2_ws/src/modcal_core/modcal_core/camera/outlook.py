@@ -22,11 +22,7 @@ _UNMEASURED = {
     "sheet": "measured: measure its rulers (modcal target --measured)",
     "body": "stated: measure across it with a calliper and state size_tolerance",
 }
-_UNSAID = "read both rulers again, and state how well (--measured-to-mm)"
-_NOMINAL = (
-    "both rulers are stated at their nominal lengths, as by somebody who has not measured them: measure them, and "
-    "state how well (--measured-to-mm)"
-)
+_UNSAID = "measure both rulers, and state how well (--measured-to-mm)"
 
 
 def problems(fit: CameraFit, nominal: CameraFit, wrong: Sequence[str]) -> tuple[str, ...]:
@@ -74,11 +70,11 @@ def size_open(
         rest = f"; with it, {1e3 * known**0.5:.2f} mm are left."
         said = f"Most of that is the {what}'s size, which nobody has {_UNMEASURED[what]}{rest}"
         return said if known < MOSTLY * whole else ""
-    if max(doubted, key=lambda d: d.counted).what != SIZE:
+    if max(doubted, key=lambda d: d.chance).what != SIZE:
         return ""
     if decide(error.as_stated, DecisionGrounds(stated_m=arm_m)).word != APPLY:
         return ""
-    again = _NOMINAL if scale.nominal else _UNSAID if scale.unsaid else f"measure the {what} again"
+    again = _UNSAID if scale.unsaid else f"measure the {what} again"
     return (
         f"If the {what} has the size that is stated, it is clearly better; these images leave that open: "
         f"{again}, or add a length of another kind, such as a few tracker points."

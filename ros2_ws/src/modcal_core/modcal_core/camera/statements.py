@@ -34,10 +34,8 @@ from modcal_core.geometry import Array
 # Nats for each thing that backs a statement: that it is made, a value of one's own, and a tolerance stated with it. The
 # first two are odds of 20 : 1.
 _BACKED = 0.5 * float(np.log(20.0))
-# Tolerances of what is not as stated, relative: of a size, and of its length against its width. Prints that nobody
-# measured are fitted to the page (94 to 97 %), all of it alike; who misreads two rulers does not misread them alike.
-_ANY_PRINT = 0.03, PrintScale.std_apart
-_ANY_READING = 0.05, 0.01
+# Tolerances of a size that is not as stated, relative: of a length, and against the width.
+_ANY_SIZE = 0.05, 0.01
 _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 _EXACT = 1e8  # times the information of its prior; a value that is held
 IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
@@ -48,16 +46,13 @@ TARGET, CLOCK = "target", "clock"  # families of the report
 @dataclass(frozen=True)
 class DoubtedStatement:
     """A relaxed statement. what: size, bow or lens. solved: the equations with it relaxed at the state of the fit, and
-    the sizes of errors. gain: of −2 log likelihood. chance: that the statement is wrong, given the images. counted: the
-    same as it counts against an arm made worse: of a size without a stated tolerance the images do not lower it, for
-    what they say hangs on how far off wrong sizes are supposed to be.
+    the sizes of errors. gain: of −2 log likelihood. chance: that the statement is wrong, given the images.
     """
 
     what: str
     solved: SolvedEquations
     gain: float
     chance: float
-    counted: float
 
     def values(self, fit: CameraFit) -> tuple[Array, Array]:
         """(lens, shape, readout and places of markers; their standard deviations) with it relaxed, (15 + Z,) each."""
@@ -71,25 +66,22 @@ def doubts(fit: CameraFit, stated: CameraImages) -> tuple[DoubtedStatement, ...]
     for what, at, information, mean in _relaxed(fit, stated):
         there = fit.equations.with_block(fit.common[at], information, fit.state.common[at] - mean)
         relaxed.append((what, *fit.weighed(there)))
-    backed = 2.0 + (scale.measured and not scale.unsaid) - scale.nominal
+    # of a length nobody may have read more than the sheet; who says how well has measured it
+    backed = 2.0 + scale.measured - 2.0 * scale.unsaid
     price = _BACKED * np.array([backed if what == SIZE else 2.0 for what, *_ in relaxed])
     gain = np.array([fit.misfit - misfit for *_, misfit in relaxed])
     odds = np.exp(0.5 * np.minimum(gain, 100.0) - price)
     chances = odds / (1.0 + odds.sum())
-    least = np.exp(-2.0 * _BACKED) if scale.unsaid and not scale.nominal else 0.0
-    return tuple(
-        DoubtedStatement(what, solved, float(more), float(chance), max(float(chance), least * (what == SIZE)))
-        for (what, solved, _), more, chance in zip(relaxed, gain, chances, strict=True)
-    )
+    every = zip(relaxed, gain, chances, strict=True)
+    return tuple(DoubtedStatement(what, solved, float(more), float(p)) for (what, solved, _), more, p in every)
 
 
 def _relaxed(fit: CameraFit, stated: CameraImages) -> Iterator[tuple[str, slice, Array, Array]]:
     """(what a statement is about, its values among lens and shape, their information and mean with it relaxed)."""
-    scale, prior = stated.target.scale, fit.prior
-    both, apart = _ANY_READING if scale.measured and not scale.nominal else _ANY_PRINT
-    cov = PrintScale(std=both, std_apart=apart).covariance
+    prior = fit.prior
+    cov = PrintScale(std=_ANY_SIZE[0], std_apart=_ANY_SIZE[1]).covariance
     if prior.places is not None:  # the print of its markers is another statement, and stands
-        cov = np.asarray(np.linalg.inv(prior.information[SCALE, SCALE]) + np.diag([both**2, 0.0]))
+        cov = np.asarray(np.linalg.inv(prior.information[SCALE, SCALE]) + np.diag([_ANY_SIZE[0] ** 2, 0.0]))
     yield SIZE, SCALE, np.asarray(np.linalg.inv(cov)), prior.mean[SCALE]
     if prior.places is None:  # a body has no bow
         yield BOW, BENT, np.eye(SHAPE - 2) / _ANY_BOW_M**2, prior.mean[BENT]

@@ -77,7 +77,6 @@ def _marker(number: Any, xyz: Sequence[Any], quaternion: Sequence[Any], size: An
 
 FORMAT = 1  # of the file
 RULER_STD_M = 3e-4  # how well one reads a ruler against two fine lines: a third of its millimetre
-_SAME_M = 5e-5  # lengths are stated to a tenth of a millimetre
 _TWO_RULERS = 2.0  # rulers; their mean is known better than either by the root of this
 _OFF = 0.1  # a sheet farther from its stated size was measured in another unit
 _KINDS = (CHARUCO, CHESSBOARD, ARUCO_GRID, APRIL_GRID, TAG)
@@ -165,8 +164,7 @@ def scale_of_rulers(
     each = [std / n for n in nominal]
     apart = (each[0] ** 2 + each[1] ** 2) ** 0.5
     leaning = 0.5 * (each[0] ** 2 - each[1] ** 2)  # the longer ruler says more of what both share
-    as_drawn = std_m is None and all(abs(m - n) < _SAME_M for m, n in zip(measured, nominal, strict=True))
-    return PrintScale(x, y, apart / _TWO_RULERS, apart, True, leaning, nominal=as_drawn, unsaid=std_m is None)
+    return PrintScale(x, y, apart / _TWO_RULERS, apart, True, leaning, std_m is None)
 
 
 def _scale(rulers: Any, source: str) -> PrintScale:
