@@ -22,14 +22,14 @@ from camera.bodies import (
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import APRILTAG_ORDER, ARUCO_ORDER, BoardView, MarkerBundle
-from modcal_core.camera.corners import COMMON, SHAPE, CornerTable, corner_rows
+from modcal_core.camera.corners import COMMON, SHAPE, CornerTable, corner_rows, images_with_pose
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.mounting import IN_WORLD, images_with_pose, require_order
+from modcal_core.camera.mounting import IN_WORLD, require_order
 from modcal_core.camera.prepared import together
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
-from modcal_core.camera.target_file import any_target_from_data
+from modcal_core.camera.target_file import target_from_data
 from modcal_core.camera.views import plan_images
 from modcal_core.errors import BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry import se3, so3
@@ -94,7 +94,7 @@ def arm_error(s: BodyScene, fit: CameraFit) -> float:
 
 def test_a_body_in_our_form_and_back() -> None:
     body = measured(icosahedron())
-    again = any_target_from_data(yaml.safe_load(yaml.safe_dump(bundle_to_data(body))), "x")
+    again = target_from_data(yaml.safe_load(yaml.safe_dump(bundle_to_data(body))), "x")
     assert isinstance(again, MarkerBundle)
     assert np.abs(again.points - body.points).max() < 1e-12
     assert np.allclose(again.scale.covariance, body.scale.covariance, rtol=1e-12)
@@ -105,7 +105,7 @@ def test_a_body_in_our_form_and_back() -> None:
 def test_a_marker_lies_as_its_pose_says() -> None:
     """On the face x = 0.1 of a block, its right the block's y, its up the block's z: seen from outside, along −x."""
     marker = {"id": 4, "size_m": 0.04, "xyz": [0.1, 0.0, 0.02], "rpy": [np.pi / 2, 0.0, np.pi / 2]}
-    body = any_target_from_data({**BARE, "markers": [marker], "points": [{"id": 9, "xyz": [0.0, 0.0, 0.3]}]})
+    body = target_from_data({**BARE, "markers": [marker], "points": [{"id": 9, "xyz": [0.0, 0.0, 0.3]}]})
     assert isinstance(body, MarkerBundle)
     upper_left = body.point(4, 0)
     assert upper_left is not None
@@ -132,9 +132,9 @@ def test_a_marker_lies_as_its_pose_says() -> None:
 )  # fmt: skip
 def test_bodies_that_are_none(change: dict[str, object], said: str) -> None:
     sound = {**BARE, "points": [{"id": 1, "xyz": [0, 0, 0]}]}
-    any_target_from_data(sound, "x")
+    target_from_data(sound, "x")
     with pytest.raises(BadTable, match=said):
-        any_target_from_data({**(BARE if "markers" in change else sound), **change}, "x")
+        target_from_data({**(BARE if "markers" in change else sound), **change}, "x")
 
 
 # ---------------------------------------------------------------- places

@@ -11,10 +11,9 @@ from camera.boards import BOARD, LENS, SIZE, facing, seen, views
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
-from modcal_core.camera.corners import CornerTable, corner_rows
+from modcal_core.camera.corners import CornerTable, corner_rows, enough_corners
 from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import FISHEYE, Lens
-from modcal_core.camera.prepared import enough_corners
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array

@@ -95,24 +95,18 @@ def read_target(path: Path) -> PrintedTarget:
 
 def read_any_target(path: Path) -> PrintedTarget | MarkerBundle:
     """The printed sheet, or the body with markers, in a file. Raises BadTable."""
-    return any_target_from_data(read_yaml(path), str(path))
+    return target_from_data(read_yaml(path), str(path))
 
 
 @refusing
-def any_target_from_data(data: Any, source: str = "target") -> PrintedTarget | MarkerBundle:
+def target_from_data(data: Any, source: str = "target") -> PrintedTarget | MarkerBundle:
     """The sheet or body that this data describes; raises BadTable, naming the source."""
-    if isinstance(data, Mapping) and data.get("type") == BUNDLE:
-        return bundle_from_data(data, source)
-    return target_from_data(data, source)
-
-
-@refusing
-def target_from_data(data: Any, source: str = "target") -> PrintedTarget:
-    """The sheet that this data describes; raises BadTable, naming the source."""
     if not isinstance(data, Mapping) or not {"modcal_target", "target_type"} & set(data):
         raise BadTable(source, "is not a target file", _REMEDY)
     if "target_type" in data:
         return _from_kalibr(data, source)
+    if data.get("type") == BUNDLE:
+        return bundle_from_data(data, source)
     ours, kind = data["modcal_target"], data.get("type")
     require(ours == FORMAT, source, f"has format {ours}, {FORMAT} is read", "print the target again")
     require(kind in _KINDS, source, f"type {str(kind)[:40]} is not known", f"use {', '.join(_KINDS)}")
