@@ -10,8 +10,8 @@ from camera.bodies import Faults, body_scene, icosahedron, measured
 
 from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.corners import COMMON, CornerTable
-from modcal_core.camera.outlook import left_out_points
 from modcal_core.camera.prepared import far_markers, fitted, prepare_images, together
+from modcal_core.camera.solve import left_out_points
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 

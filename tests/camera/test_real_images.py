@@ -14,9 +14,8 @@ import pytest
 from camera.flange import flange_arm, flange_joints
 
 from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
-from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.corners import CornerTable
-from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.fit import CameraFit, CameraImages
 from modcal_core.camera.intrinsics import first_lens, fit_lens
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.prepared import nominal, prepare_images

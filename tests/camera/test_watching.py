@@ -14,8 +14,8 @@ from camera.test_several_cameras import OTHER_LENS, looking, on_tripod
 from camera.test_several_cameras import solved as solved_by
 
 from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.changes import CameraWatch, Moved
+from modcal_core.camera.fit import CameraImages
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from modcal_core.camera.arm_poses import NOTHING_KNOWN, ImageMoments
     from modcal_core.camera.bundle import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, MARKER_CORNERS, TAG, BoardView
     from modcal_core.camera.bundle import BundleMarker, MarkerBundle, PrintedTarget
-    from modcal_core.camera.cameras import CameraImages
+    from modcal_core.camera.fit import CameraImages
     from modcal_core.camera.causes import CameraCause
     from modcal_core.camera.claim import ALL_BUT_IMAGES, APPLY, CANNOT_TELL, ToolError
     from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, SHAPE_NAMES

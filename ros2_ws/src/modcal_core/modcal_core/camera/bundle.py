@@ -17,7 +17,6 @@ is one of the sizes that the data decide.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -368,8 +367,8 @@ class MarkerBundle:
         motion[:, 3:, 3:] = np.eye(3)[: values - 3]
         return PlacePrior(white, motion)
 
-    def of_points(self, ids: np.ndarray) -> MarkerBundle:
-        """The body with those of its markers only that have some of these points, turning where corners are among them.
+    def seen_by(self, ids: np.ndarray) -> MarkerBundle:
+        """The body of which these points are seen, its markers turning where corners are among them.
 
         Raises BadTable for fewer than three markers, or markers on one line, unless corners are read.
         """
@@ -380,14 +379,7 @@ class MarkerBundle:
         enough = turning or (len(kept) >= _MIN_MARKERS and spread[1] >= 0.01 * spread[0])
         said = f"shows {len(kept)} points, at least {_MIN_MARKERS} that are not on one line are needed"
         require(enough, self.label, said, "give more of them, or the corners of the markers")
-        return replace(self, markers=tuple(self.markers[k] for k in kept), turning=turning)
-
-    def renumbered(self, views: Sequence[BoardView], before: MarkerBundle) -> list[BoardView]:
-        """These views of the body as it was before, their points numbered as they are in this one."""
-        new = np.full(len(before._ids), -1)
-        for one in self.markers:
-            new[before._ids == one.id] = np.flatnonzero(self._ids == one.id)
-        return [replace(v, ids=new[v.ids]) for v in views]
+        return replace(self, turning=turning)
 
 
 CalibrationTarget = PrintedTarget | MarkerBundle

@@ -22,9 +22,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from modcal_core.calibration import RowView
-from modcal_core.camera.cameras import Cameras
 from modcal_core.camera.corners import POSE, CornerTable
-from modcal_core.camera.fit import LIKELIER, CameraFit, fit_cameras
+from modcal_core.camera.fit import LIKELIER, CameraFit, Cameras, fit_cameras
 from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, Scanner, Space, choose
 from modcal_core.effects import Drivers, Effect, candidates
 from modcal_core.geometry import Array

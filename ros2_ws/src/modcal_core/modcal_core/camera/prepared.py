@@ -17,7 +17,6 @@ import numpy as np
 from modcal_core.calibration import Model, exceeded_chi2, median_chi2
 from modcal_core.camera.arm_poses import ArmPoses, with_parameters, with_stated
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.cameras import Camera, CameraImages, Cameras
 from modcal_core.camera.corners import (
     POSE,
     SHAPE,
@@ -30,7 +29,7 @@ from modcal_core.camera.corners import (
     images_with_pose,
 )
 from modcal_core.camera.equations import numbered
-from modcal_core.camera.fit import START, CameraFit, fit_cameras
+from modcal_core.camera.fit import START, Camera, CameraFit, CameraImages, Cameras, fit_cameras
 from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
@@ -49,16 +48,15 @@ from modcal_core.robots import Chain, Inertias, chain_forward
 
 
 def together(cameras: Sequence[CameraImages]) -> list[CameraImages]:
-    """The same images with what cameras share: of bodies those markers only that some camera saw, and a number for
-    images that were taken at one stop of the arm. Raises BadTable for a body of which too little was seen.
+    """The same images with what cameras share: whether a body's corners are read, and a number for images that were
+    taken at one stop of the arm. Raises BadTable for a body of which too little was seen.
     """
-    out = []
-    for one in cameras:
+    out = list(cameras)
+    for k, one in enumerate(out):
         if isinstance(one.target, MarkerBundle):
             ids = [v.ids for other in cameras if other.target == one.target for v in other.views]
-            target = one.target.of_points(np.unique(np.concatenate([np.empty(0, int), *ids])).astype(int))
-            one = replace(one, target=target, views=target.renumbered(one.views, one.target))
-        out.append(one)
+            seen = np.unique(np.concatenate([np.empty(0, int), *ids])).astype(int)
+            out[k] = replace(one, target=one.target.seen_by(seen))
     if len(out) == 1:
         return out
     names = [[v.name for v in one.views] for one in out]

@@ -22,11 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.camera.bundle import PrintScale
-from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import FREE, READOUT, SCALE, SHAPE, common_prior
 from modcal_core.camera.equations import SolvedEquations
-from modcal_core.camera.fit import LIKELIER, CameraFit, usual
+from modcal_core.camera.fit import LIKELIER, CameraFit, CameraImages, usual
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.effects import ReportEntry
 from modcal_core.geometry import Array
@@ -92,7 +91,8 @@ def _relaxed(fit: CameraFit, stated: CameraImages) -> Iterator[tuple[str, slice,
 
 def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: CameraImages) -> tuple[str, ...]:
     """What the images contradict of what was stated, in sentences. doubted: of this fit."""
-    out = [_contradiction(fit, doubt, stated) for doubt in doubted if doubt.gain > LIKELIER]
+    wrong = [doubt for doubt in doubted if doubt.gain > LIKELIER]
+    out = [f"The images show {_phrase(fit, doubt, stated)}{_WHAT_TO_DO[doubt.what]}" for doubt in wrong]
     if fit.poses.faults is not None and fit.poses.arm_stated is not None:
         solved, misfit = fit.weighed(replace(fit.equations, faults=replace(fit.poses.faults, stated=None)))
         times = solved.sizes.arm / fit.sizes.arm
@@ -104,52 +104,40 @@ def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: 
     return tuple(out)
 
 
-def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintScale) -> tuple[str, ...]:
+def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: CameraImages) -> tuple[str, ...]:
     """What the images leave in doubt of what was stated, in sentences."""
-    out = []
-    for doubt in doubted:
-        if doubt.chance > IN_DOUBT:
-            common, _ = doubt.values(fit)
-            what = {
-                SIZE: f"a {_sized(fit)} {_percent(fit, common, scale)} off its stated size",
-                BOW: f"a sheet bent by {1e3 * float(np.abs(common[BENT]).max()):.1f} mm",
-                LENS_VALUES: "another lens than the stated one",
-            }[doubt.what]
-            out.append(
-                f"An arm with these faults and {what} look much alike (chance of the latter "
-                f"{100.0 * doubt.chance:.0f} %): check that statement, or add a length of another kind, such "
-                "as a few tracker points."
-            )
-    return tuple(out)
-
-
-def _contradiction(fit: CameraFit, doubt: DoubtedStatement, stated: CameraImages) -> str:
-    """The sentence for a wrong statement."""
-    common, std = doubt.values(fit)
-    if doubt.what == SIZE:
-        return (
-            f"The {_sized(fit)} is {_percent(fit, common, stated.target.scale)} off its stated size, ± "
-            f"{100.0 * float(std[LENS]):.1f} %, or the arm is built to another scale than its URDF: measure "
-            f"{'across it' if fit.table.places else 'a square'}, and check the target file."
-        )
-    if doubt.what == BOW:
-        worst = float(np.abs(fit.table.bow @ common[BENT]).max())
-        return f"The sheet is bent by {1e3 * worst:.1f} mm towards its edge: glue it to something flat."
-    assert stated.lens is not None
-    found, values, names = common[:LENS], stated.lens.values, stated.lens.names
-    i = int(np.argmax(np.abs(found - values) / np.maximum(std[:LENS], 1e-9)))
-    return (
-        f"The images contradict the stated lens: {_PLAIN.get(names[i], names[i])} {found[i]:.4g} ± {std[i]:.2g} "
-        f"and not {values[i]:.4g}. Give the camera_info of this camera, focus and resolution, or leave it away."
+    return tuple(
+        f"An arm with these faults and {_phrase(fit, doubt, stated)} look much alike (chance of the latter "
+        f"{100.0 * doubt.chance:.0f} %): check that statement, or add a length of another kind, such as a few tracker "
+        "points."
+        for doubt in doubted
+        if doubt.chance > IN_DOUBT
     )
 
 
+_WHAT_TO_DO = {
+    SIZE: ", or an arm that is built to another scale than its URDF: measure it again, and check the target file.",
+    BOW: ": glue it to something flat.",
+    LENS_VALUES: ": give the camera_info of this camera, focus and resolution, or leave it away.",
+}
+
+
+def _phrase(fit: CameraFit, doubt: DoubtedStatement, stated: CameraImages) -> str:
+    """What the images have where the statement is wrong."""
+    common, std = doubt.values(fit)
+    if doubt.what == SIZE:
+        what = "body" if fit.table.places else "sheet"
+        return f"a {what} {_percent(fit, common, stated.target.scale)} off its stated size, ± {100.0 * std[LENS]:.1f} %"
+    if doubt.what == BOW:
+        worst = float(np.abs(fit.table.bow @ common[BENT]).max())
+        return f"a sheet that is bent by {1e3 * worst:.1f} mm towards its edge"
+    assert stated.lens is not None
+    found, values, names = common[:LENS], stated.lens.values, stated.lens.names
+    i = int(np.argmax(np.abs(found - values) / np.maximum(std[:LENS], 1e-9)))
+    return f"a lens whose {_PLAIN.get(names[i], names[i])} is {found[i]:.4g} ± {std[i]:.2g} and not {values[i]:.4g}"
+
+
 _PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
-
-
-def _sized(fit: CameraFit) -> str:
-    """What has a size."""
-    return "body" if fit.table.places else "sheet"
 
 
 def _percent(fit: CameraFit, common: Array, scale: PrintScale) -> str:
