@@ -64,13 +64,15 @@ def test_a_sheet_that_a_bad_arm_hides_is_not_trusted() -> None:
     assert "rests on the sheet's stated size" in clean.claim.decision.because[-1]
 
 
-def test_rulers_of_which_nobody_says_how_well_they_were_read_are_doubted_first() -> None:
-    """The same lengths and images: what a statement is worth is how well somebody says that it was measured."""
+def test_rulers_of_which_nobody_says_how_well_they_were_read_count_as_any_statement() -> None:
+    """One in twenty is of another sheet, whatever the images say against it; of rulers that were read with care that
+    is up to the images.
+    """
     s = scene(34, True, count=12, length_std=4e-3, angle_std=5e-3)
-    chance = {}
+    found = {}
     for std in (None, RULER_STD_M):
         board = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2008, 0.1205), "rulers", std))
-        error = solved(replace(s, board=board), look_for_effects=False).claim.in_view
-        chance[std] = error.by["size"].chance
-    assert chance[RULER_STD_M] < 0.03
-    assert chance[None] == pytest.approx(20.0 * chance[RULER_STD_M], rel=0.3)
+        found[std] = solved(replace(s, board=board), look_for_effects=False).claim
+    assert found[None].in_view.by["size"].chance >= 0.0499
+    assert "look much alike" in found[None].decision.doubtful[0]
+    assert found[RULER_STD_M].in_view.by["size"].chance < 0.03

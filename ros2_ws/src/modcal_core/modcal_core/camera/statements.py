@@ -37,6 +37,7 @@ _BACKED = 0.5 * float(np.log(20.0))
 _ANY_SIZE = 0.05, 0.01
 _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 _EXACT = 1e8  # times the information of its prior; a value that is held
+_NEVER_LESS = 0.05  # chance that rulers of which nobody says how well they were read are of another sheet
 IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
 SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
 TARGET, CLOCK = "target", "clock"  # families of the report
@@ -70,7 +71,9 @@ def doubts(fit: CameraFit, stated: CameraImages) -> tuple[DoubtedStatement, ...]
     price = _BACKED * np.array([backed if what == SIZE else 2.0 for what, *_ in relaxed])
     gain = np.array([fit.misfit - misfit for *_, misfit in relaxed])
     odds = np.exp(0.5 * np.minimum(gain, 100.0) - price)
-    chances = odds / (1.0 + odds.sum())
+    # what images say against a wrong size hangs on how far off wrong sizes are supposed to be
+    least = np.array([_NEVER_LESS * (scale.unsaid and what == SIZE) for what, *_ in relaxed])
+    chances = np.maximum(odds / (1.0 + odds.sum()), least)
     every = zip(relaxed, gain, chances, strict=True)
     return tuple(DoubtedStatement(what, solved, float(more), float(p)) for (what, solved, _), more, p in every)
 
