@@ -5,8 +5,8 @@ looks like an arm whose links are all 2 % shorter. What gives it away is the lik
 relaxed against held, all parameters integrated out and the sizes of all errors found again.
 
 * A stated value is held with its tolerance in the fit, and is relaxed to one that says next to nothing. Far likelier:
-  it is contradicted, or the arm is built to another scale. Where images say neither, it is in doubt, and the interval
-  of the error at the tool holds either way.
+  it is contradicted, or the arm is built to another scale. Where images say neither, it is in doubt, which is said, and
+  counts in the chance of an arm made worse.
 * A default, as no delay or a flat sheet, is fitted, and is held at its value. Far less likely: the value is named.
 
 Either is another prior of a few values in the equations of the fit, solved from there.
