@@ -217,36 +217,39 @@ def _markers(grey: np.ndarray, target: PrintedTarget) -> _Corners | None:
     corners, ids, _ = marker_detector(target.dictionary).detectMarkers(grey)
     if ids is None:
         return None
-    number = np.asarray(ids).ravel() - target.first_id
-    good = np.flatnonzero((number >= 0) & (number < target.columns * target.rows))
-    if len(good) == 0 or len(np.unique(number[good])) < len(good):
-        return None  # a number that stands twice is of two boards
-    order = good[np.argsort(number[good])]
-    quads = np.stack([np.asarray(corners[i], dtype=float).reshape(4, 2) for i in order])
-    every, pixels = in_order(target, number[order], quads[:, ::-1] if target.kind == APRIL_GRID else quads)
-    side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=2)))
-    return every, pixels, window_of_side(side)
+    quads = np.asarray(corners, dtype=float).reshape(-1, 4, 2)
+    found = sheet_corners(target, np.asarray(ids).ravel(), quads)
+    if found is None:
+        return None
+    side = float(np.median(np.linalg.norm(np.diff(found[1].reshape(-1, 4, 2), axis=1), axis=2)))
+    return (*found, window_of_side(side))
 
 
-def window_of_side(side: float) -> int:
-    """Half side of the window [px] in which a corner of a marker of this side [px] is looked at."""
-    return int(np.clip(0.1 * side, _MIN_WINDOW, _MAX_WINDOW))
-
-
-def in_order(
+def sheet_corners(
     target: PrintedTarget, numbers: np.ndarray, quads: Array, either_way: bool = False
-) -> tuple[np.ndarray, Array]:
-    """(ids (4 m,), pixels (4 m, 2)) of the corners of markers with these numbers (m,), as their finder has them
-    (m, 4, 2): counter-clockwise of an AprilGrid, clockwise of others, from whichever corner.
+) -> tuple[np.ndarray, Array] | None:
+    """(ids (4 k,), pixels (4 k, 2)) of those of m markers that are the target's, by their numbers (m,) and corners
+    clockwise (m, 4, 2), from whichever corner; None where none is, or a number stands twice, as of two boards.
 
     A marker's own first corner is a convention of its maker: a grid shows which it is. either_way: also the way round.
     """
-    ids = (4 * numbers[:, None] + np.arange(4)).ravel()
+    number = numbers - target.first_id
+    good = (number >= 0) & (number < target.columns * target.rows) & np.isfinite(quads).all(axis=(1, 2))
+    order = np.flatnonzero(good)[np.argsort(number[good])]
+    number, quads = number[order], quads[order, ::-1] if target.kind == APRIL_GRID else quads[order]
+    if len(order) == 0 or len(np.unique(number)) < len(order):
+        return None
+    ids = (4 * number[:, None] + np.arange(4)).ravel()
     if target.kind == TAG or len(quads) == 1:
         return ids, quads.reshape(-1, 2)
     turns = [np.roll(q, k, axis=1) for q in ((quads, quads[:, ::-1]) if either_way else (quads,)) for k in range(4)]
     best = min(turns, key=lambda q: _misfit(target, ids, q.reshape(-1, 2)))
     return ids, best.reshape(-1, 2)
+
+
+def window_of_side(side: float) -> int:
+    """Half side of the window [px] in which a corner of a marker of this side [px] is looked at."""
+    return int(np.clip(0.1 * side, _MIN_WINDOW, _MAX_WINDOW))
 
 
 def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> _Corners:
