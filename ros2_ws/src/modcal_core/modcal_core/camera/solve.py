@@ -125,7 +125,7 @@ def left_out_points(
 
     cameras: (what a sentence calls it, corners, weight 0 where they are left out), of each that sees this body.
     """
-    against, open_ = [], []
+    against, open_ = list[str](), list[str]()
     for name, table in cameras:
         seen, kept = (np.bincount(table.marker, part, table.markers) for part in (None, table.weight))
         strange = [

@@ -24,7 +24,7 @@ _WIDE = re.compile(
     rf"(?:{_CORNER}(?P<corner>\d+)[_ -])?(?P<axis>[uvxyz])",
     re.IGNORECASE,
 )
-_COORDINATES = ("uv", "xy")  # in the order in which they are looked for
+_COORDINATES = (("u", "v"), ("x", "y"))  # in the order in which they are looked for
 _REMEDY = "name columns such as left_marker3_corner0_u and left_marker3_corner0_v, or give a row for each corner"
 
 
