@@ -14,7 +14,7 @@ from finite_differences import assert_jacobian
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.parameters import View, ordered_candidates
 from modcal_core.camera.claim import ALL_BUT_IMAGES, APPLY, AS_STATED, DO_NOT_APPLY, arm_draws
-from modcal_core.camera.corners import FIXED, CornerTable, common_prior, corner_rows
+from modcal_core.camera.corners import CornerTable, common_prior, corner_rows
 from modcal_core.camera.equations import Sizes
 from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import FISHEYE, Lens
@@ -171,22 +171,6 @@ def test_a_perfect_arm_is_not_made_worse(on_tip: bool) -> None:
     q = postures_in_view(r.fit, np.random.default_rng(1))
     assert r.claim.decision.word == DO_NOT_APPLY
     assert true_error(s, r.fit, q) < r.claim.in_view.interval[2]
-
-
-@pytest.mark.slow
-def test_images_that_are_late() -> None:
-    """20 ms at 0.3 rad/s are found to a millisecond."""
-    velocity = 0.3 * np.random.default_rng(8).choice([-1.0, 1.0], (20, 7))
-    s = scene(6, True, count=20, board=MEASURED, velocity=velocity, delay_s=0.02)
-    r = solved(s, velocity=velocity)
-    assert r.fit.state.offset_s == pytest.approx(-0.02, abs=1e-3)
-
-
-@pytest.mark.slow
-def test_stated_intrinsics_stay_where_they_are_fixed() -> None:
-    s = images(True)
-    r = solved(s, lens=s.lens, stated=FIXED)
-    assert (r.fit.state.lens.values == s.lens.values).all()
 
 
 @pytest.mark.slow
