@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.urdf_tree import Tree, document, parse, rerooted
     from modcal_core.robots.urdf_write import calibrated_urdf, chain_urdf, joint_element
     from modcal_core.robots.urdf_write import number, origin_element, ros2_control_offsets, urdf_text, xacro_origins
+    from modcal_core.robots.weighing import Stands, Weighed, weigh
 else:
     from modcal_core.lazy import lazy_face
 
@@ -39,7 +40,8 @@ else:
 __all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
 __all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain", "Delta"]
 __all__ += ["Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointColumns"]
-__all__ += ["JointPath", "LoadedArm", "Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque"]
+__all__ += ["JointPath", "LoadedArm", "Mechanism", "NearestTable", "Payload", "Stands", "Tree", "Weighed", "Window"]
+__all__ += ["bias_torque"]
 __all__ += ["body_jacobian", "calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf"]
 __all__ += ["constant_bounds", "delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia"]
 __all__ += ["followers_of", "forward", "frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_conf"]
@@ -50,4 +52,4 @@ __all__ += ["other_tips", "parse", "passable", "payload_wrench", "plain", "pose_
 __all__ += ["random_postures", "reachable", "read_chain", "read_drives", "read_inertias", "read_path", "read_rows"]
 __all__ += ["require_method", "rerooted", "ros2_control_offsets", "spatial_jacobian", "takes", "to_cpc", "to_csv"]
 __all__ += ["to_dh", "to_table", "tool_frames", "tool_pose", "tool_positions", "torque", "urdf_text", "vector"]
-__all__ += ["weightless", "with_payload", "within_bounds", "within_torque", "xacro_origins"]
+__all__ += ["weigh", "weightless", "with_payload", "within_bounds", "within_torque", "xacro_origins"]
