@@ -284,6 +284,8 @@ def _held(stamps: Array, moving: np.ndarray, t: Array, effort: Array, rules: Sta
 
 
 def _why_nothing(tracks: list[ReadingTrack], t: Array, dwells: Array) -> str:
+    if not tracks or not len(t):
+        return "no reading is there" if len(t) else "no joint state is there"
     first, last = min(r.stamps.min() for r in tracks), max(r.stamps.max() for r in tracks)
     if first > t[-1] or last < t[0]:
         apart = first - t[-1] if first > t[-1] else t[0] - last
