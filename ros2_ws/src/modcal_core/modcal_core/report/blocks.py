@@ -40,6 +40,19 @@ class SummaryTable:
 Summary = SummaryLine | SummaryTable
 
 
+@dataclass(frozen=True)
+class VerbResult:
+    """What a verb leaves. data: for programs. said: for a terminal. files: contents by name. first: the file to look
+    at; what: a word for it.
+    """
+
+    data: Mapping[str, Any]
+    said: Sequence[str | Summary]
+    files: Mapping[str, str]
+    what: str = "Report"
+    first: str = "report.html"
+
+
 def legend(meanings: Mapping[str, str]) -> SummaryLine:
     """What the columns of the table above mean."""
     return SummaryLine("  " + "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items()), "legend")
@@ -51,11 +64,13 @@ def explained(columns: Mapping[str, str], rows: Sequence[tuple[str, ...]], words
     return [SummaryTable(tuple(columns), tuple(rows), words), *meanings]
 
 
-def text(blocks: Sequence[Summary]) -> str:
+def text(blocks: Sequence[str | Summary]) -> str:
     """As plain text, a line for each row and sentence."""
-    return "\n".join(
-        line for block in blocks for line in ([block.text] if isinstance(block, SummaryLine) else _laid_out(block))
-    )
+    lines = []
+    for block in blocks:
+        said = block.text if isinstance(block, SummaryLine) else block
+        lines += [said] if isinstance(said, str) else _laid_out(said)
+    return "\n".join(lines)
 
 
 def _laid_out(grid: SummaryTable) -> list[str]:

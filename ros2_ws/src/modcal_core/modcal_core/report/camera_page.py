@@ -22,7 +22,7 @@ from modcal_core.outcome import Trace, counted
 from modcal_core.report.blocks import Block, Figures, Fold, Listing, PageTable, Section
 from modcal_core.report.certificates import MAX_REASONS, Certificate, Hashes, box_in_words
 from modcal_core.report.charts import AFTER, Axis, Chart, Panel
-from modcal_core.report.page import Page, files_section, number, parameter_tables, size_tables
+from modcal_core.report.page import Page, files_section, parameter_tables, quantity_tables, size_tables
 from modcal_core.report.particulars import Particulars
 from modcal_core.report.scene import ShownPostures
 from modcal_core.robots import chain_forward
@@ -127,12 +127,11 @@ def _tables(data: Mapping[str, Any]) -> list[PageTable]:
         )
         header = ("marker", "from its place on the drawing, mm", "± one standard deviation, mm")
         tables.append(PageTable("Markers on the body, mm", header, off))
-    for pixels, title, end in ((True, "Lens, px", ", px"), (False, "Distortion of the lens", "")):
-        lens = {name: k for name, k in camera["lens"].items() if (name in ("fx", "fy", "cx", "cy")) == pixels}
-        if lens:
-            cells = tuple((name, number(k["value"], 5), number(k["std"], 2)) for name, k in lens.items())
-            header = ("constant", f"value{end}", f"± one standard deviation{end}")
-            tables.append(PageTable(title, header, cells))
+    pixels = ("fx", "fy", "cx", "cy")
+    lens = [(k, v["value"], v["std"], "px" if k in pixels else "1") for k, v in camera["lens"].items()]
+    titles = {"In px": "Lens, px"}
+    for table in quantity_tables(lens, "constant"):
+        tables.append(replace(table, title=titles.get(table.title, "Distortion of the lens")))
     return [replace(table, heading=True) for table in tables]
 
 
@@ -140,9 +139,8 @@ def _parameters(data: Mapping[str, Any]) -> list[Fold]:
     """All of the arm, the tool and the target, a table for each unit."""
     out = parameter_tables((p["name"], p["value"], p["std"], p["unit"]) for p in data["parameters"])
     if sheet := data["camera"]["sheet"]:
-        cells = tuple((name, number(s["value"]), number(s["std"], 2)) for name, s in sheet.items())
-        table = PageTable("The sheet", ("constant", "value", "± one standard deviation"), cells)
-        out.append(Fold("The sheet, in SI units", [table]))
+        rows = [(name, s["value"], s["std"], "1") for name, s in sheet.items()]
+        out.append(Fold("The sheet, in SI units", quantity_tables(rows, "constant")))
     return out
 
 

@@ -1,19 +1,20 @@
-"""A check, and the history of an arm, for programs and for people: data, what a terminal shows, and a page."""
+"""A check for programs and for people: data, what a terminal shows, and a page."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from modcal_core.checking import NamedChange, Series, SizeFound
+from modcal_core.checking import NamedChange, SizeFound
 from modcal_core.checkup import Checked
+from modcal_core.files import to_json
 from modcal_core.report.as_json import claim_data, finite, tolerance_data
-from modcal_core.report.blocks import Figures, Listing, PageTable, Section, Summary, SummaryLine, SummaryTable, Tone
+from modcal_core.report.blocks import Figures, Listing, PageTable, Section, Summary, SummaryLine, Tone, VerbResult
 from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel
 from modcal_core.report.page import Page, files_section
+from modcal_core.report.tables import csv_text
 
 _HEADINGS = {
     "unchanged": ("Nothing has changed", "good"),
@@ -116,8 +117,13 @@ def _row(change: NamedChange, s: SizeFound) -> tuple[str, ...]:
     return change.label, s.name, f"{s.value:+.4g}", span, s.unit
 
 
-def checkup_html(found: Checked, title: str, files: Sequence[str]) -> str:
-    """The page. files: names of those beside it."""
+def checkup_report(found: Checked, calibration: str, recording: str, others: Mapping[str, str]) -> VerbResult:
+    """The check as a verb leaves it. calibration, recording: their names. others: files beside those of the check."""
+    data = checkup_data(found, calibration)
+    files = {"check.json": to_json(data)}
+    if len(found.advice.stations):
+        files["stations.csv"] = csv_text(found.joints, found.advice.stations, ".6f")
+    files |= others
     heading, tone = _HEADINGS[found.status]
     if found.status == "unchanged" and found.alike:
         heading, tone = "No change is seen", "warn"
@@ -136,7 +142,9 @@ def checkup_html(found: Checked, title: str, files: Sequence[str]) -> str:
     if met is not None:
         lines.insert(1, f"{met.result}. {_judged(found)} {met.because}")
     seen = Section("seen", "What was seen", [*_tables(found), *_station_errors(found)])
-    return Page(title, found.sentence, [Listing(lines), seen, files_section(files)], heading, tone).html()
+    title = f"{calibration}, checked by {recording}"
+    page = Page(title, found.sentence, [Listing(lines), seen, files_section(files)], heading, tone).html()
+    return VerbResult(data, checkup_summary(found), {**files, "check.html": page}, "Check", "check.html")
 
 
 def _rarely(chance: float) -> str:
@@ -187,83 +195,3 @@ def _station_errors(found: Checked) -> list[Figures]:
     alt += f", up to {after.max():.3f} mm with what changed." if found.changes else "."
     caption = "circles: the model as calibrated; squares: with what changed put in"
     return [Figures([panel.chart("stations", alt, caption)])]
-
-
-@dataclass(frozen=True)
-class HistoryEntry:
-    """One calibration or check. time: [s]; None where its recording has no clock. said: its verdict."""
-
-    name: str
-    what: str
-    date: str | None
-    time: float | None
-    said: str
-
-
-@dataclass(frozen=True)
-class History:
-    """Of one robot: its name, entries in order of time, series of what may grow."""
-
-    robot: str
-    entries: tuple[HistoryEntry, ...]
-    series: tuple[Series, ...]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def trends(self) -> tuple[str, ...]:
-        """A sentence for each trend."""
-        return tuple(s.sentence for s in self.series if s.trend is not None)
-
-    @property
-    def sentence(self) -> str:
-        """The answer, as text."""
-        seen = f"{len(self.entries)} calibrations and checks"
-        return " ".join(self.trends) if self.trends else f"Nothing grows or falls beyond chance over {seen}."
-
-
-def history_data(found: Sequence[History]) -> dict[str, Any]:
-    """The data of history.json."""
-    return {
-        "modcal_history": 1,
-        "robots": [
-            {
-                "robot": h.robot,
-                "verdict": h.sentence,
-                "entries": [{"name": e.name, "what": e.what, "date": e.date, "verdict": e.said} for e in h.entries],
-                "series": [_series(s) for s in h.series],
-                "notes": list(h.notes),
-            }
-            for h in found
-        ],
-    }
-
-
-def _series(s: Series) -> dict[str, Any]:
-    trend = None
-    if (t := s.trend) is not None:
-        trend = {"change": t.change, "ci95": [t.low, t.high], "share": t.share, "days": t.days, "sentence": s.sentence}
-    points = [{"entry": p.entry, "value": p.value, "std": p.std} for p in s.points]
-    return {"name": s.name, "unit": s.unit, "points": points, "trend": trend}
-
-
-def history_summary(found: Sequence[History]) -> tuple[Summary, ...]:
-    """What a terminal shows."""
-    out: list[Summary] = []
-    for h in found:
-        rows = tuple((e.name, e.what, (e.date or "")[:10], _short(e.said)) for e in h.entries)
-        out.append(SummaryTable((f"robot {h.robot}", "what", "date", "verdict"), rows, words=4))
-        growing = tuple(
-            (s.name, f"{s.points[0].value:.4g}", f"{s.points[-1].value:.4g}", f"{t.low:+.3g} … {t.high:+.3g}", s.unit)
-            for s in h.series
-            if (t := s.trend) is not None
-        )
-        if growing:
-            out.append(SummaryTable(("grows or falls", "first", "last", "95 % of the change", "unit"), growing))
-        out += [SummaryLine(note, "doubt") for note in h.notes]
-        out.append(SummaryLine(h.sentence, "undecided" if h.trends else "good"))
-    return tuple(out)
-
-
-def _short(said: str) -> str:
-    first = said.partition(". ")[0].rstrip(".")
-    return first if len(first) <= 90 else first[:89] + "…"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 
+from modcal_core.geometry import Array
 from modcal_core.outcome import STAGES, Outcome
 from modcal_core.report.blocks import PageTable, legend
 from modcal_core.verdict import Row, Verdict
@@ -107,3 +108,8 @@ def span(ends: Sequence[float] | None, digits: int | None = None) -> str:
     """Both ends of an interval, with three significant digits or so many behind the point; nothing for None."""
     form = ".3g" if digits is None else f".{digits}f"
     return "" if ends is None else " … ".join(f"{end:{form}}" for end in ends)
+
+
+def csv_text(names: Sequence[str], rows: Array, digits: str = ".9f") -> str:
+    """Numbers (N, n) as CSV under their names."""
+    return ",".join(names) + "\n" + "".join(",".join(f"{x:{digits}}" for x in row) + "\n" for row in rows)

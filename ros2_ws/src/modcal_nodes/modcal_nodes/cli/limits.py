@@ -10,15 +10,14 @@ import click
 import numpy as np
 
 from modcal_core.errors import BadRecording, BadTable, about
-from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import Recording, joint_stamps_and, spread_rows
-from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_html, limits_summary
+from modcal_core.report import LimitsFound, limits_report
 from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
 from modcal_msgs_py import SUFFIXES, read_recording
-from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.console import Output, saving
 from modcal_nodes.cli.inputs import arm_line, described, file_line, numbers_by_joint, whole_rows
-from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, TopicOptions, option, repeated
 
 _MAX = 2000  # postures of a bag; of more, evenly chosen ones say the same
@@ -69,9 +68,8 @@ class LimitsOptions(ChainOptions, TopicOptions):
 @click.command("limits")
 @click.argument("source", type=EXISTING)
 @given(LimitsOptions)
-@click.option("--out", type=WRITTEN, help="Folder of limits.json, joint_limits.yaml and report.html.")
-@speaking
-def limits_command(source: Path, out: Path | None, output: Output, options: LimitsOptions) -> None:
+@saving("Folder of limits.json, joint_limits.yaml and report.html.")
+def limits_command(source: Path, output: Output, options: LimitsOptions) -> None:
     """Compute how fast each joint may accelerate within the torque of its drive.
 
     SOURCE is a URDF, for one posture (--at) or many (--workspace), or a bag, whose joint states are used.
@@ -101,17 +99,11 @@ def limits_command(source: Path, out: Path | None, output: Output, options: Limi
     found = LimitsFound(arm, q, v, source.name)
     with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
-        data = {**limits_data(found), "notes": list(notes)}
-    show = [said, *limits_summary(found, tuple(notes))]
-    if out is None:
-        output.result(data, show)
+        report = limits_report(found, source.stem, notes)
+    if output.out is None:
+        output.result(report.data, [said, *report.said])
     else:
-        files = {
-            "limits.json": to_json(data),
-            "joint_limits.yaml": to_yaml(joint_limits(found)),
-            "report.html": limits_html(found, source.stem, tuple(notes)),
-        }
-        output.saved(data, show, out, files, "Limits", "limits.json")
+        output.saved(report, output.out, said)
 
 
 def _motion(chain: Chain, options: LimitsOptions) -> tuple[Array, Array]:
