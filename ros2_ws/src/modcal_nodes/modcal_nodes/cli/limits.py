@@ -13,10 +13,11 @@ from modcal_core.errors import BadRecording, BadTable, about
 from modcal_core.geometry import Array
 from modcal_core.measurements import Recording, joint_stamps_and, spread_rows
 from modcal_core.report import LimitsFound, limits_report
+from modcal_core.robot import Robot
 from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
 from modcal_msgs_py import SUFFIXES, read_recording
 from modcal_nodes.cli.console import Output, saving
-from modcal_nodes.cli.inputs import arm_line, described, file_line, numbers_by_joint, whole_rows
+from modcal_nodes.cli.inputs import arm_line, described, numbers_by_joint, whole_rows
 from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, TopicOptions, option, repeated
 
@@ -84,13 +85,10 @@ def limits_command(source: Path, output: Output, options: LimitsOptions) -> None
         raise BadTable("--at, --velocity, --workspace", f"and the postures of {source}", "give a URDF with them")
     if recording is not None:
         robot = described(recording, None, options.urdf, base, tip)
-        arm = LoadedArm.read(robot.description or "", robot.base, robot.tip)
-        said = arm_line(robot)
     else:
         with about(str(source)):
-            arm = LoadedArm.read(source.read_text(encoding="utf-8", errors="replace"), base, tip)
-        said = file_line(source, arm.chain, tip)
-    arm = options.loaded(arm)
+            robot = Robot.from_urdf(source, base, tip)
+    arm = options.loaded(LoadedArm.read(robot.description or "", robot.base, robot.tip))
     if recording is not None:
         q, v, notes = _recorded(arm, recording, _THOROUGH if options.thorough else _MAX)
     else:
@@ -101,9 +99,9 @@ def limits_command(source: Path, output: Output, options: LimitsOptions) -> None
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
         report = limits_report(found, source.stem, notes)
     if output.out is None:
-        output.result(report.data, [said, *report.said])
+        output.result(report.data, [arm_line(robot), *report.said])
     else:
-        output.saved(report, output.out, said)
+        output.saved(report, output.out, arm_line(robot))
 
 
 def _motion(chain: Chain, options: LimitsOptions) -> tuple[Array, Array]:

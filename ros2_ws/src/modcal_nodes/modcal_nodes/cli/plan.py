@@ -29,7 +29,7 @@ from modcal_core.planning import (
 from modcal_core.report import VerbResult, plan_report
 from modcal_core.robots import Mechanism
 from modcal_nodes.cli.console import Output, saving
-from modcal_nodes.cli.inputs import file_line, read_robot, read_stations
+from modcal_nodes.cli.inputs import arm_line, read_robot, read_stations
 from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, Options, option, read_calibration, repeated
 
@@ -187,14 +187,14 @@ def plan_command(robot: Path | None, output: Output, options: PlanOptions) -> No
         raise BadTable("modcal plan", "is given neither a ROBOT nor --decide REPORT", "give one of them")
     if options.stations is not None and options.accuracy_mm is not None:
         raise BadTable("--stations", "cannot be combined with --accuracy-mm", "give one of them")
-    chain = read_robot(robot, options.base, options.tip)
-    request = options.request(chain)
+    arm = read_robot(robot, options.base, options.tip)
+    request = options.request(arm.mechanism)
     with output.working() as watch:
         watch("choosing stations")
-        found = plan(chain, site or Site(), request, np.random.default_rng(options.seed))
+        found = plan(arm.mechanism, site or Site(), request, np.random.default_rng(options.seed))
         watch("writing the plan")
         report = plan_report(found, robot.stem, options.speed, options.dwell)
-    output.saved(report, f"{robot.stem}_plan", file_line(robot, chain, options.tip))
+    output.saved(report, f"{robot.stem}_plan", arm_line(arm))
 
 
 def _by_camera(robot: Path | None, asked: PlanOptions, output: Output) -> None:

@@ -27,7 +27,7 @@ from modcal_core.planning import (
 from modcal_core.report import sensitivity_report
 from modcal_core.robots import Mechanism, is_serial_arm, vector
 from modcal_nodes.cli.console import Output, saving
-from modcal_nodes.cli.inputs import file_line, read_robot, read_stations
+from modcal_nodes.cli.inputs import arm_line, read_robot, read_stations
 from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, option
 
@@ -89,8 +89,8 @@ class SensitivityOptions(ChainOptions):
 @saving()
 def sensitivity_command(robot: Path, output: Output, options: SensitivityOptions) -> None:
     """Report which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
-    chain = read_robot(robot, options.base, options.tip)
-    closed = _closed_chain(chain, options.parameters, options.tool, options.reading)
+    arm = read_robot(robot, options.base, options.tip)
+    closed = _closed_chain(arm.mechanism, options.parameters, options.tool, options.reading)
     rng = np.random.default_rng(options.seed)
     studied = options.studied(closed, rng)
     with output.working() as watch:
@@ -98,7 +98,7 @@ def sensitivity_command(robot: Path, output: Output, options: SensitivityOptions
         result = study(closed, studied, rng)
         watch("writing the report")
         report = sensitivity_report(result, robot.stem)
-    output.saved(report, f"{robot.stem}_sensitivity", file_line(robot, chain, options.tip))
+    output.saved(report, f"{robot.stem}_sensitivity", arm_line(arm))
 
 
 def _closed_chain(chain: Mechanism, parameters: str, tool: tuple[float, float, float], reading: str) -> ClosedChain:
