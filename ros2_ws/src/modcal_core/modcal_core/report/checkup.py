@@ -11,7 +11,7 @@ from modcal_core.checking import NamedChange, SizeFound
 from modcal_core.checkup import Checked
 from modcal_core.files import to_json
 from modcal_core.report.as_json import claim_data, finite, tolerance_data
-from modcal_core.report.blocks import Figures, Listing, PageTable, Section, Summary, SummaryLine, Tone, VerbResult
+from modcal_core.report.blocks import Figures, Listing, Section, Summary, SummaryLine, Table, Tone, VerbResult
 from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel
 from modcal_core.report.page import Page, files_section
 from modcal_core.report.tables import csv_text
@@ -76,7 +76,7 @@ def _change(c: NamedChange) -> dict[str, Any]:
 def checkup_summary(found: Checked) -> tuple[Summary, ...]:
     """What a terminal shows: errors, changes, what would have been noticed, the answer, and what to do."""
     out: list[Summary] = []
-    out += [table.summary for table in _seen(found)]
+    out += [table for table in _seen(found)]
     if found.noticed:
         said = ", ".join(f"{n.label} {n.mm:.3f} mm" for n in found.noticed if np.isfinite(n.mm)) or "nothing"
         out.append(SummaryLine(f"Noticed in 95 of 100 cases, RMS at the tool: {said}.{_not_shown(found)}", "legend"))
@@ -151,33 +151,31 @@ def _rarely(chance: float) -> str:
     return f"one in {1.0 / max(chance, 1e-12):,.0f}".replace(",", " ") if chance > 1e-12 else "one in 10¹²"
 
 
-def _seen(found: Checked) -> list[PageTable]:
+def _seen(found: Checked) -> list[Table]:
     """The errors, and what changed."""
     title = f"Error at {found.stations} stations"
-    out = [PageTable(title, ("model", "RMS mm", "RMS deg"), _errors(found), heading=True)]
+    out = [Table(title, ("model", "RMS mm", "RMS deg"), _errors(found), heading=True)]
     if rows := tuple(_row(c, s) for c in found.changes for s in c.sizes):
         below = "Of a base: in the frame of the first joint. Of a tool: in its own."
-        out.append(PageTable("What changed", _SIZES, rows, 2, below, heading=True))
+        out.append(Table("What changed", _SIZES, rows, 2, below, heading=True))
     return out
 
 
-def _tables(found: Checked) -> tuple[PageTable, ...]:
+def _tables(found: Checked) -> tuple[Table, ...]:
     out = _seen(found)
     if found.changes:
         rivals = tuple(
             (c.label, ", ".join(c.same_as) or "none", c.alike, f"{100.0 * c.probability:.1f} %") for c in found.changes
         )
         columns = ("named", "explains these stations as well", "the same at every posture", "probability")
-        out.append(PageTable("What it may as well be", columns, rivals, 3, heading=True))
+        out.append(Table("What it may as well be", columns, rivals, 3, heading=True))
     if len(found.advice.stations):
         numbered = tuple((str(i), *(f"{x:.4f}" for x in q)) for i, q in enumerate(found.advice.stations, 1))
-        out.append(PageTable("Stations to add, rad or m", ("station", *found.joints), numbered, heading=True))
+        out.append(Table("Stations to add, rad or m", ("station", *found.joints), numbered, heading=True))
     noticed = tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm))
     if noticed:
         below = f"RMS at the tool over these stations, of the direction that shows least.{_not_shown(found)}"
-        out.append(
-            PageTable("Noticed in 95 of 100 such checks", ("change", "RMS, mm"), noticed, below=below, heading=True)
-        )
+        out.append(Table("Noticed in 95 of 100 such checks", ("change", "RMS, mm"), noticed, below=below, heading=True))
     return tuple(out)
 
 

@@ -20,10 +20,10 @@ from modcal_core.report.blocks import (
     Fold,
     HeatTable,
     Listing,
-    PageTable,
     Paragraph,
     Section,
     SideBySide,
+    Table,
     Tiles,
 )
 from modcal_core.report.figures import (
@@ -152,7 +152,7 @@ class _Sections:
         ]
         out: list[Block] = [
             Paragraph(self.report.claim.sentence),
-            PageTable("The claim", (f"over the {mm['over']}", *STATISTICS.values()), tuple(rows)),
+            Table("The claim", (f"over the {mm['over']}", *STATISTICS.values()), tuple(rows)),
         ]
         if mm["open"]:
             shown, held = f"{mm['shown_mm']:.3f} mm", f"{mm['unshown_mm']:.3f} mm"
@@ -184,7 +184,7 @@ class _Sections:
                 rows += [(o.joint, f"{factor * o.value:+.4f}", ends)] if o.turning == turning else []
             if rows:
                 header = ("joint", f"offset, {unit}", f"95 % interval, {unit}")
-                out.append(PageTable(title, header, tuple(rows), strong=1))
+                out.append(Table(title, header, tuple(rows), strong=1))
         return Section("offsets", "Joint offsets", out, "Joint offsets")
 
     def error(self) -> Section:
@@ -278,7 +278,7 @@ class _Sections:
         more = len(rows) - len(listed)
         below = f"And {more} more; all are in report.json." if more else ""
         header = ("station", "time, s", "error, mm", "times the usual")
-        table = PageTable("Rejected stations", header, tuple(listed), below=below)
+        table = Table("Rejected stations", header, tuple(listed), below=below)
         return Section(
             "stations", "Stations", [*out, Paragraph(f"{said}{usual:.3f} mm.", soft=True), table], "Stations"
         )
@@ -324,7 +324,7 @@ class _Sections:
         for step in self.data["steps"] if before else ():
             rows.append((step["added"].replace(":", " of "), f"{step['rms_mm']:.3f}"))
         header = ("added", "RMS of what is left, mm")
-        return _section("steps", "What each step leaves", [PageTable("Steps", header, tuple(rows))] if rows else [])
+        return _section("steps", "What each step leaves", [Table("Steps", header, tuple(rows))] if rows else [])
 
     def evidence(self) -> Section | None:
         """Maps of the first and the last scan, with the same columns: the drivers that explain most in either."""
@@ -368,7 +368,7 @@ class _Sections:
             for d in self.data["known_distances"]
         )
         header = ("between", "stated, mm", "misfit of the fit, mm", "by the readings alone, mm")
-        return _section("distances", "Known distances", [PageTable("Known distances", header, rows)] if rows else [])
+        return _section("distances", "Known distances", [Table("Known distances", header, rows)] if rows else [])
 
     def identifiability(self) -> Section | None:
         """What the stations determine."""

@@ -12,7 +12,7 @@ import numpy as np
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.outcome import counted
-from modcal_core.report.blocks import Listing, PageTable, Section, Summary, SummaryLine, VerbResult
+from modcal_core.report.blocks import Listing, Section, Summary, SummaryLine, Table, VerbResult
 from modcal_core.report.page import Page, files_section
 from modcal_core.report.scene import ShownPostures
 from modcal_core.report.words import percent
@@ -154,12 +154,12 @@ def limits_report(found: LimitsFound, title: str, notes: Sequence[str] = ()) -> 
     lines = [*notes, f"{percent(found.arm.share)} of the torque of each drive may be used.", _MEANINGS]
     sections = [Section("bounds", "Bounds and loads", tables), _robot(found), files_section(files)]
     page = Page(f"{title}: limits of acceleration", said, [Listing(lines), *sections]).html()
-    shown: list[Summary] = [table.summary for table in tables]
+    shown: list[Summary] = [table for table in tables]
     shown += [SummaryLine(_MEANINGS, "legend"), *map(SummaryLine, (*notes, said))]
     return VerbResult(data, shown, {**files, "report.html": page}, "Limits", "limits.json")
 
 
-def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
+def _tables(found: LimitsFound) -> tuple[Table, ...]:
     """Accelerations and holding torques, separate for revolute and prismatic joints."""
     chain, drives = found.arm.chain, found.arm.drives
     bounds = (found.window.equivalent(), found.coupled)
@@ -178,8 +178,8 @@ def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
         if allowed:
             names = ("joint", "alone", "together", "for all postures")
             title = f"Acceleration of {kind} joints, {unit}"
-            out.append(PageTable(title, names, tuple(allowed), heading=True))
-            out.append(PageTable(f"Load of {kind} joints", header, tuple(loads), heading=True))
+            out.append(Table(title, names, tuple(allowed), heading=True))
+            out.append(Table(f"Load of {kind} joints", header, tuple(loads), heading=True))
     return tuple(out)
 
 

@@ -27,7 +27,7 @@ def summary(report: Outcome) -> tuple[Summary, ...]:
 
 def _blocks(report: Outcome) -> Iterator[Summary]:
     for table in error_tables(report):
-        yield table.summary
+        yield table
     yield legend({stage: said for stage, said in _STAGES.items() if report.size_mm(stage) is not None})
     seen = report.identifiability
     if seen is not None:
@@ -37,13 +37,13 @@ def _blocks(report: Outcome) -> Iterator[Summary]:
             yield SummaryLine(f"not determined by these stations: {name}", "doubt")
     if report.effects:
         effects = effects_table(report)
-        yield effects.summary
+        yield effects
         yield SummaryLine(f"  {effects.below}", "legend")
         yield from map(SummaryLine, report.story)
     for note in report.notes:
         yield SummaryLine(note, "doubt")
     for account in account_tables(report.judged, fold=True):
-        yield account.summary
+        yield account
     yield SummaryLine(sentence(report), TONES[report.status])
     for reason in report.open_because[MAX_REASONS:]:
         yield SummaryLine(f"Open: {reason}", "reason")

@@ -17,7 +17,7 @@ from typing import Any
 import click
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
-from rich.table import Table
+from rich.table import Table as RichTable
 from rich.text import Text
 
 from modcal_core.errors import plain
@@ -68,8 +68,8 @@ def show(blocks: Iterable[str | Summary], console: Console) -> None:
         elif isinstance(block, SummaryLine):
             console.print(block.text, style=STYLES[block.tone])
         else:
-            table = Table(box=None, header_style="bold", pad_edge=False)
-            for i, name in enumerate(block.header):
+            table = RichTable(box=None, header_style="bold", pad_edge=False)
+            for i, name in enumerate(block.top):
                 # a name stays whole, and no digit is left out, however narrow the terminal
                 table.add_column(name, justify="left" if i < block.words else "right", overflow="fold", no_wrap=i == 0)
             for row in block.rows:
