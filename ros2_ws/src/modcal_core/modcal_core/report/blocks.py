@@ -17,7 +17,14 @@ from modcal_core.geometry import Array
 if TYPE_CHECKING:
     from modcal_core.report.charts import Chart
 
-Tone = Literal["plain", "legend", "doubt", "good", "bad", "undecided", "reason"]
+Tone = Literal["plain", "legend", "doubt", "good", "bad", "warn", "reason"]
+_GOOD = ("at_floor", "PASS", "unchanged", "same", "within tolerance", "apply")
+_BAD = ("open", "FAIL", "unexplained", "beyond tolerance", "do not apply")
+
+
+def tone_of(result: str) -> Tone:
+    """The tone of a status, a result or an advice."""
+    return "good" if result in _GOOD else "bad" if result in _BAD else "warn"
 
 
 @dataclass(frozen=True)

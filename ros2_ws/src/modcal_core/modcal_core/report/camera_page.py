@@ -19,7 +19,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.outcome import Trace, counted
-from modcal_core.report.blocks import Block, Figures, Fold, Listing, Section, Table
+from modcal_core.report.blocks import Block, Figures, Fold, Listing, Section, Table, tone_of
 from modcal_core.report.certificates import MAX_REASONS, Certificate, Hashes, box_in_words
 from modcal_core.report.charts import AFTER, Axis, Chart, Panel
 from modcal_core.report.page import Page, files_section, parameter_tables, quantity_tables, size_tables
@@ -28,7 +28,6 @@ from modcal_core.report.scene import ShownPostures
 from modcal_core.robots import chain_forward
 from modcal_core.verdict import Asked, Tolerance
 
-TONES = {"apply": "good", "do not apply": "bad", "cannot tell": "warn"}
 _PLACES = {
     "in_view": "where the target is in view",
     "arm_alone": "there, the arm by itself",
@@ -52,7 +51,7 @@ def to_html(
         Fold("Expert: all parameters", _parameters(data), "expert"),
         files_section(files),
     ]
-    title, tone = f"{data['trace']['robot'] or 'arm'}: calibration by camera", TONES.get(camera["decision"], "warn")
+    title, tone = f"{data['trace']['robot'] or 'arm'}: calibration by camera", tone_of(camera["decision"])
     return Page(title, " ".join(camera["because"]), blocks, camera["decision"], tone).html()
 
 

@@ -16,7 +16,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, counted
-from modcal_core.report.blocks import Block, Facts, Figures, Listing, Paragraph, Section, Signatures
+from modcal_core.report.blocks import Block, Facts, Figures, Listing, Paragraph, Section, Signatures, tone_of
 from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
 from modcal_core.report.page import Page
 from modcal_core.report.particulars import Particulars
@@ -71,7 +71,7 @@ class Certificate:
     @property
     def tone(self) -> str:
         """The colour of the result."""
-        return {"PASS": "good", "FAIL": "bad"}.get(self.heading, "warn")
+        return tone_of(self.heading)
 
 
 def certificate(

@@ -11,18 +11,17 @@ from modcal_core.checking import NamedChange, SizeFound
 from modcal_core.checkup import Checked
 from modcal_core.files import to_json
 from modcal_core.report.as_json import claim_data, finite, tolerance_data
-from modcal_core.report.blocks import Figures, Listing, Section, Summary, SummaryLine, Table, Tone, VerbResult
+from modcal_core.report.blocks import Figures, Listing, Section, Summary, SummaryLine, Table, VerbResult, tone_of
 from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel
 from modcal_core.report.page import Page, files_section
 from modcal_core.report.tables import csv_text
 
 _HEADINGS = {
-    "unchanged": ("Nothing has changed", "good"),
-    "changed": ("Something has changed", "warn"),
-    "ambiguous": ("Something has changed; these stations cannot tell which", "warn"),
-    "unexplained": ("Something has changed that is not explained", "bad"),
+    "unchanged": "Nothing has changed",
+    "changed": "Something has changed",
+    "ambiguous": "Something has changed; these stations cannot tell which",
+    "unexplained": "Something has changed that is not explained",
 }
-_TONES: dict[str, Tone] = {"unchanged": "good", "changed": "undecided", "ambiguous": "undecided", "unexplained": "bad"}
 _SIZES = ("change", "size", "value", "95 % interval", "unit")
 
 
@@ -81,14 +80,13 @@ def checkup_summary(found: Checked) -> tuple[Summary, ...]:
         said = ", ".join(f"{n.label} {n.mm:.3f} mm" for n in found.noticed if np.isfinite(n.mm)) or "nothing"
         out.append(SummaryLine(f"Noticed in 95 of 100 cases, RMS at the tool: {said}.{_not_shown(found)}", "legend"))
     out += [SummaryLine(note, "doubt") for note in found.notes]
-    out.append(SummaryLine(found.sentence, _TONES[found.status]))
+    out.append(SummaryLine(found.sentence, tone_of(found.status)))
     out.append(SummaryLine(found.advice.sentence))
     if found.report.claim is not None:
         out.append(SummaryLine(f"{_judged(found)} {found.report.claim.sentence}", "legend"))
     met = found.report.tolerance
     if met is not None:
-        tones: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
-        out.append(SummaryLine(f"{met.result}: {_judged(found)} {met.because}", tones.get(met.result, "undecided")))
+        out.append(SummaryLine(f"{met.result}: {_judged(found)} {met.because}", tone_of(met.result)))
     return tuple(out)
 
 
@@ -124,7 +122,7 @@ def checkup_report(found: Checked, calibration: str, recording: str, others: Map
     if len(found.advice.stations):
         files["stations.csv"] = csv_text(found.joints, found.advice.stations, ".6f")
     files |= others
-    heading, tone = _HEADINGS[found.status]
+    heading, tone = _HEADINGS[found.status], str(tone_of(found.status))
     if found.status == "unchanged" and found.alike:
         heading, tone = "No change is seen", "warn"
     lines = [

@@ -15,7 +15,7 @@ from modcal_core.errors import BadRobot, NotEnoughData
 from modcal_core.files import to_json
 from modcal_core.outcome import ToolDifference, tool_difference
 from modcal_core.report.as_json import sizes_to_json
-from modcal_core.report.blocks import Summary, SummaryLine, Table, Tone, VerbResult, legend
+from modcal_core.report.blocks import Summary, SummaryLine, Table, VerbResult, legend, tone_of
 from modcal_core.report.page import scaled
 
 _TAIL = 0.05  # of differences that are taken for real while there is none, all parameters together
@@ -23,7 +23,6 @@ _TAIL = 0.05  # of differences that are taken for real while there is none, all 
 
 Result = Literal["same", "differs", "within tolerance", "beyond tolerance", "cannot tell"]
 _NORMAL = 1.96  # deviations of a 95 % interval
-_TONES: dict[str, Tone] = {"same": "good", "within tolerance": "good", "beyond tolerance": "bad"}
 _LARGEST = 12  # parameters on a terminal
 _LEGEND = {
     "±": "one standard deviation",
@@ -275,7 +274,7 @@ def _summary(data: Mapping[str, Any]) -> list[Summary]:
         rows = [(e["effect"], *("no" if e[s] is None else "yes" for s in ("first", "second"))) for e in data["effects"]]
         out.append(Table("", ("effect", *names), tuple(rows)))
     out += [SummaryLine(note, "doubt") for note in data["notes"]]
-    return [*out, SummaryLine(data["verdict"], _TONES.get(data["result"], "undecided"))]
+    return [*out, SummaryLine(data["verdict"], tone_of(data["result"]))]
 
 
 def _rank(row: Mapping[str, Any]) -> tuple[bool, float]:

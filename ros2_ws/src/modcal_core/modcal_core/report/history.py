@@ -80,7 +80,7 @@ def _shown(h: History) -> list[Summary]:
     if growing:
         out.append(Table("", ("grows or falls", "first", "last", "95 % of the change", "unit"), growing))
     out += [SummaryLine(note, "doubt") for note in h.notes]
-    return [*out, SummaryLine(h.sentence, "undecided" if growing else "good")]
+    return [*out, SummaryLine(h.sentence, "warn" if growing else "good")]
 
 
 def _short(said: str) -> str:

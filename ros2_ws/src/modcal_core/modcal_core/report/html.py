@@ -25,6 +25,7 @@ from modcal_core.report.blocks import (
     SideBySide,
     Table,
     Tiles,
+    tone_of,
 )
 from modcal_core.report.figures import (
     effect_shapes,
@@ -36,10 +37,7 @@ from modcal_core.report.page import Page, files_section, parameter_tables, size_
 from modcal_core.report.scene import scene
 from modcal_core.report.tables import account_tables, effects_table, error_tables, span
 from modcal_core.report.words import STATUS_WORDS, sentence
-from modcal_core.verdict import Status
 
-TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}
-OF_RESULT = {"PASS": "good", "FAIL": "bad"}
 _MAX_COLUMNS = 28  # drivers of a map
 STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest"}
 _MAX_LISTED = 30  # stations that were left out
@@ -66,7 +64,7 @@ def to_html(report: Outcome, files: Iterable[str] = (), calibration: str = "") -
         sentence(report),
         _Sections(report, to_json_data(report), tuple(files)).all(),
         heading=f"Verdict: {STATUS_WORDS[report.status]}",
-        tone=TONES[report.status],
+        tone=tone_of(report.status),
     ).html()
 
 
@@ -109,10 +107,10 @@ class _Sections:
         """What stands above the sections."""
         data, out = self.data, list[Block]()
         if data["open_because"]:
-            out.append(Listing(data["open_because"], TONES[self.report.status], "Open because"))
+            out.append(Listing(data["open_because"], tone_of(self.report.status), "Open because"))
         if met := data["tolerance"]:
             said = f"within {met['asked_mm']:g} mm. {met['because']}"
-            out.append(Paragraph(said, met["result"], OF_RESULT.get(met["result"], "warn")))
+            out.append(Paragraph(said, met["result"], tone_of(met["result"])))
         out.append(Tiles(self._tiles()))
         return [*out, *([Listing(data["story"])] if data["story"] else [])]
 

@@ -55,7 +55,7 @@ STYLES: dict[Tone, str] = {
     "doubt": "yellow",
     "good": "bold green",
     "bad": "bold red",
-    "undecided": "bold yellow",
+    "warn": "bold yellow",
     "reason": "red",
 }
 
