@@ -36,10 +36,9 @@ from modcal_core.report.figures import (
 from modcal_core.report.page import Page, files_section, parameter_tables, size_tables
 from modcal_core.report.scene import scene
 from modcal_core.report.tables import account_tables, effects_table, error_tables, span
-from modcal_core.report.words import STATUS_WORDS, sentence
+from modcal_core.report.words import STATISTICS, STATUS_WORDS, sentence
 
 _MAX_COLUMNS = 28  # drivers of a map
-STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest"}
 _MAX_LISTED = 30  # stations that were left out
 _DECIDE = File(
     "Which of several explanations is it?",

@@ -16,10 +16,9 @@ from modcal_core.report.blocks import Block, Listing, Section, SummaryLine, Verb
 from modcal_core.report.page import Page, files_section
 from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_lines
 from modcal_core.report.tables import csv_text
-from modcal_core.report.words import percent
+from modcal_core.report.words import STATISTICS, percent
 from modcal_core.robots import is_serial_arm, plain
 
-_MEASURES = {"p95": "95th percentile", "rms": "RMS"}
 _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
 
@@ -56,7 +55,7 @@ def plan_sentences(plan: Plan) -> list[str]:
     asked = (
         ""
         if request.accuracy is None
-        else f" are needed for {1e3 * request.accuracy:.3g} mm ({_MEASURES[request.measure]})"
+        else f" are needed for {1e3 * request.accuracy:.3g} mm ({STATISTICS[request.measure]})"
     )
     out = [
         f"{k} stations{more}{asked}. To be claimed of a usual arm: 95 % of the errors over the workspace are below "

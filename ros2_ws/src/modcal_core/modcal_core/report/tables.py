@@ -8,9 +8,9 @@ from dataclasses import astuple
 from modcal_core.geometry import Array
 from modcal_core.outcome import STAGES, Outcome
 from modcal_core.report.blocks import Table, legend
+from modcal_core.report.words import STATISTICS
 from modcal_core.verdict import Row, Verdict
 
-ERRORS = ("mean", "RMS", "95th percentile", "largest")
 _EFFECT_COLUMNS = {
     "place": "where the error arises",
     "direction": "the way it moves the arm there",
@@ -41,10 +41,10 @@ def error_tables(report: Outcome, stages: Mapping[str, str] | None = None) -> li
             position.append((name, *(f"{x:.3f}" for x in astuple(size)), ends))
         if (angle := report.size_deg(stage)) is not None:
             orientation.append((name, *(f"{x:.4f}" for x in astuple(angle))))
-    header = ("position error, mm", *ERRORS, "95 % interval of the RMS")
+    header = ("position error, mm", *STATISTICS.values(), "95 % interval of the RMS")
     out = [Table("Position errors before and after", header, tuple(position), strong=2)] if position else []
     if orientation:
-        turned = ("orientation error, °", *ERRORS)
+        turned = ("orientation error, °", *STATISTICS.values())
         out.append(Table("Orientation errors before and after", turned, tuple(orientation), strong=2))
     return out
 
