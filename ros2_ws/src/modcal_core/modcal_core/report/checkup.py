@@ -14,7 +14,7 @@ from modcal_core.report.as_json import claim_data, finite, tolerance_data
 from modcal_core.report.blocks import Figures, Listing, Section, Summary, SummaryLine, Table, VerbResult, tone_of
 from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel
 from modcal_core.report.page import Page, files_section
-from modcal_core.report.tables import csv_text
+from modcal_core.report.tables import csv_text, stations_table
 
 _HEADINGS = {
     "unchanged": "Nothing has changed",
@@ -168,8 +168,7 @@ def _tables(found: Checked) -> tuple[Table, ...]:
         columns = ("named", "explains these stations as well", "the same at every posture", "probability")
         out.append(Table("What it may as well be", columns, rivals, 3, heading=True))
     if len(found.advice.stations):
-        numbered = tuple((str(i), *(f"{x:.4f}" for x in q)) for i, q in enumerate(found.advice.stations, 1))
-        out.append(Table("Stations to add, rad or m", ("station", *found.joints), numbered, heading=True))
+        out.append(stations_table("Stations to add", found.joints, np.asarray(found.advice.stations)))
     noticed = tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm))
     if noticed:
         below = f"RMS at the tool over these stations, of the direction that shows least.{_not_shown(found)}"

@@ -15,7 +15,7 @@ from modcal_core.report.as_json import claim_data
 from modcal_core.report.blocks import Block, Listing, Section, SummaryLine, VerbResult
 from modcal_core.report.page import Page, files_section
 from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_lines
-from modcal_core.report.tables import csv_text
+from modcal_core.report.tables import csv_text, stations_table
 from modcal_core.report.words import STATISTICS, percent
 from modcal_core.robots import is_serial_arm, plain
 
@@ -127,7 +127,9 @@ def plan_report(plan: Plan, title: str, speed: float, dwell: float) -> VerbResul
         "stations.csv": csv_text(plan.ground.model.chain.names, plan.q),
         "trajectory.yaml": to_yaml(to_trajectory_data(plan, speed, dwell)),
     }
-    blocks: list[Block | None] = [Listing(sentences[1:]), _robot(plan), files_section(files)]
+    table = stations_table("Stations in their order", plan.ground.model.chain.names, plan.q)
+    listed = Section("stations", "Stations", [table])
+    blocks: list[Block | None] = [Listing(sentences[1:]), _robot(plan), listed, files_section(files)]
     page = Page(f"{title}: stations to measure", sentences[0], blocks).html()
     return VerbResult(data, [*map(SummaryLine, sentences)], {**files, "report.html": page}, "Stations", "plan.yaml")
 

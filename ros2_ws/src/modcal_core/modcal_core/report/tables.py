@@ -113,3 +113,9 @@ def span(ends: Sequence[float] | None, digits: int | None = None) -> str:
 def csv_text(names: Sequence[str], rows: Array, digits: str = ".9f") -> str:
     """Numbers (N, n) as CSV under their names."""
     return ",".join(names) + "\n" + "".join(",".join(f"{x:{digits}}" for x in row) + "\n" for row in rows)
+
+
+def stations_table(title: str, joints: Sequence[str], q: Array) -> Table:
+    """Postures (N, n) in their order."""
+    rows = tuple((str(i), *(f"{x:.4f}" for x in row)) for i, row in enumerate(q, 1))
+    return Table(f"{title}, rad or m", ("station", *joints), rows, heading=True)
