@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.outcome import counted
-from modcal_core.report.blocks import Listing, PageTable, Section, Summary, SummaryLine
+from modcal_core.report.blocks import Listing, Section, Summary, SummaryLine, Table, VerbResult
 from modcal_core.report.page import Page, files_section
 from modcal_core.report.scene import ShownPostures
 from modcal_core.report.words import percent
@@ -144,25 +146,20 @@ _MEANINGS = (
 )
 
 
-def limits_summary(found: LimitsFound, notes: tuple[str, ...] = ()) -> list[Summary]:
-    """What a terminal shows: the tables of the page, and sentences. notes: others beside them."""
-    tables = [table.summary for table in _tables(found)]
-    return [*tables, SummaryLine(_MEANINGS, "legend"), *map(SummaryLine, notes), SummaryLine(answer(found))]
+def limits_report(found: LimitsFound, title: str, notes: Sequence[str] = ()) -> VerbResult:
+    """The bounds as a verb leaves them. notes: sentences beside them."""
+    data = {**limits_data(found), "notes": list(notes)}
+    files = {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(found))}
+    tables, said = _tables(found), answer(found)
+    lines = [*notes, f"{percent(found.arm.share)} of the torque of each drive may be used.", _MEANINGS]
+    sections = [Section("bounds", "Bounds and loads", tables), _robot(found), files_section(files)]
+    page = Page(f"{title}: limits of acceleration", said, [Listing(lines), *sections]).html()
+    shown: list[Summary] = [table for table in tables]
+    shown += [SummaryLine(_MEANINGS, "legend"), *map(SummaryLine, (*notes, said))]
+    return VerbResult(data, shown, {**files, "report.html": page}, "Limits", "limits.json")
 
 
-def limits_html(found: LimitsFound, title: str, notes: tuple[str, ...] = ()) -> str:
-    """The page. notes: sentences beside it."""
-    lines = [
-        *notes,
-        f"{percent(found.arm.share)} of the torque of each drive may be used.",
-        _MEANINGS,
-    ]
-    sections = [Section("bounds", "Bounds and loads", _tables(found)), _robot(found)]
-    files = files_section(("limits.json", "joint_limits.yaml"))
-    return Page(f"{title}: limits of acceleration", answer(found), [Listing(lines), *sections, files]).html()
-
-
-def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
+def _tables(found: LimitsFound) -> tuple[Table, ...]:
     """Accelerations and holding torques, separate for revolute and prismatic joints."""
     chain, drives = found.arm.chain, found.arm.drives
     bounds = (found.window.equivalent(), found.coupled)
@@ -181,8 +178,8 @@ def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
         if allowed:
             names = ("joint", "alone", "together", "for all postures")
             title = f"Acceleration of {kind} joints, {unit}"
-            out.append(PageTable(title, names, tuple(allowed), heading=True))
-            out.append(PageTable(f"Load of {kind} joints", header, tuple(loads), heading=True))
+            out.append(Table(title, names, tuple(allowed), heading=True))
+            out.append(Table(f"Load of {kind} joints", header, tuple(loads), heading=True))
     return tuple(out)
 
 

@@ -10,15 +10,15 @@ import click
 import numpy as np
 
 from modcal_core.errors import BadRecording, BadTable, about
-from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import Recording, joints_by_time, spread_rows
-from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_html, limits_summary
+from modcal_core.report import LimitsFound, limits_report
+from modcal_core.robot import Robot
 from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
 from modcal_msgs_py import SUFFIXES, read_recording
-from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.inputs import arm_line, described, file_line, numbers_by_joint, whole_rows
-from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.cli.console import Output, saving
+from modcal_nodes.cli.inputs import arm_line, described, numbers_by_joint, whole_rows
+from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, TopicOptions, option, repeated
 
 _MAX = 2000  # postures of a bag; of more, evenly chosen ones say the same
@@ -69,9 +69,8 @@ class LimitsOptions(ChainOptions, TopicOptions):
 @click.command("limits")
 @click.argument("source", type=EXISTING)
 @given(LimitsOptions)
-@click.option("--out", type=WRITTEN, help="Folder of limits.json, joint_limits.yaml and report.html.")
-@speaking
-def limits_command(source: Path, out: Path | None, output: Output, options: LimitsOptions) -> None:
+@saving("Folder of limits.json, joint_limits.yaml and report.html.")
+def limits_command(source: Path, output: Output, options: LimitsOptions) -> None:
     """Compute how fast each joint may accelerate within the torque of its drive.
 
     SOURCE is a URDF, for one posture (--at) or many (--workspace), or a bag, whose joint states are used.
@@ -86,13 +85,10 @@ def limits_command(source: Path, out: Path | None, output: Output, options: Limi
         raise BadTable("--at, --velocity, --workspace", f"and the postures of {source}", "give a URDF with them")
     if recording is not None:
         robot = described(recording, None, options.urdf, base, tip)
-        arm = LoadedArm.read(robot.description or "", robot.base, robot.tip)
-        said = arm_line(robot)
     else:
         with about(str(source)):
-            arm = LoadedArm.read(source.read_text(encoding="utf-8", errors="replace"), base, tip)
-        said = file_line(source, arm.chain, tip)
-    arm = options.loaded(arm)
+            robot = Robot.from_urdf(source, base, tip)
+    arm = options.loaded(LoadedArm.read(robot.description or "", robot.base, robot.tip))
     if recording is not None:
         q, v, notes = _recorded(arm, recording, _THOROUGH if options.thorough else _MAX)
     else:
@@ -101,17 +97,11 @@ def limits_command(source: Path, out: Path | None, output: Output, options: Limi
     found = LimitsFound(arm, q, v, source.name)
     with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
-        data = {**limits_data(found), "notes": list(notes)}
-    show = [said, *limits_summary(found, tuple(notes))]
-    if out is None:
-        output.result(data, show)
+        report = limits_report(found, source.stem, notes)
+    if output.out is None:
+        output.result(report.data, [arm_line(robot), *report.said])
     else:
-        files = {
-            "limits.json": to_json(data),
-            "joint_limits.yaml": to_yaml(joint_limits(found)),
-            "report.html": limits_html(found, source.stem, tuple(notes)),
-        }
-        output.saved(data, show, out, files, "Limits", "limits.json")
+        output.saved(report, output.out, arm_line(robot))
 
 
 def _motion(chain: Chain, options: LimitsOptions) -> tuple[Array, Array]:
