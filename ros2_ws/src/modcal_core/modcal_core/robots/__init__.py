@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.acceleration import Drives, Window, bias_torque, read_drives, torque
     from modcal_core.robots.bodies import DOWN, STANDARD_GRAVITY, HeldWeight, Payload, chain_gravity_wrench
     from modcal_core.robots.bodies import equivalent_inertia, mass_matrix, with_payload
-    from modcal_core.robots.chain import Chain, Follower, JointColumns
+    from modcal_core.robots.chain import Chain, Follower, JointColumns, rotation_to_axis
     from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DELTA_UNITS, DISTAL, OFFSET, PARAMETERS, PROXIMAL
     from modcal_core.robots.delta import RATIO, ZERO, Delta, delta_from_data, delta_to_data
     from modcal_core.robots.delta_kinematics import delta_inverse, position_jacobians, reachable, tool_pose
@@ -48,6 +48,7 @@ __all__ += ["is_serial_arm", "joint_element", "joint_origins", "kinematics_yaml_
 __all__ += ["mass_matrix", "motion", "moved_centres", "nearest_dh", "number", "offset_wrench", "origin_element"]
 __all__ += ["other_tips", "parse", "passable", "payload_wrench", "plain", "pose_and_jacobian", "position_jacobians"]
 __all__ += ["random_postures", "reachable", "read_chain", "read_drives", "read_inertias", "read_path", "read_rows"]
-__all__ += ["require_method", "rerooted", "ros2_control_offsets", "spatial_jacobian", "takes", "to_cpc", "to_csv"]
+__all__ += ["require_method", "rerooted", "ros2_control_offsets", "rotation_to_axis", "spatial_jacobian", "takes"]
+__all__ += ["to_cpc", "to_csv"]
 __all__ += ["to_dh", "to_table", "tool_frames", "tool_pose", "tool_positions", "torque", "urdf_text", "vector"]
 __all__ += ["weightless", "with_payload", "within_bounds", "within_torque", "xacro_origins"]
