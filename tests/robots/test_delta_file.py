@@ -41,46 +41,22 @@ def test_radii_or_their_difference() -> None:
     assert np.allclose(a.constants[OFFSET], 0.15)
 
 
-def without(*path: str) -> dict[str, Any]:
-    data = deepcopy(STATED)
-    inner = data
-    for key in path[:-1]:
-        inner = inner[key]
-    del inner[path[-1]]
-    return data
-
-
-def with_value(value: Any, *path: str) -> dict[str, Any]:
-    data = deepcopy(STATED)
-    inner = data
-    for key in path[:-1]:
-        inner = inner[key]
-    inner[path[-1]] = value
-    return data
-
-
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("part", "changes", "said"),
     [
-        (None, "lacks modcal_delta"),
-        ({"modcal_delta": 2}, "modcal_delta 2"),
-        (without("joints"), "must name three arms"),
-        (with_value("arm", "joints"), "must name three arms"),
-        (without("arms"), "arms: must have"),
-        (without("arms", "distal_m"), "lacks distal_m"),
-        (without("arms", "platform_radius_m"), "offset_m, or both"),
-        (with_value(0.15, "arms", "offset_m"), "offset_m, or both"),
-        (with_value("long", "arms", "distal_m"), "arms: distal_m: needs 3 finite numbers"),
-        (with_value([0.3, 0.3], "arms", "proximal_m"), "arms: proximal_m: needs 3 finite numbers"),
-        (with_value(0.3, "arms", "proximal_mm"), "'proximal_mm' is not one of its keys"),
-        (with_value(1.0, "colour"), "'colour' is not one of its keys"),
-        (with_value([0.0, 1.0], "limits_rad", "knee"), "'knee' is not one of its keys"),
-        (with_value([0.0], "limits_rad", "arm_1"), "arm_1: needs 2 finite numbers"),
-        (with_value([1, 2], "limits_rad"), "limits_rad: must have a pair"),
-        (with_value([1, 2, 3], "tool"), "tool: must have position_m"),
-        (with_value([1.0], "tool", "position_m"), "position_m: needs 3"),
+        ("", {"modcal_delta": 2}, "modcal_delta: 2 is not one of 1"),
+        ("", {"joints": "arm"}, "joints: 'arm' is not a list"),
+        ("", {"colour": 1.0}, "unknown key colour"),
+        ("arms", {"distal_m": None}, "arms: 'distal_m' is not stated"),
+        ("arms", {"platform_radius_m": None}, "offset_m, or both"),
+        ("arms", {"offset_m": 0.15}, "offset_m, or both"),
+        ("arms", {"proximal_m": [0.3, 0.3]}, "proximal_m: it has 2 entries, 3 are allowed"),
+        ("limits_rad", {"knee": [0.0, 1.0]}, "knee is no joint of it"),
+        ("limits_rad", {"arm_1": [0.0]}, "arm_1: it has 1 entries, 2 are allowed"),
     ],
 )
-def test_what_is_not_understood_is_named(data: Any, said: str) -> None:
+def test_what_is_not_understood_is_named(part: str, changes: dict[str, Any], said: str) -> None:
+    data = deepcopy(STATED)
+    (data.setdefault(part, {}) if part else data).update(changes)
     with pytest.raises(BadTable, match=said):
         delta_from_data(data, "delta.yaml")

@@ -367,7 +367,8 @@ def plain_name(stated: Any, source: str) -> str:
 
 
 def _incidence(data: Mapping[str, Any], what: str) -> Incidence:
-    columns, entries = data["columns"], {}
+    columns = data["columns"]
+    entries: _Cells = {}
     for row, cells in data["rows"].items():
         if len(cells) != len(columns):
             raise BadTable(f"{what}: row {row}", f"needs {len(columns)} cells, one a column", 'leave empty ones as ""')

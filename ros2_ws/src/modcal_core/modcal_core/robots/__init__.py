@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.urdf import joint_origins, other_tips, read_chain, read_path
     from modcal_core.robots.urdf_inertias import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
     from modcal_core.robots.urdf_inertias import moved_centres, read_inertias, weightless
-    from modcal_core.robots.urdf_tree import Tree, document, parse, rerooted
+    from modcal_core.robots.urdf_tree import CollisionShape, Tree, collision_shapes, parse, rerooted
     from modcal_core.robots.urdf_write import calibrated_urdf, chain_urdf, joint_element
     from modcal_core.robots.urdf_write import number, origin_element, ros2_control_offsets, urdf_text, xacro_origins
 else:
@@ -37,11 +37,29 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
-__all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain", "Delta"]
+__all__ += [
+    "PARAMETERS",
+    "PROXIMAL",
+    "RATIO",
+    "STANDARD_GRAVITY",
+    "UNITS",
+    "ZERO",
+    "CarryingJoint",
+    "Chain",
+    "CollisionShape",
+    "Delta",
+]
 __all__ += ["Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointColumns"]
 __all__ += ["JointPath", "LoadedArm", "Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque"]
-__all__ += ["body_jacobian", "calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf"]
-__all__ += ["constant_bounds", "delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia"]
+__all__ += [
+    "body_jacobian",
+    "calibrated_urdf",
+    "chain_forward",
+    "chain_gravity_wrench",
+    "chain_urdf",
+    "collision_shapes",
+]
+__all__ += ["constant_bounds", "delta_from_data", "delta_inverse", "delta_to_data", "equivalent_inertia"]
 __all__ += ["followers_of", "forward", "frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_conf"]
 __all__ += ["from_ur_kinematics", "gravity_wrench", "held_behind", "inverse", "inverse_batch", "is_delta"]
 __all__ += ["is_serial_arm", "joint_element", "joint_origins", "kinematics_yaml_data", "lacks_hash", "loss"]
