@@ -181,7 +181,7 @@ class Robot:
             said = f"is no rigid motion: R Rᵀ is off by {off:.2g}, det R is {np.linalg.det(goal[:3, :3]):.3g}"
             raise BadRobot("pose", said, "give a rotation, a position, and 0 0 0 1 below them")
         if wanted.shape != (6,) or not np.isin(wanted, (0, 1)).all() or not wanted.any():
-            raise BadRobot("mask", f"is {mask}, not six of true and false", "name x y z rx ry rz, one at least")
+            raise BadRobot("mask", f"is {mask!r}, not six of true and false", "name x y z rx ry rz, one at least")
         if isinstance(self.mechanism, Delta):
             from modcal_core.robots import delta_inverse
 
