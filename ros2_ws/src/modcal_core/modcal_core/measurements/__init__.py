@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from modcal_core.measurements.samples import explained_by_posture, joints_instead, marks_of, moving_beside
     from modcal_core.measurements.samples import other_joints, others_at, others_by_name, require_new, share_of_known
     from modcal_core.measurements.samples import spoken_name
-    from modcal_core.measurements.schema import Schema, require, shown, told
+    from modcal_core.schema import Schema, require, shown, told
 else:
     from modcal_core.lazy import lazy_face
 
