@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.calibration import Calibration, Model, NoiseModel
-from modcal_core.checking.known import FrozenCalibration, tried_stations
+from modcal_core.checking.known import tried_stations
 from modcal_core.checking.naming import Alike, Noticed, Recommendation
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
@@ -126,9 +126,7 @@ def _needed(k: int, n: int, log_prior: float, weight: float) -> float:
     return float(np.sqrt(enough[0])) if len(enough) else np.inf
 
 
-def advise(
-    found: FoundChanges, calibration: Calibration, frozen: FrozenCalibration, alike: Sequence[Alike], untried: bool
-) -> Recommendation:
+def advise(found: FoundChanges, calibration: Calibration, alike: Sequence[Alike], untried: bool) -> Recommendation:
     """What to do. untried: whether what was found may be the calibration itself, where it was not made."""
     kinds = {c.hypothesis.kind for c in found.changes}
     if untried and len(calibration.postures):
@@ -148,7 +146,7 @@ def advise(
         h = change.hypothesis
         if not h.free and (not change.same_as or same or h.kind == NOISE):
             continue
-        stations = telling_stations(change, calibration, frozen.model, found.samples)
+        stations = telling_stations(change, calibration, found.model, found.samples)
         every = [h.label, *dict.fromkeys(j.hypothesis.label for j in change.same_as)]
         rivals = " and ".join(every if len(every) <= _LISTED else (*every[:_LISTED], "others"))
         said = f"Measure these {len(stations)} stations as well and check again with all: they tell {rivals} apart."

@@ -31,7 +31,7 @@ from modcal_core.moves.evidence import (
     is_noise,
     most_probable,
 )
-from modcal_core.moves.noise import FrozenKnowledge, NullModel, parameter_rows
+from modcal_core.moves.noise import FrozenKnowledge, NullModel
 from modcal_core.moves.rows import (
     BASE,
     GEAR,
@@ -75,28 +75,18 @@ class FittedChange:
 
 
 @dataclass(frozen=True)
-class SizeCovariance:
-    """What is known of the sizes of all changes together. covariance: (k, k). cross: with what the calibration does not
-    know of itself, (K, k): the error of a size makes up for a part of that.
-    """
-
-    covariance: Array
-    cross: Array
-
-
-@dataclass(frozen=True)
 class FoundChanges:
     """What a search found.
 
-    changes: as named. given: those that were not asked for but given, as fitted. sizes: what is known of the sizes of
-    given and changes. log_e: logarithms of the e-values by which each was asked for, and, last, of what is left. aside:
-    samples that were set aside as wrong. stages: the frozen model beside the others, the same with what was given left
-    open, and with the changes taken up. asked: the changes that were looked for.
+    changes: as named. given: those that were not asked for but given, as fitted. covariance: of the sizes of given and
+    changes together, (k, k). log_e: logarithms of the e-values by which each was asked for, and, last, of what is left.
+    aside: samples that were set aside as wrong. stages: the frozen model beside the others, the same with what was
+    given left open, and with the changes taken up. asked: the changes that were looked for.
     """
 
     changes: tuple[FittedChange, ...]
     given: tuple[FittedChange, ...]
-    sizes: SizeCovariance
+    covariance: Array
     log_e: tuple[float, ...]
     aside: tuple[int, ...]
     stages: tuple[TakenUp, TakenUp, TakenUp]
@@ -106,6 +96,11 @@ class FoundChanges:
     def null(self) -> NullModel:
         """What readings scatter by about the frozen model."""
         return self.stages[0].judge.null
+
+    @property
+    def model(self) -> Model:
+        """The frozen one."""
+        return self.stages[0].state.model
 
     @property
     def state(self) -> CheckState:
@@ -316,13 +311,13 @@ class MoveSearch:
         picked = [c for c in found.picked if c.hypothesis.sample < 0]
         now = self.beside(picked)
         given = [FittedChange(judged, 1.0) for judged in self.fixed]
-        sizes = SizeCovariance(np.empty((0, 0)), np.empty((len(self.plain.state.known.covariance), 0)))
+        covariance = np.empty((0, 0))
         changes = [self.with_rivals(picked, i) for i in range(len(picked))]
         if given or changes:
-            every, sizes = with_sizes([*given, *changes], now, self.plain.judge.null)
+            every, covariance = with_sizes([*given, *changes], now, self.plain.judge.null)
             given, changes = every[: len(given)], every[len(given) :]
         stages = self.plain, self.beside([]), now
-        return FoundChanges(tuple(changes), tuple(given), sizes, found.log_e, aside, stages, tuple(self.asked))
+        return FoundChanges(tuple(changes), tuple(given), covariance, found.log_e, aside, stages, tuple(self.asked))
 
     def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
         """One of the changes that were picked, with what explains the readings as well."""
@@ -344,15 +339,13 @@ class MoveSearch:
         return FittedChange(replace(best, hypothesis=one.hypothesis), probability, tuple(j for _, j in rivals))
 
 
-def with_sizes(
-    changes: Sequence[FittedChange], now: TakenUp, begin: NullModel
-) -> tuple[list[FittedChange], SizeCovariance]:
-    """The changes with their sizes, and what is known of these beside each other.
+def with_sizes(changes: Sequence[FittedChange], now: TakenUp, begin: NullModel) -> tuple[list[FittedChange], Array]:
+    """The changes with their sizes, and the covariance (k, k) of these together.
 
     Of the null's grid the member counts that suits the readings best with the changes in; without them it would be a
     wider spread, for it would have to explain them.
     """
-    state, known, member = now.state, now.state.known, now.judge.best
+    state, member = now.state, now.judge.best
     for change in changes:
         if is_noise(change.judged):
             begin = begin.with_noise(*change.judged.noise)
@@ -368,14 +361,12 @@ def with_sizes(
     sized = np.concatenate([np.full(b.shape[1], not f.hypothesis.free) for b, f in zip(blocks, now.fits, strict=True)])
     covariance = np.linalg.pinv(J.T @ J + np.diag(1.0 - sized), hermitian=True)
     mean = covariance @ (J.T @ judge.whitened(state.residual, member))  # of curves; of sizes it is the last step
-    rows = parameter_rows(state.model, state.view, state.drivers, known.parameters, known.effects)
-    cross = -known.covariance @ judge.whitened(rows.T, member).T @ J @ covariance
     out = []
     for change, fit, root, end in zip(changes, now.fits, roots, ends, strict=True):
         at = slice(end - root.shape[1], end)
         found = root @ mean[at] if fit.hypothesis.free else fit.sizes
         out.append(replace(change, sizes=found, covariance=root @ covariance[at, at] @ root.T))
-    return out, SizeCovariance(covariance[np.ix_(sized, sized)], cross[:, sized])
+    return out, covariance[np.ix_(sized, sized)]
 
 
 def wave_of(joint: int, beside: TakenUp) -> JudgedChange | None:
