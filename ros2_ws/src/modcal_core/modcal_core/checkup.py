@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from modcal_core.calibration import BLEND, Calibration, Cell, Errors, curved_joints, errors, with_sockets
 from modcal_core.checking import (
     PATTERN,
-    UNTRIED,
     BeyondRanges,
-    NamedChange,
     Noticed,
     Recommendation,
-    Status,
     advise,
     alike_everywhere,
     beyond_ranges,
     frozen,
     in_known_frames,
-    named,
     new_frames,
     noticed,
     placed_anew,
@@ -36,10 +33,11 @@ from modcal_core.evaluation import evaluate
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import recognised
 from modcal_core.measurements import Samples
-from modcal_core.moves import FoundChanges, search
+from modcal_core.moves import UNTRIED, FoundChanges, NamedChange, named, search
 from modcal_core.outcome import Outcome, unseen_note
 from modcal_core.verdict import Applied, applicable, own_rows
 
+Status = Literal["unchanged", "changed", "ambiguous", "unexplained"]
 MIN = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
 _SAME_POSTURE = 1e-3  # rad or m; no change of interest shows between two stations that close
 _NAMED = 4  # frames that a note has room for
@@ -162,7 +160,7 @@ def checkup(
     N = len(found.samples)
     beyond = beyond_ranges(calibration, model, found.samples)
     changes = tuple(
-        named(change, _motions(found, i), 3 * N, same, beyond)
+        named(change, _motions(found, i), 3 * N, same, beyond.untried_mm)
         for i, (change, same) in enumerate(zip(found.changes, alike, strict=True))
     )
     untried = any(UNTRIED in c.same_as for c in changes) or (found.more and beyond.mostly)

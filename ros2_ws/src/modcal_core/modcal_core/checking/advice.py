@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
 from modcal_core.calibration import Calibration, Model, NoiseModel
 from modcal_core.checking.known import tried_stations
-from modcal_core.checking.naming import Alike, Noticed, Recommendation
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
 from modcal_core.moves import (
@@ -21,6 +21,7 @@ from modcal_core.moves import (
     SIZES,
     TOOL,
     ZERO,
+    Alike,
     CheckState,
     FittedChange,
     FoundChanges,
@@ -28,12 +29,34 @@ from modcal_core.moves import (
     log_priors,
 )
 
+Action = Literal["nothing", "use_repaired", "refit_base", "add_stations", "calibrate_again", "check_instrument"]
 STATIONS = 6  # that are proposed at a time
 _SAME = 0.0025  # of the squares: what differs by less over all recorded postures is the same motion (as plan --decide)
 _LISTED = 4  # changes that a sentence has room for
 _SURE = 1.645  # standard deviations: 95 of 100
 _SWEEP = 24  # stations that show a gear's curve: a wave of a turn or two, and some of any other
 _UNSEEN_MM = 100.0  # RMS at the tool: a change that must be a decimetre is seen by eye, and not by these stations
+
+
+@dataclass(frozen=True)
+class Noticed:
+    """The smallest change of a kind that these stations show in 95 of 100 cases: RMS at the tool [mm], inf for none.
+
+    unseen: changes of this kind that they do not show, such as the zero of a joint that turns as the base does.
+    """
+
+    label: str
+    mm: float
+    unseen: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """action, and what it means here. stations: to be measured next (k, n); empty where none are needed."""
+
+    action: Action
+    sentence: str
+    stations: Array = field(default_factory=lambda: np.empty((0, 0)))
 
 
 def alike_everywhere(change: FittedChange, calibration: Calibration, model: Model, samples: Samples) -> Alike:

@@ -31,7 +31,6 @@ from modcal_core.moves import FRAME, CellChange, FrozenKnowledge, towards
 
 PATTERN = 0.25  # share of the variance that is taken to be common to neighbouring postures where no report says it
 _MIN_PATTERN = 0.1  # the same where a report saw none: of 160 stations it sees no less than some ten per cent
-UNTRIED = "the calibration, beyond the joint ranges that it was made from"
 _MAX = 0.5  # of the stations, beyond which what they say together is of places where nothing was tried
 _MARGIN = 0.02  # of a range, as where samples outside are counted
 _ASKED = 10  # stations of the calibration's own that are proposed: as many as a check is to have
@@ -149,9 +148,10 @@ class BeyondRanges:
         """Whether most of them do."""
         return self.outside > _MAX * self.of
 
-    def doubts(self, moved_mm: float) -> bool:
-        """Whether a change that moves the tool by so much [mm] may be what was not tried there."""
-        return self.mostly and moved_mm < 1e3 * self.corrected
+    @property
+    def untried_mm(self) -> float:
+        """RMS [mm] that the model may lack where most stations stand beyond the ranges; else 0."""
+        return 1e3 * self.corrected if self.mostly else 0.0
 
 
 def beyond_ranges(calibration: Calibration, model: Model, samples: Samples) -> BeyondRanges:

@@ -10,11 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.calibration import Model
-from modcal_core.checking.naming import OF_A_GEAR
 from modcal_core.errors import BadRecording
 from modcal_core.hypotheses import Answer, HandEye, explain, placed
 from modcal_core.measurements import Samples
-from modcal_core.moves import BASE, FRAME, GEAR, LINK, LOAD, PLAY, STEP, TOOL, ZERO, FoundChanges
+from modcal_core.moves import BASE, FRAME, GEAR, LINK, LOAD, OF_A_GEAR, PLAY, STEP, TOOL, ZERO, FoundChanges
 
 _MIN = 8  # stations, of which most must agree before others are said to be wrong
 _CHANGES = (BASE, FRAME, TOOL, ZERO, GEAR, LOAD, LINK, PLAY)  # no other metre, links or scatter

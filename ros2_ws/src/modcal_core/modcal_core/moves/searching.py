@@ -301,9 +301,9 @@ class MoveSearch:
         return wave if wave is not None and wave.log_factor > picked[i].log_factor else picked[i]
 
     def nearest(self) -> FittedChange:
-        """The row that explains most by itself, or what outside the arm explains as much, with its rivals."""
-        judged, prior = self.plain.judge_all(self.asked)
-        return self.with_rivals([self._outside([most_probable(judged, prior)], 0)], 0)
+        """The row that explains most by itself, or what outside the arm explains as much, with its size and rivals."""
+        one = self._outside([most_probable(*self.plain.judge_all(self.asked))], 0)
+        return with_sizes([self.with_rivals([one], 0)], self.beside([one]), self.plain.judge.null)[0][0]
 
     def told(self, found: Explanation, aside: tuple[int, ...]) -> FoundChanges:
         """What was found, with what explains the readings as well, and with sizes."""

@@ -127,9 +127,11 @@ def fitted(
     sized = [h for h in asked if h.sizes]
     model, now, member = state.model, state, state.null.reference
     if state.linear:
-        A, r = np.concatenate([state.columns(h) for h in asked], axis=1), state.null.residual
-        left = r - A @ np.linalg.lstsq(judge.whitened(A, member), judge.whitened(r, member), rcond=1e-8)[0]
-        return [ChangeCandidate(h, left, state.columns(h)) for h in asked], state
+        columns, r = [state.columns(h) for h in asked], state.null.residual
+        A = np.concatenate(columns, axis=1)
+        sizes = np.linalg.lstsq(judge.whitened(A, member), judge.whitened(r, member), rcond=1e-8)[0]
+        each = np.split(sizes, np.cumsum([c.shape[1] for c in columns])[:-1])
+        return [ChangeCandidate(h, r - A @ sizes, *of) for h, *of in zip(asked, columns, each, strict=True)], state
     totals = _set_up(sized, state) if bent else [np.zeros(h.sizes) for h in sized]
     for h, total in zip(sized, totals, strict=True):
         if total.any():

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.checking import NamedChange, Series, SizeFound
+from modcal_core.checking import Series
 from modcal_core.checkup import Checked
+from modcal_core.moves import NamedChange, SizeFound
 from modcal_core.report.as_json import claim_data, finite, tolerance_data
 from modcal_core.report.blocks import Figures, Listing, PageTable, Section, Summary, SummaryLine, SummaryTable, Tone
 from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel
