@@ -118,7 +118,7 @@ def noticed(found: FoundChanges) -> tuple[Noticed, ...]:
     """The smallest base, tool, zero and scale of those asked for that 95 of 100 such checks notice, RMS at the tool
     [mm], and which of them no check of these stations notices.
     """
-    judge, state = found.stages[1].judge, found.stages[0].state
+    judge, state = found.stages[1].judge, found.stages[0]
     N, null = len(state.samples), judge.null
     member = null.reference if null.widest < 0 else null.widest
     worst: dict[str, float] = {}
