@@ -23,8 +23,6 @@ from modcal_core.checking import (
     placed_anew,
     repaired,
     require_accounted,
-    require_one_setting,
-    require_own_rows,
     spread_out,
     with_new_frames,
 )
@@ -143,7 +141,6 @@ def checkup(
     model, knowledge = applied.model, frozen(calibration, applied.model, pattern)
     inside = _where_curves_are_known(calibration, samples)
     part = calibration.with_scatter(spread_out(inside, MAX))
-    require_own_rows(model, part)
     try:
         found = search(model, part, knowledge, placed_anew(part, new))
     except np.linalg.LinAlgError:  # so far apart that their likelihoods cannot be weighed
@@ -152,9 +149,7 @@ def checkup(
             f"miss the calibrated arm by {_size(errors(model, part))[0]:.3g} mm RMS, and contradict each other",
             "check that each stands beside its own posture, and that robot and instrument are those of the calibration",
         ) from None
-    require_one_setting(found)
-    if known.doubt is not None:
-        require_accounted(found, known.doubt, model)
+    require_accounted(found, known.doubt, model)
     fixed = None if found.more else repaired(calibration, found)
     alike = [alike_everywhere(c, calibration, model, found.samples) for c in found.changes]
     N = len(found.samples)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from modcal_core.checking.known import PATTERN, BeyondRanges, beyond_ranges, frozen
     from modcal_core.checking.known import in_known_frames, new_frames, pattern_of, placed_anew, spread_out
     from modcal_core.checking.known import with_new_frames
-    from modcal_core.checking.own_rows import require_accounted, require_one_setting, require_own_rows
+    from modcal_core.checking.own_rows import require_accounted
     from modcal_core.checking.repair import repaired
 else:
     from modcal_core.lazy import lazy_face
@@ -19,5 +19,5 @@ else:
 
 __all__ = ["PATTERN", "BeyondRanges", "Noticed", "Recommendation", "Series", "Values", "advise", "alike_everywhere"]
 __all__ += ["beyond_ranges", "frozen", "in_known_frames", "new_frames", "noticed", "pattern_of", "placed_anew"]
-__all__ += ["repaired", "require_accounted", "require_one_setting", "require_own_rows", "series_of", "spread_out"]
+__all__ += ["repaired", "require_accounted", "series_of", "spread_out"]
 __all__ += ["values_of", "with_new_frames"]
