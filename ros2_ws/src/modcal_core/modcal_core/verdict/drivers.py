@@ -146,10 +146,6 @@ class PlaceDrivers:
         where = np.concatenate([_standard(np.asarray(self.rest.view.f.p[-1])), flat, flat**3])
         who = "the tool (or the target on it)"
         yield _part("", who, "where it is and how it is turned in the cell", self.tool, where)
-        along = self.rest.read(np.eye(3)[..., None] * self.one)
-        if not self.samples.sockets:
-            turns = np.concatenate([flat, flat**3])
-            yield _part("", "the tracker's readings", "how the target is turned", along, turns)
 
     def beside(self) -> Iterator[Part]:
         """Joints with the position of a neighbour, whose cables and links run through both."""
@@ -316,6 +312,8 @@ class PlaceDrivers:
         yield _part(group, who, "the distance from the tracker", self.rest.read(_unit(x))[None], powers)
         yield _part(group, who, place, along, _monomials(z, 3))
         yield _part("", who, place, along, z)
+        flat = self.turn.reshape(9, self.N)
+        yield _part("", who, "how the target is turned", along, np.concatenate([flat, flat**3]))
         group = "the side from which the tracker sees the target (the angle of the beam, or the target's roll)"
         yield _part(group, who, group, self.rest.read(_unit(x))[None], _monomials(self.sight, 3))
         yield _part(group, "", "", along, _monomials(self.sight, 2))
