@@ -114,6 +114,7 @@ def size_open(
 
 
 _TOO_MANY = 0.2  # share beyond which what is left is no majority to rely on
+_SIGHTINGS = 8  # points of a marker, for most of them to say something of it
 _NAMED = 3  # markers in a sentence
 
 
@@ -128,16 +129,15 @@ def left_out_points(
     against, open_ = list[str](), list[str]()
     for name, table in cameras:
         seen, kept = (np.bincount(table.marker, part, table.markers) for part in (None, table.weight))
-        strange = [
-            one.label for one, some, all_ in zip(target.markers, kept, seen, strict=True) if some < MOSTLY * all_
-        ]
+        strange = np.flatnonzero((kept < MOSTLY * seen) & (seen >= _SIGHTINGS))
+        named = ", ".join(target.markers[k].label for k in strange[:_NAMED])
         said = f"{100.0 * table.left_out:.0f} % of the points{name} fit no body of the stated form, and are left out"
-        if strange:
+        if len(strange):
             said += (
-                f", most of those of {', '.join(strange[:_NAMED])}{' and others' * (len(strange) > _NAMED)}: check "
-                "number, place and corner_order in the target file, and whether it came loose"
+                f", most of those of {named}{' and others' * (len(strange) > _NAMED)}: check number, place and "
+                "corner_order in the target file, and whether it came loose"
             )
-        if strange or table.left_out > PASSED:
+        if len(strange) or table.left_out > PASSED:
             (against if table.left_out > _TOO_MANY else open_).append(f"{said}.")
     return tuple(against), tuple(open_)
 
