@@ -56,10 +56,10 @@ def test_file_and_measured_rulers(tmp_path: Path) -> None:
     scale = read_target(path).scale
     assert scale.measured
     assert (scale.x, scale.y) == pytest.approx((0.99, 1.01))
-    assert scale.std < board.scale.std
+    assert scale.known[0] < board.scale.known[0]
     assert scale.unsaid
     data["rulers"]["measured_std_m"] = 3e-5  # with a calliper
-    assert target_from_data(data, "target.yaml").scale.std == pytest.approx(0.1 * scale.std)
+    assert target_from_data(data, "target.yaml").scale.known == pytest.approx(0.01 * np.array(scale.known))
     data["rulers"]["measured_x_m"] = 198.0
     with pytest.raises(BadTable, match="in metres"):
         target_from_data(data, "target.yaml")

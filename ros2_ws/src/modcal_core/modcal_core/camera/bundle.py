@@ -38,29 +38,32 @@ def require(ok: bool, offender: str, said: str, remedy: str) -> None:
         raise BadTable(offender, said, remedy)
 
 
+def alike(std: float, std_apart: float) -> tuple[float, float, float]:
+    """Variance of x, covariance, variance of y where both share a relative error, and differ by another."""
+    shared, apart = std**2, (0.5 * std_apart) ** 2
+    return shared + apart, shared - apart, shared + apart
+
+
 @dataclass(frozen=True)
 class PrintScale:
     """How much larger than stated the sheet is, in x and y, and how well that is known.
 
-    x, y: ratio to what the file states. std: relative standard deviation of what x and y share. std_apart: of their
-    difference. leaning: covariance of these two, where one of x and y is known better. measured: whether somebody has
+    x, y: ratio to what the file states. known: relative variance of x, covariance, variance of y; of a print of which
+    nothing is known those of a printer that fits to the page, or feeds unevenly. measured: whether somebody has
     measured it. unsaid: whether nobody said how well.
     """
 
     x: float = 1.0
     y: float = 1.0
-    std: float = 0.01  # a printer that fits to the page, or feeds unevenly, is off by up to a few per cent
-    std_apart: float = 0.003  # paper feed against the width of the head
+    known: tuple[float, float, float] = alike(0.01, 0.003)
     measured: bool = False
-    leaning: float = 0.0
     unsaid: bool = False
 
     @property
     def covariance(self) -> Array:
         """Covariance (2, 2) of the print scales along x and y."""
-        shared, apart = self.std**2, (0.5 * self.std_apart) ** 2
-        other = shared - apart
-        return np.array([[shared + apart + self.leaning, other], [other, shared + apart - self.leaning]])
+        x, both, y = self.known
+        return np.array([[x, both], [both, y]])
 
 
 @dataclass(frozen=True)
@@ -390,7 +393,4 @@ def body_scale(size: float | None, printed: float = PRINT) -> PrintScale:
 
     size: relative standard deviation, None where nobody states it. printed: of the markers' sides.
     """
-    body = SIZE if size is None else size
-    quarter = 0.25 * (body**2 + printed**2)  # of independent values, shared and half the difference vary alike
-    half = quarter**0.5
-    return PrintScale(1.0, 1.0, half, 2.0 * half, size is not None, 0.5 * (body**2 - printed**2))
+    return PrintScale(1.0, 1.0, ((SIZE if size is None else size) ** 2, 0.0, printed**2), size is not None)

@@ -29,7 +29,7 @@ from modcal_core.robots import Chain
 ON_TIP, IN_WORLD = "camera on the tip, target in the world", "camera in the world, target on the tip"
 MIN_VIEWS = 4  # three poses solve AX = ZB; a fourth tells whether they agree
 _STILL_RAD, _STILL_M = 0.02, 0.005  # motion of the target in the images that is none, the arm having moved far more
-_MOVED_RAD, _MOVED_M = 0.1, 0.05  # of the arm
+_MOVED_RAD = 0.1  # of the arm
 _TURNED = 0.15  # rad; relative turns about a second axis that show all of a hand-eye pose
 _CLEAR = 2.0  # ratio of the misfits of both mountings, or of two orders of corners, that tells which it is
 _ROUNDS = 5  # of choosing between the two poses of each image
@@ -78,16 +78,13 @@ def find_mounting(T_base_tip: Array, poses: BoardPose, stated: bool | None = Non
     if N < MIN_VIEWS:
         raise NotEnoughData("images", f"{N} show the target, at least {MIN_VIEWS} are needed", "take more images")
     turns, seen = relative_turns(T_base_tip), poses.T[:, 0]
-    turn, shift = float(turns[0]), float(np.ptp(T_base_tip[:, :3, 3], axis=0).max())
-    if turn < _MOVED_RAD and shift < _MOVED_M:
-        said = f"the arm moves by {1e3 * shift:.0f} mm and {np.degrees(turn):.1f}° between them"
-        raise NotEnoughData("images", said, "take images in postures far apart, the wrist turned about two axes")
+    if turns[0] < _MOVED_RAD:
+        shift = 1e3 * float(np.ptp(T_base_tip[:, :3, 3], axis=0).max())
+        said = f"the arm moves its tip by {shift:.0f} mm between them and turns it by {np.degrees(turns[0]):.1f}° only"
+        raise NotEnoughData("images", said, "take images far apart, the wrist turned by 30° or more about two axes")
     if float(relative_turns(seen)[0]) < _STILL_RAD and float(np.ptp(seen[:, :3, 3], axis=0).max()) < _STILL_M:
         said = "the target does not move in the images while the arm does: camera and target move, or stand, together"
         raise BadRecording("images", said, "mount one of the two on the arm and the other in the world")
-    if turn < _MOVED_RAD:
-        said = f"the arm turns its tip by {np.degrees(turn):.1f}° only"
-        raise NotEnoughData("images", said, "turn the wrist by 30° or more about two axes")
     found = [_mounted(T_base_tip, poses, on_tip) for on_tip in (True, False)]
     miss = [float(np.median(one.off_m)) for one in found]
     best = int(miss[1] < miss[0]) if stated is None else int(not stated)

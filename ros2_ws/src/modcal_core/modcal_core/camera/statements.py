@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.camera.bundle import PrintScale
+from modcal_core.camera.bundle import PrintScale, alike
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import FREE, READOUT, SCALE, SHAPE, common_prior
 from modcal_core.camera.equations import SolvedEquations
@@ -34,7 +34,7 @@ from modcal_core.geometry import Array
 # first two are odds of 20 : 1.
 _BACKED = 0.5 * float(np.log(20.0))
 # Tolerances of a size that is not as stated, relative: of a length, and against the width.
-_ANY_SIZE = 0.05, 0.01
+_ANY_SIZE = PrintScale(known=alike(0.05, 0.01))
 _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 _EXACT = 1e8  # times the information of its prior; a value that is held
 _NEVER_LESS = 0.05  # chance that rulers of which nobody says how well they were read are of another sheet
@@ -81,9 +81,9 @@ def doubts(fit: CameraFit, stated: CameraImages) -> tuple[DoubtedStatement, ...]
 def _relaxed(fit: CameraFit, stated: CameraImages) -> Iterator[tuple[str, slice, Array, Array]]:
     """(what a statement is about, its values among lens and shape, their information and mean with it relaxed)."""
     prior = fit.prior
-    cov = PrintScale(std=_ANY_SIZE[0], std_apart=_ANY_SIZE[1]).covariance
+    cov = _ANY_SIZE.covariance
     if prior.places is not None:  # the print of its markers is another statement, and stands
-        cov = np.asarray(np.linalg.inv(prior.information[SCALE, SCALE]) + np.diag([_ANY_SIZE[0] ** 2, 0.0]))
+        cov = np.asarray(np.linalg.inv(prior.information[SCALE, SCALE]) + np.diag([cov[0, 0], 0.0]))
     yield SIZE, SCALE, np.asarray(np.linalg.inv(cov)), prior.mean[SCALE]
     if prior.places is None:  # a body has no bow
         yield BOW, BENT, np.eye(SHAPE - 2) / _ANY_BOW_M**2, prior.mean[BENT]

@@ -77,7 +77,6 @@ def _marker(number: Any, xyz: Sequence[Any], quaternion: Sequence[Any], size: An
 
 FORMAT = 1  # of the file
 RULER_STD_M = 3e-4  # how well one reads a ruler against two fine lines: a third of its millimetre
-_TWO_RULERS = 2.0  # rulers; their mean is known better than either by the root of this
 _OFF = 0.1  # a sheet farther from its stated size was measured in another unit
 _KINDS = (CHARUCO, CHESSBOARD, ARUCO_GRID, APRIL_GRID, TAG)
 _REMEDY = "give a target file as modcal target writes it, Kalibr's aprilgrid.yaml, or a bundle (docs/camera.md)"
@@ -155,10 +154,8 @@ def scale_of_rulers(
     near = max(abs(x - 1.0), abs(y - 1.0)) <= _OFF
     require(near, source, said, "give what a ruler shows, in metres, or print at 100 %")
     std = RULER_STD_M if std_m is None else std_m
-    each = [std / n for n in nominal]
-    apart = (each[0] ** 2 + each[1] ** 2) ** 0.5
-    leaning = 0.5 * (each[0] ** 2 - each[1] ** 2)  # the longer ruler says more of what both share
-    return PrintScale(x, y, apart / _TWO_RULERS, apart, True, leaning, std_m is None)
+    known = (std / nominal[0]) ** 2, 0.0, (std / nominal[1]) ** 2
+    return PrintScale(x, y, known, True, std_m is None)
 
 
 def _scale(rulers: Any, source: str) -> PrintScale:
