@@ -122,13 +122,6 @@ class Listing:
 
 
 @dataclass(frozen=True)
-class SideBySide:
-    """Small tables side by side."""
-
-    tables: Sequence[Table]
-
-
-@dataclass(frozen=True)
 class HeatTable:
     """A table of shares, cells as full as they are. rows: names and shares, NaN where there is none."""
 
@@ -264,6 +257,6 @@ class Section:
 
 
 Block = (
-    Paragraph | Listing | Table | SideBySide | HeatTable | Tiles | Facts | Signatures | Figures | FileList | Fold
+    Paragraph | Listing | Table | HeatTable | Tiles | Facts | Signatures | Figures | FileList | Fold
     | Section | Scene3D
 )  # fmt: skip

@@ -22,7 +22,6 @@ from modcal_core.report.blocks import (
     Listing,
     Paragraph,
     Section,
-    SideBySide,
     Table,
     Tiles,
     tone_of,
@@ -247,7 +246,7 @@ class _Sections:
         out: list[Block] = [effects_table(self.report)]
         if sizes := size_tables(effects):
             words = "Each ± one standard deviation; a table for each unit."
-            out += [Paragraph(words, "Their sizes.", soft=True), SideBySide(sizes)]
+            out += [Paragraph(words, "Their sizes.", soft=True), *sizes]
         for e in effects:
             if e["same_as"]:
                 words = f"cannot be distinguished from: {'; '.join(e['same_as'])}."
