@@ -60,7 +60,7 @@ def test_a_library_of_ones_own(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("modules: [", "is not YAML"),
-        ("[]", "is not an assembly"),
+        ("[]", "is not a mapping"),
         ("{modcal_assembly: 1, modules: [{module: B}, {module: JR}, {module: LC}]}", "it ends in a link"),
         ("{modcal_assembly: 1, library: none.yaml, modules: []}", "library none.yaml: is not beside it"),
     ],

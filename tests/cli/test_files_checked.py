@@ -15,7 +15,7 @@ from cli.conftest import Refused
 from modcal_core.calibration.store import from_data
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml
-from modcal_core.measurements.schema import require
+from modcal_core.schema import require
 from modcal_msgs_py.tables.convert import SCHEMA
 from modcal_nodes.cli.main import run
 

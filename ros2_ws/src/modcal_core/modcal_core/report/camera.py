@@ -49,7 +49,7 @@ def moved_data(solution: CameraSolution) -> dict[str, Any] | None:
         return None
     return {
         "what": moved.what,
-        "before_image": solution.fit.table.names[moved.at],
+        "before_image": solution.fit.table.names[int(moved.since)],
         "shift_mm": 1e3 * moved.shift_m,
         "turn_deg": float(np.degrees(moved.turn_rad)),
         "focal_percent": 100.0 * moved.focal,
@@ -316,10 +316,6 @@ def camera_data(
                 if name != ALL_BUT_IMAGES
             ],
             "weak": list(solution.evidence.weak),
-            "springs_not_shown": [
-                {"place": one.place, "softer_than": 1.0 / one.least, "at_tool_mm": 1e3 * one.at_tool_m}
-                for one in solution.evidence.hidden
-            ],
             "further": further_data(solution),
         },
         "parameters": [
@@ -340,15 +336,6 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
         said = solution.evidence.left.effect.label
         out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
     out += solution.evidence.weak
-    if solution.evidence.hidden and solution.evidence.hidden[0].at_tool_m > _WORTH * solution.claim.in_view.interval[0]:
-        one = solution.evidence.hidden[0]
-        chain = solution.fit.poses.model.serial
-        per = "N m/rad" if chain.revolute[chain.names.index(one.place)] else "N/m"
-        out.append(
-            f"Springs: these images show one in {one.place} only where it is softer than {1.0 / one.least:.2g} {per}, "
-            f"which moves the tool by {1e3 * one.at_tool_m:.2f} mm RMS; what a stiffer one does is taken up by the "
-            "geometry, which holds where the images are."
-        )
     target = "body" if solution.fit.table.places else "sheet"
     every, without = solution.claim.shares.get(ALL_BUT_IMAGES, (0.0, 0.0))
     if without > _MOSTLY * every:

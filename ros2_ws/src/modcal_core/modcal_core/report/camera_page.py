@@ -197,6 +197,8 @@ def camera_tolerance(solution: CameraSolution, tolerance_mm: float) -> Tolerance
         against = solution.claim.decision.problems[0]
     elif not solution.claim.metric:
         against = "Nothing in these images has a length that somebody measured."
+    elif solution.claim.decision.doubtful:
+        against = solution.claim.decision.doubtful[0]
     elif high > tolerance_mm:
         against = f"The RMS is {middle:.3f} mm, but may be up to {high:.3f} mm: more and better images would tell."
     if against:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.checking import NamedChange, SizeFound
 from modcal_core.checkup import Checked
 from modcal_core.files import to_json
+from modcal_core.moves import NamedChange, SizeFound
 from modcal_core.report.as_json import claim_data, finite, tolerance_data
 from modcal_core.report.blocks import Figures, Listing, Section, Summary, SummaryLine, Table, VerbResult, tone_of
 from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel

@@ -11,7 +11,7 @@ import numpy as np
 from modcal_core.articulation import Track, choose, require_convention
 from modcal_core.errors import BadRecording, about
 from modcal_core.geometry import Array, se3
-from modcal_core.measurements import POINT, POSE, ReadingTrack, Recording, cleaned, joint_stamps_and_positions
+from modcal_core.measurements import POINT, POSE, ReadingTrack, Recording, cleaned, joints_by_time
 from modcal_core.report import URDF, Articulation, articulation_report
 from modcal_core.robots import chain_forward
 from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
@@ -133,7 +133,7 @@ def _of_bag(recording: Recording, topic: str | None, options: ArticulateOptions)
     else:
         robot = described(recording, None, urdf, options.base, options.tip)
         chain, arm = robot.chain, arm_line(robot)
-    stamps, q = joint_stamps_and_positions(recording, chain.names)
+    stamps, q = joints_by_time(recording, chain.names)
     good = whole_rows(recording, chain.names, q)
     return _Read(se3.to_pose(chain_forward(chain, q[good])), stamps[good], chain.base, arm)
 

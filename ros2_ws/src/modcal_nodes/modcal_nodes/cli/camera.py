@@ -111,12 +111,10 @@ def plan_next_images(camera: CameraOptions, options: Options, count: int, output
         found = plan_images(solution.fit, solution.camera.given.target, count, np.random.default_rng(options.seed))
     tilts, away = np.degrees(found.tilt), found.distance
     reach = f"from {away.min():.2f} to {away.max():.2f} m"
-    if found.markers is not None:
-        over = "of the arm by itself wherever the camera stands"
-        shown = f"{found.markers.min()} to {found.markers.max()} markers of the body {reach}"
-    else:
-        over = "where the target is in view"
-        shown = f"the whole target {reach}, tilted by {tilts.min():.0f}° to {tilts.max():.0f}°"
+    shown = f"the target {reach}, tilted by {tilts.min():.0f}° to {tilts.max():.0f}°"
+    over = "where the target is in view"
+    if solution.fit.table.places:
+        over, shown = "of the arm by itself wherever the camera stands", f"the body {reach}"
     said = [
         f"{count} images more: the expected error at the tool, {over}, falls from "
         f"{1e3 * found.expected_m[0]:.2f} to {1e3 * found.expected_m[-1]:.2f} mm RMS.",
@@ -128,7 +126,6 @@ def plan_next_images(camera: CameraOptions, options: Options, count: int, output
         "expected_mm": (1e3 * found.expected_m).tolist(),
         "tilt_deg": tilts.tolist(),
         "distance_m": away.tolist(),
-        **({} if found.markers is None else {"markers": found.markers.tolist()}),
     }
     files = {"stations.csv": csv_text(robot.names, found.q)}
     result = VerbResult(data, said, files, "Images to take", "stations.csv")

@@ -11,7 +11,7 @@ import numpy as np
 
 from modcal_core.errors import BadRecording, BadTable, about
 from modcal_core.geometry import Array
-from modcal_core.measurements import Recording, joint_stamps_and, spread_rows
+from modcal_core.measurements import Recording, joints_by_time, spread_rows
 from modcal_core.report import LimitsFound, limits_report
 from modcal_core.robot import Robot
 from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
@@ -125,8 +125,7 @@ def _motion(chain: Chain, options: LimitsOptions) -> tuple[Array, Array]:
 
 def _recorded(arm: LoadedArm, recording: Recording, most: int) -> tuple[Array, Array, tuple[str, ...]]:
     chain = arm.chain
-    _, q = joint_stamps_and(recording, chain.names, "position")
-    _, v = joint_stamps_and(recording, chain.names, "velocity")
+    _, q, v = joints_by_time(recording, chain.names, "velocity")
     whole = whole_rows(recording, chain.names, q)
     notes = list(recording.warnings)
     if not whole.all():
