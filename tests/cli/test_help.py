@@ -11,19 +11,15 @@ from typing import Any
 import pytest
 from click.shell_completion import BashComplete
 
-from modcal_nodes.cli.main import GROUPS, VERBS, modcal, run
+from modcal_nodes.cli.main import VERBS, modcal, run
 
 
 def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["--help"]) == 0
     listed = capsys.readouterr().out
-    for verb, (_, _, said) in VERBS.items():
+    for verb, (_, said) in VERBS.items():
         assert verb in listed
         assert said in " ".join(listed.split())
-
-
-def test_every_verb_stands_in_one_group() -> None:
-    assert sorted(verb for verbs in GROUPS.values() for verb in verbs) == sorted(VERBS)
 
 
 @pytest.mark.slow
