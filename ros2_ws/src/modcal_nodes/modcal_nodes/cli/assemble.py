@@ -73,7 +73,7 @@ _PARTS = {
 )  # fmt: skip
 @saving()
 def assemble_command(spec: Path, library_file: Path | None, store: Path | None, output: Output) -> None:
-    """Build a robot from SPEC, a YAML list of modules or an assembly incidence matrix: robot.urdf, matrix, picture."""
+    """Build a robot from SPEC, a YAML list of modules, an incidence matrix or a code: robot.urdf, matrix, picture."""
     assembly, library = read_assembly(spec, library_file)
     errors = twists_from_data(read_yaml(store), str(store)) if store else None
     named = [m.serial for m in assembly.modules if m.serial]
@@ -95,6 +95,7 @@ def assemble_command(spec: Path, library_file: Path | None, store: Path | None, 
         "strangers": strangers,
     }
     shown: list[str | Summary] = [*_table(assembly, library), "assembly incidence matrix:", str(matrix)]
+    shown.append(f"code: {stated['code']}")
     if errors is not None:
         shown.append(f"{len(data['known'])} of {len(assembly.modules)} modules are known from {store}")
     if strangers:

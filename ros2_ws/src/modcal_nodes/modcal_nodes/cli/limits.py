@@ -14,10 +14,10 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import Recording, joints_by_time, spread_rows
 from modcal_core.report import LimitsFound, limits_report
 from modcal_core.robot import Robot
-from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
+from modcal_core.robots import Chain, JointPath, LoadedArm, Payload, random_postures
 from modcal_msgs_py import SUFFIXES, read_recording
 from modcal_nodes.cli.console import Output, saving
-from modcal_nodes.cli.inputs import arm_line, described, numbers_by_joint, whole_rows
+from modcal_nodes.cli.inputs import arm_line, described, numbers_by_joint, read_stations, whole_rows
 from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, TopicOptions, option, repeated
 
@@ -45,6 +45,7 @@ class LimitsOptions(ChainOptions, TopicOptions):
     )
     at: tuple[str, ...] = repeated("Position of a joint [rad; m]. Default: 0.", "JOINT=VALUE")
     velocity: tuple[str, ...] = repeated("Velocity of a joint [rad/s; m/s]. Default: 0.", "JOINT=VALUE")
+    path: Path | None = option("Postures to pass in their order (CSV, or plan.yaml): the fastest motion through them.")
     workspace: int | None = option("Number of random postures within the limits.", low=1)
     seed: int = option("Seed of those postures.", default=0, low=0)
     thorough: bool = option("Of a bag up to 20 000 postures, not 2 000.", default=False)
@@ -81,8 +82,10 @@ def limits_command(source: Path, output: Output, options: LimitsOptions) -> None
     """
     base, tip, topics = options.base, options.tip, options.topics
     recording = read_recording(source, topics=topics) if source.is_dir() or source.name.endswith(SUFFIXES) else None
-    if recording is not None and (options.at or options.velocity or options.workspace):
-        raise BadTable("--at, --velocity, --workspace", f"and the postures of {source}", "give a URDF with them")
+    if recording is not None and (options.at or options.velocity or options.workspace or options.path):
+        raise BadTable(
+            "--at, --velocity, --workspace, --path", f"and the postures of {source}", "give a URDF with them"
+        )
     if recording is not None:
         robot = described(recording, None, options.urdf, base, tip)
     else:
@@ -94,7 +97,7 @@ def limits_command(source: Path, output: Output, options: LimitsOptions) -> None
     else:
         q, v = _motion(arm.chain, options)
         notes = ()
-    found = LimitsFound(arm, q, v, source.name)
+    found = LimitsFound(arm, q, v, source.name, None if options.path is None else JointPath.through(q))
     with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
         report = limits_report(found, source.stem, notes)
@@ -107,6 +110,11 @@ def limits_command(source: Path, output: Output, options: LimitsOptions) -> None
 def _motion(chain: Chain, options: LimitsOptions) -> tuple[Array, Array]:
     """Positions and velocities (N, n) that are asked for."""
     at, workspace = options.at, options.workspace
+    if options.path is not None:
+        if at or workspace is not None:
+            raise BadTable("--path", "and --at or --workspace are ways to choose postures", "give one of them")
+        q = read_stations(options.path, chain)
+        return q, np.zeros_like(q)
     speeds = _column(chain, options.velocity, "--velocity", np.zeros(chain.n))
     if workspace is not None:
         if at:
