@@ -11,7 +11,7 @@ from modcal_core.articulation import Choice, JointFit, JointModel, Track, descri
 from modcal_core.files import to_json
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import spread_rows
-from modcal_core.report.blocks import Block, Figures, Paragraph, Scene3D, Section, Table, VerbResult
+from modcal_core.report.blocks import Block, Figures, Paragraph, Scene3D, Section, TableBlock, VerbResult
 from modcal_core.report.charts import Axis, Chart
 from modcal_core.report.figures import MAX_POINTS, mark_components, residual_panel
 from modcal_core.report.page import Page, Quantity, in_units, quantity_tables
@@ -186,7 +186,7 @@ def _page(found: Articulation, data: dict[str, Any]) -> str:
     kind = data["kind"] if data["kind"] == data["best"] else f"{data['kind']}; the best is {data['best']}"
     blocks: list[Block] = [
         Paragraph(said, soft=True),
-        Section("kind", "Joint type", [Table("Probabilities", ("kind", "probability"), kinds)]),
+        Section("kind", "Joint type", [TableBlock("Probabilities", ("kind", "probability"), kinds)]),
         Section("joint", f"The joint: {kind}", quantity_tables(_quantities(data))),
         Section("object", "The object in three dimensions", [drawn]),
         Section("path", "Residual along the path", [Figures([_residual(found, data)])]),
