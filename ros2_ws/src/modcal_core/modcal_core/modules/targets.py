@@ -31,7 +31,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, se3, sealed, so3
 from modcal_core.modules.catalogue import Arms, ModuleBodies
 
 
@@ -50,9 +50,7 @@ class Target:
         T = np.eye(4)
         T[:3, :3] = _orthonormal(np.asarray(R, dtype=float), kept[:3])
         T[:3, 3] = np.asarray(p, dtype=float)
-        for array in (T, kept):
-            array.flags.writeable = False
-        return cls(T, kept, name)
+        return sealed(cls(T, kept, name))
 
     @property
     def constraints(self) -> int:

@@ -169,8 +169,6 @@ def _longest(chain: Chain) -> float:
 CONVENTIONS = ("cpc", "dh", "mdh")
 EXACT = 1e-10  # m, and entries of rotations, by which an exported table may be off
 _POSTURES = 64
-_SPAN = 3.0  # rad
-_SLIDE = 0.5  # m
 
 
 def to_table(chain: Chain, convention: str, largest_offset: float = 10.0) -> dict[str, Any]:
@@ -190,7 +188,7 @@ def to_table(chain: Chain, convention: str, largest_offset: float = 10.0) -> dic
 
 def loss(chain: Chain, table: dict[str, Any]) -> float:
     """The largest difference [m, and of rotations] of the tip's pose between a chain and its table, over postures."""
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, (_POSTURES, chain.n)) * np.where(chain.revolute, _SPAN, _SLIDE)
+    q = chain.drawn(_POSTURES, np.random.default_rng(0))
     again = _READERS[table["convention"]](table)
     return float(np.abs(chain_forward(again, q) - chain_forward(chain, q)).max())
 
@@ -360,7 +358,6 @@ _ITERATIONS = 10
 # Combinations of numbers that move the tip less than this, relative to the strongest, stay: the offsets along two axes
 # that are a few mrad from parallel differ by that much only, and would be moved by metres to gain nothing.
 _WEAKEST = 0.01
-_TURN = np.pi  # rad; range of a joint without limits
 
 
 @dataclass(frozen=True)
@@ -390,7 +387,7 @@ def nearest_dh(chain: Chain, convention: str = "dh", largest_offset: float = 10.
     snapped = replace(chain, origins=constants, axes=np.tile([0.0, 0.0, 1.0], (chain.n, 1)))
     table = (to_dh if convention == "dh" else to_mdh)(snapped, largest_offset)
     rng = np.random.default_rng(0)
-    fitted, checked = _postures(chain, _FITTED, rng), _postures(chain, _CHECKED, rng)
+    fitted, checked = chain.drawn(_FITTED, rng), chain.drawn(_CHECKED, rng)
     table = _fit(table, fitted, chain_forward(chain, fitted))
     off = _off(table, checked, chain_forward(chain, checked))
     distance, angle = np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1) / _LEVER
@@ -417,14 +414,6 @@ def _made_parallel(chain: Chain) -> tuple[Array, list[int]]:
             constants[k][:3, :3] = so3.exp(turn / sine * np.arcsin(sine)) @ constants[k][:3, :3]
         pairs.append(k)
     return constants, pairs
-
-
-def _postures(chain: Chain, count: int, rng: np.random.Generator) -> Array:
-    """Postures (count, n) within the limits, and within a turn where there are none."""
-    span = np.where(chain.revolute, _TURN, _SLIDE)
-    lower, upper = np.maximum(chain.lower, -span), np.minimum(chain.upper, span)
-    out: Array = rng.uniform(np.minimum(lower, upper), np.maximum(lower, upper), (count, chain.n))
-    return out
 
 
 def _fit(table: Mapping[str, Any], q: Array, T: Array) -> dict[str, Any]:
