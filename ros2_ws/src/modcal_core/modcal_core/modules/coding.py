@@ -19,7 +19,7 @@ are not in the matrix: they stand beside it, for each numbered link.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -285,6 +285,7 @@ _SCHEMA = record(
     library=TEXT,
     modules=list_of(_MODULE),
     aim=_AIM,
+    code=TEXT,
 )
 
 
@@ -292,32 +293,38 @@ _SCHEMA = record(
 def assembly_from_data(data: Any, library: Library, source: str) -> Assembly:
     """The assembly that nested mappings and lists describe, checked against the library. Raises BadTable.
 
-    Where both a list of modules and a matrix are given, they must say the same.
+    Where several of a list of modules, a matrix and a code are given, they must say the same.
     """
     top = stated(data)
     require(top, _SCHEMA, source, _SEE)
     name = plain_name(top.get("name", "modular_arm"), source)
-    listed = matrix = None
+    forms: dict[str, Assembly] = {}
     if "modules" in top:
         parts = [
             Module(m["module"], m.get("length", 0), _TURNS[m.get("turn", 0)], _serial(m.get("serial")))
             for m in top["modules"]
         ]
-        listed = Assembly(tuple(parts), name).checked(library, source)
+        forms["modules"] = Assembly(tuple(parts), name).checked(library, source)
     if "aim" in top:
-        matrix = assembly_of(_incidence(top["aim"], f"{source}: aim"), library, name, f"{source}: aim")
-    if listed is not None and matrix is not None and listed != matrix:
-        pairs = enumerate(zip(listed.modules, matrix.modules, strict=False))
-        first = next((i for i, (a, b) in pairs if a != b), min(len(listed.modules), len(matrix.modules)))
-        raise BadTable(source, f"modules and aim differ from module {first + 1} on", "leave one of them out")
-    made = listed or matrix
-    if made is None:
-        raise BadTable(source, "names no modules", "give modules: or aim:")
+        forms["aim"] = assembly_of(_incidence(top["aim"], f"{source}: aim"), library, name, f"{source}: aim")
+    if "code" in top:
+        coding = Coding(library)
+        forms["code"] = coding.assembly(coding.parse(top["code"]), name)
+    if not forms:
+        raise BadTable(source, "names no modules", "give modules:, aim: or code:")
+    (first, made), *others = forms.items()
+    for form, other in others:
+        pairs = list(zip(made.modules, other.modules, strict=False))
+        if form == "code":  # says nothing of serial numbers
+            pairs = [(replace(a, serial=b.serial), b) for a, b in pairs]
+        differ = next((i for i, (a, b) in enumerate(pairs) if a != b), len(pairs))
+        if differ < max(len(made.modules), len(other.modules)):
+            raise BadTable(source, f"{first} and {form} differ from module {differ + 1} on", "leave one of them out")
     return made
 
 
 def assembly_to_data(assembly: Assembly, library: Library) -> dict[str, Any]:
-    """The assembly as a list of modules and as its matrix; reading it gives the same assembly."""
+    """The assembly as a list of modules, as its matrix and as its code; reading it gives the same assembly."""
     matrix = incidence_of(assembly, library)
     aim: dict[str, Any] = {"columns": list(matrix.columns), "rows": {}}
     for row in matrix.rows:
@@ -332,6 +339,7 @@ def assembly_to_data(assembly: Assembly, library: Library) -> dict[str, Any]:
         "name": assembly.name,
         "modules": [_module_to_data(m, i > 0) for i, m in enumerate(assembly.modules)],
         "aim": aim,
+        "code": Coding(library).text(Coding(library).genome(assembly)),
     }
 
 

@@ -24,7 +24,7 @@ from modcal_core.errors import BadTable, NotReachable
 from modcal_core.geometry import Array
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.evaluation import MET, Evaluator, Use, Verdicts
-from modcal_core.modules.genetic import Archive, Generation, SearchSettings, evolve
+from modcal_core.modules.genetic import Archive, Generation, Judge, SearchSettings, evolve
 from modcal_core.modules.library import JOINT, LINK, Assembly, Library
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.requirements import REACH
@@ -143,7 +143,7 @@ def judges(
     """What judges genomes (N, n + 1), in batches, in this process or in several."""
     begun = library, task.targets, task.uses, seed
 
-    def judge(each: Callable[..., Iterable[Verdicts]]) -> Callable[[np.ndarray], Verdicts]:
+    def judge(each: Callable[..., Iterable[Verdicts]]) -> Judge:
         return lambda genomes: Verdicts.joined(
             list(each(_judged, (genomes[i : i + _BATCH] for i in range(0, len(genomes), _BATCH))))
         )
