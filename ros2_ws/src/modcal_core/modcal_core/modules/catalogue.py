@@ -101,7 +101,7 @@ class Catalogue:
         joints = _Tables.of(((kind, 0) for kind in coding.joints), P).take(joint)
         links = _Tables.of(((kind, s) for kind in coding.links for s in range(SIZES)), P).take(link * SIZES + size)
         self._tool = _Tables.of([(library.gripper, 0)], P)
-        self._base = _Tables.of(((library.base, min(b // TURNS, library.base.sizes - 1)) for b in bases), P)
+        self._base = _Tables.of(((library.base, min(b // TURNS, library.base.sizes - 1)) for b in range(BASES)), P)
         T_flange = joints.T @ TURN[turn]  # where the link begins, behind the joint's motion
         self._M = T_flange @ links.T @ TURN[next_turn]
         self._M_base = self._base.T @ TURN[bases % TURNS]
