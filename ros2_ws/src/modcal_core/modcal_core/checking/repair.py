@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Model, NoiseModel, Uncertainty, exact_samples, joint_ranges
+from modcal_core.calibration import Calibration, Model, NoiseModel, Uncertainty, exact_samples
 from modcal_core.effects import Effect
 from modcal_core.geometry import Array
 from modcal_core.moves import (
@@ -25,6 +25,7 @@ from modcal_core.moves import (
     FrozenKnowledge,
     put_in,
 )
+from modcal_core.robots import joint_ranges
 
 _POSTURES = 40  # at which a change is written as deviations of the calibration's own parameters
 
