@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from cells import record, ur10
-from checking.checks import FLOOR, FRESH, Cell, Poses, Seen, about, checked, missed, names, twist
+from checking.checks import FLOOR, FRESH, Cell, Poses, Seen, about, checked, missed, names, postures, readings, twist
 
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import SignalTrack
+from modcal_core.public import check
 from modcal_core.robots import forward
 
 pytestmark = pytest.mark.slow
@@ -202,6 +204,45 @@ def test_one_wrong_reading_is_set_aside(cell: Cell) -> None:
     found = checked(cell, seen)
     assert found.status == "unchanged"
     assert found.aside == (5,)
+
+
+@pytest.mark.parametrize(("at", "kind"), [("elbow_joint", "pose"), ("z", "point")])
+def test_stations_at_which_a_joint_or_a_coordinate_stands_at_its_limit_are_set_aside(
+    cell: Cell, at: str, kind: str
+) -> None:
+    """What lies beyond is said to be the limit itself; a base that moved as well is named alone."""
+    q = postures(8, 14)
+    T = MOVE @ cell[0].world.tool_in_tracker(q)
+    samples = readings(q, T, np.random.default_rng(8), kind=kind)
+    field = "q" if at == "elbow_joint" else "reading"
+    clipped = getattr(samples, field).copy()
+    beyond = np.argsort(clipped[:, 2])[-3:]
+    clipped[beyond, 2] = np.sort(clipped[:, 2])[-4] + 0.002
+    found = check(cell[1], replace(samples, **{field: clipped}))  # type: ignore[arg-type]
+    assert set(found.aside) == {int(i) + 1 for i in beyond}, found.sentence
+    assert names(found) == {BASE}, found.sentence
+    assert any(f"{at} at its limit" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("what", ["tool", "elbow_joint"])
+def test_what_gives_way_under_a_recorded_load_only_is_named(cell: Cell, what: str) -> None:
+    """A tool that shifts with what it holds; a joint whose spring has become softer under it."""
+    q, rng = postures(9, 12), np.random.default_rng(9)
+    kg = np.where(np.arange(12) % 3 == 0, 5.0, 0.0)
+    T = cell[0].world.tool_in_tracker(q)
+    if what == "tool":
+        T = T @ se3.exp(kg[:, None] * np.array([1e-4, 0.0, -6e-5, 0.0, 2e-4, 0.0]))
+    else:
+        little = about(2, 1e-4)
+        lever = (forward(ur10(), q + little)[:, 2, 3] - forward(ur10(), q - little)[:, 2, 3]) / 2e-4
+        T = cell[0].world.tool_in_tracker(q - np.outer(9.81 * 3e-5 * kg * lever, np.eye(6)[2]))
+    samples = readings(q, T, rng)
+    samples = replace(samples, signals=(SignalTrack("signal:/payload_kg", samples.stamps, kg[:, None], "/payload_kg"),))
+    found = check(cell[1], samples)
+    assert names(found) == {("carried", "tool") if what == "tool" else ("load", what)}, found.sentence
+    assert found.repaired is not None
+    missed = np.linalg.norm(found.repaired.predict(samples)[:, :3, 3] - T[:, :3, 3], axis=1)
+    assert np.sqrt(np.mean(missed**2)) < FLOOR
 
 
 def test_a_repaired_calibration_is_read_back_and_checks_clean(cell: Cell) -> None:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.moves.rows import BASE, COMPLIANCE, FRAME, GEAR, KINDS, LINK, NOISE, PAYLOAD, PLAY, STEP, TOOL
+from modcal_core.moves.rows import BASE, CARRIED, COMPLIANCE, FRAME, GEAR, KINDS, LINK, NOISE, PAYLOAD, PLAY, STEP, TOOL
 from modcal_core.moves.searching import FittedChange
 
 # how alike two changes are at every recorded posture: not, in the positions that are read, or in poses
@@ -19,7 +19,7 @@ UNTRIED = "the calibration, beyond the joint ranges that it was made from"
 OF_A_GEAR = 0.1
 _95 = 1.959964  # standard deviations
 _LISTED = 3  # others that a sentence has room for; check.json and the page have them all
-_PLACED = (BASE, FRAME, TOOL, LINK, PLAY, STEP)  # of up to six sizes
+_PLACED = (BASE, FRAME, TOOL, LINK, PLAY, STEP, CARRIED)  # of up to six sizes
 _DIRECTIONS = [*((n, 1e3, "mm") for n in ("x", "y", "z")), *((n, 1e3, "mrad") for n in ("rx", "ry", "rz"))]
 _WHY = {
     "poses": "the same motion at every posture, so the repaired poses are the same",
