@@ -10,8 +10,6 @@ from cells import record, ur10
 from checking.checks import FLOOR, FRESH, Cell, Poses, Seen, about, checked, missed, names, postures, readings, twist
 
 from modcal_core.calibration.store import from_data, to_data
-from modcal_core.effects.effect import Effect
-from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import SignalTrack
@@ -115,18 +113,6 @@ def test_a_change_is_named_and_repaired(cell: Cell, name: str, kind: str) -> Non
         assert left < 0.6 * before or name == "target turned"  # which moves no point
 
 
-def test_a_cell_that_was_set_up_anywhere_is_base_and_tool(cell: Cell) -> None:
-    rng = np.random.default_rng(7)
-    for seed in range(3):
-        turns = rng.normal(size=(2, 3))
-        turns *= rng.uniform(1.0, 3.1, (2, 1)) / np.linalg.norm(turns, axis=1, keepdims=True)
-        base, tool = se3.exp(np.r_[rng.uniform(-2.0, 2.0, 3), turns[0]]), se3.exp(np.r_[0.1, -0.1, 0.2, turns[1]])
-        found = checked(cell, lambda q, world, b=base, t=tool: b @ world(q) @ t, seed)  # type: ignore[misc]
-        assert names(found) == {BASE, TOOL}, found.sentence
-        assert found.after[0] is not None
-        assert found.after[0] < 2e3 * FLOOR
-
-
 def test_nothing_is_named_while_nothing_has_changed(cell: Cell) -> None:
     for seed in range(6):
         found = checked(cell, lambda q, world: world(q), seed)
@@ -134,13 +120,6 @@ def test_nothing_is_named_while_nothing_has_changed(cell: Cell) -> None:
         assert found.advice.action == "nothing"
         assert found.repaired is None
         assert all(3.0 * n.mm > 1e3 * FLOOR / 3.0 for n in found.noticed)  # ten stations do not show what is far below
-
-
-def test_noise_is_not_taken_for_a_move(cell: Cell) -> None:
-    for seed in range(3):
-        found = checked(cell, lambda q, world: world(q), seed, noise=3.0)
-        assert names(found) == {("tracker_noise", "tracker")}, found.sentence
-        assert found.advice.action == "check_instrument"
 
 
 def test_sizes_lie_in_their_intervals_and_claims_cover_what_a_repair_misses_by(cell: Cell) -> None:
@@ -159,31 +138,6 @@ def test_sizes_lie_in_their_intervals_and_claims_cover_what_a_repair_misses_by(c
     assert inside >= 6  # of eight intervals of 95 %, fewer once in two hundred times
     assert np.sum(np.array(ratios) >= 1.0) >= 7
     assert np.median(ratios) < 3.0
-
-
-def test_of_two_curves_of_one_gear_the_one_that_grew_is_repaired(cell: Cell) -> None:
-    waves = [
-        Effect("gear_harmonic", "elbow_joint", "axis", "position:elbow_joint", shape, values, 1e-6 * np.ones(2))
-        for shape, values in (
-            (Shape("turn", {"cycles": 1.0}), np.array([1e-3, 0.0])),
-            (Shape("turn", {"cycles": 2.0}), np.array([5e-4, 2e-4])),
-        )
-    ]
-    known = cell[1].uncertainty
-    assert known is not None
-    known = replace(known, covariance=np.pad(known.covariance, (0, 4)))
-    two = replace(cell[1], calibrated=cell[1].calibrated.with_effects(tuple(waves)), rivals=((), ()), uncertainty=known)
-
-    def seen(q: Array, world: Poses) -> Array:
-        turn = 1e-3 * np.sin(q[:, 2]) + 1.8 * (5e-4 * np.sin(2.0 * q[:, 2]) + 2e-4 * np.cos(2.0 * q[:, 2]))
-        return world(q + np.outer(turn, np.eye(6)[2]))
-
-    found = checked((cell[0], two), seen)
-    assert names(found) == {("gear", "elbow_joint")}
-    assert found.repaired is not None
-    grown = [np.linalg.norm(e.amplitudes) for e in found.repaired.calibrated.effects]
-    assert grown[0] == pytest.approx(1e-3)
-    assert grown[1] == pytest.approx(1.8 * np.hypot(5e-4, 2e-4), rel=0.1)
 
 
 def test_a_curve_without_a_form_asks_for_stations_along_it(cell: Cell) -> None:
