@@ -205,7 +205,7 @@ def _play(model: Model, drivers: Drivers, turns: int) -> Iterator[CellChange]:
 
 
 def _carried(model: Model, drivers: Drivers, turns: int) -> Iterator[CellChange]:
-    """What only shows under a load that a recorded number tells: joints that deflect, base or tool that give way."""
+    """What only shows under a load that a recorded number tells: joints that deflect, base or tool that shift."""
     for signal in carried_signals(drivers):
         for name in model.chain.names if is_serial_arm(model.chain) else ():
             sag = replace(compliance.of_joint(name, 0.0), driver=f"payload:{name},{signal}", shape=Shape("product"))
