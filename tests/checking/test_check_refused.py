@@ -85,7 +85,7 @@ def test_angles_that_are_none_are_refused_with_their_joint(cell: Cell) -> None:
     def seen(q: Array, world: Poses) -> Array:
         return world(q + np.outer(0.25 * wander.standard_normal(len(q)), np.eye(6)[5]))
 
-    with pytest.raises(BadRecording, match="angles of wrist_3_joint: differ from those of the calibrated arm by 1"):
+    with pytest.raises(BadRecording, match="joint wrist_3_joint was not where it was reported"):
         checked(cell, seen)
 
 

@@ -89,7 +89,6 @@ CHANGES = {
     ),
     "scale": Change(scaled, {("tracker_scale", "tracker")}, left=None),
     "gear": Change(curve(3, 1e-3, 101.0), {("gear", "wrist_1_joint")}, ("pose",), "at 101 a turn"),
-    "large gear": Change(curve(0, np.radians(5.0), 100.0), {("gear", "shoulder_pan_joint")}, ("pose",), left=None),
     "bent link": Change(bent(2, 0, 0, 0, 0, 3e-3, 0), {("link", "elbow_joint")}, left=2.0, count=16),
     "loose tool": Change(loose, {("tool_play", "tool")}, words="loose"),
     "base and zero": Change(

@@ -372,7 +372,7 @@ def wave_of(joint: int, beside: CheckState) -> JudgedChange | None:
     if not chain.revolute[joint]:
         return None
     # of the noise the member that suits the readings best, or so many waves would take long
-    state = CheckState(beside.model, beside.samples, beside.known, null.only(beside.judge.best), beside.curves)
+    state = CheckState(beside.model, beside.samples, beside.known, null.only(beside.judge.best))
 
     def judged(cycles: Array, double: bool) -> list[JudgedChange]:
         waves = (gear_harmonic.wave(chain.names[joint], float(c), double) for c in cycles)
