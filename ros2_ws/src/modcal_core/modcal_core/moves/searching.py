@@ -32,7 +32,6 @@ from modcal_core.moves.rows import (
     READING,
     TOOL,
     CellChange,
-    curve_root,
     hypotheses,
     log_priors,
 )
@@ -333,32 +332,26 @@ class MoveSearch:
 
 
 def with_sizes(changes: Sequence[FittedChange], now: CheckState, begin: NullModel) -> tuple[list[FittedChange], Array]:
-    """The changes with their sizes, and the covariance (k, k) of these together.
+    """The changes with their sizes, of a curve its angles at the stations, and the covariance (k, k) of all sizes.
 
     Of the null's grid the member counts that suits the readings best with the changes in; without them it would be a
     wider spread, for it would have to explain them.
     """
-    member = now.judge.best
     for change in changes:
         if is_noise(change.judged):
             begin = begin.with_noise(*change.judged.noise)
-    judge, n = ChangeJudge(begin), len(begin.residual)
-    blocks, roots = [], []
-    for change, fit in zip(changes, now.fits, strict=True):
-        A, free = judge.whitened(fit.columns, member), fit.hypothesis.free
-        spread = change.judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300)) if free else 1.0
-        blocks.append(spread * A)
-        own = curve_root(fit.hypothesis.curve, now.model, now.samples) if free else np.eye(A.shape[1])
-        roots.append(spread * own)
-    J, ends = np.concatenate(blocks, axis=1), np.cumsum([block.shape[1] for block in blocks])
-    sized = np.concatenate([np.full(b.shape[1], not f.hypothesis.free) for b, f in zip(blocks, now.fits, strict=True)])
-    covariance = np.linalg.pinv(J.T @ J + np.diag(1.0 - sized), hermitian=True)
-    mean = covariance @ (J.T @ judge.whitened(now.residual, member))  # of curves; of sizes it is the last step
+    judge, member = ChangeJudge(begin), now.judge.best
+    free = [fit.hypothesis.free for fit in now.fits]
+    columns = [now.turned(f.hypothesis.curve) if f.hypothesis.free else f.columns for f in now.fits]
+    J, ends = judge.whitened(np.concatenate(columns, axis=1), member), np.cumsum([c.shape[1] for c in columns])
+    covariance = np.linalg.pinv(J.T @ J, hermitian=True)
+    last = covariance @ (J.T @ judge.whitened(now.residual, member))  # of sizes the last step, which is none
     out = []
-    for change, fit, root, end in zip(changes, now.fits, roots, ends, strict=True):
-        at = slice(end - root.shape[1], end)
-        found = root @ mean[at] if fit.hypothesis.free else fit.sizes
-        out.append(replace(change, sizes=found, covariance=root @ covariance[at, at] @ root.T))
+    for change, fit, end in zip(changes, now.fits, ends, strict=True):
+        at = slice(end - columns[len(out)].shape[1], end)
+        sizes = last[at] if fit.hypothesis.free else fit.sizes
+        out.append(replace(change, sizes=sizes, covariance=covariance[at, at]))
+    sized = ~np.repeat(free, [c.shape[1] for c in columns])
     return out, covariance[np.ix_(sized, sized)]
 
 
