@@ -116,9 +116,6 @@ def _sizes(change: FittedChange) -> tuple[SizeFound, ...]:
         std = np.array([float(np.sqrt(np.mean(std**2) / len(std)))])
     elif h.kind in _PLACED:
         names = _DIRECTIONS
-        if len(h.motions) == 1:  # of one size, along one twist
-            way = np.array(h.motions[0].twist)
-            values, std = values[0] * way, std[0] * np.abs(way)
     elif h.replaces >= 0:
         names = [("growth", 100.0, "%")]
     elif h.kind == PAYLOAD:

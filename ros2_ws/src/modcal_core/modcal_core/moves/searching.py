@@ -35,7 +35,7 @@ from modcal_core.moves.rows import (
     hypotheses,
     log_priors,
 )
-from modcal_core.moves.state import CheckState, along_one
+from modcal_core.moves.state import CheckState
 
 FALSE_ALARM = 0.01  # chance that something is named while nothing has changed, over all changes together
 _ASKED_FOR = -float(np.log(FALSE_ALARM))
@@ -277,12 +277,7 @@ class MoveSearch:
         every = self.beside(rest).judge_all([*asked, hypothesis], bent=True)[0]
         likely = np.array([j.likelihood for j in every])
         first = put_back_first(len(asked), [*[True] * len(asked), False], likely, AS_LIKELY / self.weight)
-        if first == len(asked):
-            return picked[i]
-        # beside another change that may only make up for what one size leaves, all sizes are open
-        along = None if rest else along_one(asked[first], hypothesis, self.beside([]))
-        alone = [] if along is None else self.beside(rest).judge_all([along])[0]
-        return max([every[first], *alone], key=lambda one: one.log_factor)
+        return picked[i] if first == len(asked) else every[first]
 
     def _wave(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:
         """One of the changes that were picked; the wave that it is, where it is a curve of any course."""
@@ -315,7 +310,7 @@ class MoveSearch:
         """One of the changes that were picked, with what explains the readings as well."""
         one, rest = picked[i], [c for j, c in enumerate(picked) if j != i]
         every, prior = self.beside(rest).judge_all(self.others(rest), bent=True)
-        if not any(h is one.hypothesis for h in self.asked):  # a wave, or a move along one twist
+        if not any(h is one.hypothesis for h in self.asked):  # a wave
             every, prior = [*every, one], np.r_[prior, self._price(one.hypothesis)]
         named = by_name(every, prior, self.weight)
         probability, best = named.pop(one.hypothesis.key)
@@ -341,17 +336,17 @@ def with_sizes(changes: Sequence[FittedChange], now: CheckState, begin: NullMode
         if is_noise(change.judged):
             begin = begin.with_noise(*change.judged.noise)
     judge, member = ChangeJudge(begin), now.judge.best
-    free = [fit.hypothesis.free for fit in now.fits]
     columns = [now.turned(f.hypothesis.curve) if f.hypothesis.free else f.columns for f in now.fits]
-    J, ends = judge.whitened(np.concatenate(columns, axis=1), member), np.cumsum([c.shape[1] for c in columns])
-    covariance = np.linalg.pinv(J.T @ J, hermitian=True)
-    last = covariance @ (J.T @ judge.whitened(now.residual, member))  # of sizes the last step, which is none
-    out = []
-    for change, fit, end in zip(changes, now.fits, ends, strict=True):
-        at = slice(end - columns[len(out)].shape[1], end)
+    J = judge.whitened(np.concatenate(columns, axis=1), member)
+    covariance: Array = np.linalg.pinv(J.T @ J, hermitian=True)
+    last = covariance @ (J.T @ judge.whitened(now.residual, member))  # of curves; of sizes it is none any more
+    owner = np.repeat(np.arange(len(columns)), [c.shape[1] for c in columns])
+    out, sized = [], np.ones(len(owner), bool)
+    for i, (change, fit) in enumerate(zip(changes, now.fits, strict=True)):
+        at = owner == i
+        sized &= ~at | (not fit.hypothesis.free)
         sizes = last[at] if fit.hypothesis.free else fit.sizes
-        out.append(replace(change, sizes=sizes, covariance=covariance[at, at]))
-    sized = ~np.repeat(free, [c.shape[1] for c in columns])
+        out.append(replace(change, sizes=sizes, covariance=covariance[np.ix_(at, at)]))
     return out, covariance[np.ix_(sized, sized)]
 
 
