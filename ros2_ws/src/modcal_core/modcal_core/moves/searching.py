@@ -338,7 +338,7 @@ def with_sizes(changes: Sequence[FittedChange], now: CheckState, begin: NullMode
     judge, member = ChangeJudge(begin), now.judge.best
     columns = [now.turned(f.hypothesis.curve) if f.hypothesis.free else f.columns for f in now.fits]
     J = judge.whitened(np.concatenate(columns, axis=1), member)
-    covariance: Array = np.linalg.pinv(J.T @ J, hermitian=True)
+    covariance = np.asarray(np.linalg.pinv(J.T @ J, hermitian=True), dtype=float)
     last = covariance @ (J.T @ judge.whitened(now.residual, member))  # of curves; of sizes it is none any more
     owner = np.repeat(np.arange(len(columns)), [c.shape[1] for c in columns])
     out, sized = [], np.ones(len(owner), bool)
