@@ -39,59 +39,61 @@ LINK, PLAY, STEP, DRIFT, PAYLOAD = "link", "tool_play", "step", "drift", "payloa
 LIMIT, CARRIED = "limit", "carried"
 
 
+Quantity = tuple[str, float, str]  # name, factor and unit of a size
+
+
 @dataclass(frozen=True)
 class ChangeKind:
     """What holds of all rows of a kind. label, said: its name and its sentence, with the row's fields; {size}: of its
-    first size, {moved}: of a shift and a turn. size: name, factor and unit. chance: beside other kinds, shared among
-    its members; rare ones are looked for, not expected. outside: it is put back or measured otherwise, and no change of
-    the arm.
+    first size, {moved}: of a shift and a turn. sizes: that people read. chance: beside other kinds, shared among its
+    members; rare ones are looked for, not expected. outside: it is put back or measured otherwise, and no change of the
+    arm.
     """
 
     label: str
     said: str
-    size: tuple[str, float, str] = ("", 1.0, "")
+    sizes: tuple[Quantity, ...] = ()
     chance: float = 1.0
     outside: bool = False
 
 
 _RARE = 0.25  # chance of what hardly ever changes in a cell, beside 1 for what is moved now and then
 COMPLIANCE = ("compliance", 1e6, "urad/(N m)")
+_SIX = (*((n, 1e3, "mm") for n in ("x", "y", "z")), *((n, 1e3, "mrad") for n in ("rx", "ry", "rz")))
 KINDS = {
-    BASE: ChangeKind("{place}", "The {who} has moved{moved}", outside=True),
-    FRAME: ChangeKind("frame {place}", "Frame {place} has moved{moved}", outside=True),
-    TOOL: ChangeKind("{place}", "The {who} has moved{moved}", outside=True),
-    ZERO: ChangeKind("zero of {place}", "The zero of {place} has changed by {size}", ("zero", 1e3, "mrad")),
+    BASE: ChangeKind("{place}", "The {who} has moved{moved}", _SIX, outside=True),
+    FRAME: ChangeKind("frame {place}", "Frame {place} has moved{moved}", _SIX, outside=True),
+    TOOL: ChangeKind("{place}", "The {who} has moved{moved}", _SIX, outside=True),
+    ZERO: ChangeKind("zero of {place}", "The zero of {place} has changed by {size}", (("zero", 1e3, "mrad"),)),
     LENGTH: ChangeKind(
-        "length of {link}", "The length of {link} has grown by {size}, as heat does", ("growth", 1e3, "mm")
+        "length of {link}", "The length of {link} has grown by {size}, as heat does", (("growth", 1e3, "mm"),)
     ),
-    GEAR: ChangeKind("gear of {place}", "The gear or encoder of {place} has changed: {size}", ("ratio", 1e6, "ppm")),
-    LOAD: ChangeKind("load on {place}", "{place} deflects differently under load: {size}", COMPLIANCE),
+    GEAR: ChangeKind("gear of {place}", "The gear or encoder of {place} has changed: {size}", (("ratio", 1e6, "ppm"),)),
+    LOAD: ChangeKind("load on {place}", "{place} deflects differently under load: {size}", (COMPLIANCE,)),
     PAYLOAD: ChangeKind(
-        "load on all joints",
-        "All joints deflect differently under load, as under another payload",
-        COMPLIANCE,
-        _RARE,
+        "load on all joints", "All joints deflect differently under load, as under another payload", (), _RARE
     ),
     SCALE: ChangeKind(
-        "scale of the tracker", "The tracker's readings are longer by {size}", ("scale", 1e6, "ppm"), outside=True
+        "scale of the tracker", "The tracker's readings are longer by {size}", (("scale", 1e6, "ppm"),), outside=True
     ),
     NOISE: ChangeKind(
         "noise of the tracker", "The readings scatter more than when the calibration was made: {factors}"
     ),
-    READING: ChangeKind("reading {place}", "", chance=_RARE),
-    LINK: ChangeKind("bend of {link}", "The link before {place} is bent{moved}", chance=_RARE),
+    READING: ChangeKind("reading {place}", "", (), _RARE),
+    LIMIT: ChangeKind("{place} at its limit", "", (), _RARE),
+    LINK: ChangeKind("bend of {link}", "The link before {place} is bent{moved}", _SIX, _RARE),
     PLAY: ChangeKind(
         "play of the tool",
         "The tool or the target is loose and stands off to either side by its weight{moved}",
-        chance=_RARE,
+        _SIX,
+        _RARE,
     ),
     STEP: ChangeKind(
-        "{place} during the recording", "The {place} moved between two stations of the recording{moved}", chance=_RARE
+        "{place} during the recording", "The {place} moved between two stations of the recording{moved}", _SIX, _RARE
     ),
     DRIFT: ChangeKind("drift of {place}", "The {place} drifts{moved}"),
-    LIMIT: ChangeKind("{place} at its limit", "", chance=_RARE),
     CARRIED: ChangeKind(
-        "{place} under load", "The {who} moves with the load that is recorded, by each unit of it{moved}", chance=_RARE
+        "{place} under load", "The {who} moves with the load that is recorded, by each unit of it{moved}", _SIX, _RARE
     ),
 }
 _MEAN = 0.1  # share of a curve's square that is one number everywhere: few stations see the mean of a wave as well
