@@ -122,6 +122,9 @@ def _sizes(change: FittedChange) -> tuple[SizeFound, ...]:
         parts = (change.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(pairs)))
         std = np.array([float(np.sqrt(max(way @ C @ way, 0.0))) for way, C in zip(ways, parts, strict=True)])
         names = (("amplitude", 1e3, "mrad"), ("amplitude_2", 1e3, "mrad"))
+    elif len(h.motions) == 1 < len(names):  # of one size, along one twist
+        way = np.array(h.motions[0].twist)
+        values, std = values[0] * way, std[0] * np.abs(way)
     elif h.kind == ZERO and h.motions[0].twist[5] == 0.0:  # of a joint that slides
         names = (("zero", 1e3, "mm"),)
     return tuple(

@@ -35,7 +35,7 @@ from modcal_core.moves.rows import (
     hypotheses,
     log_priors,
 )
-from modcal_core.moves.state import CheckState
+from modcal_core.moves.state import CheckState, along_one
 
 FALSE_ALARM = 0.01  # chance that something is named while nothing has changed, over all changes together
 _ASKED_FOR = -float(np.log(FALSE_ALARM))
@@ -277,7 +277,12 @@ class MoveSearch:
         every = self.beside(rest).judge_all([*asked, hypothesis], bent=True)[0]
         likely = np.array([j.likelihood for j in every])
         first = put_back_first(len(asked), [*[True] * len(asked), False], likely, AS_LIKELY / self.weight)
-        return picked[i] if first == len(asked) else every[first]
+        if first == len(asked):
+            return picked[i]
+        # beside another change that may only make up for what one size leaves, all sizes are open
+        along = None if rest else along_one(asked[first], hypothesis, self.beside([]))
+        alone = [] if along is None else self.beside(rest).judge_all([along])[0]
+        return max([every[first], *alone], key=lambda one: one.log_factor)
 
     def _wave(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:
         """One of the changes that were picked; the wave that it is, where it is a curve of any course."""
@@ -310,7 +315,7 @@ class MoveSearch:
         """One of the changes that were picked, with what explains the readings as well."""
         one, rest = picked[i], [c for j, c in enumerate(picked) if j != i]
         every, prior = self.beside(rest).judge_all(self.others(rest), bent=True)
-        if not any(h is one.hypothesis for h in self.asked):  # a wave
+        if not any(h is one.hypothesis for h in self.asked):  # a wave, or a move along one twist
             every, prior = [*every, one], np.r_[prior, self._price(one.hypothesis)]
         named = by_name(every, prior, self.weight)
         probability, best = named.pop(one.hypothesis.key)

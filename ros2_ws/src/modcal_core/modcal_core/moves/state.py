@@ -207,3 +207,15 @@ def _set_up(asked: Sequence[CellChange], state: CheckState) -> list[Array]:
     return [
         error_values(far[h.kind])[: h.sizes] if h.kind in far else none for h, none in zip(asked, still, strict=True)
     ]
+
+
+def along_one(outside: CellChange, hypothesis: CellChange, state: CheckState) -> CellChange | None:
+    """What outside the arm moves, only as a change of one size moves the readings; None where that has more sizes.
+
+    Few stations show one number better than six.
+    """
+    if hypothesis.sizes != 1 or not outside.motions or outside.together:
+        return None
+    A, y = (state.null.whitened(state.columns(h)) for h in (outside, hypothesis))
+    twist = np.linalg.lstsq(A, y[:, 0], rcond=1e-9)[0] @ np.array([m.twist for m in outside.motions])
+    return replace(outside, motions=(replace(outside.motions[0], twist=tuple(twist.tolist())),))
