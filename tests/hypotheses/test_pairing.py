@@ -63,6 +63,14 @@ def test_rows_in_another_order(clean: Samples) -> None:
     assert "look late by 7 stations" in said(reordered(clean, np.maximum(np.arange(90) - 7, 0)))
 
 
+@pytest.mark.parametrize("seed", [4, 5])
+def test_rows_in_any_order(clean: Samples, seed: int) -> None:
+    rows = np.random.default_rng(seed).permutation(90)
+    assert "belong to other stations, in another order of rows" in said(reordered(clean, rows))
+    sorted_apart = np.argsort(clean.reading[:, 0])  # each column of readings and joints by one of its own
+    assert "belong to other stations" in said(reordered(clean, sorted_apart))
+
+
 @pytest.mark.slow
 def test_a_part_in_reverse_order_pairs_and_labels(clean: Samples) -> None:
     rows = np.arange(90)

@@ -262,17 +262,19 @@ def points(case: HandEye) -> HandEye:
 
 
 def placed(case: HandEye, thorough: bool = True) -> HandEyeFit:
-    """The case with the base and the tool that most of its stations agree on.
+    """The case with the base and the tool that most of its stations agree on, of very many found on some.
 
     thorough: also from draws of a few stations.
     """
     best: HandEyeFit | None = None
-    for start in _starts(case):
-        for fit in (_fit(case, start), _fit(case, _refined(case, start))):
+    few = _independent(case)
+    for start in _starts(few):
+        for fit in (_fit(few, start), _fit(few, _refined(few, start))):
             best = fit if best is None or fit.better_than(best) else best
         if best is not None and best.explains:
             break
     assert best is not None
+    best = best if few is case else _fit(case, _refined(case, best.placement))
     return redrawn(best) if thorough else best
 
 
@@ -280,11 +282,17 @@ def redrawn(best: HandEyeFit) -> HandEyeFit:
     """A fit, or one that starts from draws of a few stations, where closed forms over all of them leave many astray."""
     case = best.case
     if best.agree().mean() < 1.0 - ASTRAY and len(case) >= 8:
-        drawn = _by_draws(case)
-        for placement in () if drawn is None else (drawn, _refined(case, drawn)):
+        few = _independent(case)
+        drawn = _by_draws(few)
+        for placement in () if drawn is None else (drawn, _refined(few, drawn)):
             fit = _fit(case, placement)
             best = fit if fit.better_than(best) else best
     return best
+
+
+def _independent(case: HandEye) -> HandEye:
+    """As many stations as count, evenly along the recording."""
+    return case if len(case) <= INDEPENDENT else case.select(spread_rows(len(case), INDEPENDENT))
 
 
 def at(case: HandEye, placement: Placement) -> HandEyeFit:

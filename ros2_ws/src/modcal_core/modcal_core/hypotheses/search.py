@@ -30,6 +30,7 @@ _FEWEST = 12  # stations that can be asked by themselves, twice what base and to
 _HELD = 5  # stations that agree; fewer do so with any placement
 _DEPTH, _BEAM = 3, 2  # mistakes at once, and states that are followed
 _AT_ONCE = 96  # cases in a block, for memory
+_ALTERNATIONS = 6  # between base and tool, of a hypothesis that is sifted
 
 _Proposer = Callable[[HandEyeFit], Iterable[Hypothesis]]
 
@@ -90,9 +91,9 @@ def explain(case: HandEye, table: Sequence[Hypothesis] | None = None, depth: int
         return Answer((), root.fit, root.fit)
     seen, beam = [root], [root]
     for _ in range(depth):
-        trials = [t for state in beam for t in _followed(state, table)]
-        seen += trials
-        leading = [t for t in trials if t.score > root.score + SURE and _nearer(t.fit, root.fit)]
+        trials = [(t, state) for state in beam for t in _followed(state, table)]
+        seen += [t for t, _ in trials]
+        leading = [t for t, before in trials if t.score > before.score + SURE and _nearer(t.fit, root.fit)]
         beam = _different(sorted(leading, key=lambda t: -t.score))
         if not beam or any(t.ends for t in beam):
             break
@@ -195,6 +196,7 @@ _PLAIN: tuple[_Proposer, ...] = (
     rows.stretches,
     lambda fit: [conventions.increments()],
     lambda fit: rows.orders(fit.case),
+    lambda fit: rows.permuted(fit.case),
     lambda fit: rows.filters(fit.case),
     lambda fit: channels.channels(fit.case),
 )
@@ -253,7 +255,7 @@ def rough(cases: Sequence[HandEye]) -> list[float]:
     a = A[..., :3, :3]
     score = np.full(len(cases), -np.inf)
     try:
-        Y = base_by_positions(A, p)
+        Y = base_by_positions(A, p, _ALTERNATIONS)
         ways = [(Y, so3.nearest_rotation(np.sum(np.swapaxes(Y[:, None] @ a, -1, -2) @ R, axis=1)))]
         if any(c.poses for c in cases):
             ways.append(base_and_tool_turns(a, R))
