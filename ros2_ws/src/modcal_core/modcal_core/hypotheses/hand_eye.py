@@ -27,7 +27,7 @@ SPREAD = (2e-3, 1e-3)  # rad and share of the reach, per axis: a nominal arm's u
 ASTRAY = 0.05  # share of readings that may say anything
 INDEPENDENT = 100  # stations that count
 ANYWHERE = float(np.log(8.0 * np.pi**2))  # log of the volume of orientations
-_DRAWS = 240  # with a third of the stations in agreement, one draw of five holds only these: 1 − (1 − 3⁻⁵)²⁴⁰ = 63 %
+_DRAWS = 400  # with a third of the stations in agreement, one draw of five holds only these: 1 − (1 − 3⁻⁵)⁴⁰⁰ = 81 %
 _ROUNDS = 8  # iterations
 _OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
 MANY = 0.2  # share of the stations that must agree, lest chance finds that many

@@ -192,15 +192,15 @@ _BESIDE: tuple[_Proposer, ...] = (
     joints.of_one,
 )
 _PLAIN: tuple[_Proposer, ...] = (
-    _of_themselves,
     rows.stretches,
     lambda fit: [conventions.increments()],
     lambda fit: rows.orders(fit.case),
-    lambda fit: rows.permuted(fit.case),
     lambda fit: rows.filters(fit.case),
     lambda fit: channels.channels(fit.case),
 )
 _LABORIOUS: tuple[_Proposer, ...] = (
+    _of_themselves,
+    lambda fit: rows.permuted(fit.case),
     joints.of_two,
     lambda fit: joints.orders(fit.case),
     lambda fit: joints.throughout(fit.case),
