@@ -221,8 +221,9 @@ def _fitted(state: SearchState, hypotheses: Iterable[Hypothesis]) -> list[Search
     """The states that these lead to, the likeliest from draws of stations as well."""
     quick: dict[str, SearchState] = {}
     for h in hypotheses:
-        if h.what not in quick and (found := _followed_by(state, h, thorough=False)) is not None:
-            quick[h.what] = found  # what comes later is the same from another start
+        found = _followed_by(state, h, thorough=False)
+        if found is not None and (h.what not in quick or found.score > quick[h.what].score):
+            quick[h.what] = found  # the same may be proposed from several starts
     likely = sorted(quick.values(), key=lambda s: -s.score)
     return [replace(s, fit=redrawn(s.fit)) for s in likely[:_DRAWN]] + likely[_DRAWN:]
 
