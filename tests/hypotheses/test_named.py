@@ -169,7 +169,10 @@ RECORDINGS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
         lambda: spoiled(q=Q[:, [3, 1, 5, 0, 2, 4]], kind="point"),
         (f"{NAMES[3]} under the name {NAMES[0]}", f"{NAMES[4]} under the name {NAMES[5]}"),
     ),
-    "order and sign": (lambda: spoiled(q=Q[:, [3, 1, 5, 0, 2, 4]] * [1, 1, -1, 1, 1, 1]), ("wrist_3_joint", "reversed")),
+    "order and sign": (
+        lambda: spoiled(q=Q[:, [3, 1, 5, 0, 2, 4]] * [1, 1, -1, 1, 1, 1]),
+        ("wrist_3_joint", "reversed"),
+    ),
     "all reversed": (lambda: spoiled(q=-Q), ("look reversed",)),
     "mixed": (lambda: spoiled(q=mixed(0, 3, [[0.5, 0.5], [-0.5, 0.5]])), (f"{NAMES[0]} =", f"{NAMES[3]} =")),
     "sum and difference": (
