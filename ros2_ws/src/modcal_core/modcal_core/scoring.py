@@ -220,9 +220,7 @@ def _steps(task: Task, fits: Fits, seen: _Scored) -> tuple[Step, ...]:
     return (Step("geometry", left["geometric"]), *added)
 
 
-def _grounds(
-    task: Task, fits: Fits, seen: _Scored, wrong: np.ndarray, distances: tuple[KnownDistance, ...]
-) -> Grounds:
+def _grounds(task: Task, fits: Fits, seen: _Scored, wrong: np.ndarray, distances: tuple[KnownDistance, ...]) -> Grounds:
     """What the verdict stands on beside the errors."""
     samples, cell, chain, final = task.samples, task.cell, task.chain, fits.final
     small = too_small(seen.errors, seen.accepted, samples, chain, cell.stated)
