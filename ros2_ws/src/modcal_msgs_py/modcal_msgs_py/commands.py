@@ -55,6 +55,16 @@ def _pose_numbers(pose: Any, what: str, off: float) -> Array:
     return numbers
 
 
+VERSION = 1  # of every type of modcal_interfaces that is read here
+
+
+def require_version(message: Any, what: str) -> None:
+    """Raises BadCommand, naming ``what``, for a message of another version of modcal_interfaces."""
+    if message.version != VERSION:
+        said = f"has version {message.version}, {VERSION} is read"
+        raise BadCommand(what, said, "build modcal_interfaces of the same release on both sides")
+
+
 def require_new(message: Any, now: float, stale: float) -> None:
     """Raises BadCommand for a stamped wish that is too old, or from another clock; one without a stamp is of now."""
     stamp = seconds(message.header.stamp) or now
@@ -171,7 +181,6 @@ def fill_accelerations(message: Any, names: Sequence[str], values: Array, stamp:
 # --- Setpoints of an impedance as the messages that stacks take, wrenches both ways, and the estimate of an object
 
 _LONGEST_URDF = 100_000  # characters of a description with one joint
-_MAX_VALUES = 64
 
 
 def wrench_numbers(message: Any) -> Array:
@@ -264,16 +273,14 @@ class ObjectInput:
         return f"is in frame '{self._frame}', the arm begins at '{self._base}'"
 
     def hear_status(self, message: Any, now: float) -> None:
-        """Take a DiagnosticArray that tells whether the model is trusted, and what happened to the object."""
-        for status in message.status:
-            told = {str(pair.key): str(pair.value) for pair in list(status.values)[:_MAX_VALUES]}
-            if "trusted" in told:
-                stamp = seconds(message.header.stamp) or now
-                self._stamp = stamp if abs(now - stamp) <= self._stale else -math.inf
-                self._trusted = told["trusted"].lower() == "true"
-                self.kind = told.get("kind", "")
-                event = told.get("event", "")
-                self.event = event if event.lower() not in ("", "none", "null") else None
+        """Take an ObjectState: whether the model is trusted, and what happened to the object. Raises BadCommand for one
+        of another version.
+        """
+        require_version(message, "object_status")
+        stamp = seconds(message.header.stamp) or now
+        self._stamp = stamp if abs(now - stamp) <= self._stale else -math.inf
+        self._trusted, self.kind = bool(message.trusted), str(message.model.kind)
+        self.event = str(message.event) or None
 
     def at(self, now: float) -> ObjectInput:
         """Itself, as believed at a time [s]."""
@@ -327,6 +334,26 @@ def fill_object_state(message: Any, frame: str, stamp: float, configuration: flo
     from modcal_core.articulation import JOINT  # loads SciPy, which a corrector does without
 
     message.name, message.position = [JOINT], [float(configuration)]
+    return message
+
+
+def fill_object_status(message: Any, frame: str, stamp: float, state: TrackerState) -> Any:
+    """An ObjectState with what is believed; a model that is none of an object leaves its numbers at zero."""
+    message.header.frame_id = frame
+    set_seconds(message.header.stamp, stamp)
+    message.trusted, message.event, message.written = state.trusted, state.event or "", str(state.written or "")
+    message.rotations_of_handle, message.samples = state.follows, state.samples
+    message.ahead_m, message.off_m = float(state.ahead_m), float(state.off_m)
+    message.path_m, message.apart_m = float(state.path_m), float(state.apart_m)
+    message.kinds, message.probabilities = list(state.probabilities), [float(p) for p in state.probabilities.values()]
+    message.model.kind = state.kind
+    if (model := state.model) is not None:
+        told, handle = message.model, message.model.handle
+        told.axis.x, told.axis.y, told.axis.z = model.axis.tolist()
+        told.point.x, told.point.y, told.point.z = model.point.tolist()
+        told.pitch, told.radius = float(model.pitch), float(model.radius) if model.turns else 0.0
+        at, turn = handle.position, handle.orientation
+        at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w = se3.to_pose(model.start).tolist()
     return message
 
 

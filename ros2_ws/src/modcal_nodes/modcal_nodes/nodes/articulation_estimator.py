@@ -6,7 +6,6 @@ import time
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -23,9 +22,9 @@ from modcal_msgs_py import (
     fill_expected,
     fill_markers,
     fill_object_state,
+    fill_object_status,
     seconds,
     seen,
-    set_seconds,
     status_values,
     wrench_numbers,
 )
@@ -74,7 +73,8 @@ class ArticulationEstimator(ros.GuardedNode):
 
         self._description = self.create_publisher(String, "~/object_description", ros.LATCHED)
         self._object = self.create_publisher(JointState, "~/object_state", 10)
-        self._status = self.create_publisher(DiagnosticArray, "~/object_status", 10)
+        self._status_type = ros.interface("ObjectState")
+        self._status = self.create_publisher(self._status_type, "~/object_status", 10)
         self._expected = self.create_publisher(PoseStamped, "~/expected_pose", 10)
         self._axis = self.create_publisher(MarkerArray, "~/object_axis", 10)
         topic = chosen["input"]
@@ -210,7 +210,7 @@ class ArticulationEstimator(ros.GuardedNode):
             self.get_logger().warning(f"{self._chosen['input']}, {state.written}")
         if state.event is not None or state.written != before:
             self._health.publish_if_changed()
-        self._publish_status(state, stamp)
+        self._status.publish(fill_object_status(self._status_type(), frame, stamp, state))
         if state.model is None:
             return
         T = se3.transform(R if state.follows else None, p)
@@ -245,19 +245,6 @@ class ArticulationEstimator(ros.GuardedNode):
         if self._axis.get_subscription_count():  # a picture that nobody looks at is not drawn
             marks = fill_markers(MarkerArray(), Marker, self._frame, stamp, model, reach, self._state.trusted)
             self._axis.publish(marks)
-
-    def _publish_status(self, state: TrackerState, stamp: float) -> None:
-        told = [KeyValue(key=key, value=value) for key, value in status_values(state).items()]
-        status = DiagnosticStatus(
-            level=ros.WARN if state.event or state.written else ros.OK,
-            name=f"{self.get_fully_qualified_name()}: object",
-            hardware_id="modcal",
-            message=_said(state),
-            values=told,
-        )
-        message = DiagnosticArray(status=[status])
-        set_seconds(message.header.stamp, stamp)
-        self._status.publish(message)
 
     def _report(self) -> list[ros.Status]:
         refused = self._refusals.recent()
