@@ -76,7 +76,9 @@ def resolved(held: dict[str, str]) -> tuple[list[str], list[str], list[str]]:
     runtime = resolve(OLDER, groups["runtime"], everything) | resolve(NEWER, groups["runtime"], everything)
     test = {name: version for name, version in everything.items() if name not in runtime}
     wanted = groups["interfaces"]
-    shared = {name: version for name, version in everything.items() if not any(w.startswith(f"{name}<") for w in wanted)}
+    shared = {
+        name: version for name, version in everything.items() if not any(w.startswith(f"{name}<") for w in wanted)
+    }
     interfaces = resolve(OLDER, wanted, shared)
     interfaces |= resolve(NEWER, wanted, shared | interfaces)
     return pins(runtime), pins(test), pins(interfaces)
@@ -89,7 +91,9 @@ def main() -> None:
     locks = present if sys.argv[1:] == ["--hashes"] else resolved(held)
     for name, lines in zip(FILES, locks, strict=True):
         (ROOT / name).write_text(HEADER + hashed(lines))
-    print(f"modcal lock: {len(locks[0])} packages, {len(locks[1])} more for the tests, {len(locks[2])} for the interfaces")
+    print(
+        f"modcal lock: {len(locks[0])} packages, {len(locks[1])} more for the tests, {len(locks[2])} for the interfaces"
+    )
 
 
 if __name__ == "__main__":

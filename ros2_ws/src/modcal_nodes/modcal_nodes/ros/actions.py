@@ -49,8 +49,8 @@ class Action:
         cancel: Callable[[], None],
         progress: Callable[[Any], None],
     ) -> None:
-        """kind: such as Solve, whose name below the node's is ~/solve. begin: returns why it cannot, or nothing; what has
-        begun ends with a call of :meth:`end`. cancel: makes it end soon. progress: fills the feedback.
+        """kind: such as Solve, whose name below the node's is ~/solve. begin: returns why it cannot, or nothing; what
+        has begun ends with a call of :meth:`end`. cancel: makes it end soon. progress: fills the feedback.
         """
         self._node, self._type, self.name = node, interface(kind), f"~/{kind.lower()}"
         self._begin, self._cancel, self._progress = begin, cancel, progress
@@ -61,6 +61,11 @@ class Action:
             node, self._type, self.name, lambda _: None,
             handle_accepted_callback=self._accept, cancel_callback=self._ask_to_cancel,
         )  # fmt: skip
+
+    @property
+    def active(self) -> bool:
+        """Whether a goal is pursued."""
+        return self._goal is not None
 
     def ended(self) -> Future:
         """Done with the result, when what has begun has ended."""
