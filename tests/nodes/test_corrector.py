@@ -15,8 +15,22 @@ import pytest
 from correction.test_compensation import started
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from modcal_interfaces.msg import Calibration
 from nodes.cell import call
-from nodes.corrected_arm import AWAY, CHAIN, GEAR, LATCHED, URDF, Arm, calibration, matrix, near, text, truth, written
+from nodes.corrected_arm import (
+    AWAY,
+    CHAIN,
+    GEAR,
+    LATCHED,
+    URDF,
+    Arm,
+    calibration,
+    matrix,
+    message,
+    near,
+    truth,
+    written,
+)
 from nodes.processes import Process, fresh_domain, listener, put, running
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
@@ -212,7 +226,7 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
     process = Process("corrector", domain, tmp_path, stream=True, timeout_s=1.0, horizon_s=0.5, blend_s=0.5)
     with running(process), listener(domain) as (node, wait):
         arm = Arm(node)
-        arm.calibration.publish(String(data=text(first)))
+        arm.calibration.publish(message(first))
         wait(arm.connected, 60.0)
 
         def one(made: Any, k: int) -> Array:
@@ -229,7 +243,7 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
         course = [one(first, k) for k in range(20)]
         assert np.abs(course[-1] - AWAY - 1e-3 * math.sin(0.05 * 19)).max() < 1e-6
 
-        arm.calibration.publish(String(data=text(slightly)))
+        arm.calibration.publish(message(slightly))
         expected = Correction(slightly)
         settled = None
         for k in range(20, 400):
@@ -245,7 +259,7 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
         blended = 1.5 * 6e-4 * np.minimum(np.diff(stamps) / 0.5, 1.0)
         assert (np.abs(np.diff(course, axis=0)).max(axis=1) < 1.2 * plain + blended).all(), "it came in with a jump"
 
-        arm.calibration.publish(String(data=text(much)))
+        arm.calibration.publish(message(much))
 
         sent = [arm.q.copy()]
 
@@ -311,12 +325,15 @@ def test_reset_and_parameters_at_run_time(tmp_path: Path) -> None:
     process = Process("corrector", domain, tmp_path)
     with running(process), listener(domain) as (node, wait):
         arm = Arm(node)
-        arm.calibration.publish(String(data="nonsense: ["))
-        wait(lambda: "calibration" in arm.health and "is not YAML" in arm.health["calibration"].message, 60.0)
-        arm.calibration.publish(String(data=text(made)))
+        arm.calibration.publish(Calibration())
+        wait(
+            lambda: "calibration" in arm.health and "is not a modcal calibration" in arm.health["calibration"].message,
+            60.0,
+        )
+        arm.calibration.publish(message(made))
         wait(arm.connected, 20.0)
-        arm.calibration.publish(String(data="nonsense: ["))
-        wait(lambda: "is not YAML" in arm.health["calibration"].message, 20.0)
+        arm.calibration.publish(Calibration())
+        wait(lambda: "is not a modcal calibration" in arm.health["calibration"].message, 20.0)
         assert arm.health["calibration"].level == WARN, "the one in use stays in use"
 
         set_parameter = partial(put, node, wait, "corrector")
@@ -331,6 +348,6 @@ def test_reset_and_parameters_at_run_time(tmp_path: Path) -> None:
         assert call(node, wait, "corrector/reset").success
         wait(lambda: arm.health["calibration"].level == ERROR, 20.0)
         arm.refuse(wait, lambda: arm.wish(truth(made, AWAY)), "no command is corrected")
-        arm.calibration.publish(String(data=text(made)))
+        arm.calibration.publish(message(made))
         arm.poses.clear()
         wait(lambda: arm.poses, 20.0)
