@@ -172,6 +172,11 @@ class Goal:
         self._handle = sent.result()
         self._result = self._handle.get_result_async()
 
+    @property
+    def done(self) -> bool:
+        """Whether its result has come."""
+        return bool(self._result.done())
+
     def cancel(self) -> bool:
         """Ask for an early end; whether that was accepted."""
         asked = self._handle.cancel_goal_async()

@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from action_msgs.msg import GoalStatus
 from cli.recordings import START, URDF
+from modcal_interfaces.action import Check, Solve
 from modcal_interfaces.msg import Calibration, Change, Checked, Estimate, Verdict
 from nodes.beside_a_cell import HEARING, MODEL, alive, beside_a_cell, children, latched, part, stations
 from nodes.cell import PlayedCell, call
-from nodes.processes import SLOWER, Process, fresh_domain, listener, running
+from nodes.processes import SLOWER, Goal, Process, fresh_domain, listener, running
 from nodes.talking import Diagnostics
 from std_msgs.msg import Bool, Float64
-from std_srvs.srv import Trigger
 
 from modcal_core.geometry import se3
 from modcal_core.robots.urdf import read_chain
@@ -107,10 +108,11 @@ def test_ten_stations_say_what_has_changed_since_the_saved_model(saved: Path, tm
         assert answer.message.startswith("Nothing has changed, by 10 stations.")
         cell.play(stations(12, begin=START + 2000.0, bump=bump))
         wait(cell.taken, 60.0)
-        answer = call(node, wait, "calibrator/check")
-        assert answer.success
-        assert answer.message.startswith("The tool or the target has moved: 0.7")
+        _, result = Goal(node, wait, Check, "calibrator/check").result()
+        assert result.outcome == Check.Result.CHECKED
+        assert result.message.startswith("The tool or the target has moved: 0.7")
         wait(lambda: len(checked) == 2, 10.0)
+        assert result.checked == checked[-1]
         assert (checked[-1].status, [c.place for c in checked[-1].changes]) == (Checked.CHANGED, ["tool"])
         assert 5e-4 < checked[-1].changes[0].size_m < 1e-3
         assert again.stop() == 0
@@ -189,23 +191,32 @@ def test_callbacks_keep_up_while_a_solve_runs(tmp_path: Path) -> None:
     with beside_a_cell(tmp_path) as (_, node, wait, cell, said):
         cell.play(stations(150))
         wait(cell.taken, 60.0)
-        done: list[Any] = []
-        client = node.create_client(Trigger, "calibrator/solve")
-        wait(client.service_is_ready, 30.0)
-        answer = client.call_async(Trigger.Request())
-        answer.add_done_callback(done.append)
-        again = client.call_async(Trigger.Request())
-        wait(again.done, 10.0)
-        if not done:
-            assert again.result().message == "a solve is running already"
+        goal = Goal(node, wait, Solve, "calibrator/solve")
+        again = call(node, wait, "calibrator/solve")
+        if not goal.done:
+            assert again.message == "a solve is running already"
         heard = 150
         extra = stations(40, seed=1, begin=START + 1000.0)
-        while not done:
+        while not goal.done:
             cell.play(extra, lambda _, m: m if hasattr(m, "name") else None)
             heard += 40
             wait(lambda: said.value(HEARING, "messages of /joint_states") == str(heard), 10.0)  # noqa: B023
             extra = stations(40, seed=1, begin=START + 1000.0 + 100.0 * heard)
-        assert done[0].result().success
+        status, result = goal.result()
+        assert (status, result.outcome) == (GoalStatus.STATUS_SUCCEEDED, Solve.Result.SOLVED)
+        assert result.verdict.status != 0
+        assert result.verdict.sentence in result.message
+        assert {f.phase for f in goal.heard} == {"solving"}
+        assert [f.elapsed_s for f in goal.heard] == sorted(f.elapsed_s for f in goal.heard)
+        # one that is cancelled leaves what is trusted, and the solver is free for the next
+        state = said.value(MODEL, "state")
+        goal = Goal(node, wait, Solve, "calibrator/solve")
+        assert goal.cancel()
+        status, result = goal.result()
+        assert (status, result.outcome) == (GoalStatus.STATUS_CANCELED, Solve.Result.CANCELLED)
+        assert said.value(MODEL, "state") == state
+        goal = Goal(node, wait, Check, "calibrator/check")
+        assert goal.result()[1].outcome == Check.Result.CHECKED
 
 
 def _eventually(condition: Any, seconds: float) -> Any:
