@@ -40,7 +40,7 @@ from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.readings import seconds, set_seconds
+from modcal_msgs_py.readings import nanoseconds, seconds, set_seconds
 
 pytestmark = pytest.mark.dds
 
@@ -68,12 +68,21 @@ def test_true_poses_effective_joints_and_the_corrected_urdf(tmp_path: Path) -> N
                 parts.append(part)
             return parts
 
+        sent: set[int] = set()
+
+        def stamped_to_the_nanosecond(message: JointState) -> list[JointState]:
+            message.header.stamp = node.get_clock().now().to_msg()
+            sent.add(nanoseconds(message.header.stamp))
+            return [message]
+
         expected = truth(made, AWAY)
-        for reshape in (lambda m: [m], turned_and_accompanied, in_two_parts):
+        for reshape in (stamped_to_the_nanosecond, turned_and_accompanied, in_two_parts):
             arm.reshape = reshape
             arm.poses.clear()
             arm.states.clear()
             wait(lambda: len(arm.poses) > 3 and len(arm.states) > 3, 60.0)
+            if reshape is stamped_to_the_nanosecond:
+                assert {nanoseconds(m.header.stamp) for m in (*arm.poses, *arm.states)} <= sent
             pose = arm.poses[-1]
             assert pose.header.frame_id == "base_link"
             assert abs(seconds(pose.header.stamp) - arm.now()) < 2.0

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.commands import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_expected
     from modcal_msgs_py.commands import fill_markers, fill_object_state, fill_object_status, fill_picture, seen
     from modcal_msgs_py.commands import status_values
-    from modcal_msgs_py.readings import SignalsHeard, reading_of, seconds, set_seconds
+    from modcal_msgs_py.readings import SignalsHeard, nanoseconds, reading_of, seconds, set_nanoseconds, set_seconds
     from modcal_msgs_py.recording_write import write_recording
     from modcal_msgs_py.topics import JOINT_COMMANDS, JOINT_STATES, READINGS, TYPES, AddedTopic, Joints, Signal, Topics
     from modcal_msgs_py.topics import accepted, role_of
@@ -47,7 +47,8 @@ __all__ += ["accepted", "arrows", "calibration_data", "caption", "chosen_topic",
 __all__ += ["desired_pose", "dots", "ellipsoids", "fill_accelerations", "fill_calibration", "fill_change"]
 __all__ += ["fill_checked", "fill_corners", "fill_estimate", "fill_expected", "fill_markers", "fill_object_state"]
 __all__ += ["fill_object_status", "fill_picture", "fill_point", "fill_pose", "fill_target", "fill_verdict"]
-__all__ += ["fill_wrench", "image_topics", "info_topic", "jazzy", "lens_data", "list_topics", "qos_profile"]
-__all__ += ["raw_image", "read_bag", "read_corners", "read_messages", "read_recording", "reading_of", "repair_bag"]
-__all__ += ["require_new", "require_version", "role_of", "seconds", "seen", "set_seconds", "size_of", "stamp_of"]
-__all__ += ["stamps_of", "status_values", "tag_topics", "why_left_out", "wrench_numbers", "write_recording"]
+__all__ += ["fill_wrench", "image_topics", "info_topic", "jazzy", "lens_data", "list_topics", "nanoseconds"]
+__all__ += ["qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording", "reading_of"]
+__all__ += ["repair_bag", "require_new", "require_version", "role_of", "seconds", "seen", "set_nanoseconds"]
+__all__ += ["set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics", "why_left_out"]
+__all__ += ["wrench_numbers", "write_recording"]

@@ -26,7 +26,7 @@ from modcal_core.correction import (
 from modcal_core.errors import BadCommand, BadTable, ModcalError
 from modcal_core.measurements import Approach
 from modcal_core.robots import followers_of
-from modcal_msgs_py import JointInput, SignalsHeard, desired_pose, fill_pose, require_new, set_seconds
+from modcal_msgs_py import JointInput, SignalsHeard, desired_pose, fill_pose, require_new, set_nanoseconds, set_seconds
 from modcal_nodes import ros
 from modcal_nodes.io import calibration_of, read_calibration, read_delta
 
@@ -190,13 +190,12 @@ class Corrector(ros.GuardedNode):
         correction.require(at)
         T, C, q = correction.corrected(at, target)
         finite(T, C, q)
-        stamp = float(joints.stamps.min())
         pose = PoseWithCovarianceStamped()
         pose.header.frame_id = correction.chain.base
-        set_seconds(pose.header.stamp, stamp)
+        set_nanoseconds(pose.header.stamp, joints.stamp)
         fill_pose(pose.pose, T, C)
         states = JointState(name=list(joints.names), position=q.tolist(), velocity=at.velocity.tolist())
-        set_seconds(states.header.stamp, stamp)
+        states.header.stamp = pose.header.stamp
         self._pose.publish(pose)
         if self._tf is not None:
             tip = T if target == "tip" else correction.pose(at.q, at, "tip")
