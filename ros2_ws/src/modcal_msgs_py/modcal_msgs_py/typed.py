@@ -179,8 +179,7 @@ def _got(value: Any) -> Any:
 def _tree(node: Any) -> Any:
     if isinstance(node, _Leaf):
         return node.value
-    if all(key.startswith("[") for key in node):
-        return (
-            [_tree(node[f"[{i}]"]) for i in range(len(node))] if all(f"[{i}]" in node for i in range(len(node))) else {}
-        )
+    indices = [f"[{i}]" for i in range(len(node))]
+    if node and set(indices) == set(node):
+        return [_tree(node[i]) for i in indices]
     return {key.replace("~2", "[").replace("~1", "/").replace("~0", "~"): _tree(inner) for key, inner in node.items()}
