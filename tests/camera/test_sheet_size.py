@@ -47,15 +47,14 @@ def test_squares_of_another_size_are_named() -> None:
 
 @pytest.mark.slow
 def test_a_sheet_that_a_bad_arm_hides_is_not_trusted() -> None:
-    """Rulers stated at their nominal lengths, a sheet 2 % larger, an arm 4 mm off a body: images do not decide, so the interval has
-    both, and what would tell is said.
+    """Rulers stated at their nominal lengths, a sheet 2 % larger, an arm 4 mm off a body: images do not decide, which is
+    said, with what would tell, and how far off the arm could be were the size wrong.
     """
     s = scene(33, False, count=20, length_std=4e-3, angle_std=5e-3, board=AS_DRAWN, printed=1.02 * BOARD.points)
     r = solved(s)
-    q, _ = postures_in_view(r.fit, np.random.default_rng(1))
+    q = postures_in_view(r.fit, np.random.default_rng(1))
     assert r.claim.decision.word == CANNOT_TELL
     assert "state how well (--measured-to-mm)" in r.claim.decision.because[0]
-    assert true_error(s, r.fit, q) < r.claim.in_view.interval[2]
     assert r.claim.rests_on is not None
     assert true_error(s, r.fit, q) < r.claim.rests_on.if_wrong_m
     assert any("look much alike" in said or "The sheet is +" in said for said in r.claim.decision.because)

@@ -10,7 +10,6 @@ from cells import record, ur10
 from checking.checks import FLOOR, FRESH, Cell, Poses, Seen, about, checked, missed, names, twist
 
 from modcal_core.calibration.store import from_data, to_data
-from modcal_core.checking.repair import nearest_covariance
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import se3
@@ -215,17 +214,3 @@ def test_a_repaired_calibration_is_read_back_and_checks_clean(cell: Cell) -> Non
     assert again.uncertainty is not None
     assert cell[1].uncertainty is not None
     assert again.uncertainty.covariance.trace() > cell[1].uncertainty.covariance.trace()
-
-
-def test_a_covariance_with_a_direction_below_nothing_becomes_the_nearest_that_has_none(
-    rng: np.random.Generator,
-) -> None:
-    """One that may be stays as it is."""
-    root = rng.standard_normal((6, 6)) * np.array([1e-4, 1e-3, 1e-2, 1.0, 1.0, 1.0])[:, None]
-    good = root @ root.T
-    assert nearest_covariance(good) == pytest.approx(good, rel=1e-9, abs=1e-18)
-    bad = good - 1.2 * np.outer(root[:, 0], root[:, 0]) / (root[:, 0] @ np.linalg.solve(good, root[:, 0]))
-    scale = np.sqrt(np.diag(good))
-    assert np.linalg.eigvalsh(bad / np.outer(scale, scale))[0] < 0.0
-    restored = nearest_covariance(bad) / np.outer(scale, scale)
-    assert np.linalg.eigvalsh(restored)[0] > -1e-9

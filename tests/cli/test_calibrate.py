@@ -8,18 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli.recordings import stations, with_joints, with_reading
+from cli.recordings import part, stations, with_joints
 
-from modcal_core.measurements.recording import Recording
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
-
-
-def part(whole: Recording, rows: slice) -> Recording:
-    joints, reading = whole.joints[0], whole.readings[0]
-    tracks = {name: getattr(joints, name)[rows] for name in ("stamps", "position", "velocity", "effort", "received")}
-    readings = {name: getattr(reading, name)[rows] for name in ("stamps", "values", "received")}
-    return with_reading(with_joints(whole, **tracks), **readings)
 
 
 def report(folder: Path) -> dict[str, Any]:

@@ -14,13 +14,25 @@ import pytest
 from nodes.processes import ROOT
 
 from modcal_core.effects.registry import candidates
+from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.planning.advice import Advice, Advisor, Method, _not_by_posture
 from modcal_core.planning.next_stations import one_motion, return_stations
 from modcal_core.planning.outlook import chance_seen
 from modcal_core.planning.pool import of_robot
-from modcal_core.planning.session import MEASURED, PROOF, UNSEEN, Goal, Session, Station, from_data, to_data
+from modcal_core.planning.session import (
+    MEASURED,
+    PROOF,
+    UNSEEN,
+    Goal,
+    Session,
+    Station,
+    from_data,
+    proven,
+    spent,
+    to_data,
+)
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain
@@ -304,3 +316,26 @@ def test_a_recording_is_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert len(set(rows)) == len(rows) < 40
     report = json.loads((out / "report.json").read_text())
     assert report["recording"]["stations"] == sum(s["role"] == PROOF for s in stations)
+
+
+def test_the_instruments_own_error_is_no_error_of_the_tool() -> None:
+    assert Goal(1e-4, instrument=5e-5).rms == pytest.approx(np.hypot(1e-4, 5e-5))
+    assert Goal(1.96e-4, "p95").rms == pytest.approx(1e-4)
+    assert Goal().rms is None
+
+
+def test_an_end_says_the_upper_end_of_the_claim() -> None:
+    said = proven(Goal(1e-4), 0.083, 26, 6).sentence
+    assert said.startswith(
+        "0.1 mm is proven: over all postures that are allowed and seen the tool's RMS error is at most"
+    )
+    assert "at most 0.083 mm with 95 % confidence, from 26 stations, 6 of them at random and in no fit." in said
+    gone = spent(Goal(1e-4, "p95"), 15, 0.3).sentence
+    assert "95th percentile is at most 0.300 mm" in gone
+    assert "too few for a fit" in spent(Goal(1e-4), 3, None).sentence
+
+
+def test_what_cannot_be_asked_is_refused() -> None:
+    for wrong in ({"accuracy": 0.0}, {"accuracy": np.inf}, {"stations": 0}):
+        with pytest.raises(BadTable):
+            Goal(**wrong)  # type: ignore[arg-type]

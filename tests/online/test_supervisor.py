@@ -128,14 +128,19 @@ def test_to_forget_leaves_what_is_trusted() -> None:
     assert supervisor.trusted is calibrated()
 
 
-def test_a_reading_in_a_frame_that_is_not_known_is_counted() -> None:
+def test_readings_of_a_frame_that_is_not_known_are_counted_and_said_where_no_others_come() -> None:
     supervisor = Supervisor(Policy())
     supervisor.trust(calibrated())
+    for sample in (replace(later(2), frames=("tracker", "second"), frame=np.array([0, 1])), later(1)):
+        feed(supervisor, sample)
+    assert supervisor.live is not None
+    assert (supervisor.live.strange, supervisor.live.estimator.taken) == (1, 2)
+    assert supervisor.state == TRUSTED
     other = later(5)
     feed(supervisor, replace(other, frames=("tracker", "second"), frame=np.ones(5, int)))
-    assert supervisor.live is not None
-    assert supervisor.live.strange == 5
-    assert supervisor.live.estimator.taken == 0
+    assert supervisor.hypothesis is not None
+    assert supervisor.hypothesis.sentence.startswith("frame 'second' is read in place of tracker: ")
+    assert not supervisor.wants_solve()
 
 
 def test_equal_models_are_hardly_ever_called_better(rng: Generator) -> None:

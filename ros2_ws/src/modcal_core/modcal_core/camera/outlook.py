@@ -18,7 +18,7 @@ from modcal_core.camera.views import ViewSpread
 
 _MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (verdict.md)
 _CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
-_UNSTEADY = 2e-3  # rad (or m) a joint that an image differs from the fit: ten times what gears and springs do
+_UNSTEADY = 2e-3  # rad (or m) a joint, or m, that an image differs from the fit: ten times what gears and springs do
 _MOSTLY = 0.5  # of the mean square error at the tool
 _UNMEASURED = {
     "sheet": "measured: measure its rulers (modcal target --measured)",
@@ -35,10 +35,11 @@ def problems(fit: CameraFit, nominal: CameraFit, wrong: Sequence[str]) -> tuple[
     """What contradicts the fit, in sentences. wrong: moves among the images, and statements that these contradict."""
     out = [] if fit.converged and nominal.converged else ["The fit did not reach its minimum."]
     out += wrong
-    if fit.sizes.joint > _UNSTEADY:
+    if max(fit.sizes.joint, fit.sizes.shift) > _UNSTEADY:
         out.append(
-            f"Images are {1e3 * fit.sizes.joint:.1f} mrad a joint off any arm of this form, each by itself: check that "
-            "the arm stood still, that joints and images are of the same moment, and that nothing is loose."
+            f"Images are {1e3 * fit.sizes.joint:.1f} mrad a joint and {1e3 * fit.sizes.shift:.1f} mm off any arm of "
+            "this form, each by itself: check that the arm stood still, that joints and images are of the same moment, "
+            "that autofocus and digital zoom are off, and that nothing is loose."
         )
     # of a body points are misread, and the places of its markers say what is wrong of its size
     if not fit.table.places and fit.table.left_out > _CORNERS_OUT:

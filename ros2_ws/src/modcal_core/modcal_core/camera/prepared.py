@@ -144,26 +144,21 @@ def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     lens = stated or first_lens(kept.table, images.size, model)
     prior = common_prior(lens, target.scale, images.stated if stated is not None else None, images.flat)
     lens = stated or Lens(prior.mean[:LENS], images.size, model)
-    for again in (True, False):  # once more without images that the target fits badly
-        fit, table = fit_lens(kept.table, lens, prior.free[:LENS], prior.information[:LENS, :LENS]), kept.table
-        for _ in range(2):
-            rows = corner_rows(table, fit.lens, np.zeros(SHAPE), fit.T_camera_target)
-            weight = np.where(agreeing(table, rows.residual, rows.pixels), table.weight, 0.0)
-            if (weight == table.weight).all():
-                break
-            table = replace(table, weight=weight)
-            fit = fit_lens(table, lens, prior.free[:LENS], prior.information[:LENS, :LENS])
+    for _ in range(_CLEANED):
+        fit = fit_lens(kept.table, lens, prior.free[:LENS], prior.information[:LENS, :LENS])
+        rows = corner_rows(kept.table, fit.lens, np.zeros(SHAPE), fit.T_camera_target)
+        weight = np.where(agreeing(kept.table, rows.residual, rows.pixels), kept.table.weight, 0.0)
+        table = replace(kept.table, weight=weight)
         poses = board_poses(table, fit.lens, prior.shape)
-        kept = replace(kept, table=table)
         bad = bad_images(table, poses.rms)
-        if not (again and bad.any()):
+        if (weight == kept.table.weight).all() and not bad.any():
             break
-        kept = kept.without(np.where(bad, "the target fits this image badly", ""))
+        kept = replace(kept, table=table).without(np.where(bad, "the target fits this image badly", ""))
     q = images.q[kept.rows]
     try:
         mounting = near_arm(find_mounting(chain_forward(chain, q), poses, images.camera_on_tip), chain, images.name)
     except BadRecording as error:
-        raise explained(error, chain, q, kept.table, fit.lens, images.camera_on_tip) from error
+        raise explained(error, chain, q, poses, images.camera_on_tip) from error
     far = mounting.off_m > max(_NOWHERE * chain.reach(), _NOWHERE_TIMES * float(np.median(mounting.off_m)))
     if (~far).sum() >= MIN_VIEWS:
         kept = kept.without(np.where(far, ELSEWHERE, ""))
@@ -181,25 +176,27 @@ def _of_body(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     A = chain_forward(chain, q)
     require_order(table, usual, target)
     try:
-        begin = start_of_body(table, A, lens, usual, images.camera_on_tip)
-        near_arm(begin.mounting, chain, images.name)
+        lens, mounting = start_of_body(table, A, lens, usual, images.camera_on_tip)
+        near_arm(mounting, chain, images.name)
     except BadRecording as error:
         whole = images_with_pose(table)
-        if whole.sum() < MIN_VIEWS:
-            raise
-        raise explained(error, chain, q[whole], table.select(whole), usual, images.camera_on_tip) from error
-    prior = common_prior(begin.lens, target.scale, images.stated if lens is not None else None)
-    far = gross(begin.off(table))
+        poses = board_poses(table.select(whole), usual)
+        raise explained(error, chain, q[whole], poses, images.camera_on_tip) from error
+    prior = common_prior(lens, target.scale, images.stated if images.lens is not None else None)
+    far = gross(corner_rows(table, lens, np.zeros(SHAPE), mounting.T_camera_target).pixels)
     kept = replace(kept, table=replace(table, weight=np.where(far, 0.0, 1.0)))
     kept = kept.without(np.where(mostly_out(table, far), ELSEWHERE, ""))
-    return kept, begin.lens, prior.with_places(target.place_prior()), begin.mounting
+    return kept, lens, prior.with_places(target.place_prior()), mounting
 
 
 def near_arm(mounting: Mounting, chain: Chain, name: str) -> Mounting:
     """The mounting. Raises BadRecording for images that miss the arm's motion by more than any arm is built wrong."""
     if mounting.misfit_m > _APART_OF_REACH * max(chain.reach(), 0.3):
         said = f"they are {1e3 * mounting.misfit_m:.0f} mm off the arm's motion in the median"
-        remedy = "check that each row of joints belongs to its image, joint units and order, and the square's size"
+        remedy = (
+            "check that each row of joints belongs to its image, joint units and order, the square's size, and that u "
+            "counts from the left and v from the top"
+        )
         raise BadRecording(name, said, remedy)
     return mounting
 
@@ -252,7 +249,6 @@ _SEEN = 1e-9  # of an image's information; directions below it are none that it 
 # Tolerances, and times the median marker, that a marker's place may differ from where the others have it: farther is
 # another marker's sighting under its number, or a slip of the pen, which would make all places look as open as its own.
 _FAR = 6.0
-_MIN_MARKERS = 6  # of a body, for their median to be that of markers that are where they should be
 _CLEANED = 5  # times that points and images are looked through
 
 
@@ -294,34 +290,19 @@ def misread_points(fit: CameraFit) -> np.ndarray:
 
 
 def far_markers(fit: CameraFit) -> np.ndarray:
-    """Markers (K,) whose place is not where any hand would have glued them, in which points in use have a part.
-
-    The body's frame is that of all its markers together, so each is held against the motion that the others show.
-    """
+    """Markers (K,) whose place is not where any hand would have glued them, the median marker being the scale."""
     table, prior = fit.table, fit.prior.places
     assert prior is not None
-    K = table.markers
-    used = np.flatnonzero(np.bincount(table.marker, table.weight, K) > 0.0)
-    out = np.zeros(K, bool)
-    if len(used) < _MIN_MARKERS:
-        return out
-    own, values = np.arange(K), table.places
-    white = np.swapaxes(np.linalg.cholesky(prior.apart.reshape(K, values, K, values)[own, :, own]), 1, 2)
-    off = (white @ fit.state.shape[SHAPE:].reshape(K, values, 1))[:, :, 0]
-    moved = white @ prior.motion
-    for k in used:
-        others = used[used != k]
-        by = np.linalg.lstsq(moved[others].reshape(-1, 6), off[others].reshape(-1), rcond=None)[0]
-        size = np.sqrt(((off - moved @ by) ** 2).mean(axis=1))
-        out[k] = size[k] > _FAR * max(1.0, float(np.median(size[others])))
-    return out
+    off = (prior.white @ fit.state.shape[SHAPE:].reshape(table.markers, -1, 1))[:, :, 0]
+    size, used = np.sqrt((off**2).mean(axis=1)), np.bincount(table.marker, table.weight, table.markers) > 0.0
+    return np.asarray(used & (size > _FAR * max(1.0, float(np.median(size[used])))))
 
 
 def first_fit(camera: Camera) -> CameraFit:
     """A fit of one camera: misread points of a body, and images nowhere near the arm, are left out.
 
-    The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or
-    marker would make all errors look as large as its own; then they hardly change but for a marker that was far off.
+    The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or marker would make all
+    errors look as large as its own.
     """
     table = camera.table
     if not table.places:
@@ -330,24 +311,17 @@ def first_fit(camera: Camera) -> CameraFit:
         return fit if again is None else fitted(again, fit)
     far = np.zeros(table.markers, bool)
     last: CameraFit | None = None
-    for _ in range(_CLEANED):
-        last = replace(fitted(camera, last, fixed_sizes=True), sizes=START)
-        far |= far_markers(last)
-        again = _without(camera, gross(last.pixels) | far[last.table.marker])
-        if again is None:
-            break
-        camera = again
-    fit = fitted(camera, last)
-    cleaned = False
-    for _ in range(_CLEANED):
-        more = far_markers(fit) & ~far
-        far |= more
-        again = _without(camera, misread_points(fit) | far[fit.table.marker], fit)
-        if again is None:
-            break
-        camera, cleaned = again, True
-        fit = fitted(camera, fit, fixed_sizes=not more.any())
-    return fitted(camera, fit) if cleaned else fit
+    for usual_sizes in (True, False):
+        for _ in range(_CLEANED):
+            fit = fitted(camera, last, fixed_sizes=usual_sizes)
+            out = gross(fit.pixels) if usual_sizes else misread_points(fit)
+            far |= far_markers(fit)
+            last = replace(fit, sizes=START) if usual_sizes else fit
+            again = _without(camera, out | far[fit.table.marker], None if usual_sizes else fit)
+            if again is None:
+                break
+            camera = again
+    return fit
 
 
 def _without(camera: Camera, out: np.ndarray, fit: CameraFit | None = None) -> Camera | None:

@@ -15,10 +15,9 @@ import numpy as np
 from modcal_core.calibration import Model, least_change
 from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.cameras import Camera, CameraImages, Cameras
-from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, held_out, hidden_springs
-from modcal_core.camera.changes import FoundChange, find_change
+from modcal_core.camera.causes import CameraCause, find_causes, held_out
+from modcal_core.camera.changes import Moved, find_change
 from modcal_core.camera.claim import (
-    CANNOT_TELL,
     Decision,
     DecisionGrounds,
     RestsOn,
@@ -41,7 +40,6 @@ from modcal_core.camera.outlook import (
 )
 from modcal_core.camera.prepared import first_fit, nominal, prepare_images, together
 from modcal_core.camera.statements import (
-    SIZE,
     CameraFinding,
     DoubtedStatement,
     contradictions,
@@ -77,16 +75,15 @@ class CameraProblem:
 @dataclass(frozen=True)
 class CameraEvidence:
     """moved: what was moved between images, the camera's focal length included. findings: what target and camera are
-    not as stated. causes: effects beyond geometry. left: what is significant and could not be turned into one. hidden:
-    springs that these images would not show. weak: what the images leave open, in sentences. problems: what contradicts
-    the fit. open_points: what a verdict may not pass over, though the fit stands.
+    not as stated. causes: effects beyond geometry. left: what is significant and could not be turned into one. weak:
+    what the images leave open, in sentences. problems: what contradicts the fit. open_points: what a verdict may not
+    pass over, though the fit stands.
     """
 
-    moved: FoundChange | None
+    moved: Moved | None
     findings: tuple[CameraFinding, ...]
     causes: tuple[CameraCause, ...]
     left: EffectChoice | None
-    hidden: tuple[HiddenSpring, ...]
     weak: tuple[str, ...]
     problems: tuple[str, ...]
     open_points: tuple[str, ...]
@@ -160,21 +157,19 @@ def solve_camera(
     first = geometric.cameras.first
     still = nominal(first)
     fit, causes, left = geometric, tuple[CameraCause, ...](), None
-    hidden = tuple[HiddenSpring, ...]()
     if problem.look_for_effects:
         progress("effects")
         fit, causes, left = find_causes(geometric, progress)
-        hidden = hidden_springs(fit)
 
     progress("verdict")
     images = first.given
-    near, _ = postures_in_view(fit, rng)
+    near = postures_in_view(fit, rng)
     doubted = doubts(fit, images)
     change, of_others = find_change(fit), tuple[str, ...]()
     for k, camera in enumerate(fit.cameras.every):
         whose = f" of {camera.given.name}" if k else ""
         found = find_change(by_itself[k]) if k else change
-        of_others += () if found is None else (found.sentence(camera.table.names, whose),)
+        of_others += () if found is None else (found.before(camera.table.names[int(found.since)], whose),)
         of_others += left_out_images(camera.left_out, len(camera.given.views), whose)
     against = problems(fit, still, (*of_others, *contradictions(fit, doubted, images)))
     open_points: tuple[str, ...] = ()
@@ -186,11 +181,10 @@ def solve_camera(
         against += against_points
     other_length = problem.arm_m is not None or (problem.beside is not None and problem.beside.metric)
     evidence = CameraEvidence(
-        None if change is None or change.each else change,
+        change,
         findings(fit, images.target.scale, other_length, near),
         causes,
         left,
-        hidden,
         weak_directions(fit, first.mounting),
         against,
         open_points,
@@ -237,16 +231,11 @@ def _claim(
     metric = metric_of(target, problem.arm_m, problem.beside)
     shared, rests = shares(fit, near), rests_on(fit, doubted, near, errors[0])
     doubtful = in_doubt(fit, doubted, target.scale)
-    doubtful += () if rests is None else (rests.sentence(errors[0].nominal_interval[0], body),)
+    rest = () if rests is None else (rests.sentence(errors[0].nominal_interval[0], body),)
     judged = 2 if body else 0  # fixed cameras and a body are there for the arm, wherever they stand
     size = size_open(target, doubted, errors[judged], shared, problem.arm_m)
-    grounds = DecisionGrounds(bool(metric), against, problem.arm_m, doubtful, size, body)
-    decision = decide(errors[judged], grounds)
-    # the size decides: what is said holds either way
-    if metric and decision.word == CANNOT_TELL and target.scale.measured:
-        in_view, anywhere, alone = (error.either_way(SIZE) for error in errors)
-        errors = in_view, anywhere, alone
-        decision = decide(errors[judged], grounds)
+    grounds = DecisionGrounds(bool(metric), against, problem.arm_m, (*doubtful, *rest), size, body)
+    decision = replace(decide(errors[judged], grounds), doubtful=doubtful)
     return CameraClaim(*errors, decision, shared, rests, metric)
 
 

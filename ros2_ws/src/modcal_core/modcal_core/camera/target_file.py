@@ -34,10 +34,7 @@ from modcal_core.errors import BadTable, refusing
 from modcal_core.files import read_yaml
 from modcal_core.geometry import so3
 
-TAG_BUNDLES = "tag_bundles"  # of apriltag_ros, beside standalone_tags
-_FAMILY = "DICT_APRILTAG_36h11"  # apriltag_ros's own, unless its other settings say otherwise
 _ORDERS = {"aruco": ARUCO_ORDER, "apriltag": APRILTAG_ORDER}
-_XYZ, _QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # as apriltag_ros calls them
 _NORMAL = "tolerance_normal_m"
 _UNIT = 1e-3  # how far from 1 a quaternion's length may be, which is written with four digits
 
@@ -67,19 +64,6 @@ def bundle_from_data(data: Mapping[str, Any], source: str) -> MarkerBundle:
         str(data.get("name", ""))[:60],
         normal_m=normal_m,
     )
-
-
-def bundle_of_tags(data: Mapping[str, Any], source: str) -> MarkerBundle:
-    """The only bundle in the settings of apriltag_ros, ROS 1's form. Raises BadTable."""
-    bundles = list(data[TAG_BUNDLES] or ())
-    said = f"has {len(bundles)} tag bundles, one is read"
-    require(len(bundles) == 1, source, said, "give the one that is on the arm")
-    markers = []
-    for one in bundles[0]["layout"]:
-        xyz, turn = ([one.get(key, float(key == "qw")) for key in keys] for keys in (_XYZ, _QUATERNION))
-        markers.append(_marker(one["id"], xyz, turn, one["size"], source))
-    name = str(bundles[0].get("name", ""))[:60]
-    return MarkerBundle(tuple(markers), body_scale(None), corners=APRILTAG_ORDER, dictionary=_FAMILY, name=name)
 
 
 def _marker(number: Any, xyz: Sequence[Any], quaternion: Sequence[Any], size: Any, source: str) -> BundleMarker:
@@ -118,8 +102,6 @@ def read_any_target(path: Path) -> PrintedTarget | MarkerBundle:
 @refusing
 def any_target_from_data(data: Any, source: str = "target") -> PrintedTarget | MarkerBundle:
     """The sheet or body that this data describes; raises BadTable, naming the source."""
-    if isinstance(data, Mapping) and TAG_BUNDLES in data:
-        return bundle_of_tags(data, source)
     if isinstance(data, Mapping) and data.get("type") == BUNDLE:
         return bundle_from_data(data, source)
     return target_from_data(data, source)

@@ -264,7 +264,7 @@ def points(case: HandEye) -> HandEye:
 def placed(case: HandEye, thorough: bool = True) -> HandEyeFit:
     """The case with the base and the tool that most of its stations agree on.
 
-    thorough: also from draws of a few stations, where closed forms over all of them leave many astray.
+    thorough: also from draws of a few stations.
     """
     best: HandEyeFit | None = None
     for start in _starts(case):
@@ -273,19 +273,18 @@ def placed(case: HandEye, thorough: bool = True) -> HandEyeFit:
         if best is not None and best.explains:
             break
     assert best is not None
-    if thorough and best.agree().mean() < 1.0 - ASTRAY and len(case) >= 8:
+    return redrawn(best) if thorough else best
+
+
+def redrawn(best: HandEyeFit) -> HandEyeFit:
+    """A fit, or one that starts from draws of a few stations, where closed forms over all of them leave many astray."""
+    case = best.case
+    if best.agree().mean() < 1.0 - ASTRAY and len(case) >= 8:
         drawn = _by_draws(case)
         for placement in () if drawn is None else (drawn, _refined(case, drawn)):
             fit = _fit(case, placement)
             best = fit if fit.better_than(best) else best
     return best
-
-
-def start(case: HandEye) -> Placement:
-    """Base and tool in closed form: by orientations where there are any, else by positions."""
-    if case.poses:
-        return _with_places(case, *base_and_tool_turns(case.A[:, :3, :3], case.R))
-    return _with_places(case, base_by_positions(case.B[None], case.p[None])[0], np.eye(3))
 
 
 def at(case: HandEye, placement: Placement) -> HandEyeFit:

@@ -28,9 +28,9 @@ from modcal_core.hypotheses.hypothesis import (
     ROWS_REMEDY,
     Hypothesis,
     cost_of_rows,
-    family,
     where,
 )
+from modcal_core.hypotheses.joint_columns import unexplained
 from modcal_core.measurements import spread_rows
 
 _FEW = 40  # stations at which hypotheses are screened
@@ -44,7 +44,7 @@ _UNITS = {
     "feet": 1.0 / 0.3048,
     "kilometres": 1e-3,
 }  # of a metre
-_BEFORE, _AFTER = 8, 3  # rows that a filter reaches
+_BEFORE, _AFTER, _FILTERS = 8, 3, 2  # rows that a filter reaches; filters that are fitted
 
 
 def astray(fit: HandEyeFit) -> np.ndarray:
@@ -436,11 +436,16 @@ def filters(case: HandEye) -> list[Hypothesis]:
         said = f"if {100 * kept:.0f}% of the reading before were still in it"
         made.append((said, np.where(rows <= 0, kept ** np.maximum(-rows, 0.0), 0.0)))
 
-    def undone(c: HandEye, weights: Array, turns: bool) -> HandEye:
+    def mixed(c: HandEye, weights: Array) -> Array:
         around = np.concatenate([c.A[:1].repeat(_BEFORE, axis=0), c.A, c.A[-1:].repeat(_AFTER, axis=0)])
         A = np.moveaxis(sliding_window_view(around, len(rows), axis=0), -1, 1)  # (N, rows, 4, 4)
-        return replace(points(c) if turns else c, mixed=np.einsum("k,nkij->nij", weights / weights.sum(), A))
+        return np.asarray(np.einsum("k,nkij->nij", weights / weights.sum(), A))
 
+    def undone(c: HandEye, weights: Array, turns: bool) -> HandEye:
+        return replace(points(c) if turns else c, mixed=mixed(c, weights))
+
+    B = np.stack([mixed(case, w) for _, w in made])
+    left = unexplained(B[..., :3, :3], B[..., :3, 3], case.p - case.p.mean(axis=0)).sum(axis=1)
     remedy = (
         "turn the instrument's filter or averaging off, or wait at each station until it has settled, and record again"
     )
@@ -453,7 +458,7 @@ def filters(case: HandEye) -> list[Hypothesis]:
             1,
             "rows",
         )
-        for said, w in made
+        for said, w in (made[k] for k in np.argsort(left)[:_FILTERS])
         for turns in ((False, True) if case.poses else (False,))
     ]
-    return family(RARE, made_of)
+    return [replace(h, price=RARE - float(np.log(2 * len(made)))) for h in made_of]

@@ -107,13 +107,6 @@ def origins(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str
     return np.stack(M)
 
 
-def twists(frames: Array, revolute: np.ndarray) -> Array:
-    """ξ_1 … ξ_n (n, 6) of joints whose axes are z of these frames (n, 4, 4): (p × ω, ω), or (ω, 0) where they slide."""
-    w, p = frames[:, :3, 2], frames[:, :3, 3]
-    turning = np.concatenate([np.cross(p, w), w], axis=1)
-    return np.where(np.asarray(revolute)[:, None], turning, np.concatenate([w, np.zeros_like(w)], axis=1))
-
-
 def module_frames(assembly: Assembly, library: Library, q: Array | None = None) -> Array:
     """Where every module is at a posture q (n,) [rad, m], default zero: (modules + 1, 4, 4) [m] in the base.
 

@@ -21,17 +21,8 @@ from modcal_core.effects import AS_LIKELY, put_back_first
 from modcal_core.effects.families import gear_harmonic
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
-from modcal_core.moves.evidence import (
-    SIZES,
-    ChangeCandidate,
-    ChangeJudge,
-    JudgedChange,
-    by_name,
-    e_value,
-    is_noise,
-    most_probable,
-)
-from modcal_core.moves.noise import FrozenKnowledge, NullModel, parameter_rows
+from modcal_core.moves.evidence import SIZES, ChangeJudge, JudgedChange, by_name, e_value, is_noise, most_probable
+from modcal_core.moves.noise import FrozenKnowledge, NullModel
 from modcal_core.moves.rows import (
     BASE,
     GEAR,
@@ -44,7 +35,7 @@ from modcal_core.moves.rows import (
     hypotheses,
     log_priors,
 )
-from modcal_core.moves.state import CheckState, TakenUp, along_one
+from modcal_core.moves.state import CheckState, along_one
 
 FALSE_ALARM = 0.01  # chance that something is named while nothing has changed, over all changes together
 _ASKED_FOR = -float(np.log(FALSE_ALARM))
@@ -75,42 +66,37 @@ class FittedChange:
 
 
 @dataclass(frozen=True)
-class SizeCovariance:
-    """What is known of the sizes of all changes together. covariance: (k, k). cross: with what the calibration does not
-    know of itself, (K, k): the error of a size makes up for a part of that.
-    """
-
-    covariance: Array
-    cross: Array
-
-
-@dataclass(frozen=True)
 class FoundChanges:
     """What a search found.
 
-    changes: as named. given: those that were not asked for but given, as fitted. sizes: what is known of the sizes of
-    given and changes. log_e: logarithms of the e-values by which each was asked for, and, last, of what is left. aside:
-    samples that were set aside as wrong. stages: the frozen model beside the others, the same with what was given left
-    open, and with the changes taken up. asked: the changes that were looked for.
+    changes: as named. given: those that were not asked for but given, as fitted. covariance: of the sizes of given and
+    changes together, (k, k). log_e: logarithms of the e-values by which each was asked for, and, last, of what is left.
+    aside: samples that were set aside as wrong. stages: the frozen model beside the others, the same with what was
+    given left open, and with the changes taken up. asked: the changes that were looked for.
     """
 
     changes: tuple[FittedChange, ...]
     given: tuple[FittedChange, ...]
-    sizes: SizeCovariance
+    covariance: Array
     log_e: tuple[float, ...]
     aside: tuple[int, ...]
-    stages: tuple[TakenUp, TakenUp, TakenUp]
+    stages: tuple[CheckState, CheckState, CheckState]
     asked: tuple[CellChange, ...]
 
     @property
     def null(self) -> NullModel:
         """What readings scatter by about the frozen model."""
-        return self.stages[0].judge.null
+        return self.stages[0].null
+
+    @property
+    def model(self) -> Model:
+        """The frozen one."""
+        return self.stages[0].model
 
     @property
     def state(self) -> CheckState:
         """The model with the changes, beside the samples that were not set aside."""
-        return self.stages[2].state
+        return self.stages[2]
 
     @property
     def samples(self) -> Samples:
@@ -170,9 +156,9 @@ class MoveSearch:
         asked_for: float = _ASKED_FOR,
         most: int = 2,
     ) -> None:
-        self.plain = TakenUp(plain, (), ChangeJudge(plain.null))
+        self.plain = plain
         self.given, self.weight, self.asked_for, self.most = given, plain.null.weight, asked_for, most
-        self._taken: dict[tuple[int, ...], tuple[list[JudgedChange], TakenUp]] = {}
+        self._taken: dict[tuple[int, ...], tuple[list[JudgedChange], CheckState]] = {}
         keys = {h.key for h in given}
         table = hypotheses(plain.model, plain.samples) if asked is None else asked
         every = [h for h in table if h.key not in keys]
@@ -184,7 +170,7 @@ class MoveSearch:
         """What is given, of any size."""
         return [replace(one, size=float(SIZES[-1])) for one in self.plain.judge_all(self.given)[0]]
 
-    def beside(self, picked: Sequence[JudgedChange]) -> TakenUp:
+    def beside(self, picked: Sequence[JudgedChange]) -> CheckState:
         """What stands with these changes taken up, on top of what is given."""
         key = tuple(map(id, picked))
         if key not in self._taken:
@@ -198,7 +184,7 @@ class MoveSearch:
 
     def left(self, picked: Sequence[JudgedChange]) -> float:
         """The e-value of what is left beside these changes."""
-        return e_value(*self.beside(picked).judge_all(self.others(picked)), self.weight)
+        return e_value(*self.beside(picked).judge_all(self.others(picked)), weight=self.weight)
 
     def best(self) -> Explanation:
         """The most probable explanation, or the first reading that is wrong."""
@@ -293,7 +279,7 @@ class MoveSearch:
         if first == len(asked):
             return picked[i]
         # beside another change that may only make up for what one size leaves, all sizes are open
-        along = None if rest else along_one(asked[first], hypothesis, self.beside([]).state)
+        along = None if rest else along_one(asked[first], hypothesis, self.beside([]))
         alone = [] if along is None else self.beside(rest).judge_all([along])[0]
         return max([every[first], *alone], key=lambda one: one.log_factor)
 
@@ -306,9 +292,9 @@ class MoveSearch:
         return wave if wave is not None and wave.log_factor > picked[i].log_factor else picked[i]
 
     def nearest(self) -> FittedChange:
-        """The row that explains most by itself, or what outside the arm explains as much, with its rivals."""
-        judged, prior = self.plain.judge_all(self.asked)
-        return self.with_rivals([self._outside([most_probable(judged, prior)], 0)], 0)
+        """The row that explains most by itself, or what outside the arm explains as much, with its size and rivals."""
+        one = self._outside([most_probable(*self.plain.judge_all(self.asked), weight=self.weight)], 0)
+        return with_sizes([self.with_rivals([one], 0)], self.beside([one]), self.plain.null)[0][0]
 
     def told(self, found: Explanation, aside: tuple[int, ...]) -> FoundChanges:
         """What was found, with what explains the readings as well, and with sizes."""
@@ -316,13 +302,13 @@ class MoveSearch:
         picked = [c for c in found.picked if c.hypothesis.sample < 0]
         now = self.beside(picked)
         given = [FittedChange(judged, 1.0) for judged in self.fixed]
-        sizes = SizeCovariance(np.empty((0, 0)), np.empty((len(self.plain.state.known.covariance), 0)))
+        covariance = np.empty((0, 0))
         changes = [self.with_rivals(picked, i) for i in range(len(picked))]
         if given or changes:
-            every, sizes = with_sizes([*given, *changes], now, self.plain.judge.null)
+            every, covariance = with_sizes([*given, *changes], now, self.plain.null)
             given, changes = every[: len(given)], every[len(given) :]
         stages = self.plain, self.beside([]), now
-        return FoundChanges(tuple(changes), tuple(given), sizes, found.log_e, aside, stages, tuple(self.asked))
+        return FoundChanges(tuple(changes), tuple(given), covariance, found.log_e, aside, stages, tuple(self.asked))
 
     def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
         """One of the changes that were picked, with what explains the readings as well."""
@@ -344,15 +330,13 @@ class MoveSearch:
         return FittedChange(replace(best, hypothesis=one.hypothesis), probability, tuple(j for _, j in rivals))
 
 
-def with_sizes(
-    changes: Sequence[FittedChange], now: TakenUp, begin: NullModel
-) -> tuple[list[FittedChange], SizeCovariance]:
-    """The changes with their sizes, and what is known of these beside each other.
+def with_sizes(changes: Sequence[FittedChange], now: CheckState, begin: NullModel) -> tuple[list[FittedChange], Array]:
+    """The changes with their sizes, and the covariance (k, k) of these together.
 
     Of the null's grid the member counts that suits the readings best with the changes in; without them it would be a
     wider spread, for it would have to explain them.
     """
-    state, known, member = now.state, now.state.known, now.judge.best
+    member = now.judge.best
     for change in changes:
         if is_noise(change.judged):
             begin = begin.with_noise(*change.judged.noise)
@@ -362,63 +346,45 @@ def with_sizes(
         A, free = judge.whitened(fit.columns, member), fit.hypothesis.free
         spread = change.judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300)) if free else 1.0
         blocks.append(spread * A)
-        own = curve_root(fit.hypothesis.curve, state.model, state.samples) if free else np.eye(A.shape[1])
+        own = curve_root(fit.hypothesis.curve, now.model, now.samples) if free else np.eye(A.shape[1])
         roots.append(spread * own)
     J, ends = np.concatenate(blocks, axis=1), np.cumsum([block.shape[1] for block in blocks])
     sized = np.concatenate([np.full(b.shape[1], not f.hypothesis.free) for b, f in zip(blocks, now.fits, strict=True)])
     covariance = np.linalg.pinv(J.T @ J + np.diag(1.0 - sized), hermitian=True)
-    mean = covariance @ (J.T @ judge.whitened(state.residual, member))  # of curves; of sizes it is the last step
-    rows = parameter_rows(state.model, state.view, state.drivers, known.parameters, known.effects)
-    cross = -known.covariance @ judge.whitened(rows.T, member).T @ J @ covariance
+    mean = covariance @ (J.T @ judge.whitened(now.residual, member))  # of curves; of sizes it is the last step
     out = []
     for change, fit, root, end in zip(changes, now.fits, roots, ends, strict=True):
         at = slice(end - root.shape[1], end)
         found = root @ mean[at] if fit.hypothesis.free else fit.sizes
         out.append(replace(change, sizes=found, covariance=root @ covariance[at, at] @ root.T))
-    return out, SizeCovariance(covariance[np.ix_(sized, sized)], cross[:, sized])
+    return out, covariance[np.ix_(sized, sized)]
 
 
-def wave_of(joint: int, beside: TakenUp) -> JudgedChange | None:
-    """The wave that one joint's curve is: how many cycles a turn, found by scanning them all at once; None where the
-    readings do not say which.
+def wave_of(joint: int, beside: CheckState) -> JudgedChange | None:
+    """The wave that one joint's curve is, with how many cycles a turn; None where the readings do not say which.
 
     A few stations show a curve that varies from one to the next, and say little of its course between them. A wave has
     three sizes, or five with the second harmonic that strain wave gears have.
     """
-    state, judge, chain = beside.state, beside.judge, beside.state.model.chain
+    chain, null = beside.model.chain, beside.null
     if not chain.revolute[joint]:
         return None
-    q = state.samples.q[:, joint]
-    unit, angle = state.unit(joint), q[state.row_samples]
-    z = judge.whitened(judge.null.residual, judge.best)
+    # of the noise the member that suits the readings best, or so many waves would take long
+    state = CheckState(beside.model, beside.samples, beside.known, null.only(beside.judge.best), beside.curves)
 
-    def factors(cycles: Array, double: bool) -> Array:
-        phase = cycles[:, None] * angle
-        parts = [np.sin(phase), np.cos(phase)] + ([np.sin(2.0 * phase), np.cos(2.0 * phase)] if double else [])
-        A = np.stack([judge.whitened((unit * part).T, judge.best).T for part in parts], axis=1)  # (C, k, n)
-        gram = A @ np.swapaxes(A, 1, 2) + 1e-9 * np.eye(len(parts)) * np.sum(A**2, axis=(1, 2), keepdims=True)
-        along = A @ z
-        gain = np.sum(along * np.linalg.solve(gram, along[..., None])[..., 0], axis=1)
-        k = len(parts)
-        g = SIZES**2 * len(z) / k
-        logs = -0.5 * k * np.log1p(g) + 0.5 * gain[:, None] * g / (1.0 + g)
-        return np.asarray(scipy.special.logsumexp(logs, axis=1) - np.log(len(SIZES)))
+    def judged(cycles: Array, double: bool) -> list[JudgedChange]:
+        waves = (gear_harmonic.wave(chain.names[joint], float(c), double) for c in cycles)
+        return state.judge_all([CellChange(GEAR, chain.names[joint], effects=(wave,)) for wave in waves])[0]
 
-    grid = gear_harmonic.cycle_grid(max(float(np.ptp(q)), 0.1))
-    found = []  # evidence, cycles or NaN, double
-    for double in (False, True):
-        cycles = grid[grid <= 0.5 * gear_harmonic.MAX_CYCLES] if double else grid
-        logs = factors(cycles, double)
-        total, top, step = float(scipy.special.logsumexp(logs)), int(np.argmax(logs)), float(cycles[1] - cycles[0])
-        peak = np.abs(cycles - cycles[top]) <= _NEAR * step
-        sure = float(scipy.special.logsumexp(logs[peak])) - total > np.log(_SURE)
-        finer = cycles[top] + step * _FINER
-        at = float(finer[np.argmax(factors(finer, double))]) if sure else np.nan
-        found.append((total - float(np.log(len(cycles))), at, double))
-    evidence, at, double = max(found, key=lambda way: way[0])
-    if np.isnan(at):
+    grid = gear_harmonic.cycle_grid(max(float(np.ptp(state.samples.q[:, joint])), 0.1))
+    every = {double: judged(grid[: len(grid) // (1 + double)], double) for double in (False, True)}
+    mass = {double: scipy.special.logsumexp([j.log_factor for j in some]) for double, some in every.items()}
+    evidence, double = max((mass[double] - np.log(len(every[double])), double) for double in every)
+    logs = np.array([j.log_factor for j in every[double]])
+    top, step = int(np.argmax(logs)), grid[1] - grid[0]
+    near = np.abs(grid[: len(logs)] - grid[top]) <= _NEAR * step
+    if scipy.special.logsumexp(logs[near]) - mass[double] <= np.log(_SURE):
         return None
-    change = CellChange(GEAR, chain.names[joint], effects=(gear_harmonic.wave(chain.names[joint], at, double),))
-    judged = judge.judged(ChangeCandidate(change, judge.null.residual, state.columns(change)))
-    own = float(factors(np.array([at]), double)[0])
-    return replace(judged, log_factor=judged.log_factor + evidence - own)
+    finest = max(judged(grid[top] + step * _FINER, double), key=lambda wave: wave.log_factor)
+    (whole,), _ = beside.judge_all([finest.hypothesis])
+    return replace(whole, log_factor=whole.log_factor + evidence - finest.log_factor)

@@ -10,18 +10,18 @@ import numpy as np
 
 from modcal_core.errors import BadCommand, BadTable
 from modcal_core.geometry import Array
-from modcal_core.measurements import require
 from modcal_core.robots import vector
+from modcal_core.schema import TEXT, list_of, require, stated
 
-_STATIONS = {"type": ["array", "null"], "items": {"type": "object", "required": ["position"]}}
+_STATIONS = list_of({"type": "object", "required": ("position",)})
 _SCHEMA = {
     "type": "object",
-    "required": ["modcal_plan", "joints"],
+    "required": ("modcal_plan", "joints"),
     "properties": {
         "modcal_plan": {"enum": [1]},
-        "joints": {"type": "array", "items": {"type": "string"}},
+        "joints": list_of(TEXT),
         "stations": _STATIONS,
-        "ties": {"type": ["array", "null"], "items": {"type": "object", "properties": {"stations": _STATIONS}}},
+        "ties": list_of({"type": "object", "properties": {"stations": _STATIONS}}),
     },
 }
 _PLAN = "give the plan.yaml that modcal plan wrote"
@@ -29,9 +29,9 @@ _PLAN = "give the plan.yaml that modcal plan wrote"
 
 def stations_from_data(data: Any, names: Sequence[str], source: str) -> Array:
     """Postures (N, n) [rad, m] of these joints in what a plan.yaml holds. Raises BadTable."""
+    data = stated(data)
     require(data, _SCHEMA, source, _PLAN)
-    rows = list(data.get("stations") or ())
-    rows += [station for tie in data.get("ties") or () for station in tie.get("stations") or ()]
+    rows = [*data.get("stations", ()), *(s for tie in data.get("ties", ()) for s in tie.get("stations") or ())]
     found = {f"{source}, station {i + 1}": row["position"] for i, row in enumerate(rows)}
     return _of_joints(data["joints"], found, names, source)
 

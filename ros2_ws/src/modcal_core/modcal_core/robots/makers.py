@@ -21,7 +21,7 @@ import numpy as np
 from modcal_core.errors import BadTable, NotRepresentable, refusing
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.dh import from_dh, vector
+from modcal_core.robots.dh import DH, from_dh, vector
 from modcal_core.robots.kinematics import chain_forward
 
 _UR = {
@@ -96,17 +96,14 @@ def from_ur_kinematics(data: Mapping[str, Any]) -> Chain:
     return Chain.build(tuple(_UR), origins, lower=-most, upper=most, base="base_link", tip="tool0")
 
 
-_DH = ("theta", "d", "a", "alpha")
-
-
 @refusing
 def ur_conf_table(text: str, nominal: Chain) -> dict[str, Any]:
     """The DH table of a UR controller's calibration.conf, which holds differences from its model's DH numbers.
 
     nominal: that model as UR's description lays it out, from base_link to tool0. Raises BadTable for anything else.
     """
-    found = [re.search(rf"^\s*delta_{key}\s*=\s*\[([^\]]*)\]", text, re.MULTILINE) for key in _DH]
-    rows = zip(_DH, found, strict=True)
+    found = [re.search(rf"^\s*delta_{key}\s*=\s*\[([^\]]*)\]", text, re.MULTILINE) for key in DH]
+    rows = zip(DH, found, strict=True)
     deltas = np.array([vector(row[1].split(",") if row else [], len(_UR), f"delta_{key}") for key, row in rows])
     if _ur_prefix(nominal.names) is None:
         raise BadTable(
@@ -119,7 +116,7 @@ def ur_conf_table(text: str, nominal: Chain) -> dict[str, Any]:
 
     def table(values: Array) -> dict[str, Any]:
         joints = [
-            {"name": name, **dict(zip(_DH, map(float, of), strict=True))}
+            {"name": name, **dict(zip(DH, map(float, of), strict=True))}
             for name, of in zip(nominal.names, values.T, strict=True)
         ]
         ends = {"base_link": nominal.base, "tip_link": nominal.tip, "base": {"xyz": [0, 0, 0], "rpy": [0, 0, np.pi]}}

@@ -56,13 +56,19 @@ import numpy as np
 from modcal_core.errors import BadTable, NotRepresentable, refusing
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.dh import from_dh, from_mdh, plain, read_rows, to_dh, to_mdh, vector, write_rows
+from modcal_core.robots.dh import DH, from_dh, from_mdh, plain, read_rows, to_dh, to_mdh, write_rows
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.makers import from_ur_kinematics, laid_out_as, ur_conf_table
+from modcal_core.schema import NUMBER, Schema, list_of
 
 # --- Complete and parametrically continuous (CPC) tables, to and from chains
 
-_KEYS = {"b", "l", "beta", "reversed"}
+_KEYS: dict[str, Schema] = {
+    "b": list_of(NUMBER, 2, 3),
+    "l": list_of(NUMBER, 3, 3),
+    "beta": NUMBER,
+    "reversed": {"type": "boolean"},
+}
 _FLIP_BELOW = -0.5  # an axis that points more than 120° away is followed backwards
 _HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])  # about x: takes z to -z
 
@@ -73,11 +79,8 @@ def from_cpc(table: Mapping[str, Any]) -> Chain:
     beta = rows.column("beta")
     steps = [np.eye(4)]
     for name, row, turn in zip(rows.names, rows.rows, beta, strict=True):
-        b = _direction(row.get("b", (0.0, 0.0, 1.0)), f"cpc table, joint {name}: b")
-        shift = vector(row.get("l", (0.0, 0.0, 0.0)), 3, f"cpc table, joint {name}: l")
-        steps.append(_tilt(b) @ se3.exp([0, 0, 0, 0, 0, turn]) @ se3.transform(p=shift))
-        if not isinstance(row.get("reversed", False), bool):
-            raise BadTable(f"cpc table, joint {name}: reversed", f"is {row['reversed']!r}", "give true or false")
+        b = _direction(np.array(row.get("b", (0.0, 0.0, 1.0)), dtype=float), f"cpc table, joint {name}: b")
+        steps.append(_tilt(b) @ se3.exp([0, 0, 0, 0, 0, turn]) @ se3.transform(p=row.get("l", (0.0, 0.0, 0.0))))
     side = np.array([-1.0 if row.get("reversed", False) else 1.0 for row in rows.rows])
     return rows.chain(np.stack(steps), side[:, None] * [0.0, 0.0, 1.0])
 
@@ -107,9 +110,7 @@ def to_cpc(chain: Chain) -> dict[str, Any]:
     return write_rows("cpc", chain, columns, constants[0], rest @ flip @ constants[-1])
 
 
-def _direction(values: object, what: str) -> Array:
-    count = len(values) if isinstance(values, list | tuple) else 3
-    b = vector(values, 2 if count == 2 else 3, what)
+def _direction(b: Array, what: str) -> Array:
     if len(b) == 2:
         if b @ b > 1.0:
             raise BadTable(what, f"is longer than 1 ({np.sqrt(b @ b):.6g})", "give a direction")
@@ -197,8 +198,7 @@ def loss(chain: Chain, table: dict[str, Any]) -> float:
 # --- Kinematic tables as CSV, one row a joint; what is not of a joint stands in comment lines before them
 
 _VECTORS = {"b": ("bx", "by", "bz"), "l": ("lx", "ly", "lz")}
-_DH = ("theta", "d", "a", "alpha")
-_COLUMNS = {"dh": _DH, "mdh": _DH, "cpc": ("bx", "by", "bz", "lx", "ly", "lz", "beta", "reversed")}
+_COLUMNS = {"dh": DH, "mdh": DH, "cpc": ("bx", "by", "bz", "lx", "ly", "lz", "beta", "reversed")}
 _TEXTS = ("convention", "base_link", "tip_link")
 _POSES = ("base", "tool")
 _NOTE, _UNIT = "note", "unit"
@@ -429,7 +429,7 @@ def _postures(chain: Chain, count: int, rng: np.random.Generator) -> Array:
 
 def _fit(table: Mapping[str, Any], q: Array, T: Array) -> dict[str, Any]:
     """The table whose numbers bring its poses nearest to T (N, 4, 4) at q (N, n): Gauss-Newton, shortest steps."""
-    places = [(i, key) for i in range(len(table["joints"])) for key in _DH]
+    places = [(i, key) for i in range(len(table["joints"])) for key in DH]
     best, off = copy.deepcopy(dict(table)), _off(table, q, T)
     for _ in range(_ITERATIONS):
         steps = _STEP * np.eye(len(places) + 12)

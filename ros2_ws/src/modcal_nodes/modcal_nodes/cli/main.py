@@ -34,6 +34,7 @@ VERBS = {
     "simulate": ("simulate", "simulate_command", "Record a simulated cell with errors that its model lacks."),
     "info": ("info", "info_command", "Show what is in BAG, what it can be used for, and what looks wrong."),
     "limits": ("limits", "limits_command", "Compute how fast each joint may accelerate with this payload."),
+    "payload": ("payload", "payload_command", "Weigh what the arm carries by the torques of its joints at rest."),
     "target": ("target", "target_command", "Write a board to print for calibrating with a camera."),
     "import": ("import_tables", "import_command", "Convert CSV tables into a bag, or a kinematic table into a URDF."),
     "export": ("export", "export_command", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
@@ -50,7 +51,7 @@ VERBS = {
 # The same in the order of work, as the list shows them
 GROUPS = {
     "Begin": ("examples",),
-    "Prepare a measurement": ("sensitivity", "plan", "target", "limits", "simulate"),
+    "Prepare a measurement": ("sensitivity", "plan", "target", "payload", "limits", "simulate"),
     "Measure": ("measure",),
     "Get and look at a recording": ("import", "info", "repair"),
     "Calibrate": ("calibrate", "evaluate", "check", "history", "compare", "fleet"),

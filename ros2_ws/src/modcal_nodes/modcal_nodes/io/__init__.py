@@ -5,7 +5,6 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.io.articulated import write_articulation
     from modcal_nodes.io.inputs import read_assembly, read_library
     from modcal_nodes.io.inputs import calibration_of, of_cell, read_calibration, read_cell, read_delta
     from modcal_nodes.io.inputs import read_particulars, read_topics, stated_from
@@ -21,4 +20,4 @@ else:
 __all__ = ["SCHEMA", "ChainOptions", "FrozenOptions", "Options", "SplitOptions", "TopicOptions", "Watch"]
 __all__ += ["calibrate_bag", "calibration_of", "of_calibrated", "of_cell", "opened", "option", "read_assembly"]
 __all__ += ["read_calibration", "read_cell", "read_delta", "read_library", "read_particulars", "read_topics"]
-__all__ += ["repeated", "silent", "stated_from", "write_articulation"]
+__all__ += ["repeated", "silent", "stated_from"]

@@ -30,7 +30,7 @@ from modcal_core.camera import (
 )
 from modcal_core.errors import BadRecording, BadTable
 from modcal_core.geometry import Array
-from modcal_core.measurements import Approach, Listed, Recording, joint_stamps_and, spread_rows
+from modcal_core.measurements import Approach, Listed, Recording, joints_by_time, spread_rows
 from modcal_msgs_py import (
     CLOUD,
     TAGS,
@@ -135,8 +135,7 @@ class JointLog:
     @classmethod
     def of(cls, recording: Recording, names: Sequence[str]) -> JointLog:
         """Those of these joints in a recording. Raises BadRecording where one was not recorded."""
-        stamps, q = joint_stamps_and(recording, tuple(names), "position")
-        _, efforts = joint_stamps_and(recording, tuple(names), "effort")
+        stamps, q, efforts = joints_by_time(recording, tuple(names), "effort")
         for name, column in zip(names, q.T, strict=True):
             if np.isnan(column).all():
                 raise BadRecording(recording.source, f"holds no joint {name}", "record its joint states, or give --tip")
