@@ -74,7 +74,6 @@ class Publishers:
             driver=hypothesis.driver,
             since_s=hypothesis.since,
             size_mm=1e3 * hypothesis.size,
-            size_deg=float(np.degrees(hypothesis.turn)),
             same_as=hypothesis.same_as,
             sentence=hypothesis.sentence,
         )
