@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 
 # Damping, relative to the curvature along each value: the first of a step that led uphill, the least, far above
 # rounding, and one with which a step moves nothing
-FIRST_DAMPING, MIN_DAMPING, _MAX_DAMPING = 1e-2, 1e-12, 1e7
+FIRST_DAMPING, MIN_DAMPING, _MAX_DAMPING = 1e-4, 1e-12, 1e7
 _SLACK = 1e-7  # share of the cost that is rounding
 
 P = TypeVar("P")
