@@ -48,12 +48,9 @@ _COMMON = {"name": TEXT, "type": {"enum": ("revolute", "prismatic")}, "lower": N
 
 @dataclass(frozen=True)
 class TableRows:
-    """A table that was read. rows: the mappings of the joints, checked for names that do not belong."""
+    """A table that was read. rows: the mappings of the joints, as checked."""
 
     names: list[str]
-    revolute: list[bool]
-    lower: list[float]
-    upper: list[float]
     base_link: str
     tip_link: str
     T_base: Array
@@ -69,9 +66,11 @@ class TableRows:
         origins = np.array(origins)
         origins[0] = self.T_base @ origins[0]
         origins[-1] = origins[-1] @ self.T_tool
-        return Chain.build(
-            self.names, origins, axes, self.revolute, self.lower, self.upper, self.base_link, self.tip_link
+        revolute = [row.get("type", "revolute") == "revolute" for row in self.rows]
+        lower, upper = (
+            [row.get(key, end) for row in self.rows] for key, end in (("lower", -np.inf), ("upper", np.inf))
         )
+        return Chain.build(self.names, origins, axes, revolute, lower, upper, self.base_link, self.tip_link)
 
 
 def table_schema(keys: Mapping[str, Schema]) -> Schema:
@@ -96,9 +95,6 @@ def read_rows(table: Mapping[str, Any], convention: str, keys: Mapping[str, Sche
             raise BadTable(f"{what}, row {i + 1}", "needs a name of its own", "name the joint as its messages do")
     return TableRows(
         names=names,
-        revolute=[row.get("type", "revolute") == "revolute" for row in rows],
-        lower=[row.get("lower", -np.inf) for row in rows],
-        upper=[row.get("upper", np.inf) for row in rows],
         base_link=top.get("base_link", "base"),
         tip_link=top.get("tip_link", "tip"),
         T_base=_pose(top.get("base", {})),
