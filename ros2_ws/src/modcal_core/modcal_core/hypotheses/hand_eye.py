@@ -29,19 +29,13 @@ INDEPENDENT = 100  # stations that count
 ANYWHERE = float(np.log(8.0 * np.pi**2))  # log of the volume of orientations
 _DRAWS = 400  # with a third of the stations in agreement, one draw of five holds only these: 1 − (1 − 3⁻⁵)⁴⁰⁰ = 81 %
 _ROUNDS = 8  # iterations
-_OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
+OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
 MANY = 0.2  # share of the stations that must agree, lest chance finds that many
 
 
 def limits(chain: Chain) -> tuple[float, float]:
     """Angle [rad] and distance [m] that a nominal arm misses by at most."""
     return ANGLE, OF_REACH * chain.reach()
-
-
-def thinned(samples: Samples, most: int) -> Samples:
-    """At most so many samples, evenly along the recording, in order of time."""
-    order = np.argsort(samples.stamps, kind="stable")
-    return samples.select(order[spread_rows(len(order), most)])
 
 
 @dataclass(frozen=True)
@@ -178,23 +172,22 @@ class ErrorScale:
 
     def rows(self, turns: Array, gaps: Array) -> Array:
         """Log likelihood of each station, (N,), at the spreads that are likeliest over all."""
-        out = _likelihood(gaps, self.position, self.volume, self.reach)
-        return out + _likelihood(turns, SPREAD[0], ANYWHERE, np.pi) if self.poses else out
+        out = likeliest(np.sum(gaps**2, axis=1), self.position, self.volume, self.reach)
+        return out + likeliest(np.sum(turns**2, axis=1), SPREAD[0], ANYWHERE, np.pi) if self.poses else out
 
 
-def likelihood_at(left: Array, sigma: Array | float, volume: Array | float) -> Array:
-    """Log likelihood of residuals (N, 3) of these deviations: (N,), or (S, N) of deviations (S, 1)."""
-    inside = np.log1p(-ASTRAY) - 0.5 * np.sum(left**2, axis=1) / sigma**2 - 1.5 * np.log(2.0 * np.pi * sigma**2)
+def likelihood_at(square: Array, sigma: Array | float, volume: Array | float, dimensions: int = 3) -> Array:
+    """Log likelihood of squared residuals (N,) of these deviations: (N,), or (S, N) of deviations (S, 1)."""
+    inside = np.log1p(-ASTRAY) - 0.5 * square / sigma**2 - 0.5 * dimensions * np.log(2.0 * np.pi * sigma**2)
     return np.asarray(np.logaddexp(inside, np.log(ASTRAY) - volume))
 
 
-def _likelihood(left: Array, least: float, volume: Array | float, most: float) -> Array:
-    """Log likelihood (N,) of residuals (N, 3): Gaussian of the likeliest deviation in these limits, or anything."""
-    square = np.sum(left**2, axis=1)
+def likeliest(square: Array, least: float, volume: Array | float, most: float, dimensions: int = 3) -> Array:
+    """Log likelihood (N,) of squared residuals (N,): Gaussian of the likeliest deviation in these limits, or any."""
     sigma = least * 2.0 ** np.arange(24.0)
     largest = min(2.0 * max(least, float(np.sqrt(square.max(initial=0.0)))), most)
     sigma = sigma[sigma <= max(largest, least)][:, None]
-    each = likelihood_at(left, sigma, volume)
+    each = likelihood_at(square, sigma, volume, dimensions)
     return np.asarray(each[int(np.argmax(each.sum(axis=1)))])
 
 
@@ -247,7 +240,7 @@ class HandEyeFit:
         Readings by which hardly anything moves fit whatever they are.
         """
         limits = zip(self.usual, self.case.limits, self.case.motion, strict=True)
-        return all(left <= min(limit, _OF_MOTION * motion) for left, limit, motion in limits)
+        return all(left <= min(limit, OF_MOTION * motion) for left, limit, motion in limits)
 
     @property
     def clean(self) -> bool:
@@ -269,12 +262,12 @@ def placed(case: HandEye, thorough: bool = True) -> HandEyeFit:
     best: HandEyeFit | None = None
     few = _independent(case)
     for start in _starts(few):
-        for fit in (_fit(few, start), _fit(few, _refined(few, start))):
+        for fit in (at(few, start), at(few, _refined(few, start))):
             best = fit if best is None or fit.better_than(best) else best
         if best is not None and best.explains:
             break
     assert best is not None
-    best = best if few is case else _fit(case, _refined(case, best.placement))
+    best = best if few is case else at(case, _refined(case, best.placement))
     return redrawn(best) if thorough else best
 
 
@@ -285,7 +278,7 @@ def redrawn(best: HandEyeFit) -> HandEyeFit:
         few = _independent(case)
         drawn = _by_draws(few)
         for placement in () if drawn is None else (drawn, _refined(few, drawn)):
-            fit = _fit(case, placement)
+            fit = at(case, placement)
             best = fit if fit.better_than(best) else best
     return best
 
@@ -296,11 +289,7 @@ def _independent(case: HandEye) -> HandEye:
 
 
 def at(case: HandEye, placement: Placement) -> HandEyeFit:
-    """The case with base and tool as another has them."""
-    return _fit(case, placement)
-
-
-def _fit(case: HandEye, placement: Placement) -> HandEyeFit:
+    """The case with base and tool as they are given."""
     turns, gaps = placement.left(case)
     rows = case.scale.rows(turns, gaps)
     return HandEyeFit(case, placement, rows, np.linalg.norm(turns, axis=1), np.linalg.norm(gaps, axis=1))
@@ -378,4 +367,4 @@ def _by_draws(case: HandEye) -> Placement | None:
     if inside[best].sum() <= few:
         return None
     agreeing = case.select(np.flatnonzero(inside[best]))
-    return max((_fit(agreeing, s) for s in _starts(agreeing)), key=lambda fit: fit.evidence).placement
+    return max((at(agreeing, s) for s in _starts(agreeing)), key=lambda fit: fit.evidence).placement

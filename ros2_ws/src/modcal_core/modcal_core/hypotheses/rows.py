@@ -55,7 +55,7 @@ def astray(fit: HandEyeFit) -> np.ndarray:
 
 def likelihood(case: HandEye, placement: Placement) -> Array:
     """Log likelihood of each station, (N,), by a placement, at twice a nominal arm's usual error."""
-    turns, gaps = placement.left(case)
+    turns, gaps = (np.sum(left**2, axis=1) for left in placement.left(case))
     total = case.volume + likelihood_at(gaps, 2.0 * case.scale.position, case.scale.volume)
     return total + likelihood_at(turns, 2.0 * SPREAD[0], ANYWHERE) if case.poses else total
 
@@ -307,30 +307,25 @@ def _near_by_windows(case: HandEye, length: int) -> np.ndarray:
 
 def _mean(parts: list[Placement], here: Placement, kept: str) -> Placement:
     """What is kept, the tool or the base, as the mean of all parts."""
-    if kept == "tool":
-        return replace(
-            here, X=so3.mean(np.stack([own.X for own in parts])), x=np.mean([own.x for own in parts], axis=0)
-        )
-    if kept == "base":
-        return replace(
-            here, Y=so3.mean(np.stack([own.Y for own in parts])), t=np.mean([own.t for own in parts], axis=0)
-        )
-    return here
+    if not kept:
+        return here
+    turn, place = ("X", "x") if kept == "tool" else ("Y", "t")
+    turns, places = (np.stack([getattr(own, name) for own in parts]) for name in (turn, place))
+    return replace(here, **{turn: so3.mean(turns), place: places.mean(axis=0)})
 
 
 def _sharing(part: HandEye, own: Placement, here: Placement, kept: str) -> Placement:
     """The placement of a part with the tool, or the base, of another."""
+    if not kept:
+        return own
+    a = part.A[:, :3, :3]
     if kept == "tool":
-        Y = own.Y
-        if part.poses:
-            Y = so3.nearest_rotation(np.sum(part.R @ np.swapaxes(part.A[:, :3, :3] @ here.X, 1, 2), axis=0))
-        return _centred(part, replace(here, Y=Y, t=own.t), here)
-    if kept == "base":
-        X = own.X
-        if part.poses:
-            X = so3.nearest_rotation(np.sum(np.swapaxes(here.Y @ part.A[:, :3, :3], 1, 2) @ part.R, axis=0))
-        return _centred(part, replace(here, X=X, x=own.x), here)
-    return own
+        Y = so3.mean(part.R @ np.swapaxes(a @ here.X, 1, 2)) if part.poses else own.Y
+        other = replace(here, Y=Y, t=own.t)
+    else:
+        X = so3.mean(np.swapaxes(here.Y @ a, 1, 2) @ part.R) if part.poses else own.X
+        other = replace(here, X=X, x=own.x)
+    return _centred(part, other, here)
 
 
 # --- rows that belong elsewhere --------------------------------------------------------------------------------------
