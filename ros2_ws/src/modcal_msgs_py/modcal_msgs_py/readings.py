@@ -73,8 +73,17 @@ def seconds(stamp: Any) -> float:
 
 def set_seconds(stamp: Any, value: float) -> None:
     """Write seconds into a builtin_interfaces/Time or Duration, to the nanosecond."""
-    nanoseconds = round(value * 1e9)
-    stamp.sec, stamp.nanosec = nanoseconds // 10**9, nanoseconds % 10**9
+    set_nanoseconds(stamp, round(value * 1e9))
+
+
+def nanoseconds(stamp: Any) -> int:
+    """A builtin_interfaces/Time in nanoseconds: exact, where seconds of today are off by up to 128 of them."""
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def set_nanoseconds(stamp: Any, value: int) -> None:
+    """Write nanoseconds into a builtin_interfaces/Time or Duration."""
+    stamp.sec, stamp.nanosec = divmod(value, 10**9)
 
 
 _STEP = 1.0  # s between values that are kept

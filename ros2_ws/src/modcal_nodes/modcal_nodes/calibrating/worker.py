@@ -139,6 +139,12 @@ class SolveWorker:
             if isinstance(error, BrokenProcessPool):
                 self._start()
 
+    def drop(self) -> None:
+        """End what is being worked on without a result; neither finish nor fail is called."""
+        self._work = None
+        self.close()
+        self._start()
+
     def close(self) -> None:
         """Drop what is waiting, and end what is being worked on."""
         for process in list((self._pool._processes or {}).values()):
