@@ -40,7 +40,7 @@ def limits(chain: Chain) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Placement:
-    """Base (Y, t) and tool (X, x): orientations are Y A X, positions Y (A x) + t."""
+    """Base (Y, t) and tool (X, x): orientations are Y A X, positions Y (A x) + t. Several at once have a first axis."""
 
     Y: Array
     X: Array
@@ -48,15 +48,20 @@ class Placement:
     t: Array
 
     def left(self, case: HandEye) -> tuple[Array, Array]:
-        """Turns [rad] and gaps [m] of the readings from what is expected, (N, 3) each; turns are zero without poses."""
-        gaps = case.p - (se3.apply(case.B, self.x) @ self.Y.T + self.t)
+        """Turns [rad] and gaps [m] of the readings from what is expected, (…, N, 3); turns are zero without poses."""
+        gaps = case.p - self.points(case.B)
         if not case.poses:
             return np.zeros_like(gaps), gaps
-        return turns_left(self.Y, case.A[:, :3, :3], self.X, case.R), gaps
+        return turns_left(self.Y, case.A[..., :3, :3], self.X, case.R), gaps
+
+    def points(self, A: Array) -> Array:
+        """Positions (…, N, 3) at tip poses (…, N, 4, 4)."""
+        point = (A[..., :3, :3] @ self.x[..., None, :, None])[..., 0] + A[..., :3, 3]
+        return np.asarray(point @ np.swapaxes(self.Y, -1, -2) + self.t[..., None, :])
 
     def expected(self, A: Array) -> tuple[Array, Array]:
         """Orientations (N, 3, 3) and positions (N, 3) at tip poses (N, 4, 4)."""
-        return self.Y @ A[:, :3, :3] @ self.X, se3.apply(A, self.x) @ self.Y.T + self.t
+        return self.Y @ A[:, :3, :3] @ self.X, self.points(A)
 
 
 @dataclass(frozen=True)
@@ -295,13 +300,21 @@ def at(case: HandEye, placement: Placement) -> HandEyeFit:
     return HandEyeFit(case, placement, rows, np.linalg.norm(turns, axis=1), np.linalg.norm(gaps, axis=1))
 
 
+def closed(case: HandEye) -> Placement:
+    """Base and tool in closed form, by orientations where there are any; of stacked tips (K, N, 4, 4) those of each."""
+    if case.poses:
+        return _with_places(case, *base_and_tool_turns(case.A[..., :3, :3], case.R))
+    A = case.B.reshape(-1, *case.B.shape[-3:])
+    Y = base_by_positions(A, np.broadcast_to(case.p, (len(A), *case.p.shape))).reshape(*case.B.shape[:-3], 3, 3)
+    return _with_places(case, Y, np.broadcast_to(np.eye(3), Y.shape))
+
+
 def _starts(case: HandEye) -> list[Placement]:
-    a = case.A[:, :3, :3]
-    Y = base_by_positions(case.B[None], case.p[None])[0]
+    by_all = closed(case)
     if not case.poses:
-        return [_with_places(case, Y, np.eye(3))]
-    ways = [(Y, so3.mean(np.swapaxes(Y @ a, 1, 2) @ case.R)), base_and_tool_turns(a, case.R)]
-    return [_with_places(case, *way) for way in ways]
+        return [by_all]
+    Y = base_by_positions(case.B[None], case.p[None])[0]
+    return [_with_places(case, Y, so3.mean(np.swapaxes(Y @ case.A[:, :3, :3], 1, 2) @ case.R)), by_all]
 
 
 def _with_places(case: HandEye, Y: Array, X: Array) -> Placement:
