@@ -166,37 +166,32 @@ def increments() -> Hypothesis:
 def _polar(position: Array) -> Iterator[Hypothesis]:
     """Angles and a range in the columns of x, y and z, in any order, as instruments measure them."""
     size = np.abs(position).max(axis=0)
-    for far, swapped in product((2, 0, 1), (False, True)):
+    lengths = (("metres", 1.0), ("millimetres", 1e-3))
+    ways = product((2, 0, 1), (False, True), _ANGLES, lengths, (False, True), (False, True))
+    for far, swapped, (unit, angle), (length, metre), zenith, clockwise in ways:
         around, up = [k for k in range(3) if k != far][:: -1 if swapped else 1]
-        for (unit, angle), (length, metre) in product(_ANGLES, (("metres", 1.0), ("millimetres", 1e-3))):
-            most = _MAX_TURN * np.pi / angle
-            if size[around] > 2.0 * most or size[up] > most:
-                continue
-            for zenith, clockwise in product((False, True), repeat=2):
+        most = _MAX_TURN * np.pi / angle
+        if size[around] > 2.0 * most or size[up] > most:
+            continue
 
-                def undone(
-                    c: HandEye,
-                    columns: tuple[int, int, int] = (around, up, far),
-                    scales: tuple[float, float] = (angle, metre),
-                    how: tuple[bool, bool] = (zenith, clockwise),
-                ) -> HandEye:
-                    a, e, r = (c.p[:, k] for k in columns)
-                    a, e, r = scales[0] * a, scales[0] * e, scales[1] * r
-                    e = 0.5 * np.pi - e if how[0] else e
-                    a = -a if how[1] else a
-                    xyz = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
-                    grown = np.log(np.maximum(np.abs(r) ** 2 * np.abs(np.cos(e)), 1e-9))
-                    volume = grown + 2.0 * np.log(scales[0]) + np.log(scales[1])
-                    return c.read(r[:, None] * xyz, volume=volume)
+        def undone(
+            c: HandEye,
+            columns: tuple[int, int, int] = (around, up, far),
+            scales: tuple[float, float] = (angle, metre),
+            how: tuple[bool, bool] = (zenith, clockwise),
+        ) -> HandEye:
+            a, e, r = (c.p[:, k] for k in columns)
+            a, e, r = scales[0] * a, scales[0] * e, scales[1] * r
+            e = 0.5 * np.pi - e if how[0] else e
+            a = -a if how[1] else a
+            xyz = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
+            grown = np.log(np.maximum(np.abs(r) ** 2 * np.abs(np.cos(e)), 1e-9))
+            return c.read(r[:, None] * xyz, volume=grown + 2.0 * np.log(scales[0]) + np.log(scales[1]))
 
-                order = sorted(((around, "azimuth"), (up, "zenith angle" if zenith else "elevation"), (far, "range")))
-                yield Hypothesis(
-                    f"positions look like polar coordinates ({', '.join(name for _, name in order)}; "
-                    f"angles in {unit}, range in {length}{', azimuth clockwise' if clockwise else ''})",
-                    "write x, y and z in metres",
-                    undone,
-                    0.0,
-                )
+        order = sorted(((around, "azimuth"), (up, "zenith angle" if zenith else "elevation"), (far, "range")))
+        what = f"positions look like polar coordinates ({', '.join(name for _, name in order)}; angles in {unit}, "
+        what += f"range in {length}{', azimuth clockwise' if clockwise else ''})"
+        yield Hypothesis(what, "write x, y and z in metres", undone, 0.0)
 
 
 # --- orientations ----------------------------------------------------------------------------------------------------

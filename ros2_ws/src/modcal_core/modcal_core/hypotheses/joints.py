@@ -15,7 +15,7 @@ import numpy as np
 from modcal_core.calibration import turns_left
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.hypotheses.hand_eye import SPREAD, HandEye, HandEyeFit, Placement, at, closed
-from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, cost_of_rows, family, where
+from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, cost_of_rows, where
 from modcal_core.hypotheses.joint_columns import likely_orders
 from modcal_core.hypotheses.rows import astray
 from modcal_core.measurements import spread_rows
@@ -226,7 +226,7 @@ def solved_two(pair: tuple[int, int], placement: Placement, part: HandEye) -> Ar
     return q_best
 
 
-# --- columns under other names, other types --------------------------------------------------------------------------
+# --- columns under other names ------------- --------------------------------------------------------------------------
 
 
 def orders(case: HandEye) -> list[Hypothesis]:
@@ -258,23 +258,3 @@ def orders(case: HandEye) -> list[Hypothesis]:
                 )
             )
     return out
-
-
-def types(case: HandEye) -> list[Hypothesis]:
-    """Joints that slide where they turn, or the reverse."""
-    out = []
-    for j, name in enumerate(case.names):
-        revolute, lower, upper = (x.copy() for x in (case.chain.revolute, case.chain.lower, case.chain.upper))
-        revolute[j], lower[j], upper[j] = not revolute[j], -np.pi, np.pi
-        other = replace(case.chain, revolute=revolute, lower=lower, upper=upper)
-        written, real = ("revolute", "slide") if case.chain.revolute[j] else ("prismatic", "turn")
-        out.append(
-            Hypothesis(
-                f"joint {name} is {written} in the URDF, and the readings show it {real}",
-                f'check <joint type="..."> of {name}',
-                lambda c, other=other: replace(c, A=forward(other, c.q)),  # type: ignore[misc]
-                0.0,
-                touches="joints",
-            )
-        )
-    return family(RARE, out)

@@ -163,16 +163,14 @@ def moved(fit: HandEyeFit, rest: np.ndarray) -> Iterator[Hypothesis]:
     rows = rest[own.agree(2.0)]
     if len(rows) < _LEAST:
         return
-    here, there = fit.placement, own.placement
+    here = fit.placement
     remedy = "check whether two trackers or targets publish under one name; give each part its own frame or recording"
-    for what, other, values in (
-        ("the base (or the tracker) is displaced", replace(here, Y=there.Y, t=there.t), 6),
-        ("the tool (or the target on it) is displaced", replace(here, X=there.X, x=there.x), 6 if case.poses else 3),
-        ("base and tool are both displaced", there, 12 if case.poses else 9),
+    for what, kept, values in (
+        ("the base (or the tracker) is displaced", "tool", 6),
+        ("the tool (or the target on it) is displaced", "base", 6 if case.poses else 3),
+        ("base and tool are both displaced", "", 12 if case.poses else 9),
     ):
-        if values == 6 and not case.poses and "base" in what:
-            other = replace(other, x=here.x)
-        other = _centred(case.select(rows), other, here)
+        other = _sharing(case.select(rows), own.placement, here, kept)
 
         def undone(c: HandEye, other: Placement = other) -> HandEye:
             return _as_seen(c, other, here)
@@ -271,8 +269,7 @@ def stretches(fit: HandEyeFit) -> Iterator[Hypothesis]:
         ("the tool (or the target on it)", "keep the target where it is", "base", 6 if case.poses else 3),
         ("the base (or the tracker's zero), or the tool,", "keep tracker and target as they are", "", 12),
     ):
-        mean = _mean([own for _, _, own in parts], here, kept)
-        each = [(np.arange(a, b), _sharing(case.select(np.arange(a, b)), own, mean, kept)) for a, b, own in parts]
+        each = [(np.arange(a, b), _sharing(case.select(np.arange(a, b)), own, here, kept)) for a, b, own in parts]
 
         def undone(c: HandEye, each: list[tuple[np.ndarray, Placement]] = each) -> HandEye:
             for rows, own in each:
@@ -303,15 +300,6 @@ def _near_by_windows(case: HandEye, length: int) -> np.ndarray:
         near |= np.median(np.linalg.norm(gaps, axis=2), axis=1) < distance
         near &= np.median(np.linalg.norm(turns, axis=2), axis=1) < angle
     return near
-
-
-def _mean(parts: list[Placement], here: Placement, kept: str) -> Placement:
-    """What is kept, the tool or the base, as the mean of all parts."""
-    if not kept:
-        return here
-    turn, place = ("X", "x") if kept == "tool" else ("Y", "t")
-    turns, places = (np.stack([getattr(own, name) for own in parts]) for name in (turn, place))
-    return replace(here, **{turn: so3.mean(turns), place: places.mean(axis=0)})
 
 
 def _sharing(part: HandEye, own: Placement, here: Placement, kept: str) -> Placement:
