@@ -101,8 +101,7 @@ class HandEye:
     @classmethod
     def holding(cls, samples: Samples, chain: Chain) -> HandEye:
         """All of these samples."""
-        R = samples.R if samples.is_pose.all() else None
-        case = cls.of_arrays(chain, samples.q, samples.reading, R)
+        case = cls.of_arrays(chain, samples.q, samples.reading, samples.R if samples.is_pose.all() else None)
         return replace(case, names=samples.names or chain.names, station=samples.station)
 
     @classmethod
@@ -305,7 +304,8 @@ def closed(case: HandEye) -> Placement:
     if case.poses:
         return _with_places(case, *base_and_tool_turns(case.A[..., :3, :3], case.R))
     A = case.B.reshape(-1, *case.B.shape[-3:])
-    Y = base_by_positions(A, np.broadcast_to(case.p, (len(A), *case.p.shape))).reshape(*case.B.shape[:-3], 3, 3)
+    p = np.broadcast_to(case.p, (*case.B.shape[:-2], 3)).reshape(len(A), -1, 3)
+    Y = base_by_positions(A, p).reshape(*case.B.shape[:-3], 3, 3)
     return _with_places(case, Y, np.broadcast_to(np.eye(3), Y.shape))
 
 

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.geometry import Array, so3
 from modcal_core.hypotheses.hand_eye import (
     ANYWHERE,
@@ -19,6 +18,7 @@ from modcal_core.hypotheses.hand_eye import (
     HandEyeFit,
     Placement,
     at,
+    closed,
     likelihood_at,
     placed,
     points,
@@ -193,17 +193,15 @@ def with_own_placement(h: Hypothesis, own: Placement, fit: HandEyeFit, rest: np.
 def still(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """Joints, or readings, that stand to the last digit while the others move, at stations that do not agree."""
     case = fit.case
-    stands = {
-        name: np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=1)] for name, x in (("joints", case.q), ("p", case.p))
-    }
+    joints, readings = (np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=1)] for x in (case.q, case.p))
     for rows, what, remedy in (
         (
-            stands["joints"] & ~stands["p"],
+            joints & ~readings,
             "all joint positions stand still while the readings move: they look stale",
             "check how joint states get into the recording",
         ),
         (
-            stands["p"] & ~stands["joints"],
+            readings & ~joints,
             "readings stand still while the joints move: they look stale",
             "see whether the tracker lost its target and repeats its last reading",
         ),
@@ -217,17 +215,6 @@ def still(fit: HandEyeFit) -> Iterator[Hypothesis]:
         other = replace(other, volume=other.volume - lost - likelihood(other, fit.placement) + other.volume)
         h = Hypothesis(what, remedy, lambda c, other=other: other, RARE, touches="rows")  # type: ignore[misc]
         yield on_rows(h, case, at_rows)
-
-
-def _centred(part: HandEye, other: Placement, here: Placement) -> Placement:
-    """The other placement with the place of the base, or of the tool, as medians of the part have it."""
-    if other.x is here.x:
-        return replace(other, t=other.t + np.median(at(part, other).placement.left(part)[1], axis=0))
-    if other.t is here.t:
-        gaps = other.left(part)[1]
-        back = np.swapaxes(other.Y @ part.A[:, :3, :3], 1, 2)
-        return replace(other, x=other.x + np.median((back @ gaps[..., None])[..., 0], axis=0))
-    return other
 
 
 def _as_seen(c: HandEye, other: Placement, here: Placement) -> HandEye:
@@ -289,17 +276,9 @@ def stretches(fit: HandEyeFit) -> Iterator[Hypothesis]:
 def _near_by_windows(case: HandEye, length: int) -> np.ndarray:
     """Whether a base and a tool in closed form bring so many neighbours near, for each that may be the first."""
     rows = np.arange(max(len(case) - length + 1, 0))[:, None] + np.arange(length)
-    angle, distance = (_NEAR * limit for limit in case.limits)
-    A, R = case.A[rows], case.R[rows]
-    Y = base_by_positions(A, case.p[rows])
-    near = np.median(np.linalg.norm(tool_and_place(Y, A, case.p[rows])[0], axis=2), axis=1) < distance
-    if case.poses:
-        a = A[..., :3, :3]
-        Y, X = base_and_tool_turns(a, R)
-        gaps, turns = tool_and_place(Y, A, case.p[rows])[0], turns_left(Y, a, X, R)
-        near |= np.median(np.linalg.norm(gaps, axis=2), axis=1) < distance
-        near &= np.median(np.linalg.norm(turns, axis=2), axis=1) < angle
-    return near
+    windows = replace(case, A=case.A[rows], p=case.p[rows], R=case.R[rows])
+    left = np.median(np.linalg.norm(closed(windows).left(windows), axis=-1), axis=-1)
+    return np.asarray((left < _NEAR * np.array(case.limits)[:, None]).all(axis=0))
 
 
 def _sharing(part: HandEye, own: Placement, here: Placement, kept: str) -> Placement:
@@ -308,12 +287,11 @@ def _sharing(part: HandEye, own: Placement, here: Placement, kept: str) -> Place
         return own
     a = part.A[:, :3, :3]
     if kept == "tool":
-        Y = so3.mean(part.R @ np.swapaxes(a @ here.X, 1, 2)) if part.poses else own.Y
-        other = replace(here, Y=Y, t=own.t)
-    else:
-        X = so3.mean(np.swapaxes(here.Y @ a, 1, 2) @ part.R) if part.poses else own.X
-        other = replace(here, X=X, x=own.x)
-    return _centred(part, other, here)
+        other = replace(here, Y=so3.mean(part.R @ np.swapaxes(a @ here.X, 1, 2)) if part.poses else own.Y)
+        return replace(other, t=other.t + np.median(other.left(part)[1], axis=0))
+    other = replace(here, X=so3.mean(np.swapaxes(here.Y @ a, 1, 2) @ part.R) if part.poses else own.X)
+    off = np.einsum("nji,nj->ni", here.Y @ a, other.left(part)[1])
+    return replace(other, x=other.x + np.median(off, axis=0))
 
 
 # --- rows that belong elsewhere --------------------------------------------------------------------------------------
