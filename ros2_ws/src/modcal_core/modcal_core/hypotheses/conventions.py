@@ -214,13 +214,16 @@ def rotations(stated: str | None = None) -> Iterator[Hypothesis]:
                 "publish unit quaternions x y z w",
                 lambda R, o=order, s=sign: so3.from_quaternion(so3.to_quaternion(R)[:, o] * s),  # type: ignore[misc]
             )
-        what, remedy = (
+        yield _orientation(
             "orientations look inverse (conjugate quaternions)",
-            "publish the orientation of the tool in the ",
+            "publish the orientation of the tool in the tracker's frame",
+            lambda R: np.swapaxes(R, 1, 2),
         )
-        yield _orientation(what, f"{remedy}tracker's frame", lambda R: np.swapaxes(R, 1, 2))
-        what = "rotation vectors look like radians read as degrees"
-        yield _orientation(what, "state the unit rad", lambda R: so3.exp(np.degrees(so3.log(R))))
+        yield _orientation(
+            "rotation vectors look like radians read as degrees",
+            "state the unit rad",
+            lambda R: so3.exp(np.degrees(so3.log(R))),
+        )
     # about fixed axes is about moving ones in the reverse order: the same rotations
     composed = tuple(s for s in THREE_AXES + TWO_AXES if s.isupper()) if stated is None else (stated,)
     for by in composed:
@@ -332,9 +335,7 @@ def _signs(n: int, back: tuple[int, ...]) -> Array:
 
 
 def _exchanged(n: int, i: int, j: int) -> list[int]:
-    order = list(range(n))
-    order[i], order[j] = j, i
-    return order
+    return [j if k == i else i if k == j else k for k in range(n)]
 
 
 def of_some_rows(case: HandEye) -> list[Hypothesis]:

@@ -242,8 +242,7 @@ def orders(case: HandEye) -> list[Hypothesis]:
             explained |= order.explains  # with fewer mistakes it is likelier
             if not shuffled:
                 continue
-            by = next((s for s in range(1, n) if order.columns == tuple((k + s) % n for k in range(n))), 0)
-            by = min(by, n - by)
+            by = next((min(s, n - s) for s in range(1, n) if order.columns == tuple((k + s) % n for k in range(n))), 0)
             how = f", all by {by} place{'s' if by > 1 else ''} (a list counted from another number)" if by else ""
             each = ", ".join(f"{case.names[k]} under the name {case.names[order.columns[k]]}" for k in shuffled)
             beside = "" if back is None else f", and {case.names[back]} reversed"

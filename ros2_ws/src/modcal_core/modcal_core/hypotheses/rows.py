@@ -175,8 +175,7 @@ def moved(fit: HandEyeFit, rest: np.ndarray) -> Iterator[Hypothesis]:
         def undone(c: HandEye, other: Placement = other) -> HandEye:
             return _as_seen(c, other, here)
 
-        h = Hypothesis(what, remedy, undone, COMMON, values, "rows")
-        h = on_rows(h, case, rows)
+        h = on_rows(Hypothesis(what, remedy, undone, COMMON, values, "rows"), case, rows)
         yield replace(h, what=h.what.removesuffix(", and not at the others"))
 
 
