@@ -7,13 +7,15 @@ the blocks are likelier with it than without it, surely, and by odds of twenty t
 everything that could take its place, so what is named does not hang on what else a search found. Only what is the
 effect's own place and driver in other words stays out.
 
-What is as likely in its place, within these odds or more, is a rival: the effect is one of these. Where a part of the
-rest is predictable and too many stations were rejected besides, nothing is proved.
+What is as likely in its place, within these odds or more, is a rival: the effect is one of these. Where something else
+is likelier by these odds, and where an effect makes less than what of the rest is predictable or may be, *none of these* is
+as likely, and it is no cause. Where too many stations were rejected besides, nothing is proved.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -22,19 +24,22 @@ from modcal_core.effects import Effect, is_move
 from modcal_core.effects import columns as effect_columns
 from modcal_core.geometry import Array
 from modcal_core.robots import is_serial_arm
-from modcal_core.verdict.account import resampled
+from modcal_core.verdict.account import DRAWS
 from modcal_core.verdict.case import Case, by_sample
 from modcal_core.verdict.drivers import OTHER_JOINTS, Part
 from modcal_core.verdict.grounds import too_many
 from modcal_core.verdict.predictable import MIN_STATIONS, RestStudy
 from modcal_core.verdict.rest import rows_asked
-from modcal_core.verdict.verdict import Verdict
+from modcal_core.verdict.verdict import MAX_PREDICTABLE, Verdict
 
 _MAX = 250  # samples, for time; more are thinned evenly
 _ODDS = float(np.log(20.0))  # nats, beyond which another explanation is no rival
+_LEAST = 1.0  # %; lower end of what blocks gain: one of thousands of candidates was chosen for these stations
 _BLOCKS = 25  # of neighbours in time
 _SHARES = (0.05, 0.5)  # of the squares, which everything may be expected to make; the likelier counts
 _OWN_SHARE = 0.5  # the same of one effect
+_LIKE = 0.5  # share of an effect's motion that a place and driver must be able to make to be asked in its place
+_HELD = 1e-3  # ridge in units of a column's square
 _IN_WORDS = {"direction": "arrived", "time": "order"}  # drivers of effects, as drivers of parts are called
 
 
@@ -46,6 +51,8 @@ class Proofs:
         few = case.samples.select(self._rows).stations < MIN_STATIONS
         self._asked = case.fitted and not few and is_serial_arm(case.model.chain)
         self._lost = bool(judged.source) and too_many(case.wrong, case.samples)
+        both = judged.predictable_both
+        self._least = max(both.share if judged.source and both is not None else 0.0, MAX_PREDICTABLE)
 
     def of(self, numbers: Sequence[int], others: Sequence[Effect] = ()) -> tuple[str, ...] | None:
         """What predicts as much as the effects of these numbers in the model, taken as one; None where they are not
@@ -53,17 +60,29 @@ class Proofs:
         """
         if not self._asked or self._lost:
             return None if self._lost else tuple(other.label for other in others)
-        everything = self._everything
-        gains = everything.gains(numbers)
-        gained = float(gains.sum())
-        if gained <= _ODDS or resampled(gains, np.arange(len(gains)))[1][0] <= 0.0:
+        beside = self._everything.beside(numbers, others)
+        gained, sure = _sure(beside.gains())
+        if not sure or beside.size < self._least * self._everything.left:
             return None
-        instead = {other.label: float(everything.gains(numbers, other).sum()) for other in others}
-        return tuple(sorted((n for n in instead if instead[n] > gained - _ODDS), key=lambda n: -instead[n]))
+        rivals: dict[str, float] = {}
+        for name, columns in beside.alike():
+            instead = float(beside.gains(columns).sum())
+            if instead > gained + _ODDS and not _sure(beside.gains(after=columns))[1]:
+                return None
+            if instead > gained - _ODDS and not _sure(beside.gains(after=columns))[1]:
+                rivals[name] = max(instead, rivals.get(name, instead))
+        return tuple(sorted(rivals, key=lambda name: -rivals[name]))
 
     @cached_property
     def _everything(self) -> _Everything:
         return _Everything(self._case, RestStudy(self._case, self._rows, True))
+
+
+def _sure(gains: Array) -> tuple[float, bool]:
+    """Sum of what blocks gain [nats], and whether it is more than the odds, and positive in any draw of the blocks."""
+    gained = float(gains.sum())
+    draws = np.random.default_rng(0).integers(len(gains), size=(DRAWS, len(gains)))
+    return gained, gained > _ODDS and float(np.percentile(gains[draws].sum(axis=1), _LEAST)) > 0.0
 
 
 def _is_itself(part: Part, effect: Effect) -> bool:
@@ -104,17 +123,20 @@ class _Everything:
         X = np.concatenate(many)
         F = np.concatenate([self._flat(study.parameters[:first]), *(x for x, move in both if move)])
         gram = (X.T @ X).astype(float)
-        steady = float(np.mean(rest.residual[self._seen] ** 2)) * np.eye(len(of)) + F.T @ F
+        self.left = float(np.sum(rest.residual[self._seen] ** 2))
+        self._noise, self._geometry = self.left / len(of), self._flat(study.parameters[:first])
+        steady = self._noise * np.eye(len(of)) + F.T @ F
         sizes = [share * self._power / len(many) for share in _SHARES]
         found: list[tuple[float, Array]] = [(size, np.linalg.inv(steady + size * gram)) for size in sizes]
-        self._size, self._P = max(found, key=lambda pair: self._scores(pair[1], self._whole).sum())
+        self._size, self._P = max(found, key=lambda pair: _scores(pair[1], self._whole, self._blocks).sum())
 
-    def gains(self, numbers: Sequence[int], instead: Effect | None = None) -> Array:
-        """By how much likelier each block is with the effects of these numbers, taken as one, than without them
-        [nats], (blocks,). instead: an effect that is asked in their place.
+    def beside(self, numbers: Sequence[int], others: Sequence[Effect]) -> _Beside:
+        """Everything but the effects of these numbers, taken as one, and what is them in other words.
+
+        others: effects that may be as good.
         """
-        asked = [self._effects[numbers[0]], *([instead] if instead else [])]
-        itself = [any(_is_itself(part, effect) for effect in asked) for part in self._parts]
+        effect = self._effects[numbers[0]]
+        itself = [_is_itself(part, effect) for part in self._parts]
         held = {part.group for part, own in zip(self._parts, itself, strict=True) if own and part.group}
         # a part without a place is of its whole group, and may be the effect as well
         gone = [
@@ -127,22 +149,17 @@ class _Everything:
             gone.append(self._of_effects[i] * (1.0 if self._moves[i] else np.sqrt(self._size)))
             y = y + self._made(i) if self._moves[i] else y
         P = _updated(self._P, np.concatenate(gone), -1.0)
-        columns = self._J[np.concatenate([self._amplitudes[i] for i in numbers])]
-        if instead is not None:
-            columns = self._columns(instead)
-        new = np.sqrt(_OWN_SHARE * self._power) * self._together(columns)
-        return self._scores(_updated(P, new, 1.0), y) - self._scores(P, y)
-
-    def _scores(self, P: Array, y: Array) -> Array:
-        """Log density of each block of y (R,) under what the others predict, but for a constant, (blocks,).
-
-        P: inverse of the covariance.
-        """
-        z, out = P @ y, []
-        for at in self._blocks:
-            own = P[np.ix_(at, at)]
-            out.append(0.5 * (np.linalg.slogdet(own)[1] - z[at] @ np.linalg.solve(own, z[at])))
-        return np.array(out)
+        own = self._together(self._J[np.concatenate([self._amplitudes[i] for i in numbers])])
+        new = [(other.label, self._together(self._columns(other))) for other in others]
+        new += [
+            (part.name, x)
+            for x, part, own_part in zip(self._rows, self._parts, itself, strict=True)
+            if part.place and not own_part and part.name
+        ]
+        made = np.sum([self._made(i) for i in numbers], axis=0)
+        F = self._geometry
+        new_to_it = made - np.linalg.solve(self._noise * np.eye(len(F)) + F @ F.T, F @ made) @ F
+        return _Beside(P, y, own, made, float(new_to_it @ new_to_it), new, self._power, self._blocks)
 
     def _made(self, i: int) -> Array:
         """What an effect of the model makes of the rest, (R,)."""
@@ -164,6 +181,59 @@ class _Everything:
         size = np.linalg.norm(x, axis=1)
         x, size = x[size > 0.0], size[size > 0.0]
         return np.asarray(x / (size[:, None] * np.sqrt(max(len(x), 1))), np.float32)
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """What an effect is asked beside: the inverse P (R, R) of the covariance of a rest y (R,), and others (name, rows).
+
+    own: the effect's rows, of unit length together, (m, R). made: what it makes of the rest, (R,). size: its squares
+    but for what geometry can make. power: squares of y.
+    """
+
+    P: Array
+    y: Array
+    own: Array
+    made: Array
+    size: float
+    others: list[tuple[str, Array]]
+    power: float
+    blocks: list[np.ndarray]
+
+    def gains(self, rows: Array | None = None, after: Array | None = None) -> Array:
+        """By how much likelier each block is with the effect than without it [nats], (blocks,). rows: asked in its
+        place. after: what is there already, as large as the effect may be.
+        """
+        P = self.P if after is None else self._with(self.P, after)
+        without, rows = _scores(P, self.y, self.blocks), self.own if rows is None else rows
+        return _scores(self._with(P, rows), self.y, self.blocks) - without
+
+    def alike(self) -> list[tuple[str, Array]]:
+        """Others that can make most of what the effect makes beside everything."""
+        left, out = self.P @ self.made, []
+        whole = float(self.made @ left)
+        for name, rows in self.others:
+            along = rows @ left
+            own = rows @ self.P @ rows.T
+            held = own + _HELD * np.trace(own) / max(len(own), 1) * np.eye(len(own))
+            if len(rows) and float(along @ np.linalg.solve(held, along)) >= _LIKE * whole:
+                out.append((name, rows))
+        return out
+
+    def _with(self, P: Array, rows: Array) -> Array:
+        return _updated(P, np.sqrt(_OWN_SHARE * self.power) * rows, 1.0)
+
+
+def _scores(P: Array, y: Array, blocks: Sequence[np.ndarray]) -> Array:
+    """Log density of each block of y (R,) under what the others predict, but for a constant, (blocks,).
+
+    P: inverse of the covariance.
+    """
+    z, out = P @ y, []
+    for at in blocks:
+        own = P[np.ix_(at, at)]
+        out.append(0.5 * (np.linalg.slogdet(own)[1] - z[at] @ np.linalg.solve(own, z[at])))
+    return np.array(out)
 
 
 def _updated(P: Array, rows: Array, sign: float) -> Array:
