@@ -8,8 +8,8 @@ everything that could take its place, so what is named does not hang on what els
 effect's own place and driver in other words stays out.
 
 What is as likely in its place, within these odds or more, is a rival: the effect is one of these. Where something else
-is likelier by these odds, and where an effect makes less than what of the rest is predictable or may be, *none of these* is
-as likely, and it is no cause. Where too many stations were rejected besides, nothing is proved.
+is likelier by these odds, and where an effect makes less beside the others than what is predictable of the rest, or may
+be, *none of these* is as likely, and it is no cause. Where too many stations were rejected besides, nothing is proved.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class _Everything:
         F = np.concatenate([self._flat(study.parameters[:first]), *(x for x, move in both if move)])
         gram = (X.T @ X).astype(float)
         self.left = float(np.sum(rest.residual[self._seen] ** 2))
-        self._noise, self._geometry = self.left / len(of), self._flat(study.parameters[:first])
+        self._noise, self._fitted = self.left / len(of), self._flat(study.parameters)
         steady = self._noise * np.eye(len(of)) + F.T @ F
         sizes = [share * self._power / len(many) for share in _SHARES]
         found: list[tuple[float, Array]] = [(size, np.linalg.inv(steady + size * gram)) for size in sizes]
@@ -149,7 +149,8 @@ class _Everything:
             gone.append(self._of_effects[i] * (1.0 if self._moves[i] else np.sqrt(self._size)))
             y = y + self._made(i) if self._moves[i] else y
         P = _updated(self._P, np.concatenate(gone), -1.0)
-        own = self._together(self._J[np.concatenate([self._amplitudes[i] for i in numbers])])
+        own_rows = np.concatenate([self._amplitudes[i] for i in numbers])
+        own = self._together(self._J[own_rows])
         new = [(other.label, self._together(self._columns(other))) for other in others]
         new += [
             (part.name, x)
@@ -157,7 +158,7 @@ class _Everything:
             if part.place and not own_part and part.name
         ]
         made = np.sum([self._made(i) for i in numbers], axis=0)
-        F = self._geometry
+        F = np.delete(self._fitted, own_rows, axis=0)
         new_to_it = made - np.linalg.solve(self._noise * np.eye(len(F)) + F @ F.T, F @ made) @ F
         return _Beside(P, y, own, made, float(new_to_it @ new_to_it), new, self._power, self._blocks)
 
@@ -188,7 +189,7 @@ class _Beside:
     """What an effect is asked beside: the inverse P (R, R) of the covariance of a rest y (R,), and others (name, rows).
 
     own: the effect's rows, of unit length together, (m, R). made: what it makes of the rest, (R,). size: its squares
-    but for what geometry can make. power: squares of y.
+    but for what geometry and other effects can make. power: squares of y.
     """
 
     P: Array
