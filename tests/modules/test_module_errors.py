@@ -169,8 +169,8 @@ def test_the_store_keeps_everything(stories: list[tuple[float, float, list[Recor
     ("change", "words"),
     [
         ({"library": "another"}, "are of the library 'another'"),
-        ({"assemblies": {}}, "is not a list"),
-        ({"assemblies": [{"modcal_assembly": 1}]}, "assembly 1: stations: is missing"),
+        ({"assemblies": {}}, "assemblies: {} is not a list"),
+        ({"assemblies": [{"modcal_assembly": 1}]}, "assemblies, entry 1: 'stations' is not stated"),
     ],
 )
 def test_a_store_that_is_none_is_refused(change: dict, words: str) -> None:
@@ -181,10 +181,11 @@ def test_a_store_that_is_none_is_refused(change: dict, words: str) -> None:
 
 
 def test_refusals(stories: list[tuple[float, float, list[RecordingEvidence]]], rng: np.random.Generator) -> None:
-    with pytest.raises(BadTable, match="modules: is not a mapping"):
-        twists_from_data({"modcal_module_store": 1, "modules": {"J1": 3}}, "store.yaml")
-    with pytest.raises(BadTable, match="mean: does not hold 6 finite numbers"):
-        twists_from_data({"modcal_module_store": 1, "modules": {"J1": {"parts": {"whole": {"mean": [1]}}}}}, "s")
+    stored = store_to_data(ModuleErrors(), LIBRARY)
+    with pytest.raises(BadTable, match="modules: J1: 3 is not a mapping"):
+        twists_from_data({**stored, "modules": {"J1": 3}}, "store.yaml")
+    with pytest.raises(BadTable, match="mean: it has 1 entries, 6 are allowed"):
+        twists_from_data({**stored, "modules": {"J1": {"parts": {"whole": {"mean": [1]}}}}}, "store.yaml")
     one = stories[0][2][0]
     longer = [replace(m, size=7) if m.serial == "P1" else m for m in one.assembly.modules]
     with pytest.raises(BadTable, match="serial number P1: is LP of length 7"):

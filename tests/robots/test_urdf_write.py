@@ -69,9 +69,10 @@ def test_awkward_text_keeps_every_other_byte() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", ["\n", "\r\n"])
-@pytest.mark.parametrize("start", ["", "\ufeff", "\n\n  "])
-@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize(
+    ("arm", "start", "ending"),
+    [("ur10", "", "\n"), ("panda", "\ufeff", "\r\n"), ("xarm7", "\n\n  ", "\n"), ("iiwa14", "", "\r\n")],
+)
 def test_calibrated_arms_reload(arm: str, start: str, ending: str) -> None:
     text = start + urdf(arm).replace("\n", ending)
     chain = read_chain(text)
@@ -84,7 +85,7 @@ def test_calibrated_arms_reload(arm: str, start: str, ending: str) -> None:
     assert all(before[i].strip().startswith("<origin ") for i in changed)
 
 
-@pytest.mark.parametrize("k", range(6))
+@pytest.mark.parametrize("k", [0, 3])
 def test_one_correction_changes_one_line(k: int) -> None:
     """A correction of position alone leaves rpy as it is written, and that of a joint leaves every other joint."""
     chain, text = chain_of("ur10"), urdf("ur10")
@@ -101,20 +102,6 @@ def test_one_correction_changes_one_line(k: int) -> None:
 def test_writing_what_is_there_changes_nothing() -> None:
     for text in (AWKWARD.replace("&far;", "0.3"), *map(urdf, ARMS)):
         assert write_origins(text, joint_origins(text)) == text
-
-
-def test_a_missing_attribute_is_added_only_when_it_says_something() -> None:
-    text = urdf("ur10").replace('<origin xyz="-0.612 0 0" rpy="0 0 0"/>', '<origin xyz="-0.612 0 0"/>')
-    shift = se3.transform(p=[-0.6, 0.0, 0.0])
-    assert write_origins(text, {"elbow_joint": shift}) == text.replace('"-0.612 0 0"', '"-0.6 0.0 0.0"')
-
-
-def test_the_first_of_two_origins_counts_as_it_does_for_ros() -> None:
-    twice = '<origin xyz="-0.612 0 0" rpy="0 0 0"/><origin xyz="1 1 1"/>'
-    text = urdf("ur10").replace('<origin xyz="-0.612 0 0" rpy="0 0 0"/>', twice)
-    chain = read_chain(text)
-    assert_same(chain, chain_of("ur10"))
-    assert_same(read_chain(calibrated_urdf(text, chain, moved(chain))), moved(chain))
 
 
 @pytest.mark.slow

@@ -240,13 +240,12 @@ def _described(samples: Samples) -> str | None:
     """The name of the robot in the recorded description; None where there is none that can be read."""
     if samples.origin.description is None:
         return None
-    from modcal_core.robots import document
+    from modcal_core.robots import parse
 
     try:
-        name = document(samples.origin.description).get("name")
+        return parse(samples.origin.description).name
     except BadRobot:  # evaluate does not need the description, and says elsewhere that it cannot be read
         return None
-    return None if name is None else str(name)
 
 
 def _other_robot(calibration: Calibration, samples: Samples) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool
 from modcal_core.geometry import Array, so3
 from modcal_core.hypotheses.hand_eye import (
     ANYWHERE,
+    MANY,
     SPREAD,
     HandEye,
     HandEyeFit,
@@ -28,9 +29,9 @@ from modcal_core.hypotheses.hypothesis import (
     ROWS_REMEDY,
     Hypothesis,
     cost_of_rows,
-    family,
     where,
 )
+from modcal_core.hypotheses.joint_columns import unexplained
 from modcal_core.measurements import spread_rows
 
 _FEW = 40  # stations at which hypotheses are screened
@@ -44,7 +45,7 @@ _UNITS = {
     "feet": 1.0 / 0.3048,
     "kilometres": 1e-3,
 }  # of a metre
-_BEFORE, _AFTER = 8, 3  # rows that a filter reaches
+_BEFORE, _AFTER, _FILTERS = 8, 3, 2  # rows that a filter reaches; filters that are fitted
 
 
 def astray(fit: HandEyeFit) -> np.ndarray:
@@ -385,8 +386,7 @@ def elsewhere(fit: HandEyeFit) -> Iterator[Hypothesis]:
     turns, places = fit.placement.expected(case.A)
     gap = np.linalg.norm(case.p[rest, None] - places, axis=2) / case.limits[1]
     if case.poses:
-        cosine = 0.5 * (np.einsum("nij,kij->nk", case.R[rest], turns) - 1.0)
-        gap = np.maximum(gap, np.arccos(np.clip(cosine, -1.0, 1.0)) / case.limits[0])
+        gap = np.maximum(gap, np.arccos(_cosine(case.R[rest, None], turns)) / case.limits[0])
     same = gap < 2.0
     offsets = Counter(int(k - i) for i, row in zip(rest, same, strict=True) for k in np.flatnonzero(row))
     if not offsets:
@@ -421,6 +421,25 @@ def elsewhere(fit: HandEyeFit) -> Iterator[Hypothesis]:
     )
 
 
+def permuted(case: HandEye) -> Iterator[Hypothesis]:
+    """Readings that belong to other postures, in whatever order.
+
+    How far an orientation is turned to each of the others tells it from them, whatever base and tool are.
+    """
+    if len(case) < 16 or not case.poses:
+        return
+    a, R = (np.sort(np.arccos(_cosine(turns[:, None], turns)), axis=1) for turns in (case.A[:, :3, :3], case.R))
+    nearest = np.argmax(R @ a.T - 0.5 * np.sum(a**2, axis=1), axis=1)
+    own = placed(replace(case, q=case.q[nearest], A=case.A[nearest]))
+    if own.agree(2.0).mean() >= MANY:
+        yield from elsewhere(at(case, own.placement))
+
+
+def _cosine(A: Array, B: Array) -> Array:
+    """Cosines (…) of the angles between orientations (…, 3, 3)."""
+    return np.asarray(np.clip(0.5 * (np.einsum("...ij,...ij->...", A, B) - 1.0), -1.0, 1.0))
+
+
 def filters(case: HandEye) -> list[Hypothesis]:
     """Readings that a filter mixed with those of rows before or after: a mean of several, or a slow settling."""
     rows = np.arange(-_BEFORE, _AFTER + 1)
@@ -436,11 +455,16 @@ def filters(case: HandEye) -> list[Hypothesis]:
         said = f"if {100 * kept:.0f}% of the reading before were still in it"
         made.append((said, np.where(rows <= 0, kept ** np.maximum(-rows, 0.0), 0.0)))
 
-    def undone(c: HandEye, weights: Array, turns: bool) -> HandEye:
+    def mixed(c: HandEye, weights: Array) -> Array:
         around = np.concatenate([c.A[:1].repeat(_BEFORE, axis=0), c.A, c.A[-1:].repeat(_AFTER, axis=0)])
         A = np.moveaxis(sliding_window_view(around, len(rows), axis=0), -1, 1)  # (N, rows, 4, 4)
-        return replace(points(c) if turns else c, mixed=np.einsum("k,nkij->nij", weights / weights.sum(), A))
+        return np.asarray(np.einsum("k,nkij->nij", weights / weights.sum(), A))
 
+    def undone(c: HandEye, weights: Array, turns: bool) -> HandEye:
+        return replace(points(c) if turns else c, mixed=mixed(c, weights))
+
+    B = np.stack([mixed(case, w) for _, w in made])
+    left = unexplained(B[..., :3, :3], B[..., :3, 3], case.p - case.p.mean(axis=0)).sum(axis=1)
     remedy = (
         "turn the instrument's filter or averaging off, or wait at each station until it has settled, and record again"
     )
@@ -453,7 +477,7 @@ def filters(case: HandEye) -> list[Hypothesis]:
             1,
             "rows",
         )
-        for said, w in made
+        for said, w in (made[k] for k in np.argsort(left)[:_FILTERS])
         for turns in ((False, True) if case.poses else (False,))
     ]
-    return family(RARE, made_of)
+    return [replace(h, price=RARE - float(np.log(2 * len(made)))) for h in made_of]
