@@ -1,6 +1,6 @@
 """Input that cannot be used: exit code 2, one line with offender, limit and remedy, and nothing written.
 
-The table of docs/bad_input.md lists these cases; the last test holds the two together.
+The table of docs/bad_input.md lists the most usual of these cases.
 """
 
 from __future__ import annotations
@@ -213,10 +213,11 @@ def test_a_joint_that_was_counted_on_by_a_turn_is_not_called_degrees_alone(tmp_p
     refused(["calibrate", str(tmp_path / "bag")], "degrees, or whole turns .* limits in the URDF")
 
 
-def test_the_page_lists_every_case() -> None:
-    page = (ROOT / "docs" / "bad_input.md").read_text()
-    for case in (*CASES, *FILES):
-        assert f"| {case} |" in page, case
+def test_the_page_lists_cases_of_ours() -> None:
+    table = (ROOT / "docs" / "bad_input.md").read_text().partition("Some input is used all the same")[0]
+    listed = re.findall(r"^\| ([^|]+) \| `modcal: ", table, re.MULTILINE)
+    assert len(listed) > 10
+    assert set(listed) <= {*CASES, *FILES}
 
 
 @pytest.mark.parametrize(
