@@ -18,7 +18,7 @@ import numpy as np
 from harness import over, share
 from modules.arms import LIBRARY, five_joints, random_assembly
 from modules.test_module_errors import JOINTS, LINKS, TEN, before_calibration, built, measured
-from modules.test_twists import PARALLEL, DhFit, mean_error
+from modules.test_twists import PARALLEL, mean_error
 from modules.test_twists import measured as named_and_measured
 from modules.workshop import Arm, Made, shelf_of
 
@@ -43,7 +43,7 @@ def building(task: harness.Task) -> harness.Result:
 
 
 def experiment(task: harness.Task) -> harness.Result:
-    """Mean errors [mm] of the drawing, the twists and a DH fit, with steps, condition and time [ms] of the twists."""
+    """Mean errors [mm] of the drawing and the twists, with steps, condition and time [ms] of these."""
     rows = []
     for name, assembly in KNOWN.items():
         chain, samples = named_and_measured(assembly(), 100 + task["seed"])
@@ -51,11 +51,10 @@ def experiment(task: harness.Task) -> harness.Result:
         start = fit_cell(chain, train, Cell()).model
         clock = time.process_time()
         fit = identify_twists(start, train)
-        took, dh = 1e3 * (time.process_time() - clock), DhFit(chain, start, train)
+        took = 1e3 * (time.process_time() - clock)
         drawing, twists = 1e3 * mean_error(start, rest), 1e3 * mean_error(fit.model, rest)
         out = {"assembly": name, "drawing": drawing, "twists": twists, "smaller": drawing / twists, "ms": took}
-        out |= {"steps": fit.iterations, "condition": fit.condition}
-        rows.append(out | {"dh": 1e3 * mean_error(dh.fitted(30), rest), "dh_condition": dh.condition()})
+        rows.append(out | {"steps": fit.iterations, "condition": fit.condition})
     return {"rows": rows}
 
 
@@ -78,13 +77,12 @@ def reuse(task: harness.Task) -> harness.Result:
 
 
 PARTS = {"building": building, "experiment": experiment, "reuse": reuse}
-KEYS = ("drawing", "twists", "smaller", "ms", "condition", "dh")
+KEYS = ("drawing", "twists", "smaller", "ms", "condition")
 COLUMNS = {
     "building": {"ms": over("ms", np.mean)},
     "experiment": {key: over(key, np.mean) for key in KEYS} | {"steps ≤": over("steps", max)},
     "reuse": {key: over(key, np.mean) for key in ("drawing", "store", "flanges")},
 }
-COLUMNS["experiment"]["DH condition"] = over("dh_condition", harness.median)
 COLUMNS["reuse"] |= {
     "times smaller": lambda rows: np.mean([r["drawing"] for r in rows]) / np.mean([r["store"] for r in rows]),
     "better in": lambda rows: share(r["store"] < r["drawing"] for r in rows),
