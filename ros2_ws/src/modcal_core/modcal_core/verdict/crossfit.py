@@ -103,10 +103,6 @@ class Baseline:
         keep = (size > _MIN_NEW * before) & (before > 1e-9 * before.max(initial=1e-300))
         return np.asarray(x[keep] / size[keep, None])
 
-    def left(self, r: Array) -> Array:
-        """What the parameters, fitted to all of it, leave of a residual (R,)."""
-        return np.asarray(r - self._directions.T @ (self._predicted * (self._directions @ r)))
-
     def trials(self, r: Array) -> Trials:
         """The trials of residuals (R, m)."""
         Q = self._directions
@@ -136,16 +132,16 @@ class Ridge:
     """Ridge regression on columns (D, R) of unit length, in single precision, for every fold and several ridges.
 
     With as many columns as D, none of them special, and a share s of R variances expected to be explained, each
-    coefficient has a variance of s R / D in these, and the ridge is its inverse. variance: in units of the noise's.
+    coefficient has a variance of s R / D in these, and the ridge is its inverse.
     """
 
-    def __init__(self, columns: Array, baseline: Baseline, variance: float = 1.0) -> None:
+    def __init__(self, columns: Array, baseline: Baseline) -> None:
         D, R = columns.shape
         self.columns, self.spans, Q = columns, baseline.layout.spans, baseline.directions
         parts = [columns[:, a:b] for a, b in self.spans]
         grams = [part @ part.T for part in parts]
         whole = np.sum(grams, axis=0)
-        self._factors = [[_factored(whole - gram, D / (share * R * variance)) for gram in grams] for share in _EXPECTED]
+        self._factors = [[_factored(whole - gram, D / (share * R)) for gram in grams] for share in _EXPECTED]
         own = np.stack([part @ Q[:, a:b].T for part, (a, b) in zip(parts, self.spans, strict=True)])
         self._along = own.sum(axis=0) - own  # with the parameters' directions over the other folds, (FOLDS, D, K)
 

@@ -104,12 +104,11 @@ class RestStudy:
             self.free = _FREE * J / np.sqrt(np.einsum("kcn,kcn->k", J, J))[:, None, None]
         self.drivers = PlaceDrivers(self.rest)
 
-    def deals(self, free: Array | None = None, unit: np.ndarray | None = None) -> list[Baseline]:
-        """What is free (K, 6, N), by default the parameters, prepared for each way of dealing units (N,) to folds."""
-        free, unit = self.free if free is None else free, self.unit if unit is None else unit
-        count = int(unit.max()) + 1
-        folds = ((np.random.default_rng(k).permutation(count) % FOLDS)[unit] for k in range(_DEALS))
-        value, directions = principal(free)
+    def deals(self) -> list[Baseline]:
+        """What is free, prepared for each way of dealing units to folds."""
+        count = int(self.unit.max()) + 1
+        folds = ((np.random.default_rng(k).permutation(count) % FOLDS)[self.unit] for k in range(_DEALS))
+        value, directions = principal(self.free)
         return [Baseline(value, directions, Layout.of(fold, self.rest.weight > 0.0)) for fold in folds]
 
     def groups(self) -> list[tuple[str, Array]]:
