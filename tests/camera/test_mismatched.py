@@ -10,7 +10,7 @@ import pytest
 from camera.fits import MEASURED
 from camera.scenes import scene
 
-from modcal_core.camera.cameras import CameraImages
+from modcal_core.camera.fit import CameraImages
 from modcal_core.camera.prepared import prepare_images
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array

@@ -12,8 +12,8 @@ from camera.scenes import BOARD_ON_TIP, CAMERA_IN_WORLD, CameraScene, scene
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import PrintedTarget
-from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.claim import APPLY
+from modcal_core.camera.fit import CameraImages
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.solve import CameraSolution, solve_camera
 from modcal_core.camera.views import postures_in_view

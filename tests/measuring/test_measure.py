@@ -19,7 +19,6 @@ from modcal_core.files import parse_yaml, read_yaml, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.planning.advice import Advice, Advisor, Method, _not_by_posture
 from modcal_core.planning.next_stations import one_motion, return_stations
-from modcal_core.planning.outlook import chance_seen
 from modcal_core.planning.pool import of_robot
 from modcal_core.planning.session import (
     MEASURED,
@@ -125,7 +124,7 @@ def test_what_is_proven_is_what_is_used() -> None:
 @pytest.mark.slow
 def test_a_goal_below_what_the_arm_repeats_is_refused_with_the_reason(rng: np.random.Generator) -> None:
     by = cell(repeatability_rad=5e-5)
-    advice = measured(advisor(Goal(3e-5, stations=100), effects=False), by)
+    advice = measured(advisor(Goal(3e-5, stations=60), effects=False), by)
     assert advice.outcome is not None
     assert advice.outcome.ending == "no_station_helps"
     assert "0.03 mm is below what can be reached" in advice.outcome.sentence
@@ -181,14 +180,6 @@ def test_what_is_not_seen_is_made_up_for_and_not_asked_for_again() -> None:
     unseen = [tuple(s.asked) for s in advice.session.stations if s.state == UNSEEN]
     assert len(unseen) > 4
     assert len(set(unseen)) == len(unseen)
-
-
-def test_a_place_that_was_not_seen_is_less_likely_to_be_seen_next_to_it() -> None:
-    p, z = np.zeros((3, 3)), np.tile([0.0, 0.0, 1.0], (3, 1))
-    p[:, 0] = 0.0, 0.3, 2.0
-    chance = chance_seen(p, z, p[:1], z[:1], np.array([False]))
-    assert chance[0] < 0.5 < chance[1] < chance[2]
-    assert chance[2] == pytest.approx(0.95, abs=0.01)
 
 
 def test_a_camera_on_the_tool_is_offered_what_shows_its_target_and_read_the_other_way_round() -> None:

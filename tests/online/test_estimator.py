@@ -81,20 +81,6 @@ def test_equals_the_batch_solution_with_an_effect() -> None:
     assert np.abs(estimator.values[:-3] - fit.values).max() < 1e-9
 
 
-def test_goes_on_from_a_batch_fit() -> None:
-    """What a batch fit knows of the first half, and the second half, are the batch fit of all."""
-    cell = record(5, 400)
-    whole = batch(cell.samples, cell.world.nominal)
-    first, rest = cell.samples.select(np.arange(200)), cell.samples.select(np.arange(200, 400))
-    half = identify(whole.start, first, whole.parameters, robust=False, tolerance=1e-9)
-    estimator = Estimator(half.model, half.parameters, whole.noise, half.covariance)
-    for i in range(len(rest)):
-        estimator.update(rest.select(np.array([i])))
-    q = np.random.default_rng(1).uniform(-1.5, 1.5, (50, 6))
-    assert np.abs(estimator.model.predict(q)[:, :3, 3] - whole.model.predict(q)[:, :3, 3]).max() < 3e-6
-    assert np.abs(half.model.predict(q)[:, :3, 3] - whole.model.predict(q)[:, :3, 3]).max() > 5e-6
-
-
 @pytest.mark.slow
 def test_the_stated_covariance_is_right() -> None:
     """Normalised errors of predicted positions over many cells are those of a χ² law."""
@@ -161,25 +147,6 @@ def test_an_outlier_is_counted_and_has_no_say() -> None:
     assert [i for i, weight in enumerate(weights) if weight == 0.0] == list(range(0, 200, 20))
     assert estimator.rejected == 10
     assert np.abs(estimator.values).max() < 6.0 * fit.std.max()
-
-
-def test_a_doubtful_sample_counts_as_much_as_its_weight_says() -> None:
-    cell = record(7, 200)
-    fit = batch(cell.samples, cell.world.nominal)
-    shifted = cell.samples.reading + [3.5 * fit.noise.position, 0.0, 0.0]
-    samples = samples_of(cell.world.nominal, cell.samples.q, se3.transform(cell.samples.R, shifted))
-    seen = 0
-    for i in range(20):
-        sample = samples.select(np.array([i]))
-        estimator = Estimator(fit.model, fit.parameters, fit.noise, fit.covariance)
-        weight = estimator.update(sample)
-        J = linearise(fit.model, fit.parameters, np.zeros(len(fit.parameters)), sample).J
-        noise = np.diag(np.repeat([fit.noise.position**2, fit.noise.rotation**2], 3))
-        C = fit.covariance
-        expected = C - C @ J @ np.linalg.solve(J.T @ C @ J + noise / weight, J.T @ C)
-        assert np.abs((estimator.covariance - expected) / np.outer(fit.std, fit.std)).max() < 1e-7
-        seen += weight < 1.0
-    assert seen > 3
 
 
 def _poses(samples: Samples) -> Array:

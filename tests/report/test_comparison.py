@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import cache
 
 import numpy as np
@@ -89,6 +88,7 @@ def test_reports_alone_are_compared_by_their_intervals() -> None:
     found = compare(alone, Side("b", report=worse))
     assert found.data["result"] == "differs"
     assert found.data["tool"] is None
+    assert found.data["verdict"] in text(found.said)
     assert "do not overlap" in text(found.said)
 
 
@@ -99,10 +99,3 @@ def test_what_cannot_be_compared_is_refused() -> None:
         compare(one, Side("b", report=joints))
     with pytest.raises(NotEnoughData, match="holds no error to compare"):
         compare(one, Side("b", report={"modcal_report": 1}))
-
-
-def test_terminal_and_json_say_the_same() -> None:
-    found = compare(side("a", 1, 10), side("c", 2, 11), 0.2)
-    assert found.data["verdict"] in text(found.said)
-    assert found.data["result"] == "beyond tolerance"
-    assert json.loads(found.files["comparison.json"]) == found.data

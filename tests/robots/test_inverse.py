@@ -43,17 +43,16 @@ def drawn(joints: int, rng: np.random.Generator) -> Chain:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("masked", [False, True])
-def test_no_reachable_pose_is_called_unreachable(masked: bool) -> None:
+def test_no_reachable_pose_is_called_unreachable() -> None:
+    """Every other pose is asked for without one of its six parts."""
     rng = np.random.default_rng(2)
     for chain in (*(drawn(5 + k % 4, rng) for k in range(10)), *ARMS.values()):
-        robot, mask = Robot.from_chain(chain), np.ones(6, bool)
-        mask[rng.integers(6)] = not masked
-        for q in rng.uniform(chain.lower, chain.upper, (30, chain.n)):
-            T = chain_forward(chain, q)
+        robot = Robot.from_chain(chain)
+        for k, q in enumerate(rng.uniform(chain.lower, chain.upper, (30, chain.n))):
+            T, mask = chain_forward(chain, q), np.ones(6, bool)
+            mask[rng.integers(6)] = k % 2 == 0
             found = robot.inverse(T, mask=mask)
-            assert (found >= chain.lower).all()
-            assert (found <= chain.upper).all()
+            assert ((found >= chain.lower) & (found <= chain.upper)).all()
             assert np.abs(se3.error(chain_forward(chain, found)[None], T[None])[0, mask]).max() < 1e-9
 
 

@@ -71,12 +71,12 @@ GOOD = "# convention: dh\nname,type,theta,d,a,alpha,lower,upper\nj1,revolute,0,1
 WRONG = {
     "table: states no convention: begin with a line such as '# convention: dh'": "name,theta\nj1,0\n",
     "comment 'colour': is not a key of the table": "# colour: red\n" + GOOD,
-    "has no columns: write name,type,theta": "# convention: dh\n",
+    "joints: it has 0 entries": "# convention: dh\n",
     "joint 2: alpha: is 90, in the unit m rad: write the unit as": "# convention: dh\nd,alpha\n0.1,1.5\n0.1,90\n",
-    "column 'bx' is not one of a dh table": GOOD.replace("theta", "bx"),
+    "entry 1: unknown key b;": GOOD.replace("theta", "bx"),
     "joint 1: has 3 cells, the header 8": GOOD.replace("j1,revolute,0,1,0,0,,", "j1,revolute,0"),
-    "joint 1: d: needs 1 number, has 'long'": GOOD.replace("0,1,0,0", "0,long,0,0"),
-    "reversed: is 'maybe': write true or false": "# convention: cpc\nname,reversed\nj1,maybe\n",
+    "entry 1: d: 'long' is not a finite number": GOOD.replace("0,1,0,0", "0,long,0,0"),
+    "reversed: 'maybe' is not true or false": "# convention: cpc\nname,reversed\nj1,maybe\n",
 }
 
 

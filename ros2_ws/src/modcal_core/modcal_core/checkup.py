@@ -172,7 +172,7 @@ def checkup(
         after=_size(errors(found.state.model, found.samples)),
         expected=_expected(found),
         stations=part.stations,
-        aside=tuple(int(part.station[i]) + 1 for i in found.aside),
+        aside=tuple(int(part.station[i]) + 1 for i in sorted(found.aside)),
         noticed=noticed(found),
         advice=advise(found, calibration, alike, untried),
         repaired=fixed,
@@ -298,8 +298,11 @@ def _notes(
             f"These {part.stations} stations stand close together and say as much as {far:.1f} far apart: only larger "
             "changes are named. Spread them over the ranges of all joints."
         )
-    if found.aside:
+    if "" in found.aside.values():
         out.append("A reading that no change explains was set aside as wrong.")
+    for label in sorted({*found.aside.values()} - {""}):
+        at = ", ".join(str(part.station[i] + 1) for i, said in sorted(found.aside.items()) if said == label)
+        out.append(f"Stations {at} were set aside: {label}, to the last digit, and elsewhere by the readings.")
     return tuple(out)
 
 

@@ -49,7 +49,8 @@ def calibrate(
 ) -> Result:
     """Calibrate a robot from samples: geometry, effects that the samples show, and a verdict.
 
-    One part of the samples fits, another chooses effects, a held-out part scores. The same seed gives the same split.
+    One part of the samples fits, another chooses effects, a held-out part scores. The seed draws what is held out for
+    the score; the model and what is named do not depend on it.
 
     - cell: what is known of the surroundings, of arm and instrument.
     - fixed: parameters or places that stay nominal, such as ``tool``. geometry_only: look for no effects.

@@ -22,9 +22,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from modcal_core.calibration import RowView
-from modcal_core.camera.cameras import Cameras
 from modcal_core.camera.corners import POSE, CornerTable
-from modcal_core.camera.fit import CameraFit, fit_cameras
+from modcal_core.camera.fit import LIKELIER, CameraFit, Cameras, fit_cameras
 from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, Scanner, Space, choose
 from modcal_core.effects import Drivers, Effect, candidates
 from modcal_core.geometry import Array
@@ -92,7 +91,6 @@ def _space(fit: CameraFit, drivers: Drivers) -> CameraSpace:
 
 _MAX = 6  # effects, for time
 _REFUSED = 2  # choices that did not hold, before the search ends
-_GAIN = 6.0  # of −2 log likelihood, the price of the amplitudes taken off: odds of 20 : 1
 _PARTS, _ENOUGH = 4, 6  # each of which is predicted from the others; images, of which enough for a mounting are left
 _NOT_HERE = ("tracker", "base", "tool")  # lens and sheet have parameters; moves are looked for on their own
 
@@ -136,7 +134,7 @@ def find_causes(
         started = choice.effect.started(scanner.amplitudes(fit, choice.effect))  # type: ignore[arg-type]
         better = fit_cameras(*_with_effects(fit, (*_valued(fit), started)), fit.sizes)
         gain = fit.misfit - better.misfit
-        if better.converged and gain > _GAIN and predicted(better) < predicted(fit):
+        if better.converged and gain > LIKELIER and predicted(better) < predicted(fit):
             causes.append(
                 CameraCause(started, choice.p_value, choice.same_as, fit.sizes.joint, better.sizes.joint, gain)
             )

@@ -24,7 +24,7 @@ from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.bundle import BoardView, PrintedTarget
 from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.equations import ALONE, CameraRows, SolvedEquations, stops_of
-from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.fit import LIKELIER, CameraFit
 from modcal_core.geometry import Array
 
 WORLD, TIP = "world", "tip"  # halves that may be moved: that in the world, and that on the arm
@@ -166,7 +166,6 @@ def find_change(fit: CameraFit) -> Moved | None:
 
 
 _WINDOW = 8  # images that are looked back on
-_CLEAR = 6.0  # of −2 log likelihood against the next likeliest: odds of 20 : 1
 _SAME = 1e-3  # rad or m by which joints differ within a stop
 
 
@@ -224,7 +223,7 @@ class CameraWatch:
         gain, first, x, change = found[0]
         if gain < _GAIN or self._least_without(change.name, stops[first:]) < 0.5 * _GAIN:
             return None
-        names = [change.name, *(other.name for rival, *_, other in found[1:2] if gain - rival < _CLEAR)]
+        names = [change.name, *(other.name for rival, *_, other in found[1:2] if gain - rival < LIKELIER)]
         since = next(one.stamp for one in self._seen if one.stop == stops[first])
         return Moved(" or ".join(dict.fromkeys(names)), since, *change.size(x), gain)
 

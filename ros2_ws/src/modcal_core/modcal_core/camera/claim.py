@@ -94,9 +94,9 @@ def arm_draws(fit: CameraFit, rng: np.random.Generator, doubted: Sequence[Doubte
     """What the P parameters of the true arm are off by in D draws (D, P), and the chance of what they are drawn from:
     the fit, and each of the statements being wrong.
     """
-    stated = 1.0 - sum(d.counted for d in doubted)
+    stated = 1.0 - sum(d.chance for d in doubted)
     out = {AS_STATED: (_drawn(fit, fit.equations.solve(fit.sizes), rng), stated)}
-    return out | {d.what: (_drawn(fit, d.solved, rng), d.counted) for d in doubted}
+    return out | {d.what: (_drawn(fit, d.solved, rng), d.chance) for d in doubted}
 
 
 def _drawn(fit: CameraFit, solved: SolvedEquations, rng: np.random.Generator) -> Array:

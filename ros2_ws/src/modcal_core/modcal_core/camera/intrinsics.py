@@ -127,7 +127,8 @@ def damped(
 
 _INTRINSICS_STEPS = 100  # of Gauss and Newton, at most
 _INTRINSICS_MET = 1e-12  # relative gain of the cost
-_HALF_ANGLES = np.radians([35.0, 45.0, 55.0, 65.0, 80.0, 95.0])  # of fisheyes, from the middle to the farther edge
+_FOCALS = np.geomspace(0.4, 6.0, 17)  # times the image's width: lenses of 100° to 10°
+_HALF_ANGLES = np.radians(np.linspace(35.0, 95.0, 13))  # of fisheyes, from the middle to the farther edge
 _MANY, _MIN = 8, 3  # corners of an image that shows perspective well, and images of that kind that are enough
 
 
@@ -143,6 +144,12 @@ class LensFit:
     cost: float
 
 
+def plain_lenses(size: tuple[int, int], model: str) -> list[Lens]:
+    """Lenses without distortion of all usual angles of view."""
+    focal = 0.5 / _HALF_ANGLES if model == FISHEYE else _FOCALS
+    return [Lens.plain(max(size) * f, size, model) for f in focal.tolist()]
+
+
 def first_lens(table: CornerTable, size: tuple[int, int], model: str = PINHOLE) -> Lens:
     """A lens without distortion to begin with: of a pinhole from the homographies of all images, of a fisheye the one
     of some angles of view that meets the images best. Raises NotEnoughData.
@@ -150,8 +157,7 @@ def first_lens(table: CornerTable, size: tuple[int, int], model: str = PINHOLE) 
     import cv2
 
     if model == FISHEYE:
-        tried = [Lens.plain(0.5 * max(size) / angle, size, FISHEYE) for angle in _HALF_ANGLES]
-        return min(tried, key=lambda lens: float(np.median(board_poses(table, lens).rms)))
+        return min(plain_lenses(size, FISHEYE), key=lambda lens: float(np.median(board_poses(table, lens).rms)))
     counts = np.bincount(table.view, minlength=table.views)
     many = np.flatnonzero(counts >= _MANY)
     pixels = (table.pixels - 0.5 * (np.array(size) - 1.0)) / max(size)

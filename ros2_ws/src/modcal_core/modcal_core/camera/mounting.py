@@ -18,9 +18,9 @@ import numpy as np
 
 from modcal_core.calibration import hand_eye
 from modcal_core.camera.bundle import MARKER_CORNERS, MarkerBundle
-from modcal_core.camera.corners import CornerTable
-from modcal_core.camera.intrinsics import BoardPose, board_poses
-from modcal_core.camera.lens import FISHEYE, Lens
+from modcal_core.camera.corners import CornerTable, images_with_pose
+from modcal_core.camera.intrinsics import BoardPose, board_poses, plain_lenses
+from modcal_core.camera.lens import Lens
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.hypotheses import BEYOND_DOUBT, HandEye, explain, of_recording, orders
@@ -29,7 +29,7 @@ from modcal_core.robots import Chain
 ON_TIP, IN_WORLD = "camera on the tip, target in the world", "camera in the world, target on the tip"
 MIN_VIEWS = 4  # three poses solve AX = ZB; a fourth tells whether they agree
 _STILL_RAD, _STILL_M = 0.02, 0.005  # motion of the target in the images that is none, the arm having moved far more
-_MOVED_RAD, _MOVED_M = 0.1, 0.05  # of the arm
+_MOVED_RAD = 0.1  # of the arm
 _TURNED = 0.15  # rad; relative turns about a second axis that show all of a hand-eye pose
 _CLEAR = 2.0  # ratio of the misfits of both mountings, or of two orders of corners, that tells which it is
 _ROUNDS = 5  # of choosing between the two poses of each image
@@ -78,16 +78,13 @@ def find_mounting(T_base_tip: Array, poses: BoardPose, stated: bool | None = Non
     if N < MIN_VIEWS:
         raise NotEnoughData("images", f"{N} show the target, at least {MIN_VIEWS} are needed", "take more images")
     turns, seen = relative_turns(T_base_tip), poses.T[:, 0]
-    turn, shift = float(turns[0]), float(np.ptp(T_base_tip[:, :3, 3], axis=0).max())
-    if turn < _MOVED_RAD and shift < _MOVED_M:
-        said = f"the arm moves by {1e3 * shift:.0f} mm and {np.degrees(turn):.1f}° between them"
-        raise NotEnoughData("images", said, "take images in postures far apart, the wrist turned about two axes")
+    if turns[0] < _MOVED_RAD:
+        shift = 1e3 * float(np.ptp(T_base_tip[:, :3, 3], axis=0).max())
+        said = f"the arm moves its tip by {shift:.0f} mm between them and turns it by {np.degrees(turns[0]):.1f}° only"
+        raise NotEnoughData("images", said, "take images far apart, the wrist turned by 30° or more about two axes")
     if float(relative_turns(seen)[0]) < _STILL_RAD and float(np.ptp(seen[:, :3, 3], axis=0).max()) < _STILL_M:
         said = "the target does not move in the images while the arm does: camera and target move, or stand, together"
         raise BadRecording("images", said, "mount one of the two on the arm and the other in the world")
-    if turn < _MOVED_RAD:
-        said = f"the arm turns its tip by {np.degrees(turn):.1f}° only"
-        raise NotEnoughData("images", said, "turn the wrist by 30° or more about two axes")
     found = [_mounted(T_base_tip, poses, on_tip) for on_tip in (True, False)]
     miss = [float(np.median(one.off_m)) for one in found]
     best = int(miss[1] < miss[0]) if stated is None else int(not stated)
@@ -153,24 +150,9 @@ def explained(error: BadRecording, chain: Chain, q: Array, poses: BoardPose, on_
     return BadRecording(error.offender, f"{error.limit}; {best.what}", best.remedy)
 
 
-_MIN_POINTS = 4  # of an image, of which a pose is taken: three leave four poses
-_LINE = 0.05  # width of points over their length, below which they are a line
 _ENOUGH = 8  # images with a pose: twice as many as a mounting needs, so that a misread one is outvoted
 _LOOKED_AT = 30  # of these, for time, while the focal length is looked for
-_FOCALS = np.geomspace(0.4, 6.0, 17)  # times the image's width: lenses of 100° to 10°
-_HALF_ANGLES = np.radians(np.linspace(35.0, 95.0, 13))  # of fisheyes, from the middle to the farther edge
 _FINER = np.linspace(0.85, 1.18, 9)  # between one of these and the next
-
-
-def images_with_pose(table: CornerTable) -> np.ndarray:
-    """Images (N,) whose points show a pose by themselves."""
-    out = np.zeros(table.views, bool)
-    for i in range(table.views):
-        points = table.points[(table.view == i) & (table.weight > 0.0)]
-        if len(points) >= _MIN_POINTS:
-            spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-            out[i] = spread[1] >= _LINE * spread[0]
-    return out
 
 
 def start_of_body(
@@ -214,11 +196,10 @@ def _lens_by_arm(table: CornerTable, A: Array, usual: Lens, on_tip: bool | None)
     """The lens without distortion whose poses of the body meet the flange's best."""
     rows = np.zeros(table.views, bool)
     rows[np.unique(np.linspace(0, table.views - 1, _LOOKED_AT).astype(int))] = True
-    table, A, size, model = table.select(rows), A[rows], usual.size, usual.model
+    table, A = table.select(rows), A[rows]
 
-    def miss(focal: float) -> float:
-        return _misfit(A, board_poses(table, Lens.plain(focal, size, model)), on_tip)
+    def miss(lens: Lens) -> float:
+        return _misfit(A, board_poses(table, lens), on_tip)
 
-    tried = 0.5 * max(size) / _HALF_ANGLES if model == FISHEYE else _FOCALS * max(size)
-    best = min(tried.tolist(), key=miss)
-    return Lens.plain(min((best * _FINER).tolist(), key=miss), size, model)
+    best = min(plain_lenses(usual.size, usual.model), key=miss)
+    return min((Lens.plain(best.values[0] * by, usual.size, usual.model) for by in _FINER), key=miss)

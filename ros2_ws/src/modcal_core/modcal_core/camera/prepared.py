@@ -17,10 +17,19 @@ import numpy as np
 from modcal_core.calibration import Model, exceeded_chi2, median_chi2
 from modcal_core.camera.arm_poses import ArmPoses, with_parameters, with_stated
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.cameras import Camera, CameraImages, Cameras
-from modcal_core.camera.corners import POSE, SHAPE, CameraState, CommonPrior, CornerTable, common_prior, corner_rows
+from modcal_core.camera.corners import (
+    POSE,
+    SHAPE,
+    CameraState,
+    CommonPrior,
+    CornerTable,
+    common_prior,
+    corner_rows,
+    enough_corners,
+    images_with_pose,
+)
 from modcal_core.camera.equations import numbered
-from modcal_core.camera.fit import START, CameraFit, fit_cameras
+from modcal_core.camera.fit import START, Camera, CameraFit, CameraImages, Cameras, fit_cameras
 from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
@@ -29,7 +38,6 @@ from modcal_core.camera.mounting import (
     Mounting,
     explained,
     find_mounting,
-    images_with_pose,
     require_order,
     start_of_body,
 )
@@ -40,16 +48,15 @@ from modcal_core.robots import Chain, Inertias, chain_forward
 
 
 def together(cameras: Sequence[CameraImages]) -> list[CameraImages]:
-    """The same images with what cameras share: of bodies those markers only that some camera saw, and a number for
-    images that were taken at one stop of the arm. Raises BadTable for a body of which too little was seen.
+    """The same images with what cameras share: whether a body's corners are read, and a number for images that were
+    taken at one stop of the arm. Raises BadTable for a body of which too little was seen.
     """
-    out = []
-    for one in cameras:
+    out = list(cameras)
+    for k, one in enumerate(out):
         if isinstance(one.target, MarkerBundle):
             ids = [v.ids for other in cameras if other.target == one.target for v in other.views]
-            target = one.target.of_points(np.unique(np.concatenate([np.empty(0, int), *ids])).astype(int))
-            one = replace(one, target=target, views=target.renumbered(one.views, one.target))
-        out.append(one)
+            seen = np.unique(np.concatenate([np.empty(0, int), *ids])).astype(int)
+            out[k] = replace(one, target=one.target.seen_by(seen))
     if len(out) == 1:
         return out
     names = [[v.name for v in one.views] for one in out]
@@ -63,10 +70,7 @@ _TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
 _CORNER = 6.0  # robust standard deviations: one good corner in a billion
 _CORNER_PX = 0.1  # where printers put a square's corner: 0.03 mm, in an image of a third of a millimetre a pixel
 _IMAGE_PX, _IMAGE_TIMES = 1.0, 5.0  # RMS of an image that is blurred or misread: more than a pixel, and than the others
-_ONE_LINE = 0.1  # of its length, how wide a group of corners is that is none
-_ALL_BUT_ONE = 0.03  # the same once any one of them is left out; of a board's corners on a line nothing, of others 0.05
-MIN_CORNERS = 4  # of an image, not on one line: the fewest that a homography is taken from
-MOSTLY = 0.5  # of the points of an image, or of a marker, beyond which it is not where it should be
+MOSTLY = 0.5  # of the points of an image, or of a marker, beyond which it is not where it should be; or of an error
 _GROSS = 10.0  # times the median distance from where corners should be: errors that are no one's share never reach it
 ELSEWHERE = "far from where the arm has it"
 
@@ -209,27 +213,9 @@ def agreeing(table: CornerTable, residual: Array, pixels: Array | None = None) -
     return np.asarray((near if pixels is None else near | (np.abs(pixels) <= _CORNER_PX)).all(axis=1))
 
 
-def enough_corners(points: Array) -> bool:
-    """Whether corners at these places on the sheet (m, 3) fix its pose: four of them, of which no three are on a line.
-
-    That is so where they are not on one line, and are not once any one of them is left out.
-    """
-    m = len(points)
-    if m < MIN_CORNERS:
-        return False
-    off = points[:, :2] - points[:, :2].mean(axis=0)
-    scatter = off.T @ off
-    without = scatter - m / (m - 1.0) * off[:, :, None] * off[:, None]
-    spread = np.linalg.eigvalsh(np.concatenate([scatter[None], without]))
-    width = np.sqrt(np.maximum(spread[:, 0], 0.0) / spread[:, 1])
-    return bool(width[0] > _ONE_LINE and width[1:].min() > _ALL_BUT_ONE)
-
-
 def bad_images(table: CornerTable, rms_px: Array) -> np.ndarray:
     """Images (N,) in which the target has too few corners left, or fits far worse than in the others."""
-    worst = max(_IMAGE_PX, _IMAGE_TIMES * float(np.median(rms_px)))
-    kept = [table.points[(table.view == i) & (table.weight > 0.0)] for i in range(table.views)]
-    return np.array([not enough_corners(points) for points in kept]) | (rms_px > worst)
+    return ~images_with_pose(table) | (rms_px > max(_IMAGE_PX, _IMAGE_TIMES * float(np.median(rms_px))))
 
 
 def gross(off: Array) -> np.ndarray:

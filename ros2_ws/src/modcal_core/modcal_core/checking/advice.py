@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Model, NoiseModel
+from modcal_core.calibration import Calibration, Model, NoiseModel, exact_samples
 from modcal_core.checking.known import tried_stations
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
@@ -193,11 +193,7 @@ def advise(found: FoundChanges, calibration: Calibration, alike: Sequence[Alike]
 
 def state_at(q: Array, model: Model, samples: Samples, noise: NoiseModel, kind: str | None = None) -> CheckState:
     """The model at other postures (k, n), with exact readings as the first of the samples is, or of this kind."""
-    like = samples.select(np.zeros(len(q), int))
-    kinds = like.kind if kind is None else np.full(len(q), kind, dtype=like.kind.dtype)
-    still, unknown = np.zeros_like(q), np.full(q.shape, np.nan)
-    poses = replace(like, q=q, kind=kinds, station=np.arange(len(q)), velocity=still, acceleration=still)
-    poses = replace(poses, approach=still, effort=unknown, following=unknown)
-    T = model.predict_samples(poses)
-    poses = replace(poses, reading=T[:, :3, 3], R=np.where(poses.is_pose[:, None, None], T[:, :3, :3], np.eye(3)))
-    return CheckState(model, poses, FrozenKnowledge((), np.zeros((0, 0)), (), noise))
+    kinds = np.full(len(q), samples.kind[0] if kind is None else kind)
+    exact = exact_samples(model.with_effects(()), q, np.full(len(q), samples.frame[0]), kinds)
+    exact = replace(exact, signals=samples.signals, stamps=np.full(len(q), samples.stamps[0]))
+    return CheckState(model, exact, FrozenKnowledge((), np.zeros((0, 0)), (), noise))

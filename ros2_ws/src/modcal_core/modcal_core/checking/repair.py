@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Model, NoiseModel, Uncertainty, exact_samples, joint_ranges
+from modcal_core.calibration import Calibration, Model, NoiseModel, Uncertainty, exact_samples
 from modcal_core.effects import Effect
 from modcal_core.geometry import Array
 from modcal_core.moves import (
@@ -25,6 +25,7 @@ from modcal_core.moves import (
     FrozenKnowledge,
     put_in,
 )
+from modcal_core.robots import joint_ranges
 
 _POSTURES = 40  # at which a change is written as deviations of the calibration's own parameters
 
@@ -81,20 +82,13 @@ def _known_then(now: Calibration, changes: list[CellChange], found: FoundChanges
 
 def _as_deviations(h: CellChange, now: Calibration, known: Uncertainty, K: int) -> Array:
     """The sizes' unit vectors as deviations of the parameters and effect values of a calibration, (K, k)."""
-    P = len(known.parameters)
     B = np.zeros((K, h.sizes))
     if not h.motions:
-        first = P
-        for i, effect in enumerate(now.calibrated.effects):
-            if h.replaces == i:
-                B[first : first + len(effect.amplitudes), 0] = h.effect.amplitudes
-            at = 0
-            for added in h.effects if h.replaces < 0 else ():
-                k = len(added.amplitudes)
-                if (effect.key, effect.shape) == (added.key, added.shape):
-                    B[first : first + k, at : at + k] = np.eye(k)
-                at += k
-            first += len(effect.values)
+        plain, *moved = (
+            np.concatenate([e.values for e in put_in(h, now.calibrated, by).effects])
+            for by in np.eye(h.sizes + 1, h.sizes, -1)
+        )
+        B[len(known.parameters) :] = np.stack(moved, axis=1) - plain[:, None]
         return B
     model: Model = now.calibrated.with_effects(())
     rng = np.random.default_rng(0)

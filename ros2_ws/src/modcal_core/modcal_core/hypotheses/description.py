@@ -402,7 +402,7 @@ def _mixed(n: int) -> Iterator[tuple[Array, Array]]:
         for last in range(first + 3, n + 1):
             B = np.eye(n)
             B[first:last, first:last] = np.tril(np.ones((last - first, last - first)))
-            yield np.linalg.inv(B), none
+            yield np.asarray(np.linalg.inv(B), dtype=float), none
     for i, j in combinations(range(n), 2):
         for values in product((-1.0, 0.0, 1.0), repeat=4):
             B = np.array(values).reshape(2, 2)

@@ -27,7 +27,7 @@ SPREAD = (2e-3, 1e-3)  # rad and share of the reach, per axis: a nominal arm's u
 ASTRAY = 0.05  # share of readings that may say anything
 INDEPENDENT = 100  # stations that count
 ANYWHERE = float(np.log(8.0 * np.pi**2))  # log of the volume of orientations
-_DRAWS = 240  # with a third of the stations in agreement, one draw of five holds only these: 1 − (1 − 3⁻⁵)²⁴⁰ = 63 %
+_DRAWS = 400  # with a third of the stations in agreement, one draw of five holds only these: 1 − (1 − 3⁻⁵)⁴⁰⁰ = 81 %
 _ROUNDS = 8  # iterations
 _OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
 MANY = 0.2  # share of the stations that must agree, lest chance finds that many
@@ -262,17 +262,19 @@ def points(case: HandEye) -> HandEye:
 
 
 def placed(case: HandEye, thorough: bool = True) -> HandEyeFit:
-    """The case with the base and the tool that most of its stations agree on.
+    """The case with the base and the tool that most of its stations agree on, of very many found on some.
 
     thorough: also from draws of a few stations.
     """
     best: HandEyeFit | None = None
-    for start in _starts(case):
-        for fit in (_fit(case, start), _fit(case, _refined(case, start))):
+    few = _independent(case)
+    for start in _starts(few):
+        for fit in (_fit(few, start), _fit(few, _refined(few, start))):
             best = fit if best is None or fit.better_than(best) else best
         if best is not None and best.explains:
             break
     assert best is not None
+    best = best if few is case else _fit(case, _refined(case, best.placement))
     return redrawn(best) if thorough else best
 
 
@@ -280,11 +282,17 @@ def redrawn(best: HandEyeFit) -> HandEyeFit:
     """A fit, or one that starts from draws of a few stations, where closed forms over all of them leave many astray."""
     case = best.case
     if best.agree().mean() < 1.0 - ASTRAY and len(case) >= 8:
-        drawn = _by_draws(case)
-        for placement in () if drawn is None else (drawn, _refined(case, drawn)):
+        few = _independent(case)
+        drawn = _by_draws(few)
+        for placement in () if drawn is None else (drawn, _refined(few, drawn)):
             fit = _fit(case, placement)
             best = fit if fit.better_than(best) else best
     return best
+
+
+def _independent(case: HandEye) -> HandEye:
+    """As many stations as count, evenly along the recording."""
+    return case if len(case) <= INDEPENDENT else case.select(spread_rows(len(case), INDEPENDENT))
 
 
 def at(case: HandEye, placement: Placement) -> HandEyeFit:

@@ -54,19 +54,22 @@ def throughout(case: HandEye) -> Iterator[Hypothesis]:
     for j in _turning(case.chain):
         joint, last = OneJoint.of(few, j), np.full(count, np.inf)
         angle = np.concatenate([few.q[None, :, j], rng.uniform(-1.0, 1.0, (count - 1, len(few))) * width[:, None]])
+        found, nearest = None, 1.0
         for round in range(_ROUNDS):
             Y, X, x, t = joint.placements(angle)
             angle = joint.angles(Y, X, x, t)
             left = (joint.usual(angle, Y, X, x, t) / limits).max(axis=1)
             kept = (left <= 0.999 * last) & ((round != _TRIED) | (left <= _HOPELESS))
-            if left.min() < 1.0:
+            if left.min() < nearest:
                 best = int(np.argmin(left))
-                q = solved(j, Placement(Y[best], X[best], x[best], t[best]), case)
-                yield from _of_joint(case, j, np.arange(len(case)), q[:, j], COMMON)
-                break
+                found, nearest = Placement(Y[best], X[best], x[best], t[best]), left[best]
+                kept &= left == nearest  # the others are not needed
             if not kept.any():
                 break
             angle, last = angle[kept], left[kept]
+        if found is not None:
+            q = solved(j, found, case)
+            yield from _of_joint(case, j, np.arange(len(case)), q[:, j], COMMON)
 
 
 def of_two(fit: HandEyeFit) -> Iterator[Hypothesis]:

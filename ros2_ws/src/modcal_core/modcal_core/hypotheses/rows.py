@@ -13,6 +13,7 @@ from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool
 from modcal_core.geometry import Array, so3
 from modcal_core.hypotheses.hand_eye import (
     ANYWHERE,
+    MANY,
     SPREAD,
     HandEye,
     HandEyeFit,
@@ -385,8 +386,7 @@ def elsewhere(fit: HandEyeFit) -> Iterator[Hypothesis]:
     turns, places = fit.placement.expected(case.A)
     gap = np.linalg.norm(case.p[rest, None] - places, axis=2) / case.limits[1]
     if case.poses:
-        cosine = 0.5 * (np.einsum("nij,kij->nk", case.R[rest], turns) - 1.0)
-        gap = np.maximum(gap, np.arccos(np.clip(cosine, -1.0, 1.0)) / case.limits[0])
+        gap = np.maximum(gap, np.arccos(_cosine(case.R[rest, None], turns)) / case.limits[0])
     same = gap < 2.0
     offsets = Counter(int(k - i) for i, row in zip(rest, same, strict=True) for k in np.flatnonzero(row))
     if not offsets:
@@ -419,6 +419,25 @@ def elsewhere(fit: HandEyeFit) -> Iterator[Hypothesis]:
         "rows",
         len(found),
     )
+
+
+def permuted(case: HandEye) -> Iterator[Hypothesis]:
+    """Readings that belong to other postures, in whatever order.
+
+    How far an orientation is turned to each of the others tells it from them, whatever base and tool are.
+    """
+    if len(case) < 16 or not case.poses:
+        return
+    a, R = (np.sort(np.arccos(_cosine(turns[:, None], turns)), axis=1) for turns in (case.A[:, :3, :3], case.R))
+    nearest = np.argmax(R @ a.T - 0.5 * np.sum(a**2, axis=1), axis=1)
+    own = placed(replace(case, q=case.q[nearest], A=case.A[nearest]))
+    if own.agree(2.0).mean() >= MANY:
+        yield from elsewhere(at(case, own.placement))
+
+
+def _cosine(A: Array, B: Array) -> Array:
+    """Cosines (…) of the angles between orientations (…, 3, 3)."""
+    return np.asarray(np.clip(0.5 * (np.einsum("...ij,...ij->...", A, B) - 1.0), -1.0, 1.0))
 
 
 def filters(case: HandEye) -> list[Hypothesis]:

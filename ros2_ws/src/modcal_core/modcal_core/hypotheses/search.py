@@ -30,6 +30,7 @@ _FEWEST = 12  # stations that can be asked by themselves, twice what base and to
 _HELD = 5  # stations that agree; fewer do so with any placement
 _DEPTH, _BEAM = 3, 2  # mistakes at once, and states that are followed
 _AT_ONCE = 96  # cases in a block, for memory
+_ALTERNATIONS = 6  # between base and tool, of a hypothesis that is sifted
 
 _Proposer = Callable[[HandEyeFit], Iterable[Hypothesis]]
 
@@ -90,9 +91,9 @@ def explain(case: HandEye, table: Sequence[Hypothesis] | None = None, depth: int
         return Answer((), root.fit, root.fit)
     seen, beam = [root], [root]
     for _ in range(depth):
-        trials = [t for state in beam for t in _followed(state, table)]
-        seen += trials
-        leading = [t for t in trials if t.score > root.score + SURE and _nearer(t.fit, root.fit)]
+        trials = [(t, state) for state in beam for t in _followed(state, table)]
+        seen += [t for t, _ in trials]
+        leading = [t for t, before in trials if t.score > before.score + SURE and _nearer(t.fit, root.fit)]
         beam = _different(sorted(leading, key=lambda t: -t.score))
         if not beam or any(t.ends for t in beam):
             break
@@ -191,7 +192,6 @@ _BESIDE: tuple[_Proposer, ...] = (
     joints.of_one,
 )
 _PLAIN: tuple[_Proposer, ...] = (
-    _of_themselves,
     rows.stretches,
     lambda fit: [conventions.increments()],
     lambda fit: rows.orders(fit.case),
@@ -199,6 +199,8 @@ _PLAIN: tuple[_Proposer, ...] = (
     lambda fit: channels.channels(fit.case),
 )
 _LABORIOUS: tuple[_Proposer, ...] = (
+    _of_themselves,
+    lambda fit: rows.permuted(fit.case),
     joints.of_two,
     lambda fit: joints.orders(fit.case),
     lambda fit: joints.throughout(fit.case),
@@ -219,8 +221,9 @@ def _fitted(state: SearchState, hypotheses: Iterable[Hypothesis]) -> list[Search
     """The states that these lead to, the likeliest from draws of stations as well."""
     quick: dict[str, SearchState] = {}
     for h in hypotheses:
-        if h.what not in quick and (found := _followed_by(state, h, thorough=False)) is not None:
-            quick[h.what] = found  # what comes later is the same from another start
+        found = _followed_by(state, h, thorough=False)
+        if found is not None and (h.what not in quick or found.score > quick[h.what].score):
+            quick[h.what] = found  # the same may be proposed from several starts
     likely = sorted(quick.values(), key=lambda s: -s.score)
     return [replace(s, fit=redrawn(s.fit)) for s in likely[:_DRAWN]] + likely[_DRAWN:]
 
@@ -253,7 +256,7 @@ def rough(cases: Sequence[HandEye]) -> list[float]:
     a = A[..., :3, :3]
     score = np.full(len(cases), -np.inf)
     try:
-        Y = base_by_positions(A, p)
+        Y = base_by_positions(A, p, _ALTERNATIONS)
         ways = [(Y, so3.nearest_rotation(np.sum(np.swapaxes(Y[:, None] @ a, -1, -2) @ R, axis=1)))]
         if any(c.poses for c in cases):
             ways.append(base_and_tool_turns(a, R))

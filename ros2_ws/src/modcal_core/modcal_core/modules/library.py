@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable, refusing
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, se3, sealed, so3
 from modcal_core.schema import NUMBER, POSITIVE, SIZE, TEXT, list_of, record, require, stated, whole
 
 BASE, JOINT, LINK, GRIPPER = "base", "joint", "link", "gripper"
@@ -77,9 +77,7 @@ class ModuleType:
     @cached_property
     def T_in_out(self) -> Array:
         """Output frame in the input frame, the joint at zero, for every code, (sizes, 4, 4) [m]."""
-        T = se3.transform(self.R, np.stack([self.output.at(self.length(n)) for n in range(self.sizes)]))
-        T.flags.writeable = False
-        return T
+        return sealed(se3.transform(self.R, np.stack([self.output.at(self.length(n)) for n in range(self.sizes)])))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.moves.evidence import SIZES
-    from modcal_core.moves.naming import OF_A_GEAR, UNTRIED, Alike, NamedChange, SizeFound, named
+    from modcal_core.moves.naming import UNTRIED, Alike, NamedChange, SizeFound, named
     from modcal_core.moves.noise import FrozenKnowledge
     from modcal_core.moves.regimes import find_regimes, moves_of
     from modcal_core.moves.rows import BASE, COMPLIANCE, FRAME, GEAR, KINDS, LENGTH, LINK, LOAD, NOISE, PAYLOAD, PLAY
@@ -25,7 +25,7 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["BASE", "COMPLIANCE", "FALSE_ALARM", "FRAME", "GEAR", "KINDS", "LENGTH", "LINK", "LOAD", "NOISE"]
-__all__ += ["OF_A_GEAR", "PAYLOAD", "PLAY", "SCALE", "SIZES", "STEP", "TOOL", "UNTRIED", "ZERO", "Alike", "CellChange"]
+__all__ += ["PAYLOAD", "PLAY", "SCALE", "SIZES", "STEP", "TOOL", "UNTRIED", "ZERO", "Alike", "CellChange"]
 __all__ += ["CheckState", "FittedChange", "FoundChanges", "FrozenKnowledge", "GeometryMotion", "MoveSearch"]
 __all__ += ["NamedChange", "SizeFound", "find_regimes", "hypotheses", "log_priors", "moves_of", "named", "put_in"]
 __all__ += ["search", "towards"]

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.moves.rows import BASE, COMPLIANCE, FRAME, GEAR, KINDS, LINK, NOISE, PAYLOAD, PLAY, STEP, TOOL
+from modcal_core.moves.rows import COMPLIANCE, GEAR, KINDS, NOISE, PAYLOAD, ZERO
 from modcal_core.moves.searching import FittedChange
 
 # how alike two changes are at every recorded posture: not, in the positions that are read, or in poses
@@ -19,8 +19,6 @@ UNTRIED = "the calibration, beyond the joint ranges that it was made from"
 OF_A_GEAR = 0.1
 _95 = 1.959964  # standard deviations
 _LISTED = 3  # others that a sentence has room for; check.json and the page have them all
-_PLACED = (BASE, FRAME, TOOL, LINK, PLAY, STEP)  # of up to six sizes
-_DIRECTIONS = [*((n, 1e3, "mm") for n in ("x", "y", "z")), *((n, 1e3, "mrad") for n in ("rx", "ry", "rz"))]
 _WHY = {
     "poses": "the same motion at every posture, so the repaired poses are the same",
     "positions": "the same positions at every posture, so these are repaired, but not the same orientations, which "
@@ -105,39 +103,33 @@ def named(
 
 
 def _sizes(change: FittedChange) -> tuple[SizeFound, ...]:
-    h, values = change.hypothesis, change.sizes
+    h, values, names = change.hypothesis, change.sizes, KINDS[change.hypothesis.kind].sizes
     std = np.sqrt(np.maximum(np.diag(change.covariance), 0.0))
     if h.kind == NOISE:
         factors = zip(("position", "orientation"), change.judged.noise, strict=True)
         return tuple(SizeFound(what, factor, factor, factor, "times") for what, factor in factors if factor > 1.0)
     if h.free:
-        rms = float(np.sqrt(np.mean(values**2)))
-        names, values = [("rms_over_stations", 1e3, "mrad")], np.array([rms])
-        std = np.array([float(np.sqrt(np.mean(std**2) / len(std)))])
-    elif h.kind in _PLACED:
-        names = _DIRECTIONS
-        if len(h.motions) == 1:  # of one size, along one twist
-            way = np.array(h.motions[0].twist)
-            values, std = values[0] * way, std[0] * np.abs(way)
+        names, values = (("rms_over_stations", 1e3, "mrad"),), np.array([np.sqrt(np.mean(values**2))])
+        std = np.array([np.sqrt(np.mean(std**2) / len(std))])
     elif h.replaces >= 0:
-        names = [("growth", 100.0, "%")]
+        names = (("growth", 100.0, "%"),)
     elif h.kind == PAYLOAD:
-        names = [(f"compliance of {e.place}", *COMPLIANCE[1:]) for e in h.effects]
+        names = tuple((f"compliance of {e.place}", *COMPLIANCE[1:]) for e in h.effects)
     elif h.kind == GEAR and len(values) > 1:  # a wave, and one of twice its cycles
         pairs = values.reshape(-1, 2)
         values = np.linalg.norm(pairs, axis=1)
         ways = pairs / np.maximum(values, 1e-300)[:, None]
         parts = (change.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(pairs)))
         std = np.array([float(np.sqrt(max(way @ C @ way, 0.0))) for way, C in zip(ways, parts, strict=True)])
-        names = [("amplitude", 1e3, "mrad"), ("amplitude_2", 1e3, "mrad")]
-    else:
-        slides = bool(h.motions) and h.motions[0].twist[5] == 0.0
-        name, factor, unit = KINDS[h.kind].size
-        names = [(name, factor, "mm" if slides else unit)]
-    low, high = values - _95 * std, values + _95 * std
+        names = (("amplitude", 1e3, "mrad"), ("amplitude_2", 1e3, "mrad"))
+    elif len(h.motions) == 1 < len(names):  # of one size, along one twist
+        way = np.array(h.motions[0].twist)
+        values, std = values[0] * way, std[0] * np.abs(way)
+    elif h.kind == ZERO and h.motions[0].twist[5] == 0.0:  # of a joint that slides
+        names = (("zero", 1e3, "mm"),)
     return tuple(
-        SizeFound(name, factor * float(v), factor * float(a), factor * float(b), unit)
-        for (name, factor, unit), v, a, b in zip(names, values, low, high, strict=False)
+        SizeFound(name, factor * v, factor * (v - _95 * d), factor * (v + _95 * d), unit)
+        for (name, factor, unit), v, d in zip(names, values.tolist(), std.tolist(), strict=False)
     )
 
 

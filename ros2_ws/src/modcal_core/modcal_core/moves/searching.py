@@ -9,7 +9,7 @@ What explains the readings as well is named with what is named, and what people 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -27,11 +27,11 @@ from modcal_core.moves.rows import (
     BASE,
     GEAR,
     KINDS,
+    LIMIT,
     NOISE,
     READING,
     TOOL,
     CellChange,
-    curve_root,
     hypotheses,
     log_priors,
 )
@@ -71,15 +71,15 @@ class FoundChanges:
 
     changes: as named. given: those that were not asked for but given, as fitted. covariance: of the sizes of given and
     changes together, (k, k). log_e: logarithms of the e-values by which each was asked for, and, last, of what is left.
-    aside: samples that were set aside as wrong. stages: the frozen model beside the others, the same with what was
-    given left open, and with the changes taken up. asked: the changes that were looked for.
+    aside: samples that were set aside as wrong, with what stands at its limit there. stages: the frozen model beside
+    the others, the same with what was given left open, and with the changes taken up. asked: what was looked for.
     """
 
     changes: tuple[FittedChange, ...]
     given: tuple[FittedChange, ...]
     covariance: Array
     log_e: tuple[float, ...]
-    aside: tuple[int, ...]
+    aside: Mapping[int, str]
     stages: tuple[CheckState, CheckState, CheckState]
     asked: tuple[CellChange, ...]
 
@@ -114,15 +114,16 @@ def search(model: Model, samples: Samples, known: FrozenKnowledge, given: Sequen
     whose sizes alone are asked for.
     """
     rows = np.arange(len(samples))
-    aside: list[int] = []
+    aside: dict[int, str] = {}
     while True:
         engine = MoveSearch(CheckState(model, samples.select(rows), known), tuple(given))
         found = engine.best()
-        wrong = max((c.hypothesis.sample for c in found.picked), default=-1)
-        if wrong < 0 or len(aside) >= max(1, len(samples) // 10) or len(rows) < 4:
-            return engine.told(found, tuple(aside))
-        aside.append(int(rows[wrong]))
-        rows = np.delete(rows, wrong)
+        wrong = next((c.hypothesis for c in found.picked if c.hypothesis.wrong), None)
+        most = max(1, len(samples) // 10) if wrong is None or wrong.kind == READING else len(samples) // 2 + 1
+        if wrong is None or len(aside) >= most or len(rows) < 4:
+            return engine.told(found, aside)
+        aside |= {int(rows[i]): wrong.label if wrong.kind == LIMIT else "" for i in wrong.wrong}
+        rows = np.setdiff1d(np.arange(len(samples)), [*aside])
 
 
 @dataclass(frozen=True)
@@ -189,7 +190,7 @@ class MoveSearch:
     def best(self) -> Explanation:
         """The most probable explanation, or the first reading that is wrong."""
         ways = self._weighed()
-        if ways and ways[0].picked and ways[0].picked[0].hypothesis.sample >= 0:  # set aside before anything is blamed
+        if ways and ways[0].picked and ways[0].picked[0].hypothesis.wrong:  # set aside before anything is blamed
             return ways[0]
         if not ways or any(is_noise(c) for c in ways[0].picked):
             ways += self._weighed(without=(NOISE,))
@@ -198,7 +199,7 @@ class MoveSearch:
         if not ways:
             raise np.linalg.LinAlgError("the readings are too far away to weigh what explains them")
         found = max(ways, key=lambda way: (not way.more, way.score))
-        if any(c.hypothesis.sample >= 0 for c in found.picked):
+        if any(c.hypothesis.wrong for c in found.picked):
             return found
         picked = self.needed([self._wave(found.picked, i) for i in range(len(found.picked))])
         outside = list(picked)
@@ -227,7 +228,7 @@ class MoveSearch:
             if log_e[-1] <= self.asked_for or len(picked) >= len(begin) + self.most:
                 return Explanation(tuple(picked), tuple(log_e), self._score(picked))
             one = most_probable(judged, prior, self.weight)
-            if one.hypothesis.kind == READING:  # it is set aside, and the search begins again
+            if one.hypothesis.wrong:  # it is set aside, and the search begins again
                 return Explanation((*picked, one), tuple(log_e), np.inf)
             picked = self._chosen_again([*picked, one], len(begin), without)
 
@@ -237,7 +238,7 @@ class MoveSearch:
             before = list(picked)
             for i in range(fixed, len(picked)):
                 rest = [c for j, c in enumerate(picked) if j != i]
-                judged, prior = self.beside(rest).judge_all(self.others(rest, (READING, *without)), bent=True)
+                judged, prior = self.beside(rest).judge_all(self.others(rest, (READING, LIMIT, *without)), bent=True)
                 best = most_probable(judged, prior, self.weight)
                 if best.hypothesis.key != picked[i].hypothesis.key:
                     picked[i] = best
@@ -270,7 +271,7 @@ class MoveSearch:
     def _outside(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:
         """One of the changes that were picked, or what outside the arm explains the readings as well."""
         hypothesis, rest = picked[i].hypothesis, [c for j, c in enumerate(picked) if j != i]
-        if hypothesis.outside or hypothesis.kind in (NOISE, READING):
+        if hypothesis.outside or hypothesis.kind == NOISE:
             return picked[i]
         asked = [h for h in self.others(rest) if h.outside]
         every = self.beside(rest).judge_all([*asked, hypothesis], bent=True)[0]
@@ -296,10 +297,10 @@ class MoveSearch:
         one = self._outside([most_probable(*self.plain.judge_all(self.asked), weight=self.weight)], 0)
         return with_sizes([self.with_rivals([one], 0)], self.beside([one]), self.plain.null)[0][0]
 
-    def told(self, found: Explanation, aside: tuple[int, ...]) -> FoundChanges:
+    def told(self, found: Explanation, aside: Mapping[int, str]) -> FoundChanges:
         """What was found, with what explains the readings as well, and with sizes."""
         # more readings are wrong than are set aside: the others are not explained
-        picked = [c for c in found.picked if c.hypothesis.sample < 0]
+        picked = [c for c in found.picked if not c.hypothesis.wrong]
         now = self.beside(picked)
         given = [FittedChange(judged, 1.0) for judged in self.fixed]
         covariance = np.empty((0, 0))
@@ -324,39 +325,33 @@ class MoveSearch:
             h, common = j.hypothesis, KINDS[best.hypothesis.kind].chance
             contained = bool(h.sizes) and j.likelihood > best.likelihood - AS_LIKELY / self.weight
             contained &= KINDS[h.kind].chance >= common
-            if h.kind != READING and (p > probability * np.exp(-_AS_PROBABLE) or contained):
+            if not h.wrong and (p > probability * np.exp(-_AS_PROBABLE) or contained):
                 rivals.append((p, j))
         rivals.sort(key=lambda pair: -pair[0])
         return FittedChange(replace(best, hypothesis=one.hypothesis), probability, tuple(j for _, j in rivals))
 
 
 def with_sizes(changes: Sequence[FittedChange], now: CheckState, begin: NullModel) -> tuple[list[FittedChange], Array]:
-    """The changes with their sizes, and the covariance (k, k) of these together.
+    """The changes with their sizes, of a curve its angles at the stations, and the covariance (k, k) of all sizes.
 
     Of the null's grid the member counts that suits the readings best with the changes in; without them it would be a
     wider spread, for it would have to explain them.
     """
-    member = now.judge.best
     for change in changes:
         if is_noise(change.judged):
             begin = begin.with_noise(*change.judged.noise)
-    judge, n = ChangeJudge(begin), len(begin.residual)
-    blocks, roots = [], []
-    for change, fit in zip(changes, now.fits, strict=True):
-        A, free = judge.whitened(fit.columns, member), fit.hypothesis.free
-        spread = change.judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300)) if free else 1.0
-        blocks.append(spread * A)
-        own = curve_root(fit.hypothesis.curve, now.model, now.samples) if free else np.eye(A.shape[1])
-        roots.append(spread * own)
-    J, ends = np.concatenate(blocks, axis=1), np.cumsum([block.shape[1] for block in blocks])
-    sized = np.concatenate([np.full(b.shape[1], not f.hypothesis.free) for b, f in zip(blocks, now.fits, strict=True)])
-    covariance = np.linalg.pinv(J.T @ J + np.diag(1.0 - sized), hermitian=True)
-    mean = covariance @ (J.T @ judge.whitened(now.residual, member))  # of curves; of sizes it is the last step
-    out = []
-    for change, fit, root, end in zip(changes, now.fits, roots, ends, strict=True):
-        at = slice(end - root.shape[1], end)
-        found = root @ mean[at] if fit.hypothesis.free else fit.sizes
-        out.append(replace(change, sizes=found, covariance=root @ covariance[at, at] @ root.T))
+    judge, member = ChangeJudge(begin), now.judge.best
+    columns = [now.turned(f.hypothesis.curve) if f.hypothesis.free else f.columns for f in now.fits]
+    J = judge.whitened(np.concatenate(columns, axis=1), member)
+    covariance = np.asarray(np.linalg.pinv(J.T @ J, hermitian=True), dtype=float)
+    last = covariance @ (J.T @ judge.whitened(now.residual, member))  # of curves; of sizes it is none any more
+    owner = np.repeat(np.arange(len(columns)), [c.shape[1] for c in columns])
+    out, sized = [], np.ones(len(owner), bool)
+    for i, (change, fit) in enumerate(zip(changes, now.fits, strict=True)):
+        at = owner == i
+        sized &= ~at | (not fit.hypothesis.free)
+        sizes = last[at] if fit.hypothesis.free else fit.sizes
+        out.append(replace(change, sizes=sizes, covariance=covariance[np.ix_(at, at)]))
     return out, covariance[np.ix_(sized, sized)]
 
 
@@ -370,7 +365,7 @@ def wave_of(joint: int, beside: CheckState) -> JudgedChange | None:
     if not chain.revolute[joint]:
         return None
     # of the noise the member that suits the readings best, or so many waves would take long
-    state = CheckState(beside.model, beside.samples, beside.known, null.only(beside.judge.best), beside.curves)
+    state = CheckState(beside.model, beside.samples, beside.known, null.only(beside.judge.best))
 
     def judged(cycles: Array, double: bool) -> list[JudgedChange]:
         waves = (gear_harmonic.wave(chain.names[joint], float(c), double) for c in cycles)

@@ -6,7 +6,7 @@ is asked beside every size that it may have.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -42,10 +42,8 @@ _WIDE = 4.0  # times its own size: what a change that was taken up may still be 
 class CheckState:
     """A model beside the samples, what its readings scatter by, and its derivatives.
 
-    of: the null, where it is known already. curves: by joint, angles (S,) at the stations about which a large curve is
-    linearised; it is none of the model's, so the residual is what it would be if readings moved in proportion to it.
-    linear: whether changes are taken up in proportion, since the model has them already and the null's residual not.
-    fits: changes that were taken up, as fitted.
+    of: the null, where it is known already. linear: whether changes are taken up in proportion, since the model has
+    them already and the null's residual not. fits: changes that were taken up, as fitted.
     """
 
     def __init__(
@@ -54,18 +52,11 @@ class CheckState:
         samples: Samples,
         known: FrozenKnowledge,
         of: NullModel | None = None,
-        curves: Mapping[int, Array] | None = None,
         linear: bool = False,
     ) -> None:
         self.model, self.samples, self.known, self.linear = model, samples, known, linear
-        self.curves = dict(curves or {})
-        self._station = np.unique(samples.station, return_inverse=True)[1]
-        q = samples.q.copy()
-        for joint, angles in self.curves.items():
-            q[:, joint] += angles[self._station]
-        bent = replace(samples, q=q) if self.curves else samples
-        self.drivers = model.drivers(bent)
-        self.view = RowView.of(model, bent, self.drivers)
+        self.drivers = model.drivers(samples)
+        self.view = RowView.of(model, samples, self.drivers)
         self._of = of
         self.fits: Sequence[ChangeCandidate] = ()
         self._judged: dict[tuple[int, bool], tuple[CellChange, JudgedChange]] = {}
@@ -97,22 +88,13 @@ class CheckState:
     @property
     def residual(self) -> Array:
         """Residuals of the readings, (n,), in the rows of the linearisation."""
-        out = np.concatenate([self.view.position.ravel(), self.view.rotation.ravel()])
-        for joint, angles in self.curves.items():
-            out = out + self.turned(joint) @ angles
-        return out
-
-    def unit(self, joint: int) -> Array:
-        """What readings move by per unit of a joint's angle or travel, (n,)."""
-        chain = self.model.chain
-        return self.view.unit_column(chain.first_place + joint, 5 if chain.revolute[joint] else 2)
+        return np.concatenate([self.view.position.ravel(), self.view.rotation.ravel()])
 
     def turned(self, joint: int) -> Array:
-        """The same for each station by itself, (n, S)."""
-        unit = self.unit(joint)
-        out = np.zeros((len(unit), int(self._station.max()) + 1))
-        out[np.arange(len(unit)), self._station[self.row_samples]] = unit
-        return out
+        """What readings move by per unit of a joint's angle or travel at each station, (n, S)."""
+        chain, station = self.model.chain, np.unique(self.samples.station, return_inverse=True)[1]
+        unit = self.view.unit_column(chain.first_place + joint, 5 if chain.revolute[joint] else 2)
+        return unit[:, None] * (station[self.row_samples][:, None] == np.arange(station.max() + 1))
 
     def columns(self, hypothesis: CellChange) -> Array:
         """Columns of a change at this model; none for noise, which has no size."""
@@ -127,7 +109,7 @@ class CheckState:
         are so large that their motions bend.
         """
         large = bent and self._bends
-        return [self._judge_one(h, large and (h.sizes > 0 or h.free)) for h in asked], log_priors(asked)
+        return [self._judge_one(h, large and h.sizes > 0) for h in asked], log_priors(asked)
 
     @property
     def _bends(self) -> bool:
@@ -140,7 +122,7 @@ class CheckState:
             if h.kind == NOISE:
                 judged = self.judge.noisier(h)
             elif alone:
-                judged = self.judge.judged(fitted([h], self, bent=True)[0][0])
+                judged = self.judge.judged(fitted([h], self)[0][0])
             else:
                 judged = self.judge.judged(ChangeCandidate(h, self.null.residual, self.columns(h)))
             self._judged[key] = h, judged
@@ -150,7 +132,7 @@ class CheckState:
         """The state in which these changes have been taken up, their sizes left open."""
         if not picked:
             return self
-        fits, now = fitted([p.hypothesis for p in picked], self, self._bends)
+        fits, now = fitted([p.hypothesis for p in picked], self)
         opened = replace(self.null, residual=fits[0].residual)
         for judged, candidate in zip(picked, fits, strict=True):
             if is_noise(judged):
@@ -166,18 +148,15 @@ class CheckState:
                 columns = columns @ (Vt[keep].T / s[keep])
                 scale = _WIDE * judged.size * np.sqrt(n / max(int(keep.sum()), 1))
             opened = opened.with_more(columns, scale)
-        state = CheckState(now.model, now.samples, now.known, opened, now.curves, now.linear)
+        state = CheckState(now.model, now.samples, now.known, opened, now.linear)
         state.fits = fits
         return state
 
 
-def fitted(
-    asked: Sequence[CellChange], state: CheckState, bent: bool = False
-) -> tuple[list[ChangeCandidate], CheckState]:
+def fitted(asked: Sequence[CellChange], state: CheckState) -> tuple[list[ChangeCandidate], CheckState]:
     """These changes fitted together by Gauss-Newton steps, and the state with them put in.
 
-    Curves that may take any course, noise and wrong readings have no sizes to put in. bent: linearise curves about
-    their angles at the stations.
+    Curves that may take any course, noise and wrong readings have no sizes to put in.
     """
     sized = [h for h in asked if h.sizes]
     model, now, judge, member = state.model, state, state.judge, state.null.reference
@@ -187,40 +166,28 @@ def fitted(
         sizes = np.linalg.lstsq(judge.whitened(A, member), judge.whitened(r, member), rcond=1e-8)[0]
         each = np.split(sizes, np.cumsum([c.shape[1] for c in columns])[:-1])
         return [ChangeCandidate(h, r - A @ sizes, *of) for h, *of in zip(asked, columns, each, strict=True)], state
-    totals = _set_up(sized, state) if bent else [np.zeros(h.sizes) for h in sized]
+    totals, before = _set_up(sized, state), np.inf
     for h, total in zip(sized, totals, strict=True):
-        if total.any():
-            model = put_in(h, model, total)
+        model = put_in(h, model, total) if total.any() else model
     if model is not state.model:
-        now = CheckState(model, state.samples, state.known, state.null, state.curves)
-    angles = {h.curve: np.zeros(len(np.unique(state.samples.station))) for h in asked if h.free and bent}
-    before = np.inf
-    for _ in range(_STEPS if sized or angles else 0):
-        turned = {j: now.turned(j) for j in angles}
-        z = judge.whitened(now.residual - sum((turned[j] @ angles[j] for j in angles), np.zeros(1)), member)
+        now = CheckState(model, state.samples, state.known, state.null)
+    for _ in range(_STEPS if sized else 0):
+        z = judge.whitened(now.residual, member)
         square = float(z @ z)
-        A = judge.whitened(np.concatenate([*(now.columns(h) for h in sized), *turned.values()], axis=1), member)
-        if angles:  # of a station at which the joint moves nothing no angle follows
-            so_far = np.concatenate(list(angles.values()))
-            A = np.concatenate([A, np.eye(len(so_far), A.shape[1], A.shape[1] - len(so_far)) / _LONGEST])
-            z = np.r_[z, -so_far / _LONGEST]
+        A = judge.whitened(np.concatenate([now.columns(h) for h in sized], axis=1), member)
         scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         by = np.linalg.lstsq(A / scale, z, rcond=1e-8)[0] / scale
         gain = float(np.linalg.norm(A @ by))
         if gain < max(_END, _SHARE * np.sqrt(square)) or square > 4.0 * before:
             break
         before = square
-        parts = np.split(by, np.cumsum([*map(len, totals), *map(len, angles.values())])[:-1])
-        for j, turn in zip(angles, parts[len(sized) :], strict=True):
-            angles[j] = angles[j] + np.clip(turn, -_LONGEST, _LONGEST)
-        turns = [float(np.linalg.norm(p[3:])) for p in parts[: len(sized)] if len(p) == 6]
-        shorter = _LONGEST / max([_LONGEST, *turns])
+        parts = np.split(by, np.cumsum([*map(len, totals)])[:-1])
+        shorter = _LONGEST / max([_LONGEST, *(float(np.linalg.norm(p[3:])) for p in parts if len(p) == 6)])
         for i, h in enumerate(sized):
             model = put_in(h, model, shorter * parts[i])
             totals[i] = composed(h, totals[i], shorter * parts[i])
-        now = CheckState(model, state.samples, state.known, state.null, {**state.curves, **angles})
-    found, residual = iter(totals), now.residual
-    none = np.empty(0)
+        now = CheckState(model, state.samples, state.known, state.null)
+    found, residual, none = iter(totals), now.residual, np.empty(0)
     return [ChangeCandidate(h, residual, now.columns(h), next(found) if h.sizes else none) for h in asked], now
 
 

@@ -139,12 +139,16 @@ class Supervisor:
 
     def follow(self, policy: Policy) -> None:
         """Go by another policy from now on; what it counts begins with the last solve, or the last change."""
-        before, self.policy = self.policy, policy
-        learning = self.live is None
-        old, new = (p.first_solve if learning else p.after_change for p in (before, policy))
-        if old != new:
+        old = self._every
+        self.policy = policy
+        if old != self._every:
             since = self._wait - old if old else 0  # stations that had been counted when the wait began
-            self._wait = max(since, 0) + new if new else 0
+            self._wait = max(since, 0) + self._every if self._every else 0
+
+    @property
+    def _every(self) -> int:
+        """Stations after which a solve begins by itself; 0: none does."""
+        return self.policy.first_solve if self.live is None else self.policy.after_change
 
     @property
     def trusted(self) -> Calibration | None:
@@ -194,17 +198,14 @@ class Supervisor:
 
     def failed(self) -> None:
         """A solve brought nothing: wait for as many stations again."""
-        if self.live is None:
-            self._wait = self.stations + self.policy.first_solve if self.policy.first_solve else 0
-        else:
-            self._wait = self.live.since + self.policy.after_change if self.policy.after_change else 0
+        count = self.stations if self.live is None else self.live.since
+        self._wait = count + self._every if self._every else 0
 
     def accept(self) -> bool:
         """Trust the candidate; returns whether there was one."""
-        if self.candidate is None:
-            return False
-        self.trust(self.candidate)
-        return True
+        if (candidate := self.candidate) is not None:
+            self.trust(candidate)
+        return candidate is not None
 
     def trust(self, calibration: Calibration) -> None:
         """Trust this calibration, and watch it from now on."""

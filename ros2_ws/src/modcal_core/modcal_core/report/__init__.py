@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_core.report.articulation import URDF, Articulation, articulation_report
     from modcal_core.report.as_json import to_json_data
-    from modcal_core.report.blocks import Summary, SummaryLine, Table, Tone, VerbResult, explained
+    from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, Tone, VerbResult, explained
     from modcal_core.report.camera import camera_report
     from modcal_core.report.camera_page import camera_certificate, camera_tolerance
     from modcal_core.report.certificates import Hashes, certificate, certificate_html, is_made_from
@@ -26,7 +26,7 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["REMEDY", "STATUS_WORDS", "URDF", "Articulation", "Hashes", "History", "HistoryEntry", "LimitsFound"]
-__all__ += ["Particulars", "Report", "Side", "Summary", "SummaryLine", "Table", "Tone", "VerbResult"]
+__all__ += ["Particulars", "Report", "Side", "Summary", "SummaryLine", "TableBlock", "Tone", "VerbResult"]
 __all__ += ["articulation_report", "calibration_files", "camera_certificate", "camera_report", "camera_tolerance"]
 __all__ += ["certificate", "certificate_html", "checkup_data", "checkup_report", "compare", "csv_text", "explained"]
 __all__ += ["history_report", "is_made_from", "kinematics_text", "limits_report", "plan_report", "report_files"]

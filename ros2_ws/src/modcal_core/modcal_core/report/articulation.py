@@ -11,10 +11,11 @@ from modcal_core.articulation import Choice, JointFit, JointModel, Track, descri
 from modcal_core.files import to_json
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import spread_rows
-from modcal_core.report.blocks import Block, Figures, Paragraph, Scene3D, Section, SideBySide, Table, VerbResult
+from modcal_core.report.blocks import Block, Figures, Paragraph, Scene3D, Section, TableBlock, VerbResult
 from modcal_core.report.charts import Axis, Chart
 from modcal_core.report.figures import MAX_POINTS, mark_components, residual_panel
 from modcal_core.report.page import Page, Quantity, in_units, quantity_tables
+from modcal_core.report.words import STATISTICS
 
 _MAX_SEEN, _MAX_PLACES = 400, 61  # that a page can show and a person look through
 _BEYOND = 0.15  # of the path's size, by which the axis goes on beyond what turns about it
@@ -185,8 +186,8 @@ def _page(found: Articulation, data: dict[str, Any]) -> str:
     kind = data["kind"] if data["kind"] == data["best"] else f"{data['kind']}; the best is {data['best']}"
     blocks: list[Block] = [
         Paragraph(said, soft=True),
-        Section("kind", "Joint type", [Table("Probabilities", ("kind", "probability"), kinds)]),
-        Section("joint", f"The joint: {kind}", [SideBySide(quantity_tables(_quantities(data)))]),
+        Section("kind", "Joint type", [TableBlock("Probabilities", ("kind", "probability"), kinds)]),
+        Section("joint", f"The joint: {kind}", quantity_tables(_quantities(data))),
         Section("object", "The object in three dimensions", [drawn]),
         Section("path", "Residual along the path", [Figures([_residual(found, data)])]),
     ]
@@ -222,7 +223,8 @@ def _quantities(data: dict[str, Any]) -> list[Quantity]:
     for name, known in joint.get("parameters", {}).items():
         out.append((name.replace("_", " "), known["value"], known["std"], known["unit"]))
     out.append(("motion that was seen", seen["upper"] - seen["lower"], None, seen["unit"]))
-    out += [(f"residual, {key}", 1e-3 * data["residual_mm"][key.lower()], None, "m") for key in ("RMS", "p95")]
+    for key in ("rms", "p95"):
+        out.append((f"residual, {STATISTICS[key]}", 1e-3 * data["residual_mm"][key], None, "m"))
     if data["residual_deg"] is not None:
         out.append(("residual of the rotation, RMS", np.radians(data["residual_deg"]["rms"]), None, "rad"))
     degrees = float(np.degrees(1.0))

@@ -1,7 +1,7 @@
 """What verbs say, as data: sentences, tables, charts, files. Terminals and pages show the same kinds of values.
 
-On a terminal stand :class:`SummaryLine` and :class:`Table`. A page is a list of tables and the others; the template
-``page.html.j2`` knows how each of them looks.
+On a terminal stand :class:`SummaryLine` and :class:`TableBlock`. A page is a list of tables and the others; the
+template ``page.html.j2`` knows how each of them looks.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class SummaryLine:
 
 
 @dataclass(frozen=True)
-class Table:
+class TableBlock:
     """A table. words: how many columns, from the left, hold words; the others hold numbers. below: a sentence under it.
     strong: a column in bold. heading: whether its title stands over it, on a terminal in the place of the first name.
     """
@@ -55,7 +55,7 @@ class Table:
         return (self.title, *self.header[1:]) if self.heading else self.header
 
 
-Summary = SummaryLine | Table
+Summary = SummaryLine | TableBlock
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def legend(meanings: Mapping[str, str]) -> SummaryLine:
 def explained(columns: Mapping[str, str], rows: Sequence[tuple[str, ...]], words: int = 1) -> list[Summary]:
     """A table, and below it what its headings mean. columns: headings with their meanings, empty where they say it."""
     meanings = [SummaryLine(f"  {name}: {meaning}", "legend") for name, meaning in columns.items() if meaning]
-    return [Table("", tuple(columns), tuple(rows), words), *meanings]
+    return [TableBlock("", tuple(columns), tuple(rows), words), *meanings]
 
 
 def text(blocks: Sequence[str | Summary]) -> str:
@@ -91,7 +91,7 @@ def text(blocks: Sequence[str | Summary]) -> str:
     return "\n".join(lines)
 
 
-def _laid_out(grid: Table) -> list[str]:
+def _laid_out(grid: TableBlock) -> list[str]:
     wide = [max(map(len, column)) for column in zip(grid.top, *grid.rows, strict=True)]
     return [
         "  ".join(
@@ -119,13 +119,6 @@ class Listing:
     lines: Sequence[str]
     tone: str = ""
     label: str = ""
-
-
-@dataclass(frozen=True)
-class SideBySide:
-    """Small tables side by side."""
-
-    tables: Sequence[Table]
 
 
 @dataclass(frozen=True)
@@ -264,6 +257,6 @@ class Section:
 
 
 Block = (
-    Paragraph | Listing | Table | SideBySide | HeatTable | Tiles | Facts | Signatures | Figures | FileList | Fold
+    Paragraph | Listing | TableBlock | HeatTable | Tiles | Facts | Signatures | Figures | FileList | Fold
     | Section | Scene3D
 )  # fmt: skip

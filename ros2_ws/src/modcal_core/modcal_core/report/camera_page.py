@@ -19,7 +19,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.outcome import Trace, counted
-from modcal_core.report.blocks import Block, Figures, Fold, Listing, Section, Table, tone_of
+from modcal_core.report.blocks import Block, Figures, Fold, Listing, Section, TableBlock, tone_of
 from modcal_core.report.certificates import MAX_REASONS, Certificate, Hashes, box_in_words
 from modcal_core.report.charts import AFTER, Axis, Chart, Panel
 from modcal_core.report.page import Page, files_section, parameter_tables, quantity_tables, size_tables
@@ -94,7 +94,7 @@ def _tool_errors(data: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]
     return [(words, sizes[place]) for place, words in _PLACES.items() if sizes.get(place)]
 
 
-def _tables(data: Mapping[str, Any]) -> list[Table]:
+def _tables(data: Mapping[str, Any]) -> list[TableBlock]:
     """The error at the tool first, then effects, the lens, and the sheet; a table has one unit."""
     camera = data["camera"]
     rows = []
@@ -102,7 +102,7 @@ def _tables(data: Mapping[str, Any]) -> list[Table]:
         for arm in ("nominal", "calibrated"):
             size = sizes[arm]
             rows.append((f"{arm} arm, {words}", f"{size['rms']:.2f}", f"{size['low95']:.2f} … {size['high95']:.2f}"))
-    tables = [Table("Error at the tool, mm", ("arm", "RMS, mm", "95 % interval, mm"), tuple(rows))]
+    tables = [TableBlock("Error at the tool, mm", ("arm", "RMS, mm", "95 % interval, mm"), tuple(rows))]
     if effects := data["effects"]:
         found = tuple(
             (
@@ -115,17 +115,17 @@ def _tables(data: Mapping[str, Any]) -> list[Table]:
         )
         columns = ("effect", "driver", "moves the tool by, mm", "p")
         below = "p is the chance that noise would look as good."
-        tables += [Table("Unmodelled effects", columns, found, words=2, below=below), *size_tables(effects)]
+        tables += [TableBlock("Unmodelled effects", columns, found, words=2, below=below), *size_tables(effects)]
     worth = tuple((one["what"], f"{one['value']:.3f}") for one in camera.get("account_mm2", ()))
     if worth:
         below = "By how much the mean square error at the tool would fall, were this known exactly."
-        tables.append(Table("What knowing more would be worth, mm²", ("known", "mm²"), worth, below=below))
+        tables.append(TableBlock("What knowing more would be worth, mm²", ("known", "mm²"), worth, below=below))
     if body := camera.get("body"):
         off = tuple(
             (f"{m['id']}", f"{np.linalg.norm(m['offset_mm']):.2f}", f"{m['std_mm']:.2f}") for m in body["markers"]
         )
         header = ("marker", "from its place on the drawing, mm", "± one standard deviation, mm")
-        tables.append(Table("Markers on the body, mm", header, off))
+        tables.append(TableBlock("Markers on the body, mm", header, off))
     pixels = ("fx", "fy", "cx", "cy")
     lens = [(k, v["value"], v["std"], "px" if k in pixels else "1") for k, v in camera["lens"].items()]
     titles = {"In px": "Lens, px"}

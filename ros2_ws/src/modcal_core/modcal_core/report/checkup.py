@@ -11,7 +11,7 @@ from modcal_core.checkup import Checked
 from modcal_core.files import to_json
 from modcal_core.moves import NamedChange, SizeFound
 from modcal_core.report.as_json import claim_data, finite, tolerance_data
-from modcal_core.report.blocks import Figures, Listing, Section, Summary, SummaryLine, Table, VerbResult, tone_of
+from modcal_core.report.blocks import Figures, Listing, Section, Summary, SummaryLine, TableBlock, VerbResult, tone_of
 from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel
 from modcal_core.report.page import Page, files_section
 from modcal_core.report.tables import csv_text, stations_table
@@ -149,30 +149,32 @@ def _rarely(chance: float) -> str:
     return f"one in {1.0 / max(chance, 1e-12):,.0f}".replace(",", " ") if chance > 1e-12 else "one in 10¹²"
 
 
-def _seen(found: Checked) -> list[Table]:
+def _seen(found: Checked) -> list[TableBlock]:
     """The errors, and what changed."""
     title = f"Error at {found.stations} stations"
-    out = [Table(title, ("model", "RMS mm", "RMS deg"), _errors(found), heading=True)]
+    out = [TableBlock(title, ("model", "RMS mm", "RMS deg"), _errors(found), heading=True)]
     if rows := tuple(_row(c, s) for c in found.changes for s in c.sizes):
         below = "Of a base: in the frame of the first joint. Of a tool: in its own."
-        out.append(Table("What changed", _SIZES, rows, 2, below, heading=True))
+        out.append(TableBlock("What changed", _SIZES, rows, 2, below, heading=True))
     return out
 
 
-def _tables(found: Checked) -> tuple[Table, ...]:
+def _tables(found: Checked) -> tuple[TableBlock, ...]:
     out = _seen(found)
     if found.changes:
         rivals = tuple(
             (c.label, ", ".join(c.same_as) or "none", c.alike, f"{100.0 * c.probability:.1f} %") for c in found.changes
         )
         columns = ("named", "explains these stations as well", "the same at every posture", "probability")
-        out.append(Table("What it may as well be", columns, rivals, 3, heading=True))
+        out.append(TableBlock("What it may as well be", columns, rivals, 3, heading=True))
     if len(found.advice.stations):
         out.append(stations_table("Stations to add", found.joints, np.asarray(found.advice.stations)))
     noticed = tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm))
     if noticed:
         below = f"RMS at the tool over these stations, of the direction that shows least.{_not_shown(found)}"
-        out.append(Table("Noticed in 95 of 100 such checks", ("change", "RMS, mm"), noticed, below=below, heading=True))
+        out.append(
+            TableBlock("Noticed in 95 of 100 such checks", ("change", "RMS, mm"), noticed, below=below, heading=True)
+        )
     return tuple(out)
 
 

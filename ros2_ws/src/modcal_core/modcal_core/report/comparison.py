@@ -15,7 +15,7 @@ from modcal_core.errors import BadRobot, NotEnoughData
 from modcal_core.files import to_json
 from modcal_core.outcome import ToolDifference, tool_difference
 from modcal_core.report.as_json import sizes_to_json
-from modcal_core.report.blocks import Summary, SummaryLine, Table, VerbResult, legend, tone_of
+from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, VerbResult, legend, tone_of
 from modcal_core.report.page import scaled
 
 _TAIL = 0.05  # of differences that are taken for real while there is none, all parameters together
@@ -256,7 +256,7 @@ def _summary(data: Mapping[str, Any]) -> list[Summary]:
         numbers = [f"{e[k]:.3f}" if k in e else "" for k in ("mean", "rms", "p95", "max")]
         rows.append((side["name"], *numbers, side["status"] or "", side["tolerance"] or ""))
     header = ("error on scored stations", "mean mm", "RMS mm", "95 % mm", "max mm", "status", "tolerance")
-    out: list[Summary] = [Table("", header, tuple(rows))]
+    out: list[Summary] = [TableBlock("", header, tuple(rows))]
     units: dict[str, list[dict[str, Any]]] = {"m": [], "rad": []}  # a table never mixes two units
     for row in data["parameters"]:
         if not row["name"].startswith(_SET_UP):
@@ -265,14 +265,14 @@ def _summary(data: Mapping[str, Any]) -> list[Summary]:
         unit, factor = scaled(si)
         head = (f"parameters, {unit}", *names, "difference", "95 % interval", "shown")
         if part:
-            out.append(Table("", head, tuple(_cells(p, factor) for p in sorted(part, key=_rank)[:_LARGEST])))
+            out.append(TableBlock("", head, tuple(_cells(p, factor) for p in sorted(part, key=_rank)[:_LARGEST])))
         if len(part) > _LARGEST:
             out.append(SummaryLine(f"{len(part) - _LARGEST} more are in comparison.json."))
     if any(units.values()):
         out.append(legend(_LEGEND))
     if data["effects"]:
         rows = [(e["effect"], *("no" if e[s] is None else "yes" for s in ("first", "second"))) for e in data["effects"]]
-        out.append(Table("", ("effect", *names), tuple(rows)))
+        out.append(TableBlock("", ("effect", *names), tuple(rows)))
     out += [SummaryLine(note, "doubt") for note in data["notes"]]
     return [*out, SummaryLine(data["verdict"], tone_of(data["result"]))]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from modcal_core.checking import Series
 from modcal_core.files import to_json
-from modcal_core.report.blocks import Summary, SummaryLine, Table, VerbResult
+from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, VerbResult
 
 _MAX_SAID = 90  # characters of a verdict in a table
 
@@ -71,14 +71,14 @@ def _series(s: Series) -> dict[str, Any]:
 def _shown(h: History) -> list[Summary]:
     """What a terminal shows of a robot."""
     rows = tuple((e.name, e.what, (e.date or "")[:10], _short(e.said)) for e in h.entries)
-    out: list[Summary] = [Table("", (f"robot {h.robot}", "what", "date", "verdict"), rows, words=4)]
+    out: list[Summary] = [TableBlock("", (f"robot {h.robot}", "what", "date", "verdict"), rows, words=4)]
     growing = tuple(
         (s.name, f"{s.points[0].value:.4g}", f"{s.points[-1].value:.4g}", f"{t.low:+.3g} … {t.high:+.3g}", s.unit)
         for s in h.series
         if (t := s.trend) is not None
     )
     if growing:
-        out.append(Table("", ("grows or falls", "first", "last", "95 % of the change", "unit"), growing))
+        out.append(TableBlock("", ("grows or falls", "first", "last", "95 % of the change", "unit"), growing))
     out += [SummaryLine(note, "doubt") for note in h.notes]
     return [*out, SummaryLine(h.sentence, "warn" if growing else "good")]
 

@@ -22,8 +22,7 @@ from modcal_core.report.blocks import (
     Listing,
     Paragraph,
     Section,
-    SideBySide,
-    Table,
+    TableBlock,
     Tiles,
     tone_of,
 )
@@ -149,7 +148,7 @@ class _Sections:
         ]
         out: list[Block] = [
             Paragraph(self.report.claim.sentence),
-            Table("The claim", (f"over the {mm['over']}", *STATISTICS.values()), tuple(rows)),
+            TableBlock("The claim", (f"over the {mm['over']}", *STATISTICS.values()), tuple(rows)),
         ]
         if mm["open"]:
             shown, held = f"{mm['shown_mm']:.3f} mm", f"{mm['unshown_mm']:.3f} mm"
@@ -181,7 +180,7 @@ class _Sections:
                 rows += [(o.joint, f"{factor * o.value:+.4f}", ends)] if o.turning == turning else []
             if rows:
                 header = ("joint", f"offset, {unit}", f"95 % interval, {unit}")
-                out.append(Table(title, header, tuple(rows), strong=1))
+                out.append(TableBlock(title, header, tuple(rows), strong=1))
         return Section("offsets", "Joint offsets", out, "Joint offsets")
 
     def error(self) -> Section:
@@ -247,7 +246,7 @@ class _Sections:
         out: list[Block] = [effects_table(self.report)]
         if sizes := size_tables(effects):
             words = "Each ± one standard deviation; a table for each unit."
-            out += [Paragraph(words, "Their sizes.", soft=True), SideBySide(sizes)]
+            out += [Paragraph(words, "Their sizes.", soft=True), *sizes]
         for e in effects:
             if e["same_as"]:
                 words = f"cannot be distinguished from: {'; '.join(e['same_as'])}."
@@ -275,7 +274,7 @@ class _Sections:
         more = len(rows) - len(listed)
         below = f"And {more} more; all are in report.json." if more else ""
         header = ("station", "time, s", "error, mm", "times the usual")
-        table = Table("Rejected stations", header, tuple(listed), below=below)
+        table = TableBlock("Rejected stations", header, tuple(listed), below=below)
         return Section(
             "stations", "Stations", [*out, Paragraph(f"{said}{usual:.3f} mm.", soft=True), table], "Stations"
         )
@@ -321,7 +320,7 @@ class _Sections:
         for step in self.data["steps"] if before else ():
             rows.append((step["added"].replace(":", " of "), f"{step['rms_mm']:.3f}"))
         header = ("added", "RMS of what is left, mm")
-        return _section("steps", "What each step leaves", [Table("Steps", header, tuple(rows))] if rows else [])
+        return _section("steps", "What each step leaves", [TableBlock("Steps", header, tuple(rows))] if rows else [])
 
     def evidence(self) -> Section | None:
         """Maps of the first and the last scan, with the same columns: the drivers that explain most in either."""
@@ -365,7 +364,7 @@ class _Sections:
             for d in self.data["known_distances"]
         )
         header = ("between", "stated, mm", "misfit of the fit, mm", "by the readings alone, mm")
-        return _section("distances", "Known distances", [Table("Known distances", header, rows)] if rows else [])
+        return _section("distances", "Known distances", [TableBlock("Known distances", header, rows)] if rows else [])
 
     def identifiability(self) -> Section | None:
         """What the stations determine."""

@@ -12,7 +12,7 @@ import numpy as np
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.outcome import counted
-from modcal_core.report.blocks import Listing, Section, Summary, SummaryLine, Table, VerbResult
+from modcal_core.report.blocks import Listing, Section, Summary, SummaryLine, TableBlock, VerbResult
 from modcal_core.report.page import Page, files_section
 from modcal_core.report.scene import ShownPostures
 from modcal_core.report.tables import csv_text
@@ -183,7 +183,7 @@ def limits_report(found: LimitsFound, title: str, notes: Sequence[str] = ()) -> 
     return VerbResult(data, shown, {**files, "report.html": page}, "Limits", "limits.json")
 
 
-def _tables(found: LimitsFound) -> tuple[Table, ...]:
+def _tables(found: LimitsFound) -> tuple[TableBlock, ...]:
     """Accelerations and holding torques, separate for revolute and prismatic joints."""
     chain, drives = found.arm.chain, found.arm.drives
     bounds = (found.window.equivalent(), found.coupled)
@@ -202,8 +202,8 @@ def _tables(found: LimitsFound) -> tuple[Table, ...]:
         if allowed:
             names = ("joint", "alone", "together", "for all postures")
             title = f"Acceleration of {kind} joints, {unit}"
-            out.append(Table(title, names, tuple(allowed), heading=True))
-            out.append(Table(f"Load of {kind} joints", header, tuple(loads), heading=True))
+            out.append(TableBlock(title, names, tuple(allowed), heading=True))
+            out.append(TableBlock(f"Load of {kind} joints", header, tuple(loads), heading=True))
     return tuple(out)
 
 

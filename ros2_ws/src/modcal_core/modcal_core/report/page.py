@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.report.blocks import Block, File, FileList, Fold, Paragraph, Scene3D, Section, Table
+from modcal_core.report.blocks import Block, File, FileList, Fold, Paragraph, Scene3D, Section, TableBlock
 from modcal_core.report.charts import DARK, LIGHT
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def number(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}g}".replace("-", "−")
 
 
-def quantity_tables(quantities: Iterable[Quantity], what: str = "quantity") -> list[Table]:
+def quantity_tables(quantities: Iterable[Quantity], what: str = "quantity") -> list[TableBlock]:
     """Values and standard deviations as they are read, a table for each unit. what: a word for the names."""
     found: dict[str, list[Quantity]] = {}
     for one in quantities:
@@ -167,7 +167,7 @@ def quantity_tables(quantities: Iterable[Quantity], what: str = "quantity") -> l
         columns = 3 if any(row[2] for row in rows) else 2
         cells = tuple(row[:columns] for row in rows)
         title = f"{_TITLES[unit]}{end}" if unit in _TITLES else f"In {unit}"
-        out.append(Table(title, tuple(header[:columns]), cells))
+        out.append(TableBlock(title, tuple(header[:columns]), cells))
     return out
 
 
@@ -180,7 +180,7 @@ def in_units(rows: Iterable[Quantity]) -> list[Quantity]:
     return out
 
 
-def size_tables(effects: Sequence[Mapping[str, Any]]) -> list[Table]:
+def size_tables(effects: Sequence[Mapping[str, Any]]) -> list[TableBlock]:
     """Sizes of effects as ``report.json`` has them; of effects with one name the later ones are numbered."""
     names = [f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}" for e in effects]
     found = []

@@ -16,7 +16,7 @@ from modcal_core.report.blocks import (
     Scene3D,
     Section,
     SummaryLine,
-    Table,
+    TableBlock,
     VerbResult,
     explained,
     legend,
@@ -176,7 +176,7 @@ def sensitivity_report(study: Study, title: str) -> VerbResult:
         "single_point.csv": csv_text([*study.closed.chain.names, *study.indices.names], single, ".9g"),
     }
     meanings = legend({name: meaning for name, meaning in COLUMNS.items() if meaning}).text.strip()
-    every = Table("All parameters", tuple(COLUMNS), tuple(rows), below=meanings)
+    every = TableBlock("All parameters", tuple(COLUMNS), tuple(rows), below=meanings)
     strongest: list[Block] = [*_tables(study), Figures([_gain(study)])]
     blocks: list[Block | None] = [
         Listing(sentences[1:]),
@@ -190,7 +190,7 @@ def sensitivity_report(study: Study, title: str) -> VerbResult:
     return VerbResult(data, said, {**files, "report.html": page})
 
 
-def _tables(study: Study) -> tuple[Table, ...]:
+def _tables(study: Study) -> tuple[TableBlock, ...]:
     """Strongest parameters, lengths and angles separate, with what each adds to the error."""
     joint, out = study.joint, []
     order = [int(k) for k in np.argsort(-joint.before.share, kind="stable")]
@@ -208,7 +208,7 @@ def _tables(study: Study) -> tuple[Table, ...]:
         header = ("parameter", "share of the squared error", "observed by the stations", f"assumed error, {unit}")
         below = "" if len(rows) <= _LISTED else f"{len(rows) - _LISTED} weaker ones are in the part for experts."
         if rows:
-            out.append(Table(title, header, tuple(rows[:_LISTED]), below=below, heading=True))
+            out.append(TableBlock(title, header, tuple(rows[:_LISTED]), below=below, heading=True))
     return tuple(out)
 
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from modcal_core.robots.acceleration import LoadedArm, require_method
     from modcal_core.robots.makers import NO_HASH, from_ur_kinematics, kinematics_yaml_data, lacks_hash
     from modcal_core.robots.mechanism import Mechanism, followers_of, forward, gravity_wrench, is_delta, is_serial_arm
-    from modcal_core.robots.mechanism import offset_wrench, passable, payload_wrench, random_postures, takes
-    from modcal_core.robots.mechanism import tool_frames
+    from modcal_core.robots.mechanism import joint_ranges, offset_wrench, passable, payload_wrench, random_postures
+    from modcal_core.robots.mechanism import takes, tool_frames
     from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_cpc, from_csv, from_table, from_ur_conf
     from modcal_core.robots.tables import loss, nearest_dh, to_cpc, to_csv, to_table
     from modcal_core.robots.urdf import joint_origins, other_tips, read_chain, read_path
@@ -44,8 +44,8 @@ __all__ += ["Inertias", "JointColumns", "JointPath", "LoadedArm", "Mechanism", "
 __all__ += ["Tree", "Weighed", "Window", "bias_torque", "body_jacobian", "calibrated_urdf", "chain_forward"]
 __all__ += ["chain_gravity_wrench", "chain_urdf", "collision_shapes", "constant_bounds", "delta_from_data"]
 __all__ += ["delta_inverse", "delta_to_data", "equivalent_inertia", "followers_of", "forward", "frames", "from_cpc"]
-__all__ += ["from_csv", "from_dh", "from_table", "from_ur_conf", "from_ur_kinematics", "gravity_wrench"]
-__all__ += ["held_behind", "inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element", "joint_origins"]
+__all__ += ["from_csv", "from_dh", "from_table", "from_ur_conf", "from_ur_kinematics", "gravity_wrench", "held_behind"]
+__all__ += ["inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element", "joint_origins", "joint_ranges"]
 __all__ += ["kinematics_yaml_data", "lacks_hash", "loss", "mass_matrix", "motion", "moved_centres", "nearest_dh"]
 __all__ += ["number", "offset_wrench", "origin_element", "other_tips", "parse", "passable", "payload_wrench", "plain"]
 __all__ += ["pose_and_jacobian", "position_jacobians", "random_postures", "reachable", "read_chain", "read_drives"]

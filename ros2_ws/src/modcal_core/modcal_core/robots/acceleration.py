@@ -48,7 +48,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot, Overloaded
-from modcal_core.geometry import Array, so3
+from modcal_core.geometry import Array, sealed, so3
 from modcal_core.robots.bodies import STANDARD_GRAVITY, Bodies, Payload, beyond, with_payload
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
@@ -144,9 +144,8 @@ class Drives:
             if not np.isfinite(value) or value < 0.0 or (value == 0.0 and least == "above 0"):
                 raise BadRobot(f"{what} of joint {name}", f"is {value:g}, not a number {least}", "correct it")
             new[self.names.index(name)] = value
-        new.flags.writeable = False
         changed: dict[str, Any] = {what: new}
-        return replace(self, **changed)
+        return sealed(replace(self, **changed))
 
     def require_torque(self) -> None:
         """Raises BadRobot for a joint whose largest torque nobody says."""
@@ -167,9 +166,7 @@ def read_drives(urdf_xml: str, chain: Chain) -> Drives:
         what: np.array([_number(drive.get(key), none, name, key) for name, drive in stated.items()])
         for what, (key, none) in _STATED.items()
     }
-    for array in (*columns.values(), rotor := np.zeros(chain.n)):
-        array.flags.writeable = False
-    return Drives(chain.names, **columns, rotor=rotor)
+    return sealed(Drives(chain.names, **columns, rotor=np.zeros(chain.n)))
 
 
 def _number(text: str | None, none: float, joint: str, attribute: str) -> float:

@@ -33,8 +33,6 @@ _MAX_STEPS = 100  # accepted or not
 _MAX_REFUSED = 6  # steps in a row that made it worse
 LONGEST = 0.6  # rad or m, of one joint in one step
 DAMPING = 1e-3  # times the squared error
-_FREE_TURN = np.pi  # rad; where a joint has no limits, others are tried this far about zero
-_FREE_SLIDE = 0.5  # m
 
 
 def inverse(
@@ -60,7 +58,7 @@ def inverse(
     tried = 0
     while not found.met and rng is not None and tried < restarts:
         count = min(max(_FIRST_RESTARTS, tried), restarts - tried)
-        others = inverse_batch(chain, goal, _anywhere(chain, count, rng), mask, tolerance)
+        others = inverse_batch(chain, goal, chain.drawn(count, rng), mask, tolerance)
         both = (np.concatenate([a[None], b]) for a, b in zip(found, others, strict=True))
         found, tried = InverseResult(*both).best(), tried + count
     if found.met:
@@ -75,16 +73,6 @@ def inverse(
         rotation,
         found.q,
     )
-
-
-def _anywhere(chain: Chain, count: int, rng: np.random.Generator) -> Array:
-    """Random postures (count, n) within the limits."""
-    span = np.where(chain.revolute, _FREE_TURN, _FREE_SLIDE)
-    low = np.maximum(chain.lower, np.where(np.isfinite(chain.upper), chain.upper - 2.0 * span, -span))
-    high = np.minimum(chain.upper, np.where(np.isfinite(chain.lower), chain.lower + 2.0 * span, span))
-    middle = 0.5 * (np.maximum(chain.lower, -span) + np.minimum(chain.upper, span))
-    low, high = np.where(low < high, low, middle), np.where(low < high, high, middle)
-    return rng.uniform(low, high, (count, chain.n))
 
 
 def _unwound(chain: Chain, q: Array, seed: Array) -> Array:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -142,7 +141,7 @@ def _as_laid_out(chain: Chain, made: Chain) -> dict[str, Array]:
 
     The axes at zero are compared as lines, and the frames of made are put onto those of the chain.
     """
-    at_zero, frames = _at_zero(chain), _at_zero(made)
+    at_zero, frames = chain.T_base_joint_home, made.T_base_joint_home
     axes = np.einsum("kij,kj->ki", at_zero[:-1, :3, :3], chain.axes)
     R = np.rint(so3.nearest_rotation(frames[:-1, :3, 2].T @ axes))  # layouts differ by right angles
     axes, points, tip = axes @ R.T, at_zero[:-1, :3, 3] @ R.T, se3.transform(R) @ at_zero[-1]
@@ -178,11 +177,6 @@ def _behind_the_half_turn(origins: Mapping[str, Array]) -> dict[str, Array]:
 def _near(F: Array, T: Array) -> bool:
     gap = se3.log(se3.inverse(F) @ T)
     return bool(1e3 * np.linalg.norm(gap[:3]) <= _FAR_MM and np.degrees(np.linalg.norm(gap[3:])) <= _FAR_DEG)
-
-
-def _at_zero(chain: Chain) -> Array:
-    """The joints' frames and the tip's in the base while all joints stand at zero, (n + 1, 4, 4)."""
-    return np.stack(list(accumulate(chain.origins, np.matmul)))
 
 
 def _filled_in(factory: Any, found: Mapping[str, Any], where: str) -> dict[str, Any]:

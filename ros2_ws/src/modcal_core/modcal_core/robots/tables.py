@@ -169,8 +169,6 @@ def _longest(chain: Chain) -> float:
 CONVENTIONS = ("cpc", "dh", "mdh")
 EXACT = 1e-10  # m, and entries of rotations, by which an exported table may be off
 _POSTURES = 64
-_SPAN = 3.0  # rad
-_SLIDE = 0.5  # m
 
 
 def to_table(chain: Chain, convention: str, largest_offset: float = 10.0) -> dict[str, Any]:
@@ -190,7 +188,7 @@ def to_table(chain: Chain, convention: str, largest_offset: float = 10.0) -> dic
 
 def loss(chain: Chain, table: dict[str, Any]) -> float:
     """The largest difference [m, and of rotations] of the tip's pose between a chain and its table, over postures."""
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, (_POSTURES, chain.n)) * np.where(chain.revolute, _SPAN, _SLIDE)
+    q = chain.drawn(_POSTURES, np.random.default_rng(0))
     again = _READERS[table["convention"]](table)
     return float(np.abs(chain_forward(again, q) - chain_forward(chain, q)).max())
 
@@ -248,7 +246,7 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
         if key in _TEXTS:
             table[key] = value
         elif key in _POSES:
-            numbers = _numbers(value, 6, f"{source}, {key}")
+            numbers = [_value(word) for word in value.split()]
             table[key] = {"xyz": numbers[:3], "rpy": numbers[3:]}
         elif key == _UNIT:
             if value not in UNITS:
@@ -263,16 +261,13 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
         raise BadTable(source, said, f"begin with a line such as '# convention: dh' ({', '.join(_COLUMNS)})")
     rows = csv.reader(lines, delimiter=";" if lines and ";" in lines[0] and "," not in lines[0] else ",")
     header = [_ALSO_CALLED.get(cell.strip(), cell.strip()) for cell in next(rows, [])]
-    allowed = {"name", "type", *_COLUMNS[convention], "lower", "upper"}
-    if not header or not set(header) <= allowed or len(set(header)) < len(header):
-        odd = next((c for c in header if c not in allowed), next((c for c in header if header.count(c) > 1), ""))
-        said = f"column '{odd}' is not one of a {convention} table" if odd not in allowed else f"has '{odd}' twice"
-        said = said if header else "has no columns"
-        raise BadTable(source, said, f"write {','.join(('name', 'type', *_COLUMNS[convention], 'lower', 'upper'))}")
+    if len(set(header)) < len(header):
+        raise BadTable(source, f"has a column twice: {', '.join(header)}", "leave one of them out")
     table["joints"] = [_joint(row, header, f"{source}, joint {i + 1}") for i, row in enumerate(rows) if any(row)]
     for joint in table["joints"]:
         if joint.get("name", "").isdigit():
             joint["name"] = f"joint_{joint['name']}"
+    _READERS[convention](table)  # what is no number is refused before it is scaled
     found = _scaled(table, *(1.0 / factor for factor in UNITS[unit]))
     _require_units(table["joints"], _READERS[convention](found), unit, source)
     return found
@@ -318,27 +313,18 @@ def _joint(row: list[str], header: list[str], where: str) -> dict[str, Any]:
     if len(row) != len(header):
         raise BadTable(where, f"has {len(row)} cells, the header {len(header)}", "correct the line")
     cells = {key: cell.strip() for key, cell in zip(header, row, strict=True) if cell.strip()}
-    out: dict[str, Any] = {key: cells.pop(key) for key in ("name", "type") if key in cells}
-    if "reversed" in cells:
-        said = cells.pop("reversed").lower()
-        if said not in ("true", "false"):
-            raise BadTable(f"{where}: reversed", f"is '{said}'", "write true or false")
-        out["reversed"] = said == "true"
+    out: dict[str, Any] = {key: cell if key in ("name", "type") else _value(cell) for key, cell in cells.items()}
     for key, names in _VECTORS.items():
-        if any(name in cells for name in names):
-            out[key] = _numbers(" ".join(cells.pop(name, "?") for name in names), 3, f"{where}: {key}")
-    out.update({key: _numbers(cell, 1, f"{where}: {key}")[0] for key, cell in cells.items()})
+        if any(name in out for name in names):
+            out[key] = [out.pop(name, "") for name in names]
     return out
 
 
-def _numbers(text: str, count: int, where: str) -> list[float]:
+def _value(cell: str) -> float | bool | str:
     try:
-        out = [float(word) for word in text.split()]
+        return float(cell)
     except ValueError:
-        out = []
-    if len(out) != count:
-        raise BadTable(where, f"needs {count} number{'s' * (count > 1)}, has '{text}'", "correct the table")
-    return out
+        return {"true": True, "false": False}.get(cell.lower(), cell)
 
 
 def _cell(value: Any) -> str:
@@ -360,7 +346,6 @@ _ITERATIONS = 10
 # Combinations of numbers that move the tip less than this, relative to the strongest, stay: the offsets along two axes
 # that are a few mrad from parallel differ by that much only, and would be moved by metres to gain nothing.
 _WEAKEST = 0.01
-_TURN = np.pi  # rad; range of a joint without limits
 
 
 @dataclass(frozen=True)
@@ -390,7 +375,7 @@ def nearest_dh(chain: Chain, convention: str = "dh", largest_offset: float = 10.
     snapped = replace(chain, origins=constants, axes=np.tile([0.0, 0.0, 1.0], (chain.n, 1)))
     table = (to_dh if convention == "dh" else to_mdh)(snapped, largest_offset)
     rng = np.random.default_rng(0)
-    fitted, checked = _postures(chain, _FITTED, rng), _postures(chain, _CHECKED, rng)
+    fitted, checked = chain.drawn(_FITTED, rng), chain.drawn(_CHECKED, rng)
     table = _fit(table, fitted, chain_forward(chain, fitted))
     off = _off(table, checked, chain_forward(chain, checked))
     distance, angle = np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1) / _LEVER
@@ -417,14 +402,6 @@ def _made_parallel(chain: Chain) -> tuple[Array, list[int]]:
             constants[k][:3, :3] = so3.exp(turn / sine * np.arcsin(sine)) @ constants[k][:3, :3]
         pairs.append(k)
     return constants, pairs
-
-
-def _postures(chain: Chain, count: int, rng: np.random.Generator) -> Array:
-    """Postures (count, n) within the limits, and within a turn where there are none."""
-    span = np.where(chain.revolute, _TURN, _SLIDE)
-    lower, upper = np.maximum(chain.lower, -span), np.minimum(chain.upper, span)
-    out: Array = rng.uniform(np.minimum(lower, upper), np.maximum(lower, upper), (count, chain.n))
-    return out
 
 
 def _fit(table: Mapping[str, Any], q: Array, T: Array) -> dict[str, Any]:

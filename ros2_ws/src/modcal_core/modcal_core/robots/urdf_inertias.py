@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.geometry import Array, se3
+from modcal_core.geometry import Array, se3, sealed
 from modcal_core.robots.chain import Chain
 
 if TYPE_CHECKING:
@@ -157,9 +157,7 @@ def read_inertias(urdf_xml: str, chain: Chain) -> Inertias:
         mass[k], com[k], inertia[k] = _lumped(bodies)
         moved = [(steps, own) for steps, own in bodies if own.mass > 0.0 and any(step.joint for step in steps)]
         hanging += [Hanging(k, steps, own.mass, own.centre) for steps, own in moved]
-    for array in (mass, com, inertia):
-        array.flags.writeable = False
-    return Inertias(mass, com, inertia, tuple(hanging), _down(tree, chain.base))
+    return sealed(Inertias(mass, com, inertia, tuple(hanging), _down(tree, chain.base)))
 
 
 _Body = tuple[tuple[CarryingJoint, ...], "Inertial"]  # the joints on the way to it, and what it weighs
@@ -205,6 +203,4 @@ def _down(tree: Tree, base: str) -> Array:
         joint = tree.above[link]
         R = _step(joint).motion(np.zeros(1))[0, :3, :3] @ R
         link = joint.parent
-    down = -R[2]
-    down.flags.writeable = False
-    return np.asarray(down)
+    return np.asarray(-R[2])

@@ -22,7 +22,7 @@ import numpy as np
 from lxml import etree
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, se3, sealed, so3
 
 # Moving joints that a chain may hold: True where the joint turns.
 TURNS = {"revolute": True, "continuous": True, "prismatic": False}
@@ -154,12 +154,8 @@ def parse(urdf_xml: str) -> Tree:
         ),
         *(f"Joint {j.name} has limits from {j.lower:g} to {j.upper:g}." for j in joints if not j.lower <= j.upper),
     )
-    tree = Tree(name, tuple(link for link, _ in links), joints, inertials, notes)
+    tree = sealed(Tree(name, tuple(link for link, _ in links), joints, inertials, notes))
     _check(tree)
-    for array in (a for joint in joints for a in (joint.T_parent_joint, joint.axis)):
-        array.flags.writeable = False
-    for array in (a for inertial in inertials.values() for a in (inertial.centre, inertial.inertia)):
-        array.flags.writeable = False
     return tree
 
 

@@ -9,7 +9,7 @@ import click
 
 from modcal_core.errors import about
 from modcal_core.measurements import Recording, efforts_at_rest
-from modcal_core.report import SummaryLine, Table
+from modcal_core.report import SummaryLine, TableBlock
 from modcal_core.robots import Chain, LoadedArm, Stands, Weighed, weigh
 from modcal_msgs_py import read_recording
 from modcal_nodes.cli.console import Output, speaking
@@ -77,14 +77,14 @@ def _data(found: Weighed, chain: Chain) -> dict[str, object]:
     }
 
 
-def _summary(found: Weighed, chain: Chain, alone: bool) -> list[SummaryLine | Table]:
+def _summary(found: Weighed, chain: Chain, alone: bool) -> list[SummaryLine | TableBlock]:
     std = found.std
     rows = [("mass", f"{found.mass:.3f} kg", f"{std[0]:.3f} kg")]
     rows += [
         (f"centre, {axis} of {chain.tip}", f"{1e3 * c:.1f} mm", f"{1e3 * s:.1f} mm")
         for axis, c, s in zip("xyz", found.centre, std[1:], strict=True)
     ]
-    out: list[SummaryLine | Table] = [Table("", ("payload", "value", "standard deviation"), tuple(rows))]
+    out: list[SummaryLine | TableBlock] = [TableBlock("", ("payload", "value", "standard deviation"), tuple(rows))]
     if found.mass < _SURE * std[0]:
         out.append(SummaryLine("The mass cannot be told from nothing: its centre says little.", "doubt"))
     if alone:

@@ -18,7 +18,7 @@ from modcal_core.articulation import FEWEST, Track, choose
 from modcal_core.errors import BadCommand, BadRobot
 from modcal_core.files import to_json, write_folder
 from modcal_core.geometry import Array, se3
-from modcal_core.report import Articulation, VerbResult, articulation_report
+from modcal_core.report import URDF, Articulation, VerbResult, articulation_report
 from modcal_core.robots import Chain, Inertias, chain_forward, read_chain, read_inertias
 from modcal_nodes.simulation.furniture import Furniture
 from modcal_nodes.simulation.mjcf import OBJECT, SECOND, TIMESTEP, Servo, furniture_mjcf
@@ -279,6 +279,8 @@ class PullRecord:
             "files": list(files),
         }
         write_folder(out, {**files, "pull.json": to_json(data)})
+        if URDF not in files:  # one of an earlier pull would tell of another joint
+            (out / URDF).unlink(missing_ok=True)
         return (outcome, *sentences)
 
     def _articulation(self, source: str) -> VerbResult | None:
