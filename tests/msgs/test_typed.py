@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -47,6 +48,7 @@ def test_a_type_that_is_known_by_its_class_has_the_hash_that_ros_gives_it(instal
         (Calibration(version=2), "has version 2, 1 is read"),
         (Calibration(values=[Parameter(name="a"), Parameter(name="a/b")]), "lies below a value"),
         (Calibration(values=[Parameter(name="[0]")]), "is a list"),
+        (SimpleNamespace(version=1, values=range(10**9)), "is the limit"),
     ],
 )
 def test_what_is_none_is_refused(message: Calibration, said: str) -> None:

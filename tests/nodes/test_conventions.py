@@ -176,6 +176,10 @@ def test_solving_nothing_is_refused_and_the_node_lives_on(tmp_path: Path) -> Non
     assert not (tmp_path / "out").exists()
 
 
+FILES = [("calibrator", "delta"), ("calibrator", "cell"), ("calibrator", "target"), ("corrector", "delta")]
+FILES += [("board_detector", "target"), ("trajectory_sender", "trajectory")]
+
+
 @pytest.mark.dds
 @pytest.mark.parametrize(
     ("name", "parameters", "said"),
@@ -191,6 +195,7 @@ def test_solving_nothing_is_refused_and_the_node_lives_on(tmp_path: Path) -> Non
         ),
         ("simulated_cell", {"joint_rate_hz": 1e9}, "joint_rate_hz"),
         ("corrector", {"calibration": "nowhere"}, "nowhere: does not exist"),
+        *((name, {file: "nowhere.yaml"}, "nowhere.yaml: ") for name, file in FILES),
         ("corrector", {"target": "elbow"}, "target 'elbow'"),
         (
             "acceleration_limits",
