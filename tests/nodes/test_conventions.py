@@ -195,7 +195,7 @@ FILES += [("board_detector", "target"), ("trajectory_sender", "trajectory")]
         ),
         ("simulated_cell", {"joint_rate_hz": 1e9}, "joint_rate_hz"),
         ("corrector", {"calibration": "nowhere"}, "nowhere: does not exist"),
-        *((name, {file: "nowhere.yaml"}, "nowhere.yaml: ") for name, file in FILES),
+        *((name, {file: "nowhere.yaml"}, "nowhere.yaml") for name, file in FILES),
         ("corrector", {"target": "elbow"}, "target 'elbow'"),
         (
             "acceleration_limits",
@@ -220,6 +220,12 @@ def test_wrong_parameters_end_a_node_with_one_line(
     assert "Traceback" not in process.output
     assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == ["taken"]
     assert not list((tmp_path / "taken").iterdir())
+
+
+@pytest.mark.dds
+def test_a_whole_number_is_taken_for_one_with_a_point() -> None:
+    with spun(Viewer, rate_hz=5) as pair:
+        assert pair.node.get_parameter("rate_hz").value == 5.0
 
 
 READERS = [AccelerationLimits, ArticulationEstimator, Calibrator, ImpedanceSetpoint, Viewer]
