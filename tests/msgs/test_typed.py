@@ -39,6 +39,7 @@ def test_a_type_that_is_known_by_its_class_has_the_hash_that_ros_gives_it(instal
         name = f"modcal_interfaces/msg/{kind.__name__}"
         assert learn(name, lambda n: getattr(import_module(n.replace("/", ".").rpartition(".")[0]), n.split("/")[-1]))
         told = json.loads((install / "modcal_interfaces/share" / f"{name}.json").read_text())
+        assert not learn(f"{name}Missing", lambda _: None)
         assert definition(name)[1] == told["type_hashes"][0]["hash_string"]
 
 
