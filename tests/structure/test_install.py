@@ -74,10 +74,10 @@ def test_one_version_everywhere() -> None:
         manifest = ElementTree.parse(SRC / package / "package.xml").getroot()
         assert manifest.findtext("version") == modcal_core.__version__
         assert manifest.findtext("author") == manifest.findtext("maintainer")
-    for package in PACKAGES:
-        setup = (SRC / package / "setup.py").read_text()
-        assert f'version="{modcal_core.__version__}"' in setup
-        assert manifest.findtext("description") in setup
+        if package != INTERFACES:
+            setup = (SRC / package / "setup.py").read_text()
+            assert f'version="{modcal_core.__version__}"' in setup
+            assert manifest.findtext("description") in setup
 
 
 @pytest.mark.parametrize("package", PACKAGES)
