@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
+from importlib import import_module
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from modcal_interfaces.msg import Calibration
+from modcal_interfaces.msg import Calibration, Checked, ObjectState, Verdict
 from rcl_interfaces.msg import Parameter
 
 from modcal_core.errors import BadCommand, BadTable, ModcalError
+from modcal_msgs_py.layout import definition, learn
 from modcal_msgs_py.typed import calibration_data, fill_calibration
 
 NUMBERS = st.floats(allow_nan=False) | st.integers(-(2**63), 2**63 - 1)
@@ -28,12 +33,23 @@ def test_what_comes_back_is_what_went_in(data: dict[str, Any]) -> None:
     assert calibration_data(fill_calibration(Calibration(), Parameter, data)) == data
 
 
+def test_a_type_that_is_known_by_its_class_has_the_hash_that_ros_gives_it(install: Path) -> None:
+    """So a bag holds it as `ros2 bag record` would."""
+    for kind in (Calibration, Checked, ObjectState, Verdict):
+        name = f"modcal_interfaces/msg/{kind.__name__}"
+        assert learn(name, lambda n: getattr(import_module(n.replace("/", ".").rpartition(".")[0]), n.split("/")[-1]))
+        told = json.loads((install / "modcal_interfaces/share" / f"{name}.json").read_text())
+        assert not learn(f"{name}Missing", lambda _: None)
+        assert definition(name)[1] == told["type_hashes"][0]["hash_string"]
+
+
 @pytest.mark.parametrize(
     ("message", "said"),
     [
         (Calibration(version=2), "has version 2, 1 is read"),
         (Calibration(values=[Parameter(name="a"), Parameter(name="a/b")]), "lies below a value"),
         (Calibration(values=[Parameter(name="[0]")]), "is a list"),
+        (SimpleNamespace(version=1, values=range(10**9)), "is the limit"),
     ],
 )
 def test_what_is_none_is_refused(message: Calibration, said: str) -> None:

@@ -11,9 +11,10 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStam
 from impedance.toy import PANDA, PERIOD, READY, ROOT, Toy, door
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from modcal_interfaces.action import Pull
 from modcal_interfaces.msg import ObjectState
 from nodes.polling import Polled
-from nodes.processes import Wait, ask
+from nodes.processes import Goal, Wait, ask
 from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -161,6 +162,15 @@ class PulledArm:
             pause = time.monotonic() + 0.5
             wait(lambda pause=pause: time.monotonic() > pause, 5.0)
         raise AssertionError(answer.message)
+
+    def goal(self, wait: Wait) -> Goal:
+        """The same as an action."""
+        for _ in range(20):
+            goal = Goal(self.node, wait, Pull, f"{WHO}/pull")
+            wait(lambda goal=goal: goal.heard or goal.done, 30.0)
+            if goal.heard:
+                return goal
+        raise AssertionError(goal.result()[1].message)
 
     def again(self, wait: Wait, toy: Toy) -> None:
         """Another object in the hand, nothing heard of it yet, and the node active and still."""

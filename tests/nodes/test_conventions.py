@@ -176,6 +176,10 @@ def test_solving_nothing_is_refused_and_the_node_lives_on(tmp_path: Path) -> Non
     assert not (tmp_path / "out").exists()
 
 
+FILES = [("calibrator", "delta"), ("calibrator", "cell"), ("calibrator", "target"), ("corrector", "delta")]
+FILES += [("board_detector", "target"), ("trajectory_sender", "trajectory")]
+
+
 @pytest.mark.dds
 @pytest.mark.parametrize(
     ("name", "parameters", "said"),
@@ -191,6 +195,7 @@ def test_solving_nothing_is_refused_and_the_node_lives_on(tmp_path: Path) -> Non
         ),
         ("simulated_cell", {"joint_rate_hz": 1e9}, "joint_rate_hz"),
         ("corrector", {"calibration": "nowhere"}, "nowhere: does not exist"),
+        *((name, {file: "nowhere.yaml"}, "nowhere.yaml") for name, file in FILES),
         ("corrector", {"target": "elbow"}, "target 'elbow'"),
         (
             "acceleration_limits",
@@ -215,6 +220,12 @@ def test_wrong_parameters_end_a_node_with_one_line(
     assert "Traceback" not in process.output
     assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == ["taken"]
     assert not list((tmp_path / "taken").iterdir())
+
+
+@pytest.mark.dds
+def test_a_whole_number_is_taken_for_one_with_a_point() -> None:
+    with spun(Viewer, rate_hz=5) as pair:
+        assert pair.node.get_parameter("rate_hz").value == 5.0
 
 
 READERS = [AccelerationLimits, ArticulationEstimator, Calibrator, ImpedanceSetpoint, Viewer]

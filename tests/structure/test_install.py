@@ -70,12 +70,14 @@ def test_modcal_is_on_the_path_of_a_sourced_shell(install: Path, tmp_path: Path)
 
 
 def test_one_version_everywhere() -> None:
-    for package in PACKAGES:
+    for package in (*PACKAGES, INTERFACES):
         manifest = ElementTree.parse(SRC / package / "package.xml").getroot()
-        setup = (SRC / package / "setup.py").read_text()
         assert manifest.findtext("version") == modcal_core.__version__
-        assert f'version="{modcal_core.__version__}"' in setup
-        assert manifest.findtext("description") in setup
+        assert manifest.findtext("author") == manifest.findtext("maintainer")
+        if package != INTERFACES:
+            setup = (SRC / package / "setup.py").read_text()
+            assert f'version="{modcal_core.__version__}"' in setup
+            assert manifest.findtext("description") in setup
 
 
 @pytest.mark.parametrize("package", PACKAGES)

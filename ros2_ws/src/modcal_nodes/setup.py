@@ -23,6 +23,7 @@ setup(
         ("bin", ["bin/modcal"]),
     ],
     install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     entry_points={
         "console_scripts": [

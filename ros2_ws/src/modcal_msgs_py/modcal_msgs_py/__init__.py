@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.images import CLOUD, TAGS, RawImage, chosen_topic, corner_topics, fill_corners, image_topics
     from modcal_msgs_py.images import info_topic, lens_data, raw_image, read_corners, read_messages, size_of, stamp_of
     from modcal_msgs_py.images import stamps_of, tag_topics
-    from modcal_msgs_py.layout import OneMessage, jazzy
+    from modcal_msgs_py.layout import OneMessage, jazzy, learn
     from modcal_msgs_py.mcap_read import list_topics, read_recording
     from modcal_msgs_py.mcap_repair import Repair, repair_bag
     from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
@@ -47,7 +47,7 @@ __all__ += ["accepted", "arrows", "calibration_data", "caption", "chosen_topic",
 __all__ += ["desired_pose", "dots", "ellipsoids", "fill_accelerations", "fill_calibration", "fill_change"]
 __all__ += ["fill_checked", "fill_corners", "fill_estimate", "fill_expected", "fill_markers", "fill_object_state"]
 __all__ += ["fill_object_status", "fill_picture", "fill_point", "fill_pose", "fill_target", "fill_verdict"]
-__all__ += ["fill_wrench", "image_topics", "info_topic", "jazzy", "lens_data", "list_topics", "nanoseconds"]
+__all__ += ["fill_wrench", "image_topics", "info_topic", "jazzy", "learn", "lens_data", "list_topics", "nanoseconds"]
 __all__ += ["qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording", "reading_of"]
 __all__ += ["repair_bag", "require_new", "require_version", "role_of", "seconds", "seen", "set_nanoseconds"]
 __all__ += ["set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics", "why_left_out"]

@@ -140,7 +140,7 @@ class JointInput:
 
     @property
     def stamp(self) -> int:
-        """The stamp of the joint that was heard of longest ago [ns], once all were."""
+        """The oldest of the stamps [ns], once every joint has one."""
         return int(self._exact.min())
 
     def missing(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import contextlib
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from itertools import pairwise
@@ -341,6 +341,31 @@ def definition(type_name: str) -> tuple[str, str]:
     """(full definition text, RIHS01 type hash) of a message type."""
     text, _ = jazzy().generate_msgdef(type_name, ros_version=2)
     return text, jazzy().hash_rihs01(type_name)
+
+
+_IDL = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
+_FIELD = re.compile(r"(?:sequence<)?([\w/]+)>?(\[\d+\])?")
+
+
+def learn(type_name: str, load: Callable[[str], Any]) -> bool:
+    """Know a message type by its class, and those that it uses; whether that is possible.
+
+    load: the class that ROS has generated for a name such as ``a/msg/B``; None where there is none.
+    """
+    kind = load(type_name)
+    if kind is None or type_name in jazzy().types:
+        return kind is not None
+    lines = []
+    for name, written in kind.get_fields_and_field_types().items():
+        found = _FIELD.fullmatch(written)
+        if found is None:
+            return False  # a bounded sequence or text
+        inner, size = _IDL.get(found[1], found[1]), found[2] or ("[]" if written.startswith("sequence") else "")
+        if "/" in inner and not learn(inner.replace("/", "/msg/"), load):
+            return False
+        lines.append(f"{inner}{size} {name}")
+    jazzy().register(get_types_from_msg("\n".join(lines), type_name))
+    return True
 
 
 def serialise(message: Any, type_name: str) -> bytes:

@@ -19,7 +19,7 @@ from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks, 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from modcal_msgs_py import READINGS, TYPES, jazzy, qos_profile
+from modcal_msgs_py import READINGS, TYPES, learn, qos_profile
 from modcal_nodes.ros.guarded import GuardedNode, waiting
 from modcal_nodes.ros.subscriptions import ERROR, WARN
 
@@ -193,7 +193,7 @@ class TopicRecorder:
     def _recordable(self) -> str | None:
         """The type to record, of those that are published now: the contract's, else the first that is known here."""
         expected = {type_name for role, type_name in TYPES.items() if self.topic.endswith("/" + role)}
-        known = [name for name in sorted(self._types) if name in jazzy().types and _message_class(name) is not None]
+        known = [name for name in sorted(self._types) if learn(name, _message_class)]
         return next((name for name in known if name in expected), known[0] if known else None)
 
     def _subscribe(self, offer: Offer) -> Subscription:
