@@ -149,7 +149,7 @@ def checkup(
             f"miss the calibrated arm by {_size(errors(model, part))[0]:.3g} mm RMS, and contradict each other",
             "check that each stands beside its own posture, and that robot and instrument are those of the calibration",
         ) from None
-    require_accounted(found, known.doubt, model)
+    require_accounted(found, part, known.doubt, model)
     fixed = None if found.more else repaired(calibration, found)
     alike = [alike_everywhere(c, calibration, model, found.samples) for c in found.changes]
     N = len(found.samples)

@@ -194,6 +194,8 @@ class MoveSearch:
             return ways[0]
         if not ways or any(is_noise(c) for c in ways[0].picked):
             ways += self._weighed(without=(NOISE,))
+            if ways and ways[-1].picked and ways[-1].picked[0].hypothesis.kind == LIMIT:
+                return ways[-1]
         if all(way.more for way in ways) and (moved := [h for h in self.asked if h.kind in _SET_UP]):
             ways += self._weighed(moved)
         if not ways:

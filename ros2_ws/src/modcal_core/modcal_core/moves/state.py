@@ -109,7 +109,7 @@ class CheckState:
         are so large that their motions bend.
         """
         large = bent and self._bends
-        return [self._judge_one(h, large and h.sizes > 0) for h in asked], log_priors(asked)
+        return [self._judge_one(h, large and (h.sizes > 0 or h.free)) for h in asked], log_priors(asked)
 
     @property
     def _bends(self) -> bool:
@@ -121,6 +121,8 @@ class CheckState:
         if key not in self._judged:  # kept with its key: the number of an object is another's once it is gone
             if h.kind == NOISE:
                 judged = self.judge.noisier(h)
+            elif alone and h.free:  # a curve is a small change, or in proportion it would take up anything
+                judged = JudgedChange(h, -np.inf, -np.inf, 1.0)
             elif alone:
                 judged = self.judge.judged(fitted([h], self)[0][0])
             else:
