@@ -241,3 +241,11 @@ def test_long_scans_of_cycles_are_the_waves_one_by_one(kind: str) -> None:
     for scanned in (cycles, np.r_[cycles, 401.0]):  # evenly spaced, and not
         one_by_one = np.stack([Shape(kind, {"cycles": float(c)}).basis(x) for c in scanned])
         np.testing.assert_allclose(periodic(kind, scanned, x), one_by_one, atol=1e-11)
+
+
+def test_a_spring_that_gets_stiffer_passes_smoothly_into_one_that_gets_softer() -> None:
+    x, step = np.linspace(-2.0, 2.0, 9), 1e-5
+    y = [Shape("hardening", {"scale": 1.0, "beta": beta}).basis(x)[0] for beta in (-step, 0.0, step, 2.0 * step)]
+    slopes = np.diff(y, axis=0) / step
+    np.testing.assert_allclose(y[1], x)
+    np.testing.assert_allclose(slopes, np.tile(-(x**3), (3, 1)), atol=0.01)

@@ -329,13 +329,14 @@ def test_a_kind_that_the_fit_follows_has_some_noise() -> None:
 
 def test_no_kind_is_left_aside_because_the_fit_does_not_follow_it_yet() -> None:
     """Balls in sockets within micrometres, and wires that an arm of another size misses by 25 mm."""
-    position, rows = np.zeros((3, 40)), np.arange(30, 40)
+    position, rows, none = np.zeros((3, 40)), np.arange(30, 40), np.zeros(40)
     position[:, :30], position[0, 30:] = 3e-6, 0.025
-    groups = Groups(np.arange(30), {"range": rows}, np.r_[np.full(30, 3.0), np.ones(10)])
-    at, none = Linearised(position, np.zeros((3, 0)), np.zeros((0, 120))), np.zeros(40)
-    _, noise = weigh(at, np.zeros(40, bool), none, none[:0], groups, 5.0, None)
+    dimensions = np.r_[np.full(30, 3.0), np.ones(10)]
+    groups = Groups(np.arange(30), {"range": rows}, dimensions, none > 0.0, none, none[:0])
+    at = Linearised(position, np.zeros((3, 0)), np.zeros((0, 120)))
+    _, noise = weigh(at, groups, 5.0, None)
     assert noise.position < 1e-5
     assert noise.others["range"] < 2e-3
     position[0, 30:] = 1e-4
     at = Linearised(position, np.zeros((3, 0)), np.zeros((0, 120)))
-    assert weigh(at, np.zeros(40, bool), none, none[:0], groups, 5.0, None)[1].others["range"] > 9e-5
+    assert weigh(at, groups, 5.0, None)[1].others["range"] > 9e-5

@@ -13,22 +13,6 @@ from modcal_core.calibration.fit import Curvature, inverse_of_triangle
 from modcal_core.calibration.noise import score_of_one, standard_score
 
 
-@pytest.mark.parametrize("count", [1, 2, 7, 20])
-@pytest.mark.parametrize("alike", [0.0, 0.99], ids=["columns apart", "columns nearly alike"])
-def test_the_least_without_negative_values(rng: np.random.Generator, count: int, alike: float) -> None:
-    for _ in range(50):
-        X = rng.normal(size=(60, count)) * rng.uniform(0.01, 100.0, count)
-        X[:, count // 2 :] += alike * 100.0 * rng.normal(size=(60, 1))
-        r = X @ rng.normal(size=count) + rng.normal(size=60)
-        ridge = 1e-9 * np.trace(X.T @ X) / count * np.eye(count)
-        x = nonnegative(X.T @ X + ridge, X.T @ r)
-        L = np.linalg.cholesky(X.T @ X + ridge)
-        expected = nnls(L.T, np.linalg.solve(L, X.T @ r))[0]
-        assert (x >= 0.0).all()
-        size = np.sqrt(np.diag(X.T @ X))
-        np.testing.assert_allclose(x * size, expected * size, rtol=1e-5, atol=1e-6 * np.linalg.norm(r))
-
-
 def test_many_at_once_are_as_each_alone(rng: np.random.Generator) -> None:
     X, r = rng.normal(size=(40, 3, 30, 5)), rng.normal(size=(40, 3, 30))
     X[:, 1, :, 1:] *= -1.0

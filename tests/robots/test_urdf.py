@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from robots.test_kinematics import ARMS, chain_of, urdf
 
-from modcal_core.errors import BadRobot
+from modcal_core.articulation.urdf import read
+from modcal_core.errors import BadRobot, ModcalError
 from modcal_core.robot import Robot
 from modcal_core.robots import Follower, inverse, random_postures
+from modcal_core.robots.acceleration import LoadedArm
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 
@@ -250,3 +254,45 @@ def test_outside_files_are_not_read(tmp_path: Path) -> None:
     text = f'<!DOCTYPE robot [<!ENTITY s SYSTEM "{outside.as_uri()}">]><robot name="r"><link name="a"/>&s;</robot>'
     with pytest.raises(BadRobot, match="no moving joint"):
         read_chain(text)
+
+
+# -- what is too large ------------------------------------------------------------------------------------------------
+
+MASS = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+
+
+def row(count: int) -> str:
+    """So many joints in a row, of which the first moves."""
+    text = robot(links("l0") + serial("r" + "f" * (count - 1)))
+    return text.replace('<link name="l1"/>', f'<link name="l1">{MASS}</link>')
+
+
+LARGE: dict[str, Callable[[], str]] = {
+    "has 251 joints in a row, 250 is the limit": lambda: row(251),
+    "has 3001 links, 2000 is the limit": lambda: row(3000),
+    "closes a loop": lambda: row(400).replace('<parent link="l0"/>', '<parent link="l400"/>'),
+    "50 million characters, 5 million is the limit": lambda: row(3) + " " * 50_000_000,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("said", LARGE)
+def test_what_is_too_large_for_a_robot_is_refused_at_once(said: str) -> None:
+    text = LARGE[said]()
+    for reader in (read_chain, LoadedArm.read):
+        begun = time.perf_counter()
+        with pytest.raises(BadRobot, match=said):
+            reader(text)
+        assert time.perf_counter() - begun < 2.0
+
+
+@pytest.mark.slow
+def test_joints_in_a_row_up_to_the_limit_are_read() -> None:
+    assert read_chain(row(250)).n == LoadedArm.read(row(250)).chain.n == 1
+
+
+def test_a_description_of_an_object_is_bounded_too() -> None:
+    begun = time.perf_counter()
+    with pytest.raises(ModcalError, match="is the limit"):
+        read("a" * 50_000_000)
+    assert time.perf_counter() - begun < 0.5

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from modcal_core.calibration import (
     Calibration,
     Cell,
+    Fit,
+    Model,
+    Split,
     errors,
     hold_out_all,
     outlying,
@@ -26,6 +31,7 @@ from modcal_core.hypotheses import computed_in_part, proved
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, Step, moved_note, not_asked_note, offsets_of, unseen_note
 from modcal_core.verdict import (
+    Applied,
     Grounds,
     applicable,
     doubtful,
@@ -40,6 +46,24 @@ from modcal_core.verdict import (
 )
 
 MAX_OUTSIDE = 0.05  # share of the samples outside the joint ranges that were calibrated; more make a verdict doubt
+
+
+@dataclass(frozen=True)
+class _Stood:
+    """The frozen models at a recording: nominal, geometric and final, by name. sets: where base or tool were found
+    again, and what is scored. again: that fit of the final one; None where all stands as it was.
+    """
+
+    models: dict[str, Model]
+    sets: Split
+    applied: Applied
+    again: Fit | None = None
+    converged: bool = True
+
+    @property
+    def final(self) -> Model:
+        """The calibrated model."""
+        return self.models["final"]
 
 
 def evaluate(
@@ -62,56 +86,29 @@ def evaluate(
     cell = (cell or Cell()).met(samples)
     samples = with_sockets(samples, cell, calibration.nominal.chain)
     samples, convention = proved(samples, calibration.nominal.chain)
-    again, converged = None, True
-    applied = applicable(calibration, samples)
-    models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": applied.model}
-    if refit_base or refit_tool:
-        sets = split(samples, rng, block)
-        train = samples.select(np.union1d(sets.train, sets.explain))
-        fits = {stage: refit_cell(model, train, cell, refit_base, refit_tool) for stage, model in models.items()}
-        models = {stage: fit.model for stage, fit in fits.items()}
-        again, converged = fits["final"], all(fit.converged for fit in fits.values())
-    else:
-        sets = hold_out_all(samples)
-        models = {stage: with_frames(model, samples.frames) for stage, model in models.items()}
-    beyond = calibration.fallback(models["final"], models["geometric"])
-    models["final"] = replace(models["final"], fallback=beyond)
-    held_out = samples.select(sets.held_out)
+    stood = _stood(calibration, samples, cell, (refit_base, refit_tool), partial(split, samples, rng, block))
+    final, held_out = stood.final, samples.select(stood.sets.held_out)
     wrong = np.zeros(len(samples), bool)
-    final, every = models["final"], np.arange(len(held_out))
-    spread = with_doubt(calibration.with_scatter(held_out), final, own_uncertainty(calibration, final), every)
-    wrong[sets.held_out] = outlying(final, calibration.noise, spread)
-    single = not too_many(wrong[sets.held_out], held_out)
-    rows = sets.held_out[~wrong[sets.held_out]] if single else sets.held_out
-    scored = samples.select(rows)
-    residuals = {stage: errors(model, scored) for stage, model in models.items()}
-    small = too_small(residuals, scored, samples, calibration.nominal.chain, cell.stated)
-    own = own_rows(samples, calibration)
-    grounds = Grounds(
-        converged=converged,
-        not_applied=applied.not_applied,
-        contradictions=(
-            *own.contradictions,
-            *small.contradictions,
-            *doubtful(residuals, scored, samples, calibration.nominal.chain),
-            *computed_in_part(samples, calibration.nominal.chain, wrong),
-            *samples.origin.doubts,
-        ),
-        convention=convention,
-        rejected_runs=runs_of(samples, wrong),
-        rejected_places=places_of(samples, wrong),
-        unproven=(*own.unproven, *small.unproven),
-        not_asked=small.not_asked,
-        outside=(*unseen_note(scored, calibration, MAX_OUTSIDE), *applied.notes),
+    spread = with_doubt(
+        calibration.with_scatter(held_out), final, own_uncertainty(calibration, final), np.arange(len(held_out))
     )
+    wrong[stood.sets.held_out] = outlying(final, calibration.noise, spread)
+    single = not too_many(wrong[stood.sets.held_out], held_out)
+    rows = stood.sets.held_out[~wrong[stood.sets.held_out]] if single else stood.sets.held_out
+    scored = samples.select(rows)
+    residuals = {stage: errors(model, scored) for stage, model in stood.models.items()}
+    grounds = replace(_grounds(calibration, stood, samples, wrong, scored, cell), convention=convention)
     accepted = samples.select(~wrong) if single else samples
-    stood = replace(calibration, nominal=models["nominal"], calibrated=models["final"])
-    claim = claim_at_tool(stood, accepted, cell, frozen="arm" if refit_base or refit_tool else "whole")
-    case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, residuals, refit_base, refit_tool)
+    placed = replace(calibration, nominal=stood.models["nominal"], calibrated=final)
+    claim = claim_at_tool(placed, accepted, cell, frozen="arm" if refit_base or refit_tool else "whole")
+    case = frozen_case(calibration, final, samples, stood.sets.unit, rows, wrong, residuals, refit_base, refit_tool)
     judged = with_places(judge(case, grounds, cell.stated), case, grounds.outside)
+    steps = [Step("geometry", residuals["geometric"])]
+    if calibration.calibrated.effects:
+        steps.append(Step("all effects", residuals["final"]))
     return Outcome(
         samples=samples,
-        sets=sets,
+        sets=stood.sets,
         scored=scored,
         rejected=len(held_out) - len(scored),
         errors=residuals,
@@ -120,19 +117,62 @@ def evaluate(
         notes=(
             *moved_note(residuals["final"], calibration, refit_base, refit_tool),
             *unseen_note(scored, calibration),
-            *applied.notes,
+            *stood.applied.notes,
             *not_asked_note(judged),
         ),
-        steps=(
-            Step("geometry", residuals["geometric"]),
-            *([Step("all effects", residuals["final"])] if calibration.calibrated.effects else []),
-        ),
-        model=models["final"],
-        residuals=errors(models["final"], samples).position_norm,
+        steps=tuple(steps),
+        model=final,
+        residuals=errors(final, samples).position_norm,
         wrong=wrong,
-        rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out, frozen=True),
+        rejection=rejection(errors(final, held_out), wrong, samples, stood.sets.held_out, frozen=True),
         grounds=grounds,
         judged=judged,
         claim=claim,
-        left=located(frozen(models["final"], calibration.noise, again), samples) if judged.may_depend else None,
+        left=located(frozen(final, calibration.noise, stood.again), samples) if judged.may_depend else None,
+    )
+
+
+def _stood(
+    calibration: Calibration, samples: Samples, cell: Cell, refit: tuple[bool, bool], cut: Callable[[], Split]
+) -> _Stood:
+    """The models as they stand, or with base and tool found again. refit: base, tool. cut: the split, where it is
+    needed.
+    """
+    applied = applicable(calibration, samples)
+    models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": applied.model}
+    if any(refit):
+        sets = cut()
+        train = samples.select(np.union1d(sets.train, sets.explain))
+        fits = {stage: refit_cell(model, train, cell, *refit) for stage, model in models.items()}
+        models = {stage: fit.model for stage, fit in fits.items()}
+        stood = _Stood(models, sets, applied, fits["final"], all(fit.converged for fit in fits.values()))
+    else:
+        models = {stage: with_frames(model, samples.frames) for stage, model in models.items()}
+        stood = _Stood(models, hold_out_all(samples), applied)
+    beyond = calibration.fallback(models["final"], models["geometric"])
+    return replace(stood, models={**models, "final": replace(models["final"], fallback=beyond)})
+
+
+def _grounds(
+    calibration: Calibration, stood: _Stood, samples: Samples, wrong: np.ndarray, scored: Samples, cell: Cell
+) -> Grounds:
+    """What the verdict stands on beside the errors."""
+    chain = calibration.nominal.chain
+    residuals = {stage: errors(model, scored) for stage, model in stood.models.items()}
+    small, own = too_small(residuals, scored, samples, chain, cell.stated), own_rows(samples, calibration)
+    return Grounds(
+        converged=stood.converged,
+        not_applied=stood.applied.not_applied,
+        contradictions=(
+            *own.contradictions,
+            *small.contradictions,
+            *doubtful(residuals, scored, samples, chain),
+            *computed_in_part(samples, chain, wrong),
+            *samples.origin.doubts,
+        ),
+        rejected_runs=runs_of(samples, wrong),
+        rejected_places=places_of(samples, wrong),
+        unproven=(*own.unproven, *small.unproven),
+        not_asked=small.not_asked,
+        outside=(*unseen_note(scored, calibration, MAX_OUTSIDE), *stood.applied.notes),
     )

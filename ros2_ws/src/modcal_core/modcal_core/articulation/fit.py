@@ -24,7 +24,7 @@ from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motio
 from modcal_core.articulation.joints import PlacedJoint
 from modcal_core.articulation.models.registry import axis_model
 from modcal_core.articulation.track import Track, one_way
-from modcal_core.geometry import Array
+from modcal_core.geometry import Array, descend
 
 NU = 4.0  # of Student's t: the usual robust choice (Lange, Little & Taylor 1989)
 _MIN = (2e-6, 2e-6)  # m, rad: no scale is smaller, so that exact data can be fitted
@@ -141,40 +141,49 @@ def whitened(motion: Motion, track: Track, a: Array, sigma: tuple[float, float])
 def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> ClimbState:
     """Damped Gauss–Newton steps with scales re-estimated between them, until nothing changes; or the scales only."""
     sigma = (5e-3, 0.07)
-    a = motion.configurations(track, sigma)
-    e = motion.residuals(track, a)
-    sigma = _first_scales(e)
-    cost, damping, quiet = np.inf, 1e-4, 0
-    for _ in range(_STEPS):
-        a = motion.configurations(track, sigma)
-        sigma = _rescaled(motion, motion.residuals(track, a), sigma)
-        a = motion.configurations(track, sigma)
-        e = motion.residuals(track, a)
-        before = _objective(motion, e, sigma, prior)
-        quiet = quiet + 1 if abs(cost - before) < _ENOUGH else 0
-        cost = before
-        if quiet >= 2:
-            break
+    sigma = _first_scales(motion.residuals(track, motion.configurations(track, sigma)))
+    last, quiet = np.inf, 0
+    H = g = np.empty(0)
+
+    def cost_of(motion: Motion) -> float:
+        return _objective(motion, motion.residuals(track, motion.configurations(track, sigma)), sigma, prior)
+
+    def look(here: Motion) -> float:
+        nonlocal sigma, H, g
+        sigma = _rescaled(here, here.residuals(track, here.configurations(track, sigma)), sigma)
+        if climbs:
+            H, g = _normal_equations(here, track, sigma, prior)
+        return cost_of(here)
+
+    def step(here: Motion, damping: float) -> tuple[Motion, float]:
         if not climbs:
-            continue
-        z, J = whitened(motion, track, a, sigma)
-        w = (NU + _dims(motion, z.shape[1])) / (NU + _squared(e, sigma))
-        flat = J.reshape(-1, motion.size)
-        H = (np.repeat(w, z.shape[1])[:, None] * flat).T @ flat
-        g = flat.T @ (w[:, None] * z).ravel()
-        if prior:
-            _, gp, hp = motion.prior_terms()
-            H, g = H + np.diag(hp), g + gp
-        for _ in range(8):
-            step = -np.linalg.solve(H + damping * np.diag(np.diag(H)) + 1e-12 * np.trace(H) * np.eye(len(H)), g)
-            # no step turns a frame, or scales a radius, by more than half a radian or that share
-            tried = motion.moved(step * min(1.0, 0.5 / max(float(np.abs(step).max()), 0.5)))
-            after = _objective(tried, tried.residuals(track, tried.configurations(track, sigma)), sigma, prior)
-            if after <= before:
-                motion, damping = tried, max(damping * 0.2, 1e-9)
-                break
-            damping = max(damping * 8.0, 1e-6)
-    return ClimbState(motion, sigma, cost)
+            return here, cost_of(here)
+        s = -np.linalg.solve(H + damping * np.diag(np.diag(H)) + 1e-12 * np.trace(H) * np.eye(len(H)), g)
+        # no step turns a frame, or scales a radius, by more than half a radian or that share
+        there = here.moved(s * min(1.0, 0.5 / max(float(np.abs(s).max()), 0.5)))
+        return there, cost_of(there)
+
+    def ended(here: Motion, gain: float, cost: float) -> bool:
+        nonlocal last, quiet
+        quiet = quiet + 1 if abs(last - cost) < _ENOUGH else 0
+        last = cost
+        return quiet >= 2
+
+    motion = descend(motion, look, step, ended, _STEPS).place
+    return ClimbState(motion, sigma, cost_of(motion))
+
+
+def _normal_equations(motion: Motion, track: Track, sigma: tuple[float, float], prior: bool) -> tuple[Array, Array]:
+    """Curvature (size, size) and gradient (size,) of the objective by the parameters of the motion."""
+    a = motion.configurations(track, sigma)
+    z, J = whitened(motion, track, a, sigma)
+    w = (NU + _dims(motion, z.shape[1])) / (NU + _squared(motion.residuals(track, a), sigma))
+    flat = J.reshape(-1, motion.size)
+    H, g = (np.repeat(w, z.shape[1])[:, None] * flat).T @ flat, flat.T @ (w[:, None] * z).ravel()
+    if prior:
+        _, gp, hp = motion.prior_terms()
+        H, g = H + np.diag(hp), g + gp
+    return H, g
 
 
 def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:

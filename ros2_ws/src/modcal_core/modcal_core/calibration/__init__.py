@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from modcal_core.calibration.noise import FINEST, HUBER_Z, REJECT_Z, ErrorSize, Errors, Groups, NoiseModel
     from modcal_core.calibration.noise import as_normal, beyond_chi2, beyond_gumbel, beyond_normal, errors
     from modcal_core.calibration.noise import exceeded_chi2, gumbel_of, has_shared_noise, known_sigma, log10_beyond_f
-    from modcal_core.calibration.noise import median_chi2, of_rows, outlying, quantile_chi2, robust_weights
+    from modcal_core.calibration.noise import median_chi2, outlying, quantile_chi2, robust_weights
     from modcal_core.calibration.noise import row_weights, score_of_one, shared_noise, squared_residuals
     from modcal_core.calibration.noise import standard_score, usual_miss, weigh
     from modcal_core.calibration.parameters import INSTRUMENT, PRIOR_ANGLE_RAD, PRIOR_LENGTH_M, ModelParameter, View
@@ -73,7 +73,7 @@ __all__ += ["fit_cell", "fit_distances", "fit_geometry", "free_cell", "from_data
 __all__ += ["gumbel_of", "hand_eye", "has_shared_noise", "hold_out_all", "identifiability", "identify"]
 __all__ += ["identify_moved", "in_order_of_time", "independent_unit", "known_sigma", "least_change"]
 __all__ += ["likely_sizes", "linearise", "log10_beyond_f", "max_deviations", "median_chi2", "model_at"]
-__all__ += ["new_instruments", "nonnegative", "normal_equations", "objective", "of_rows", "ordered_candidates"]
+__all__ += ["new_instruments", "nonnegative", "normal_equations", "objective", "ordered_candidates"]
 __all__ += ["outlying", "outside_drivers", "own_statement", "parameter_count", "passing_directions"]
 __all__ += ["place_instruments", "place_model", "places_of", "priors", "procrustes", "quantile_chi2", "readmitted"]
 __all__ += ["refit_cell", "rejected", "require_enough", "right_after_all", "robust_weights", "row_weights", "runs_of"]

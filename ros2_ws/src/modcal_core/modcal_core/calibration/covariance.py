@@ -34,7 +34,7 @@ import scipy
 
 from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.equations import blocks_at, normal_equations
-from modcal_core.calibration.fit import Fit, inverse_of_triangle
+from modcal_core.calibration.fit import Curvature, Fit, inverse_of_triangle
 from modcal_core.calibration.linearisation import RowView, apply_deviations, deviations, effect_rows, linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import (
@@ -101,16 +101,7 @@ def uncertainty(
     if distances:
         rows = distance_rows(model, parameters, values, distances)
         H += (rows.J / rows.std**2) @ rows.J.T
-    H += np.diag(prior**-2.0)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    H = H * np.outer(scale, scale)
-    lower, singular = scipy.linalg.lapack.dpotrf(H.T, lower=1, clean=0)
-    if singular:  # to rounding
-        inverse = np.asarray(np.linalg.pinv(H, rcond=1e-12, hermitian=True), dtype=float)
-        covariance = inverse * np.outer(scale, scale)
-        return Uncertainty(tuple(parameters), 0.5 * (covariance + covariance.T))
-    half = inverse_of_triangle(lower) * scale
-    return Uncertainty(tuple(parameters), half.T @ half)
+    return Uncertainty(tuple(parameters), Curvature.of(H + np.diag(prior**-2.0)).inverse())
 
 
 _LIKELY = 0.999  # chance that the noise is not underestimated by more

@@ -1,17 +1,16 @@
 """Identification: the parameters that make the model meet the samples, with their uncertainty.
 
-Gauss–Newton on the minimal parameters, damped when a step fails (Levenberg–Marquardt). The columns are scaled to unit
-length, so the normal equations solved by Cholesky lose nothing that matters; a prior on the arm's own directions, as
-wide as robots are wrong, holds what the data does not show. Weights and the size of the noise are found again at every
-step (see :mod:`modcal_core.calibration.noise`). Many samples are begun with a few of them, so that all are gone through
-but two or three times; and near the end only the gradient is computed again, which alone decides where that is. The end
-is reached when the next step would be too short, going by how much shorter the last was than the one before it.
+Damped Gauss–Newton steps on the minimal parameters (:mod:`modcal_core.geometry.descent`). The columns are scaled to
+unit length, so the normal equations solved by Cholesky lose nothing that matters; a prior on the arm's own directions,
+as wide as robots are wrong, holds what the data does not show. Weights and the size of the noise are found again at
+every step (see :mod:`modcal_core.calibration.noise`). Many samples are begun with a few of them, so that all are gone
+through but two or three times; and near the end only the gradient is computed again, which alone decides where that is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -27,15 +26,14 @@ from modcal_core.calibration.noise import (
     Groups,
     NoiseModel,
     has_shared_noise,
-    known_sigma,
-    of_rows,
+    row_weights,
     shared_noise,
     weigh,
 )
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects import Drivers, Effect, is_move, prior_stds
 from modcal_core.errors import NotEnoughData
-from modcal_core.geometry import Array
+from modcal_core.geometry import Array, Descent, descend
 from modcal_core.measurements import Samples
 from modcal_core.measurements.kinds import dimensions
 
@@ -97,31 +95,16 @@ class Curvature:
         return np.asarray(np.einsum("ij,ij->j", half, half) * self.scale**2)
 
 
-MAX_ITERATIONS = 60  # a fit that needs more says that it did not converge
-CONVERGED = 1e-5  # standard deviations: the last step of a fit, far below anything a report shows
+MAX_ITERATIONS = 150  # a fit that needs more says that it did not converge
+CONVERGED = 1e-5  # standard deviations that a fit is away from its end, far below anything a report shows
 FITTED = 1e-2  # the same for models with effects, some of which have many values
-# Where no value [m, rad] changes by more, and steps become shorter, the curvature is left as it is, which changes with
-# their length. The covariance is then right to 1e-4 (robust fits of few: 1e-3), and better where a stricter end is set.
-_NEAR = 1e-4
-_SHRINKING = 0.3
-# With effects, whose curvature takes far longer than their gradient, steps are taken with the same one while each is
-# shorter than so much of the last, or shrinks as the last with a curvature of its own did: robust weights alone let
-# them shrink by a factor of 1.1 to 10, whatever the curvature; so no more than that is expected of the next one
-_LEADING, _CLOSE, _SLOWLY = 0.7, 10.0, 0.1  # the second in standard deviations
-# Within half a standard deviation they are taken with the same one whatever they do, so many at most: a sample near the
-# limit of rejection lets the weights, and with them the steps, go to and fro, which no curvature ends. Where so many
-# steps gain no more together than a tenth of a squared deviation, that is the end.
-_WITHIN, _MAX_SAME, _TO_AND_FRO, _NO_GAIN = 0.5, 10, 4, 0.1
-_SURE = 0.1  # of the tolerance; what is expected to be left
-_MIN_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
-_DAMPING, _MIN_DAMPING = 1e-4, 1e-12  # of the curvature along each value; the least is far above rounding
-_FLAT, _SHOWN = 30, 1.0  # iterations that together gain less of the cost than readings can show
-# A sample at the limit of rejection may go in and out for ever, each time by what the others then say of it. After so
-# many iterations, three times the usual, what is rejected once stays so
-_BARRING = 30
-_LONGER = 2.5  # times as many iterations of geometry alone, whose valleys are long; each of them is cheap
-_ROUGHLY = 5e-3  # m, rad; what a step of values that a fit begins with misses is of the order of its square
-_UNSEEN = 1e-2  # standard deviations; what a shorter step changes in the residuals is a millionth of their spread
+# The curvature is computed again where a step has gained less or more than it promised, by this share of that
+_AGREES = 0.1
+_SHRINKING = 0.3  # of the last step, at least, that is expected of the next: robust weights settle no faster
+# A sample at the limit of rejection may go in and out for ever, each time by what the others then say of it: what is
+# rejected for the third time stays so
+_THIRD = 3
+_ROUGHLY = 1.0  # standard deviations to which a beginning is fitted
 # A large fit begins with a few of its samples, so many at most, one in so many, and so many for each parameter at least
 _FEW, _MANY, _EACH = 500, 8, 4
 _EQUATIONS_WITH_EFFECTS = 1.5  # a third of them is left, which effects may take up
@@ -198,177 +181,155 @@ def identify(
     """
     require_enough(samples, len(parameters), len(distances))
     P = len(parameters)
-    values = np.zeros(P) if begin is None else begin
     fitted = () if keep_effects else start.effects
-    few = min(_FEW, len(samples) // _MANY)
     limit = None if not robust else REJECT_Z if reject else np.inf
+    problem = _Problem(start, samples, tuple(parameters), tuple(distances), fitted, limit)
+    values = np.zeros(P) if begin is None else begin
+    few = min(_FEW, len(samples) // _MANY)
     if begin is None and not start.effects and few >= _EACH * P:
-        some = samples.select(slice(None, None, len(samples) // few))
-        values = _minimum(start, some, parameters, distances, limit, (), tolerance, values, rough=True).values
-    at = _minimum(start, samples, parameters, distances, limit, fitted, tolerance, values, False, most, hopeless)
-    covariance = Curvature.of(at.H).inverse() if spread else np.full_like(at.H, np.nan)
+        some = replace(problem, samples=samples.select(slice(None, None, len(samples) // few)))
+        values = _Cost(some, _ROUGHLY).least(values, MAX_ITERATIONS)[0].place.values
+    cost = _Cost(problem, tolerance, hopeless)
+    found, hopeful = cost.least(np.concatenate([values, *(e.values for e in fitted)]), most or MAX_ITERATIONS)
+    weights, noise = cost.weigh(found.place)
+    H_data, H = cost.curvature(found.place) if spread else (cost.H_data, cost.H)
+    covariance = Curvature.of(H).inverse() if spread else np.full_like(H, np.nan)
+    # robust weights may oscillate without moving any value that matters, and the minimum may be a valley along which
+    # the readings do not determine the values
+    converged = (found.converged and hopeful) or cost.length <= FITTED
+    values = found.place.values
+    model = model_at(start, parameters, values, np.sqrt(np.diag(covariance)[P:]))
     return Fit(
-        model_at(start, parameters, at.values, np.sqrt(np.diag(covariance)[P:])),
-        start,
-        tuple(parameters),
-        at.values[:P],
-        covariance[:P, :P],
-        at.noise,
-        at.weights,
-        at.H_data[:P, :P],
-        at.iterations,
-        at.converged,
-    )
+        model, start, problem.parameters, values[:P], covariance[:P, :P], noise, weights, H_data[:P, :P],
+        found.steps, converged,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class _Minimum:
-    """Where the cost is least. H, H_data: JᵀWJ with and without the prior. Others as in the fit."""
+class _Problem:
+    """What is fitted to what. fitted: effects, all of the model's or none. limit: standard score beyond which a sample
+    is rejected; None for least squares.
+    """
+
+    start: Model
+    samples: Samples
+    parameters: tuple[ModelParameter, ...]
+    distances: tuple[AnyDistance, ...]
+    fitted: tuple[Effect, ...]
+    limit: float | None
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Values of parameters and effects, and what is left of the samples there."""
 
     values: Array
-    H: Array
-    H_data: Array
-    weights: Array
-    noise: NoiseModel
-    iterations: int
-    converged: bool
+    left: Linearised
 
 
-def _minimum(
-    start: Model,
-    samples: Samples,
-    parameters: Sequence[ModelParameter],
-    distances: Sequence[AnyDistance],
-    limit: float | None,
-    fitted: Sequence[Effect],
-    tolerance: float,
-    begin: Array,
-    rough: bool = False,
-    most: int | None = None,
-    hopeless: Callable[[Model, float], bool] | None = None,
-) -> _Minimum:
-    """The least cost that is reached from these values of the parameters.
+class _Cost:
+    """What a fit makes least: squares of residuals, of known distances and of priors, by weights found at every place.
 
-    limit: standard score beyond which a sample is rejected; None for least squares. rough: no more than a beginning;
-    its last step is taken without looking where it leads. most: iterations; None for as many as a fit may need.
-    hopeless: see :func:`identify`.
+    length: of the last step, in standard deviations. H, H_data: curvature with and without priors, where a step began.
     """
-    known_p, known_r = known_sigma(samples.sigma_position), known_sigma(samples.sigma_rotation[samples.is_pose])
-    pose = samples.is_pose
-    groups = Groups.of(samples, bool(start.instruments))
-    around = start.drivers(samples)
-    centre, prior = priors(fitted, parameters, around)
-    known = np.diag(prior**-2.0)
-    values = np.concatenate([begin, *(e.values for e in fitted)])
-    equations = system_of(start, parameters, samples, around)
-    damping, length, near = 0.0, np.inf, False  # length: of the last step, in standard deviations
-    least = _DAMPING  # from which a step is damped that leads uphill
-    gained: list[float] = []
-    flat = False
-    moved, leading, same = 0.0, _LEADING, 0  # since the curvature was computed
-    curvature: Curvature | None = None
-    weighed = 1.0  # all rows, when it was factored
-    # numbers that the samples have to tell: of what is held, first none, then what the prior does not tell
-    held = np.concatenate(
-        [np.zeros(len(parameters), bool), *(np.full(len(e.values), e.held is not None) for e in fitted)]
-    )
-    told = float((~held).sum())
-    barred: np.ndarray | None = None  # samples that stay rejected
-    at = equations.residuals(values)
-    most = int(MAX_ITERATIONS * (1.0 if fitted else _LONGER)) if most is None else most
-    for iteration in range(1, most + 1):
-        weights, noise = weigh(at, pose, known_p, known_r, groups, told, limit, barred)
-        if iteration > _BARRING:
-            barred = weights == 0.0
-        row_weight = of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
+
+    def __init__(
+        self, problem: _Problem, tolerance: float, hopeless: Callable[[Model, float], bool] | None = None
+    ) -> None:
+        """tolerance: standard deviations from the end, where steps may end. hopeless: see :func:`identify`."""
+        around = problem.start.drivers(problem.samples)
+        self.problem, self._tolerance, self._hopeless, self._hopeful = problem, tolerance, hopeless, True
+        self._centre, self._prior = priors(problem.fitted, problem.parameters, around)
+        self._equations = system_of(problem.start, problem.parameters, problem.samples, around)
+        self._groups = Groups.of(problem.samples, bool(problem.start.instruments))
+        held = [np.full(len(e.values), e.held is not None) for e in problem.fitted]
+        self._held = np.concatenate([np.zeros(len(problem.parameters), bool), *held])
+        # numbers that the samples have to tell: of what is held, first none, then what the prior does not tell
+        self._told = float((~self._held).sum())
+        self._out = np.zeros(len(problem.samples), bool)
+        self._times = np.zeros(len(problem.samples))  # that each sample was rejected
+        self._agrees, self._stale, self._tried = False, False, False
+        self.length = self._last = np.inf
+        self.H = self.H_data = np.diag(self._prior**-2.0)
+
+    def least(self, values: Array, most: int) -> tuple[Descent[_Place], bool]:
+        """Where the cost is least, from these values downhill, and whether nobody found that hopeless."""
+        return descend(self._at(values), self._look, self._step, self._ended, most), self._hopeful
+
+    def weigh(self, here: _Place) -> tuple[Array, NoiseModel]:
+        """Weights of the samples, (N,), and the noise, found at a place."""
+        barred = self._out & (self._times >= _THIRD)
+        weights, noise = weigh(here.left, self._groups, self._told, self.problem.limit, barred)
+        self._row_weight = row_weights(weights, noise, self.problem.samples)
+        return weights, noise
+
+    def curvature(self, here: _Place) -> tuple[Array, Array]:
+        """(JᵀWJ, the same with the prior), (P, P), at a place; of independent samples."""
+        if self._stale or self.length > FITTED:
+            self._linearise(here)
+        if has_shared_noise(self.problem.samples):
+            self.H_data = self.H_data / shared_noise(self.problem.samples, here.left, self._row_weight)
+        return self.H_data, self.H_data + np.diag(self._prior**-2.0)
+
+    def _at(self, values: Array) -> _Place:
+        return _Place(values, self._equations.residuals(values))
+
+    def _look(self, here: _Place) -> float:
+        out = self.weigh(here)[0] == 0.0
+        self._times += out & ~self._out
+        self._out = out
+        self._linearise(here, self._agrees and self._equations.quick_gradient)
+        self._last, self._tried = self.length, False
+        return self._of(here)
+
+    def _linearise(self, here: _Place, near: bool = False) -> None:
+        """Gradient and curvature; near: with the last one, which takes far longer."""
+        problem, equations = self.problem, self._equations
         if near:
-            H_samples, g = equations.last_curvature(row_weight), equations.gradient(values, row_weight)
-            same += 1
+            H, g = equations.last_curvature(self._row_weight), equations.gradient(here.values, self._row_weight)
         else:
-            H_samples, g = equations.normal_equations(values, row_weight)
-            moved, same = 0.0, 0
-        H_data, measured = H_samples, 0.0
-        if distances:
-            H_data = H_samples.copy()
-            rows = distance_rows(start, parameters, values, distances)
-            H_data += (rows.J / rows.std**2) @ rows.J.T
+            H, g = equations.normal_equations(here.values, self._row_weight)
+        if problem.distances:
+            rows = distance_rows(problem.start, problem.parameters, here.values, problem.distances)
+            H = H + (rows.J / rows.std**2) @ rows.J.T
             g = g + (rows.J / rows.std**2) @ rows.residual
-            measured = rows.cost
-        H, g = H_data + known, g - (values - centre) * prior**-2.0
-        last, share = length, 1.0
-        room = tolerance**2 if near and fitted else 0.0  # what a step as long as the tolerance would gain is nothing
-        if not (near and fitted):
-            curvature = None
-        while True:
-            if curvature is None:
-                curvature, weighed = Curvature.of(H, damping), float(row_weight.sum())
-                if held.any() and damping == 0.0:
-                    told = len(values) - float(np.sum(curvature.variances()[held] / prior[held] ** 2))
-            step = share * weighed / float(row_weight.sum()) * curvature.solve(g)
-            length = float(np.sqrt(max(float(step @ H @ step), 0.0))) / share if damping == 0.0 else np.inf
-            shrinks = min(max(length / last, _SLOWLY if fitted else 0.0), 1.0) if last < np.inf else 1.0
-            following = length * shrinks  # the next step's, most likely
-            ended = length <= tolerance or following <= _SURE * tolerance
-            begun = rough and damping == 0.0 and float(np.abs(step).max()) <= _ROUGHLY
-            if begun or (ended and length <= _UNSEEN):
-                new = at
-                break
-            trial = values + step
-            new = equations.residuals(trial)
-            before = _cost(at, row_weight) + measured + float(np.sum(((values - centre) / prior) ** 2))
-            after = _cost(new, row_weight) + float(np.sum(((trial - centre) / prior) ** 2))
-            if distances:
-                after += distance_cost(start, parameters, trial, distances)
-            downhill = after <= before * (1.0 + 1e-6) + 1e-12 + room
-            if downhill or damping > 1e6:
-                break
-            if near and fitted:  # that curvature has done its service: look again from here
-                break
-            # bent, along a direction that is hardly seen
-            if damping == 0.0 and share > _MIN_SHARE and least == _DAMPING:
-                share *= 0.5
-            else:
-                damping, share, curvature = max(10.0 * damping, least), 1.0, None
-        if damping > 0.0:  # in a long and bent valley a tenth of what was enough is enough again
-            least = max(0.1 * damping, _MIN_DAMPING)
-        looked = new is not at
-        if near and fitted and looked and not downhill:
-            near, length = False, last
-            continue
-        gained.append(before - after if looked else 0.0)
-        values, at = values + step, new
-        flat = len(gained) >= 2 * _FLAT and sum(gained[-_FLAT:]) < _SHOWN
-        if fitted and length <= _WITHIN and len(gained) > _TO_AND_FRO:
-            flat = flat or sum(gained[-_TO_AND_FRO:]) < _NO_GAIN
-        if ended or begun or flat:
-            break
-        if hopeless is not None and hopeless(model_at(start, parameters, values), length):
-            break
-        moved = max(moved, float(np.abs(step).max()))
-        if fitted:
-            if not near and length < last < np.inf:
-                leading = max(_LEADING, length / last)
-            near = length <= leading * last and length <= _CLOSE
-            near = near or (length <= _WITHIN and same < _MAX_SAME)
-        else:
-            near = length <= _SHRINKING * last and float(np.abs(step).max()) <= _NEAR * min(tolerance / CONVERGED, 1.0)
-        near = near and damping == 0.0 and equations.quick_gradient
-        damping = 0.0 if damping < 1e-3 else damping / 10.0
-    if looked and not rough:  # else these are of the same residuals
-        weights, noise = weigh(at, pose, known_p, known_r, groups, told, limit, barred)
-    if fitted and tolerance <= FITTED and moved > _NEAR:  # while searching nobody asks for their covariance
-        row_weight = of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
-        H_data = equations.normal_equations(values, row_weight)[0]
-        if distances:
-            rows = distance_rows(start, parameters, values, distances)
-            H_data = H_data + (rows.J / rows.std**2) @ rows.J.T
-        H = H_data + known
-    if not rough and has_shared_noise(samples):
-        H_data = H_data / shared_noise(samples, at, row_weight)
-        H = H_data + known
-    # robust weights may oscillate without moving any value that matters, and the minimum may be a valley along which
-    # the readings do not determine the values
-    return _Minimum(values, H, H_data, weights, noise, iteration, ended or begun or flat or length <= FITTED)
+        self.H_data, self.H = H, H + np.diag(self._prior**-2.0)
+        self._g = g - (here.values - self._centre) * self._prior**-2.0
+        self._stale = near
+
+    def _step(self, here: _Place, damping: float) -> tuple[_Place, float]:
+        if self._stale and self._tried:  # that curvature has done its service
+            self._linearise(here)
+        curvature = Curvature.of(self.H, damping)
+        if self._held.any() and not (self._stale or self._tried):
+            told = curvature.variances()[self._held] / self._prior[self._held] ** 2
+            self._told = len(here.values) - float(np.sum(told))
+        step = curvature.solve(self._g)
+        self.length, self._tried = float(np.sqrt(max(float(step @ self.H @ step), 0.0))), True
+        there = self._at(here.values + step)
+        return there, self._of(there)
+
+    def _of(self, here: _Place) -> float:
+        """The cost of a place by the weights that are found."""
+        problem, N = self.problem, here.left.position.shape[1]
+        turned = self._row_weight[3 * N : 3 * N + here.left.rotation.shape[1]]
+        cost = float(self._row_weight[:N] @ here.left.square_position + turned @ here.left.square_rotation)
+        if problem.distances:
+            cost += distance_cost(problem.start, problem.parameters, here.values, problem.distances)
+        return cost + float(np.sum(((here.values - self._centre) / self._prior) ** 2))
+
+    def _ended(self, here: _Place, gain: float, cost: float) -> bool:
+        """Whether all following steps together are too short to matter, if they become shorter as the last did."""
+        self._agrees = abs(gain - self.length**2) <= _AGREES * self.length**2
+        self.length = float(np.sqrt(max(self.length**2, gain)))  # where the cost is no parabola, more is left
+        rate = max(self.length / self._last, _SHRINKING) if self._last < np.inf else 1.0
+        if self.length <= self._tolerance or (rate < 1.0 and self.length * rate <= self._tolerance * (1.0 - rate)):
+            return True
+        if self._hopeless is not None:
+            self._hopeful = not self._hopeless(
+                model_at(self.problem.start, self.problem.parameters, here.values), self.length
+            )
+        return not self._hopeful
 
 
 def priors(effects: Sequence[Effect], parameters: Sequence[ModelParameter], around: Drivers) -> tuple[Array, Array]:
@@ -422,14 +383,8 @@ def _equations(samples: Samples) -> tuple[float, int]:
     return float(dimensions(samples)[rows].sum()), postures
 
 
-def _cost(at: Linearised, row_weight: Array) -> float:
-    N, M = at.position.shape[1], at.rotation.shape[1]
-    return float(row_weight[:N] @ at.square_position + row_weight[3 * N : 3 * N + M] @ at.square_rotation)
-
-
 # --- Moves of base and tool during a recording, and fits that begin about where they are
 
-_MOVES_ROUGHLY = 1.0  # standard deviations to which a fit is brought before anything may be rejected
 What = Literal["base", "tool", "both"]
 WHATS: tuple[What, ...] = ("base", "tool", "both")
 
@@ -457,6 +412,6 @@ def identify_moved(
     """
     if not any(is_move(effect) for effect in start.effects):
         return identify(start, samples, parameters, distances, tolerance=tolerance, reject=reject)
-    first = identify(start, samples, parameters, distances, tolerance=_MOVES_ROUGHLY, reject=False)
+    first = identify(start, samples, parameters, distances, tolerance=_ROUGHLY, reject=False)
     start = start.with_effects(first.model.effects)
     return identify(start, samples, parameters, distances, tolerance=tolerance, begin=first.values, reject=reject)

@@ -127,24 +127,29 @@ class NoiseModel:
 @dataclass(frozen=True)
 class Groups:
     """Samples by what shares its noise. positions: rows (or all). others: rows by kind, of those that are no positions.
-    dimensions: directions in which each sample sees, (N,).
+    dimensions: directions in which each sample sees, (N,). pose: whether it has an orientation, (N,). known_position,
+    known_rotation: what readings know of their own scatter, zero where they do not, (N,) and (M,).
     """
 
     positions: np.ndarray | slice
     others: dict[str, np.ndarray]
     dimensions: Array
+    pose: np.ndarray
+    known_position: Array
+    known_rotation: Array
 
     @classmethod
     def of(cls, samples: Samples, mixed: bool) -> Groups:
         """The groups of these samples. mixed: whether there may be readings that are no positions."""
-        dimensions = np.where(samples.is_pose, 6.0, 3.0)
+        pose, dimensions = samples.is_pose, np.where(samples.is_pose, 6.0, 3.0)
+        known = pose, known_sigma(samples.sigma_position), known_sigma(samples.sigma_rotation[pose])
         if not mixed or not (indirect := indirect_rows(samples)).any():
-            return cls(slice(None), {}, dimensions)
+            return cls(slice(None), {}, dimensions, *known)
         others = {}
         for name in np.unique(samples.kind[indirect]).tolist():
             others[name] = np.flatnonzero(samples.kind == name)
             dimensions[others[name]] = kinds()[name].dimensions
-        return cls(np.flatnonzero(~indirect), others, dimensions)
+        return cls(np.flatnonzero(~indirect), others, dimensions, *known)
 
     @cached_property
     def rows(self) -> float:
@@ -221,17 +226,15 @@ def known_sigma(sigma: Array) -> Array:
 
 
 def weigh(
-    at: Linearised,
-    pose: np.ndarray,
-    known_p: Array,
-    known_r: Array,
-    groups: Groups,
-    parameters: float,
-    limit: float | None,
-    barred: np.ndarray | None = None,
+    at: Linearised, groups: Groups, parameters: float, limit: float | None, barred: np.ndarray | None = None
 ) -> tuple[Array, NoiseModel]:
-    """Robust weights of the samples and the spread left, at these residuals. barred: samples without any weight."""
+    """Robust weights of the samples and the spread left, at these residuals.
+
+    parameters: numbers that the samples have told. limit: standard score beyond which a sample is rejected; None: all
+    count alike. barred: samples without any weight.
+    """
     square_p, square_r = at.square_position, at.square_rotation
+    known_p, known_r, pose = groups.known_position, groups.known_rotation, groups.pose
     weights = np.ones(len(square_p))
     each = parameters / groups.rows  # degrees of freedom that a row gives up
     if limit is not None:
@@ -261,16 +264,8 @@ def weigh(
 def row_weights(weights: Array, noise: NoiseModel, samples: Samples) -> Array:
     """Weight of each row of a linearisation, (3 N + 3 M,), of samples with these robust weights (N,)."""
     pose = samples.is_pose
-    known_p, known_r = known_sigma(samples.sigma_position), known_sigma(samples.sigma_rotation[pose])
-    return of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
-
-
-def of_rows(
-    weights: Array, noise: Array | float, turning: float, known_p: Array, known_r: Array, pose: np.ndarray
-) -> Array:
-    """The same of positions of this noise (one, or (N,)) and orientations of that one, beside what readings know."""
-    w_p = weights / (noise**2 + known_p**2)
-    w_r = weights[pose] / (turning**2 + known_r**2)
+    w_p = weights / (noise.of(samples) ** 2 + known_sigma(samples.sigma_position) ** 2)
+    w_r = weights[pose] / (noise.rotation**2 + known_sigma(samples.sigma_rotation[pose]) ** 2)
     return np.concatenate([w_p, w_p, w_p, w_r, w_r, w_r])
 
 

@@ -307,7 +307,7 @@ def first_fit(camera: Camera) -> CameraFit:
             if again is None:
                 break
             camera = again
-    return fit
+    return fit if again is None else fitted(camera, fit)
 
 
 def _without(camera: Camera, out: np.ndarray, fit: CameraFit | None = None) -> Camera | None:

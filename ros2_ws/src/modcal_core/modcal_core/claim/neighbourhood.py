@@ -26,10 +26,9 @@ from modcal_core.calibration import (
     distance_rows,
     drop_fixed,
     has_shared_noise,
-    known_sigma,
     linearise,
-    of_rows,
     ordered_candidates,
+    row_weights,
     shared_noise,
     stated_std,
     views_of,
@@ -138,18 +137,16 @@ def arms_near(
     parameters = tuple(drop_fixed(every, cell.kept, all_there=False))
     values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
     left = linearise(model, (), np.zeros(0), samples, jacobian=False, drivers=around)
-    pose = samples.is_pose
-    known_p, known_r = known_sigma(samples.sigma_position), known_sigma(samples.sigma_rotation[pose])
     groups = Groups.of(samples, bool(model.instruments))
-    weights, missed = weigh(left, pose, known_p, known_r, groups, 0.0, np.inf)
+    weights, missed = weigh(left, groups, 0.0, np.inf)
     noise = noise or replace(
         missed,
         position=max(missed.position, _FINEST),
         rotation=max(missed.rotation, _FINEST),
         others={name: max(size, _FINEST) for name, size in missed.others.items()},
     )
-    row_weight = of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
-    names = [*sorted(samples.kinds), *([_ROTATION] if pose.any() else [])]
+    row_weight = row_weights(weights, noise, samples)
+    names = [*sorted(samples.kinds), *([_ROTATION] if samples.is_pose.any() else [])]
     alike = shared_noise(samples, left, row_weight) if has_shared_noise(samples) else 1.0
     H, g, square, rows = (x / alike for x in _by_kind(model, parameters, values, samples, row_weight, names))
     stated = np.zeros(H.shape[1:]), np.zeros(len(values))
@@ -164,7 +161,9 @@ def arms_near(
     others = [False] * (len(values) - len(parameters))
     of_arm = np.array([p.of_arm for p in parameters] + others)
     moves = of_arm | np.array([p.name.startswith("tool/") for p in parameters] + others)
-    usual = _USUAL / np.array([_read(noise, name, known_p[samples.kind == name], known_r) for name in names])
+    usual = _USUAL / np.array(
+        [_read(noise, name, groups.known_position[samples.kind == name], groups.known_rotation) for name in names]
+    )
     instrument = cell.stated.instrument_mm
     by = 1.0 if instrument is None else 1e-3 * instrument / np.sqrt(3.0) / _USUAL
     expected = float(by * usual[main])

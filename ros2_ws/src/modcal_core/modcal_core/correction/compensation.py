@@ -14,17 +14,18 @@ import numpy as np
 
 from modcal_core.correction.correction import ArmState, Correction, Target
 from modcal_core.errors import NotReachable
-from modcal_core.geometry import Array, se3
+from modcal_core.geometry import Array, descend, se3
 from modcal_core.robots import Delta, delta_inverse, inverse, is_delta, is_serial_arm
 
 TOLERANCE_M, TOLERANCE_RAD = 1e-7, 1e-7
 _DIFFERENCE = 1e-6  # rad or m
 _MAX_STEPS = 12
-_DAMPING = 1e-12
 _EFFECTS_M, _EFFECTS_RAD = 5e-3, 2e-2  # what effects may add to the reach of an arm
 _RESTARTS = 12  # each takes some ten milliseconds where there is nothing to be found
 _TILTED = 0.05  # rad; a Delta's platform stays level, and what is asked beyond its own errors is refused
 _SINGULAR = 1e-3  # smallest gain of the joints, m or rad a rad, that still counts as one
+
+_Posture = tuple[Array, Array, Array]  # joint positions, the error there, and what it loses per unit of each joint
 
 
 @dataclass(frozen=True)
@@ -88,18 +89,21 @@ def compensate(
         errors = se3.error(correction.poses(postures, arriving, target, frame), desired) @ controlled
         return errors[0], -(errors[1:] - errors[0]).T / _DIFFERENCE
 
-    steps, (error, J) = 0, linearised(q)
-    while _size(error) > 0.01 * min(tolerance_m, tolerance_rad) and steps < _MAX_STEPS:
-        step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(error)), error)
-        for share in (1.0, 0.5, 0.25, 0.1):
-            new = np.clip(q + share * step, chain.lower, chain.upper)
-            e, J_new = linearised(new)
-            if _size(e) < _size(error):
-                break
-        else:
-            break  # no shorter step is any better either
-        q, error, J = new, e, J_new
-        steps += 1
+    enough = 0.01 * min(tolerance_m, tolerance_rad)
+
+    def step(here: _Posture, damping: float) -> tuple[_Posture, float]:
+        q, error, J = here
+        full = J.T @ np.linalg.solve(J @ J.T + damping * np.eye(len(error)), error)
+        new = np.clip(q + full, chain.lower, chain.upper)
+        there = new, *linearised(new)
+        return there, _size(there[1])
+
+    begin: _Posture = q, *linearised(q)
+    steps = 0
+    if _size(begin[1]) > enough:
+        found = descend(begin, lambda here: _size(here[1]), step, lambda here, *_: _size(here[1]) <= enough, _MAX_STEPS)
+        begin, steps = found.place, found.steps
+    q, error, J = begin
     position, rotation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
     if not is_serial_arm(chain):
         left = se3.error(correction.poses(q[None], arriving, target, frame), desired)[0, 3:]

@@ -145,8 +145,11 @@ class Shape:
 
 def hardening(x: Array, s: Settings) -> Array:
     """The y with y + beta y³ = x / scale, as a spring deflects that gets stiffer."""
-    root = np.sqrt(3.0 * max(s["beta"], 1e-6))
-    return np.asarray((2.0 / root * np.sinh(np.arcsinh(1.5 * root * x / s["scale"]) / 3.0))[None])
+    straight, beta = x / s["scale"], s["beta"]
+    if beta < 1e-6:  # and as its expansion goes on below none, smooth in beta
+        return np.asarray((straight - beta * straight**3)[None])
+    root = np.sqrt(3.0 * beta)
+    return np.asarray((2.0 / root * np.sinh(np.arcsinh(1.5 * root * straight) / 3.0))[None])
 
 
 def settle(x: Array, s: Settings) -> Array:

@@ -82,28 +82,38 @@ def _of_link(chain: Chain, first: int, last: int, inverse: bool) -> tuple[str, s
     return f"{what}; {moved}", f"{remedy}that carry target and tracker"
 
 
-# --- axes ------------------------------------------------------------------------------------------------------------
+# --- axes and types -------------------------------------------------------------------------------------------------
 
 
 def axes(case: HandEye) -> list[Hypothesis]:
     """Joints that turn or slide along another axis of their frame than the description says."""
     out = []
     for j, name in enumerate(case.names):
+        there = case.chain.axes[j]
         for u in (s * e for e in np.eye(3) for s in (1.0, -1.0)):
-            if abs(float(u @ case.chain.axes[j])) > 0.99:  # of the other sign it is a reversed joint
+            if abs(float(u @ there)) > 0.99:  # of the other sign it is a reversed joint
                 continue
+            what = f"joint {name} looks as if it turned about {_vector(u)} in its frame and not about {_vector(there)}"
             other = replace(case.chain, axes=np.where(np.arange(case.chain.n)[:, None] == j, u, case.chain.axes))
-            out.append(
-                Hypothesis(
-                    f"joint {name} looks as if it turned about {_vector(u)} in its frame and not about "
-                    f"{_vector(case.chain.axes[j])}",
-                    f"check <axis> of {name} in the URDF",
-                    lambda c, other=other: replace(c, A=forward(other, c.q)),  # type: ignore[misc]
-                    0.0,
-                    touches="joints",
-                )
-            )
+            out.append(_of_chain(what, f"check <axis> of {name} in the URDF", other))
     return family(RARE, out)
+
+
+def types(case: HandEye) -> list[Hypothesis]:
+    """Joints that slide where they turn, or the reverse."""
+    out = []
+    for j, name in enumerate(case.names):
+        revolute, lower, upper = (x.copy() for x in (case.chain.revolute, case.chain.lower, case.chain.upper))
+        revolute[j], lower[j], upper[j] = not revolute[j], -np.pi, np.pi
+        written, real = ("revolute", "slide") if case.chain.revolute[j] else ("prismatic", "turn")
+        what = f"joint {name} is {written} in the URDF, and the readings show it {real}"
+        other = replace(case.chain, revolute=revolute, lower=lower, upper=upper)
+        out.append(_of_chain(what, f'check <joint type="..."> of {name}', other))
+    return family(RARE, out)
+
+
+def _of_chain(what: str, remedy: str, other: Chain) -> Hypothesis:
+    return Hypothesis(what, remedy, lambda c: replace(c, A=forward(other, c.q)), 0.0, touches="joints")
 
 
 def _vector(axis: Array) -> str:

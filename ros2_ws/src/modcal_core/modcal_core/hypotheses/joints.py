@@ -12,10 +12,10 @@ from itertools import combinations, product
 
 import numpy as np
 
-from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
+from modcal_core.calibration import turns_left
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.hypotheses.hand_eye import SPREAD, HandEye, HandEyeFit, Placement, at
-from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, cost_of_rows, family, where
+from modcal_core.hypotheses.hand_eye import SPREAD, HandEye, HandEyeFit, Placement, at, closed
+from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, cost_of_rows, where
 from modcal_core.hypotheses.joint_columns import likely_orders
 from modcal_core.hypotheses.rows import astray
 from modcal_core.measurements import spread_rows
@@ -56,13 +56,15 @@ def throughout(case: HandEye) -> Iterator[Hypothesis]:
         angle = np.concatenate([few.q[None, :, j], rng.uniform(-1.0, 1.0, (count - 1, len(few))) * width[:, None]])
         found, nearest = None, 1.0
         for round in range(_ROUNDS):
-            Y, X, x, t = joint.placements(angle)
-            angle = joint.angles(Y, X, x, t)
-            left = (joint.usual(angle, Y, X, x, t) / limits).max(axis=1)
+            placement = closed(joint.turned(angle))
+            angle = joint.angles(placement)
+            each = np.linalg.norm(placement.left(joint.turned(angle)), axis=3)
+            left = (np.median(each, axis=2) / limits[:, None]).max(axis=0)
             kept = (left <= 0.999 * last) & ((round != _TRIED) | (left <= _HOPELESS))
             if left.min() < nearest:
                 best = int(np.argmin(left))
-                found, nearest = Placement(Y[best], X[best], x[best], t[best]), left[best]
+                found = Placement(*(x[best] for x in (placement.Y, placement.X, placement.x, placement.t)))
+                nearest = left[best]
                 kept &= left == nearest  # the others are not needed
             if not kept.any():
                 break
@@ -168,49 +170,31 @@ class OneJoint:
         f = frames(case.chain, q)
         return cls(case, f.transform(-1), f.axes[j, 2].T, f.p[j].T)
 
-    def placements(self, angle: Array) -> tuple[Array, Array, Array, Array]:
-        """Y, X, x and t (K, …) of :class:`~modcal_core.hypotheses.hand_eye.Placement` for each of angles (K, N)."""
-        A, K = self.tips(angle), len(angle)
-        p, R = (np.broadcast_to(v, (K, *v.shape)) for v in (self.case.p, self.case.R))
-        if self.case.poses:
-            Y, X = base_and_tool_turns(A[..., :3, :3], R)
-        else:
-            Y, X = base_by_positions(A, p), np.tile(np.eye(3), (K, 1, 1))
-        return Y, X, *tool_and_place(Y, A, p)[1:]
-
-    def tips(self, angle: Array) -> Array:
-        """Tip poses (K, N, 4, 4) at angles (K, N)."""
+    def turned(self, angle: Array) -> HandEye:
+        """The stations with tips (K, N, 4, 4) at angles (K, N)."""
         S = so3.exp(angle[..., None] * self.axis)
         p = self.on + (S @ (self.zero[:, :3, 3] - self.on)[..., None])[..., 0]
-        return se3.transform(S @ self.zero[:, :3, :3], p)
+        return replace(self.case, A=se3.transform(S @ self.zero[:, :3, :3], p))
 
-    def usual(self, angle: Array, Y: Array, X: Array, x: Array, t: Array) -> Array:
-        """Medians of what is left of turns and places [rad, m], (K, 2)."""
-        A = self.tips(angle)
-        gap = self.case.p - ((A[..., :3, :3] @ x[:, None, :, None])[..., 0] + A[..., :3, 3]) @ np.swapaxes(Y, 1, 2)
-        turn = turns_left(Y, A[..., :3, :3], X, self.case.R) if self.case.poses else np.zeros_like(gap)
-        return np.median(np.linalg.norm([turn, gap - t[:, None]], axis=3), axis=2).T
-
-    def angles(self, Y: Array, X: Array, x: Array, t: Array) -> Array:
-        """Angles (K, N) as orientations tell them by each placement, or points where there are none."""
-        R0 = self.zero[:, :3, :3]
+    def angles(self, by: Placement) -> Array:
+        """Angles (…, N) as orientations tell them by each placement, or points where there are none."""
+        R0, Y = self.zero[:, :3, :3], by.Y[..., None, :, :]
         if not self.case.poses:
-            here = (R0 @ x[:, None, :, None])[..., 0] + self.zero[:, :3, 3] - self.on
-            seen = (self.case.p - t[:, None]) @ Y - self.on
+            here = (R0 @ by.x[..., None, :, None])[..., 0] + self.zero[:, :3, 3] - self.on
+            seen = (self.case.p - by.t[..., None, :]) @ by.Y - self.on
             along = np.sum(self.axis * here, axis=-1) * np.sum(self.axis * seen, axis=-1)
             cross = np.sum(self.axis * np.cross(here, seen), axis=-1)
             return np.asarray(np.arctan2(cross, np.sum(here * seen, axis=-1) - along))
-        B = R0 @ X[:, None] @ np.swapaxes(self.case.R, 1, 2) @ Y[:, None]
-        along = np.einsum("ni,knij,nj->kn", self.axis, B, self.axis)
-        cross = np.einsum("nij,knji->kn", so3.hat(self.axis), B)
-        return np.asarray(np.arctan2(cross, np.trace(B, axis1=2, axis2=3) - along))
+        B = R0 @ by.X[..., None, :, :] @ np.swapaxes(self.case.R, 1, 2) @ Y
+        along = np.einsum("ni,...nij,nj->...n", self.axis, B, self.axis)
+        cross = np.einsum("nij,...nji->...n", so3.hat(self.axis), B)
+        return np.asarray(np.arctan2(cross, np.trace(B, axis1=-2, axis2=-1) - along))
 
 
 def solved(j: int, placement: Placement, part: HandEye) -> Array:
     """Postures with the angle of joint j as the orientations tell it, or points where there are none."""
     q = part.q.copy()
-    one = (v[None] for v in (placement.Y, placement.X, placement.x, placement.t))
-    q[:, j] = OneJoint.of(part, j).angles(*one)[0]
+    q[:, j] = OneJoint.of(part, j).angles(placement)
     return q
 
 
@@ -242,7 +226,7 @@ def solved_two(pair: tuple[int, int], placement: Placement, part: HandEye) -> Ar
     return q_best
 
 
-# --- columns under other names, other types --------------------------------------------------------------------------
+# --- columns under other names ------------- --------------------------------------------------------------------------
 
 
 def orders(case: HandEye) -> list[Hypothesis]:
@@ -258,8 +242,7 @@ def orders(case: HandEye) -> list[Hypothesis]:
             explained |= order.explains  # with fewer mistakes it is likelier
             if not shuffled:
                 continue
-            by = next((s for s in range(1, n) if order.columns == tuple((k + s) % n for k in range(n))), 0)
-            by = min(by, n - by)
+            by = next((min(s, n - s) for s in range(1, n) if order.columns == tuple((k + s) % n for k in range(n))), 0)
             how = f", all by {by} place{'s' if by > 1 else ''} (a list counted from another number)" if by else ""
             each = ", ".join(f"{case.names[k]} under the name {case.names[order.columns[k]]}" for k in shuffled)
             beside = "" if back is None else f", and {case.names[back]} reversed"
@@ -274,23 +257,3 @@ def orders(case: HandEye) -> list[Hypothesis]:
                 )
             )
     return out
-
-
-def types(case: HandEye) -> list[Hypothesis]:
-    """Joints that slide where they turn, or the reverse."""
-    out = []
-    for j, name in enumerate(case.names):
-        revolute, lower, upper = (x.copy() for x in (case.chain.revolute, case.chain.lower, case.chain.upper))
-        revolute[j], lower[j], upper[j] = not revolute[j], -np.pi, np.pi
-        other = replace(case.chain, revolute=revolute, lower=lower, upper=upper)
-        written, real = ("revolute", "slide") if case.chain.revolute[j] else ("prismatic", "turn")
-        out.append(
-            Hypothesis(
-                f"joint {name} is {written} in the URDF, and the readings show it {real}",
-                f'check <joint type="..."> of {name}',
-                lambda c, other=other: replace(c, A=forward(other, c.q)),  # type: ignore[misc]
-                0.0,
-                touches="joints",
-            )
-        )
-    return family(RARE, out)

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.geometry import Array, so3
 from modcal_core.hypotheses.hand_eye import (
     ANYWHERE,
@@ -19,6 +18,7 @@ from modcal_core.hypotheses.hand_eye import (
     HandEyeFit,
     Placement,
     at,
+    closed,
     likelihood_at,
     placed,
     points,
@@ -55,7 +55,7 @@ def astray(fit: HandEyeFit) -> np.ndarray:
 
 def likelihood(case: HandEye, placement: Placement) -> Array:
     """Log likelihood of each station, (N,), by a placement, at twice a nominal arm's usual error."""
-    turns, gaps = placement.left(case)
+    turns, gaps = (np.sum(left**2, axis=1) for left in placement.left(case))
     total = case.volume + likelihood_at(gaps, 2.0 * case.scale.position, case.scale.volume)
     return total + likelihood_at(turns, 2.0 * SPREAD[0], ANYWHERE) if case.poses else total
 
@@ -163,22 +163,19 @@ def moved(fit: HandEyeFit, rest: np.ndarray) -> Iterator[Hypothesis]:
     rows = rest[own.agree(2.0)]
     if len(rows) < _LEAST:
         return
-    here, there = fit.placement, own.placement
+    here = fit.placement
     remedy = "check whether two trackers or targets publish under one name; give each part its own frame or recording"
-    for what, other, values in (
-        ("the base (or the tracker) is displaced", replace(here, Y=there.Y, t=there.t), 6),
-        ("the tool (or the target on it) is displaced", replace(here, X=there.X, x=there.x), 6 if case.poses else 3),
-        ("base and tool are both displaced", there, 12 if case.poses else 9),
+    for what, kept, values in (
+        ("the base (or the tracker) is displaced", "tool", 6),
+        ("the tool (or the target on it) is displaced", "base", 6 if case.poses else 3),
+        ("base and tool are both displaced", "", 12 if case.poses else 9),
     ):
-        if values == 6 and not case.poses and "base" in what:
-            other = replace(other, x=here.x)
-        other = _centred(case.select(rows), other, here)
+        other = _sharing(case.select(rows), own.placement, here, kept)
 
         def undone(c: HandEye, other: Placement = other) -> HandEye:
             return _as_seen(c, other, here)
 
-        h = Hypothesis(what, remedy, undone, COMMON, values, "rows")
-        h = on_rows(h, case, rows)
+        h = on_rows(Hypothesis(what, remedy, undone, COMMON, values, "rows"), case, rows)
         yield replace(h, what=h.what.removesuffix(", and not at the others"))
 
 
@@ -195,17 +192,15 @@ def with_own_placement(h: Hypothesis, own: Placement, fit: HandEyeFit, rest: np.
 def still(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """Joints, or readings, that stand to the last digit while the others move, at stations that do not agree."""
     case = fit.case
-    stands = {
-        name: np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=1)] for name, x in (("joints", case.q), ("p", case.p))
-    }
+    joints, readings = (np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=1)] for x in (case.q, case.p))
     for rows, what, remedy in (
         (
-            stands["joints"] & ~stands["p"],
+            joints & ~readings,
             "all joint positions stand still while the readings move: they look stale",
             "check how joint states get into the recording",
         ),
         (
-            stands["p"] & ~stands["joints"],
+            readings & ~joints,
             "readings stand still while the joints move: they look stale",
             "see whether the tracker lost its target and repeats its last reading",
         ),
@@ -219,17 +214,6 @@ def still(fit: HandEyeFit) -> Iterator[Hypothesis]:
         other = replace(other, volume=other.volume - lost - likelihood(other, fit.placement) + other.volume)
         h = Hypothesis(what, remedy, lambda c, other=other: other, RARE, touches="rows")  # type: ignore[misc]
         yield on_rows(h, case, at_rows)
-
-
-def _centred(part: HandEye, other: Placement, here: Placement) -> Placement:
-    """The other placement with the place of the base, or of the tool, as medians of the part have it."""
-    if other.x is here.x:
-        return replace(other, t=other.t + np.median(at(part, other).placement.left(part)[1], axis=0))
-    if other.t is here.t:
-        gaps = other.left(part)[1]
-        back = np.swapaxes(other.Y @ part.A[:, :3, :3], 1, 2)
-        return replace(other, x=other.x + np.median((back @ gaps[..., None])[..., 0], axis=0))
-    return other
 
 
 def _as_seen(c: HandEye, other: Placement, here: Placement) -> HandEye:
@@ -271,8 +255,7 @@ def stretches(fit: HandEyeFit) -> Iterator[Hypothesis]:
         ("the tool (or the target on it)", "keep the target where it is", "base", 6 if case.poses else 3),
         ("the base (or the tracker's zero), or the tool,", "keep tracker and target as they are", "", 12),
     ):
-        mean = _mean([own for _, _, own in parts], here, kept)
-        each = [(np.arange(a, b), _sharing(case.select(np.arange(a, b)), own, mean, kept)) for a, b, own in parts]
+        each = [(np.arange(a, b), _sharing(case.select(np.arange(a, b)), own, here, kept)) for a, b, own in parts]
 
         def undone(c: HandEye, each: list[tuple[np.ndarray, Placement]] = each) -> HandEye:
             for rows, own in each:
@@ -292,45 +275,22 @@ def stretches(fit: HandEyeFit) -> Iterator[Hypothesis]:
 def _near_by_windows(case: HandEye, length: int) -> np.ndarray:
     """Whether a base and a tool in closed form bring so many neighbours near, for each that may be the first."""
     rows = np.arange(max(len(case) - length + 1, 0))[:, None] + np.arange(length)
-    angle, distance = (_NEAR * limit for limit in case.limits)
-    A, R = case.A[rows], case.R[rows]
-    Y = base_by_positions(A, case.p[rows])
-    near = np.median(np.linalg.norm(tool_and_place(Y, A, case.p[rows])[0], axis=2), axis=1) < distance
-    if case.poses:
-        a = A[..., :3, :3]
-        Y, X = base_and_tool_turns(a, R)
-        gaps, turns = tool_and_place(Y, A, case.p[rows])[0], turns_left(Y, a, X, R)
-        near |= np.median(np.linalg.norm(gaps, axis=2), axis=1) < distance
-        near &= np.median(np.linalg.norm(turns, axis=2), axis=1) < angle
-    return near
-
-
-def _mean(parts: list[Placement], here: Placement, kept: str) -> Placement:
-    """What is kept, the tool or the base, as the mean of all parts."""
-    if kept == "tool":
-        return replace(
-            here, X=so3.mean(np.stack([own.X for own in parts])), x=np.mean([own.x for own in parts], axis=0)
-        )
-    if kept == "base":
-        return replace(
-            here, Y=so3.mean(np.stack([own.Y for own in parts])), t=np.mean([own.t for own in parts], axis=0)
-        )
-    return here
+    windows = replace(case, A=case.A[rows], p=case.p[rows], R=case.R[rows])
+    left = np.median(np.linalg.norm(closed(windows).left(windows), axis=-1), axis=-1)
+    return np.asarray((left < _NEAR * np.array(case.limits)[:, None]).all(axis=0))
 
 
 def _sharing(part: HandEye, own: Placement, here: Placement, kept: str) -> Placement:
     """The placement of a part with the tool, or the base, of another."""
+    if not kept:
+        return own
+    a = part.A[:, :3, :3]
     if kept == "tool":
-        Y = own.Y
-        if part.poses:
-            Y = so3.nearest_rotation(np.sum(part.R @ np.swapaxes(part.A[:, :3, :3] @ here.X, 1, 2), axis=0))
-        return _centred(part, replace(here, Y=Y, t=own.t), here)
-    if kept == "base":
-        X = own.X
-        if part.poses:
-            X = so3.nearest_rotation(np.sum(np.swapaxes(here.Y @ part.A[:, :3, :3], 1, 2) @ part.R, axis=0))
-        return _centred(part, replace(here, X=X, x=own.x), here)
-    return own
+        other = replace(here, Y=so3.mean(part.R @ np.swapaxes(a @ here.X, 1, 2)) if part.poses else own.Y)
+        return replace(other, t=other.t + np.median(other.left(part)[1], axis=0))
+    other = replace(here, X=so3.mean(np.swapaxes(here.Y @ a, 1, 2) @ part.R) if part.poses else own.X)
+    off = np.einsum("nji,nj->ni", here.Y @ a, other.left(part)[1])
+    return replace(other, x=other.x + np.median(off, axis=0))
 
 
 # --- rows that belong elsewhere --------------------------------------------------------------------------------------

@@ -166,7 +166,7 @@ def _followed(state: SearchState, table: Sequence[Hypothesis] | None) -> list[Se
 def _whole(case: HandEye) -> list[Hypothesis]:
     """What may be so of a whole recording, told in closed form."""
     whole = [*conventions.of_recording(case), *description.other_links(case), *description.axes(case)]
-    return [*whole, *joints.types(case), *channels.turned_frames(case)]
+    return [*whole, *description.types(case), *channels.turned_frames(case)]
 
 
 def _of_themselves(fit: HandEyeFit) -> Iterator[Hypothesis]:

@@ -164,15 +164,18 @@ class ModuleError:
 class ModuleErrors:
     """What is known of all modules seen so far, by (serial number, part), and what it was learned from.
 
-    keys, mean, covariance: of all together, six numbers for each key, in that order: errors of modules that were seen
-    side by side are not independent.
+    covariance: of all together, six numbers for each key, in their order: errors of modules that were seen side by side
+    are not independent.
     """
 
     parts: Mapping[Key, ModuleError] = field(default_factory=dict)
     recordings: tuple[RecordingEvidence, ...] = ()
-    keys: tuple[Key, ...] = ()
-    mean: Array = field(default_factory=lambda: np.empty(0))
     covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The parts that were seen."""
+        return tuple(self.parts)
 
     @property
     def twists(self) -> dict[Key, Array]:
@@ -217,7 +220,7 @@ def learn(recordings: Sequence[RecordingEvidence], library: Library) -> ModuleEr
         kind, size = kinds[key[0]]
         seen = sum(key in _inner_keys(w.assembly, library) for w in recordings)
         parts[key] = ModuleError(x[at], covariance[at, at], kind, size, seen)
-    return ModuleErrors(parts, tuple(recordings), keys, x, covariance)
+    return ModuleErrors(parts, tuple(recordings), covariance)
 
 
 def surprise(known: ModuleErrors, new: RecordingEvidence, library: Library) -> Surprise:

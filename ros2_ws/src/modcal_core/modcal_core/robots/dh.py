@@ -41,19 +41,16 @@ from modcal_core.schema import NUMBER, TEXT, Schema, list_of, record, require, s
 
 # --- What the kinematic tables have in common: plain data with one row a joint, between a base and a tool pose
 
-_SEE = "correct the table, as docs/robots.md shows one"
+SEE = "correct the table, as docs/robots.md shows one"
 _POSE = record((), xyz=list_of(NUMBER, 3, 3), rpy=list_of(NUMBER, 3, 3))
 _COMMON = {"name": TEXT, "type": {"enum": ("revolute", "prismatic")}, "lower": NUMBER, "upper": NUMBER}
 
 
 @dataclass(frozen=True)
 class TableRows:
-    """A table that was read. rows: the mappings of the joints, checked for names that do not belong."""
+    """A table that was read. rows: the mappings of the joints, as checked."""
 
     names: list[str]
-    revolute: list[bool]
-    lower: list[float]
-    upper: list[float]
     base_link: str
     tip_link: str
     T_base: Array
@@ -69,21 +66,27 @@ class TableRows:
         origins = np.array(origins)
         origins[0] = self.T_base @ origins[0]
         origins[-1] = origins[-1] @ self.T_tool
-        return Chain.build(
-            self.names, origins, axes, self.revolute, self.lower, self.upper, self.base_link, self.tip_link
+        revolute = [row.get("type", "revolute") == "revolute" for row in self.rows]
+        lower, upper = (
+            [row.get(key, end) for row in self.rows] for key, end in (("lower", -np.inf), ("upper", np.inf))
         )
+        return Chain.build(self.names, origins, axes, revolute, lower, upper, self.base_link, self.tip_link)
+
+
+def table_schema(keys: Mapping[str, Schema]) -> Schema:
+    """Of a table whose rows have these keys beside the common ones."""
+    joints = list_of(record((), **_COMMON, **keys), 1)
+    return record(("joints",), convention={}, base=_POSE, tool=_POSE, joints=joints, base_link=TEXT, tip_link=TEXT)
 
 
 def read_rows(table: Mapping[str, Any], convention: str, keys: Mapping[str, Schema]) -> TableRows:
     """The joints of a table of this convention, whose rows have these keys beside the common ones. Raises BadTable."""
     what = f"{convention} table"
-    joints = list_of(record((), **_COMMON, **keys), 1)
-    links = {"base_link": TEXT, "tip_link": TEXT}
     top = stated(table)
     other = top.get("convention", convention) if isinstance(top, Mapping) else convention
     if other != convention:
         raise BadTable(what, f"its convention is '{other}'", f"read it as {other}")
-    require(top, record(("joints",), convention={}, base=_POSE, tool=_POSE, joints=joints, **links), what, _SEE)
+    require(top, table_schema(keys), what, SEE)
     rows = [stated(row) for row in top["joints"]]
     unnamed = not any("name" in row for row in rows)
     names = [row.get("name", f"joint_{i + 1}" if unnamed else "") for i, row in enumerate(rows)]
@@ -92,9 +95,6 @@ def read_rows(table: Mapping[str, Any], convention: str, keys: Mapping[str, Sche
             raise BadTable(f"{what}, row {i + 1}", "needs a name of its own", "name the joint as its messages do")
     return TableRows(
         names=names,
-        revolute=[row.get("type", "revolute") == "revolute" for row in rows],
-        lower=[row.get("lower", -np.inf) for row in rows],
-        upper=[row.get("upper", np.inf) for row in rows],
         base_link=top.get("base_link", "base"),
         tip_link=top.get("tip_link", "tip"),
         T_base=_pose(top.get("base", {})),
@@ -149,21 +149,21 @@ def plain(values: Array) -> list[float]:
 
 
 DH = ("theta", "d", "a", "alpha")
-_KEYS = dict.fromkeys(DH, NUMBER)
+KEYS = dict.fromkeys(DH, NUMBER)
 _PARALLEL = 1e-11  # sine of the angle below which axes count as parallel; FK is then off by that times the reach
 _NEARLY = 0.1  # sine of the angle below which a slide is moved, for its line may lie anywhere
 
 
 def from_dh(table: Mapping[str, Any]) -> Chain:
     """The chain of a classical DH table. Raises BadTable."""
-    rows = read_rows(table, "dh", _KEYS)
+    rows = read_rows(table, "dh", KEYS)
     theta, d, a, alpha = (rows.column(key) for key in DH)
     return rows.chain(np.concatenate([np.eye(4)[None], _about_z(theta, d) @ _about_x(alpha, a)]))
 
 
 def from_mdh(table: Mapping[str, Any]) -> Chain:
     """The chain of a modified (Craig) DH table. Raises BadTable."""
-    rows = read_rows(table, "mdh", _KEYS)
+    rows = read_rows(table, "mdh", KEYS)
     theta, d, a, alpha = (rows.column(key) for key in DH)
     return rows.chain(np.concatenate([_about_x(alpha, a) @ _about_z(theta, d), np.eye(4)[None]]))
 

@@ -56,10 +56,22 @@ import numpy as np
 from modcal_core.errors import BadTable, NotRepresentable, refusing
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.dh import DH, from_dh, from_mdh, plain, read_rows, to_dh, to_mdh, write_rows
+from modcal_core.robots.dh import (
+    DH,
+    KEYS,
+    SEE,
+    from_dh,
+    from_mdh,
+    plain,
+    read_rows,
+    table_schema,
+    to_dh,
+    to_mdh,
+    write_rows,
+)
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.makers import from_ur_kinematics, laid_out_as, ur_conf_table
-from modcal_core.schema import NUMBER, Schema, list_of
+from modcal_core.schema import NUMBER, Schema, list_of, require
 
 # --- Complete and parametrically continuous (CPC) tables, to and from chains
 
@@ -267,7 +279,7 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
     for joint in table["joints"]:
         if joint.get("name", "").isdigit():
             joint["name"] = f"joint_{joint['name']}"
-    _READERS[convention](table)  # what is no number is refused before it is scaled
+    require(table, table_schema(_KEYS if convention == "cpc" else KEYS), source, SEE)
     found = _scaled(table, *(1.0 / factor for factor in UNITS[unit]))
     _require_units(table["joints"], _READERS[convention](found), unit, source)
     return found

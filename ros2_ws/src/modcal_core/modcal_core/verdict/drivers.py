@@ -101,6 +101,7 @@ class PlaceDrivers:
         self.axes = [rest.axis(j) for j in range(self.chain.n)]
         self.base, self.tool = rest.body(0), rest.body(self.chain.tool_place)
         self.turn = np.moveaxis(rest.view.f.rotation(-1), 0, -1)  # orientations of the tip, (3, 3, N)
+        self.flat = self.turn.reshape(9, self.N)
         self.sight = np.einsum("jin,jn->in", self.turn, _unit(rest.view.expected))  # the beam along the tip's axes
         self.ends = ("the tool", self.tool), ("the base", self.base)
         step, approach = last_moves(self.samples), self.samples.approach
@@ -138,12 +139,10 @@ class PlaceDrivers:
         moved = np.stack([u * x for j, u in enumerate(self.axes) for x in (self.came[j], self.step[j])])
         yield Part("", "all joints, or the readings' time (a filter, an average, a late clock)", "the last move", moved)
         down = np.einsum("jin,j->in", self.turn, self.chain.T_base_root[:3, :3].T @ [0.0, 0.0, -1.0])
-        yield _part("", "the tool", "how it is turned against gravity", self.tool, down)
-        yield _part("", "the tool", "how it is turned against gravity", self.tool, np.sign(down))
+        yield _part("", "the tool", "how it is turned against gravity", self.tool, np.r_[down, np.sign(down)])
         yield _part("", "the tool", "the side from which the tracker looks at it", self.tool, _curves(self.sight))
         yield _part("", "the base", "the moment of the arm's weight on it", self.base, moments_on_base(self.at))
-        flat = self.turn.reshape(9, self.N)
-        where = np.concatenate([_standard(np.asarray(self.rest.view.f.p[-1])), flat, flat**3])
+        where = np.concatenate([_standard(np.asarray(self.rest.view.f.p[-1])), self.flat, self.flat**3])
         who = "the tool (or the target on it)"
         yield _part("", who, "where it is and how it is turned in the cell", self.tool, where)
 
@@ -312,8 +311,7 @@ class PlaceDrivers:
         yield _part(group, who, "the distance from the tracker", self.rest.read(_unit(x))[None], powers)
         yield _part(group, who, place, along, _monomials(z, 3))
         yield _part("", who, place, along, z)
-        flat = self.turn.reshape(9, self.N)
-        yield _part("", who, "how the target is turned", along, np.concatenate([flat, flat**3]))
+        yield _part("", who, "how the target is turned", along, np.concatenate([self.flat, self.flat**3]))
         group = "the side from which the tracker sees the target (the angle of the beam, or the target's roll)"
         yield _part(group, who, group, self.rest.read(_unit(x))[None], _monomials(self.sight, 3))
         yield _part(group, "", "", along, _monomials(self.sight, 2))

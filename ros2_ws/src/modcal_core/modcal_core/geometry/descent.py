@@ -1,0 +1,54 @@
+"""Damped Gauss–Newton steps (Levenberg 1944, Marquardt 1963): the one solver of all fits.
+
+What is fitted may be anything, a vector or a model: only costs and steps are asked for. A cost may change from step to
+step, where weights or scales are found again: a step has to lead downhill by those of the place that it begins from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+# Damping, relative to the curvature along each value: the first of a step that led uphill, the least, far above
+# rounding, and one with which a step moves nothing
+FIRST_DAMPING, MIN_DAMPING, _MAX_DAMPING = 1e-4, 1e-12, 1e7
+_SLACK = 1e-7  # share of the cost that is rounding
+
+P = TypeVar("P")
+
+
+@dataclass(frozen=True)
+class Descent(Generic[P]):
+    """Where it ended, steps taken, and whether by itself, not because there were too many."""
+
+    place: P
+    steps: int
+    converged: bool
+
+
+def descend(
+    begin: P,
+    look: Callable[[P], float],
+    step: Callable[[P, float], tuple[P, float] | None],
+    ended: Callable[[P, float, float], bool],
+    most: int,
+) -> Descent[P]:
+    """The place where the cost is least, from this one downhill.
+
+    look: cost of a place, from which steps then begin. step: the place a step with this damping farther, and its cost;
+    None where it is impossible. ended: asked after each step: where it led, what it gained, and the cost before. most:
+    steps.
+    """
+    here, damping = begin, MIN_DAMPING
+    for count in range(1, most + 1):
+        cost = look(here)
+        while (there := step(here, damping)) is None or there[1] > cost + _SLACK * abs(cost) + 1e-12:
+            damping = max(10.0 * damping, FIRST_DAMPING)
+            if damping > _MAX_DAMPING:
+                return Descent(here, count, True)
+        here, gain = there[0], cost - there[1]
+        if ended(here, gain, cost):
+            return Descent(here, count, True)
+        damping = max(0.1 * damping, MIN_DAMPING)
+    return Descent(here, most, False)
