@@ -32,7 +32,7 @@ from modcal_core.verdict.predictable import MIN_STATIONS, RestStudy
 from modcal_core.verdict.rest import rows_asked
 from modcal_core.verdict.verdict import MAX_PREDICTABLE, Verdict
 
-_MAX = 250  # samples, for time; more are thinned evenly
+_MAX = 250  # poses, or twice as many points, for time; more are thinned evenly
 _ODDS = float(np.log(20.0))  # nats, beyond which another explanation is no rival
 _LEAST = 1.0  # %; lower end of what blocks gain: one of thousands of candidates was chosen for these stations
 _BLOCKS = 25  # of neighbours in time
@@ -47,7 +47,8 @@ class Proofs:
     """Asks effects of a fitted case, of what its verdict says is surely predictable of the rest."""
 
     def __init__(self, case: Case, judged: Verdict) -> None:
-        self._case, self._rows = case, rows_asked(case, _MAX)
+        self._case = case
+        self._rows = rows_asked(case, _MAX if case.samples.is_pose.any() else 2 * _MAX)
         few = case.samples.select(self._rows).stations < MIN_STATIONS
         self._asked = case.fitted and not few and is_serial_arm(case.model.chain)
         self._lost = bool(judged.source) and too_many(case.wrong, case.samples)
