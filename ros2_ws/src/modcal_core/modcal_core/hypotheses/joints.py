@@ -174,7 +174,7 @@ class OneJoint:
         """The stations with tips (K, N, 4, 4) at angles (K, N)."""
         S = so3.exp(angle[..., None] * self.axis)
         p = self.on + (S @ (self.zero[:, :3, 3] - self.on)[..., None])[..., 0]
-        return replace(self.case, A=se3.transform(S @ self.zero[:, :3, :3], p))
+        return replace(self.case, A=se3.transform(S @ self.zero[:, :3, :3], p), mixed=None)
 
     def angles(self, by: Placement) -> Array:
         """Angles (…, N) as orientations tell them by each placement, or points where there are none."""

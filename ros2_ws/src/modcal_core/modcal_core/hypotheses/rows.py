@@ -275,7 +275,7 @@ def stretches(fit: HandEyeFit) -> Iterator[Hypothesis]:
 def _near_by_windows(case: HandEye, length: int) -> np.ndarray:
     """Whether a base and a tool in closed form bring so many neighbours near, for each that may be the first."""
     rows = np.arange(max(len(case) - length + 1, 0))[:, None] + np.arange(length)
-    windows = replace(case, A=case.A[rows], p=case.p[rows], R=case.R[rows])
+    windows = replace(case, A=case.A[rows], p=case.p[rows], R=case.R[rows], mixed=None)
     left = np.median(np.linalg.norm(closed(windows).left(windows), axis=-1), axis=-1)
     return np.asarray((left < _NEAR * np.array(case.limits)[:, None]).all(axis=0))
 
