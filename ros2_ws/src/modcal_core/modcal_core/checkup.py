@@ -130,34 +130,10 @@ def checkup(
     what is not of this robot.
     """
     cell = (cell or Cell()).met(samples)
-    samples = with_sockets(samples, cell, calibration.nominal.chain)
-    if (count := distinct_postures(samples)) < MIN:
-        again = "" if count == samples.stations else f" at {count} posture{'s' if count > 1 else ''}"
-        said = f"at least {MIN} postures are needed to tell changes apart"
-        remedy = "measure ten stations, spread over the ranges of all joints"
-        raise NotEnoughData(f"{samples.stations} stations{again}", said, remedy)
-    new = new_frames(calibration, samples)
-    placed = _placed(calibration, samples, new)
-    samples = in_known_frames(samples, placed[0])
-    known = recognised(placed[1].model, samples, calibration.noise)
-    if new and known.undone is not None:  # they were placed by what was undone
-        placed = _placed(calibration, known.samples, new)
-    samples, (calibration, applied) = known.samples, placed
+    asked = _asked(calibration, with_sockets(samples, cell, calibration.nominal.chain))
+    calibration, applied, part = asked.calibration, asked.applied, asked.part
     begin = frozen(calibration, applied.model, pattern)
-    inside = _where_curves_are_known(calibration, samples)
-    part = calibration.with_scatter(spread_out(inside, MAX))
-    require_own_rows(begin.model, part)
-    try:
-        found = search(begin.model, part, begin.known, placed_anew(part, new))
-    except np.linalg.LinAlgError:  # so far apart that their likelihoods cannot be weighed
-        raise BadRecording(
-            "readings",
-            f"miss the calibrated arm by {_size(errors(begin.model, part))[0]:.3g} mm RMS, and contradict each other",
-            "check that each stands beside its own posture, and that robot and instrument are those of the calibration",
-        ) from None
-    require_one_setting(found)
-    if known.doubt is not None:
-        require_accounted(found, known.doubt, begin.model)
+    found = _searched(begin, asked)
     fixed = None if found.more else repaired(calibration, found, begin.index)
     alike = [alike_everywhere(c, calibration, begin.model, found.samples) for c in found.changes]
     N = len(found.samples)
@@ -185,12 +161,12 @@ def checkup(
         advice=advise(found, calibration, begin, alike, untried),
         repaired=fixed,
         report=report,
-        joints=samples.names,
-        convention=known.undone,
+        joints=part.names,
+        convention=asked.undone,
         notes=(
-            *_placed_note(calibration, samples, new),
-            *_notes(begin, samples, inside, part, found),
-            *_dated(calibration, samples),
+            *_placed_note(calibration, asked.samples, asked.new),
+            *_notes(begin, asked.samples, asked.inside, part, found),
+            *_dated(calibration, asked.samples),
             *unseen_note(found.samples, calibration),
             *applied.notes,
         ),
@@ -199,9 +175,62 @@ def checkup(
             errors(found.state.model, found.samples).position_norm,
         ),
         far_apart=found.null.weight * part.stations,
-        placed=new,
+        placed=asked.new,
         beyond=beyond,
     )
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """The stations that are asked about. calibration: with frames that it did not know placed, by name in new. applied:
+    what of it applies. samples: all stations, a convention undone (undone), or in doubt. inside: those where curves are
+    known. part: those looked at.
+    """
+
+    calibration: Calibration
+    applied: Applied
+    samples: Samples
+    undone: str | None
+    doubt: BadRecording | None
+    new: tuple[str, ...]
+    inside: Samples
+    part: Samples
+
+
+def _asked(calibration: Calibration, samples: Samples) -> _Asked:
+    """The stations in frames and conventions of the calibration. Raises NotEnoughData where they are too few."""
+    if (count := distinct_postures(samples)) < MIN:
+        again = "" if count == samples.stations else f" at {count} posture{'s' if count > 1 else ''}"
+        said = f"at least {MIN} postures are needed to tell changes apart"
+        remedy = "measure ten stations, spread over the ranges of all joints"
+        raise NotEnoughData(f"{samples.stations} stations{again}", said, remedy)
+    new = new_frames(calibration, samples)
+    placed = _placed(calibration, samples, new)
+    known = recognised(placed[1].model, in_known_frames(samples, placed[0]), calibration.noise)
+    if new and known.undone is not None:  # they were placed by what was undone
+        placed = _placed(calibration, known.samples, new)
+    inside = _where_curves_are_known(placed[0], known.samples)
+    return _Asked(
+        *placed, known.samples, known.undone, known.doubt, new, inside, placed[0].with_scatter(spread_out(inside, MAX))
+    )
+
+
+def _searched(begin: FrozenCalibration, asked: _Asked) -> FoundChanges:
+    """The changes that the stations show. Raises BadRecording for what is not of this arm, or not of one setting."""
+    part = asked.part
+    require_own_rows(begin.model, part)
+    try:
+        found = search(begin.model, part, begin.known, placed_anew(part, asked.new))
+    except np.linalg.LinAlgError:  # so far apart that their likelihoods cannot be weighed
+        raise BadRecording(
+            "readings",
+            f"miss the calibrated arm by {_size(errors(begin.model, part))[0]:.3g} mm RMS, and contradict each other",
+            "check that each stands beside its own posture, and that robot and instrument are those of the calibration",
+        ) from None
+    require_one_setting(found)
+    if asked.doubt is not None:
+        require_accounted(found, asked.doubt, begin.model)
+    return found
 
 
 def _placed(calibration: Calibration, samples: Samples, new: tuple[str, ...]) -> tuple[Calibration, Applied]:
