@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo week test suite quick fuzz mutants lint ruff mypy format bench docs wheel lock clean
+.PHONY: help setup setup-test build packages demo week test suite quick fuzz mutants lint ruff mypy format bench docs wheel lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -30,13 +30,18 @@ setup:  ## create .venv with the pinned requirements
 setup-test:  ## the same, with what the tests need
 	@scripts/setup.sh --test
 
-build: setup  ## build the workspace with colcon
+build: setup  ## build the workspace with colcon: the packages, and the interfaces, which need cmake and a compiler
+	@scripts/interfaces.sh --check
+	@scripts/build.sh
+	@scripts/interfaces.sh
+
+packages: setup
 	@scripts/build.sh
 
-demo: build  ## calibrate from an embedded recording; ends with before/after and where the report is
+demo: packages  ## calibrate from an embedded recording; ends with before/after and where the report is
 	@bash examples/demo.sh
 
-week: build  ## a week in the life of a simulated cell: measure, check, a bumped tool, repair; some minutes
+week: packages  ## a week in the life of a simulated cell: measure, check, a bumped tool, repair; some minutes
 	@bash examples/week.sh
 
 # Files run side by side, each whole on one worker, so that what a file sets up once is set up once.
@@ -87,6 +92,6 @@ lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 an
 	@$(PY) scripts/lock.py
 
 clean:  ## remove .venv, the build and every cache
-	@rm -rf $(VENV) .venv-bench ros2_ws/build ros2_ws/install ros2_ws/log demo
+	@rm -rf $(VENV) .venv-interfaces .venv-bench ros2_ws/build ros2_ws/install ros2_ws/log demo
 	@rm -rf site dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	@find ros2_ws/src tests bench examples scripts -name __pycache__ -prune -exec rm -rf {} +

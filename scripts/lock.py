@@ -1,7 +1,7 @@
-"""Writes requirements.txt and requirements-test.txt: every package, exact, the same on Python 3.11 and 3.12.
+"""Writes requirements.txt, -test.txt and -interfaces.txt: every package, exact, the same on Python 3.11 and 3.12.
 
 pip resolves the groups of pyproject.toml for an empty environment of the older interpreter; the newer one is then held
-to the same versions and may only add packages. Both files come from one resolution, so they never disagree. With each
+to the same versions and may only add packages. All files come from one resolution, so they never disagree. With each
 version stand the hashes of all its files, for every kind of machine, as uv takes them from the index; pip then installs
 nothing else. `--keep` keeps the versions and adds what is new in pyproject.toml; `--hashes` renews the hashes only.
 """
@@ -20,7 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 OLDER, NEWER = "3.11", "3.12"
 UV = "uv==0.13.9"
-FILES = ("requirements.txt", "requirements-test.txt")
+FILES = ("requirements.txt", "requirements-test.txt", "requirements-interfaces.txt")
 HEADER = "# Made by `make lock` from pyproject.toml; change it there.\n"
 
 
@@ -64,8 +64,9 @@ def pinned(name: str) -> list[str]:
     return re.findall(r"^[a-z0-9-]+==[^\s\\]+", (ROOT / name).read_text(), re.MULTILINE)
 
 
-def resolved(held: dict[str, str]) -> tuple[list[str], list[str]]:
-    """Pins of what is needed, and of what only tests need: resolved on the older Python, completed on the newer.
+def resolved(held: dict[str, str]) -> tuple[list[str], list[str], list[str]]:
+    """Pins of what is needed, of what only tests need, and of what builds the interfaces, which is an environment of
+    its own: resolved on the older Python, completed on the newer.
 
     held: versions by name that are kept.
     """
@@ -74,17 +75,25 @@ def resolved(held: dict[str, str]) -> tuple[list[str], list[str]]:
     everything |= resolve(NEWER, groups["runtime"] + groups["test"], everything)
     runtime = resolve(OLDER, groups["runtime"], everything) | resolve(NEWER, groups["runtime"], everything)
     test = {name: version for name, version in everything.items() if name not in runtime}
-    return pins(runtime), pins(test)
+    wanted = groups["interfaces"]
+    shared = {
+        name: version for name, version in everything.items() if not any(w.startswith(f"{name}<") for w in wanted)
+    }
+    interfaces = resolve(OLDER, wanted, shared)
+    interfaces |= resolve(NEWER, wanted, shared | interfaces)
+    return pins(runtime), pins(test), pins(interfaces)
 
 
 def main() -> None:
-    """Writes both files."""
-    present = tuple(map(pinned, FILES))
+    """Writes the files."""
+    present = tuple(pinned(name) if (ROOT / name).exists() else [] for name in FILES)
     held = dict(pin.split("==") for pin in present[0] + present[1]) if sys.argv[1:] == ["--keep"] else {}
-    both = present if sys.argv[1:] == ["--hashes"] else resolved(held)
-    for name, lines in zip(FILES, both, strict=True):
+    locks = present if sys.argv[1:] == ["--hashes"] else resolved(held)
+    for name, lines in zip(FILES, locks, strict=True):
         (ROOT / name).write_text(HEADER + hashed(lines))
-    print(f"modcal lock: {len(both[0])} packages, and {len(both[1])} more for the tests")
+    print(
+        f"modcal lock: {len(locks[0])} packages, {len(locks[1])} more for the tests, {len(locks[2])} for the interfaces"
+    )
 
 
 if __name__ == "__main__":

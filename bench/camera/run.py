@@ -94,7 +94,7 @@ def arms(task: harness.Task) -> harness.Result:
     s = cells.arm(seed, task["rendered"], task["faults"], 1e-3 * task["measured_to_mm"])
     began = time.process_time()
     r = solved(s, np.random.default_rng(seed))
-    tip, (near, _) = r.fit.flange, postures_in_view(r.fit, np.random.default_rng(seed + 1))
+    tip, near = r.fit.flange, postures_in_view(r.fit, np.random.default_rng(seed + 1))
     far = random_postures(s.chain, POSTURES, np.random.default_rng(seed + 1))
     z = (r.fit.state.lens.values - s.lens.values) / r.fit.std[0][r.fit.poses.count + 1 :][:9]
     out = {"opencv": against_opencv(s), "effects": [f"{c.effect.family} {c.effect.label}" for c in r.evidence.causes]}
@@ -127,7 +127,7 @@ def size(task: harness.Task) -> harness.Result:
     """A sheet that is off what is stated; if_wrong: the error said for a wrong statement [mm]."""
     s = cells.sheet(task["seed"], task["off"], 1.0 if task["faults"] is None else task["faults"], task["read"])
     r = solved(s, np.random.default_rng(3))
-    q, _ = postures_in_view(r.fit, np.random.default_rng(1))
+    q = postures_in_view(r.fit, np.random.default_rng(1))
     out = {"named": any("off its stated size" in words for words in r.claim.decision.problems), **said(r)}
     out |= {key: true_error(s, fit, fit.flange, q) for key, fit in (("true", r.fit), ("nominal", r.nominal))}
     return {**out, "if_wrong": None if r.claim.rests_on is None else 1e3 * r.claim.rests_on.if_wrong_m}
@@ -184,7 +184,7 @@ def bodies(task: harness.Task) -> harness.Result:
     began = time.process_time()
     rng = np.random.default_rng(task["seed"])
     r = solve_camera(CameraProblem(s.chain, s.images), rng)
-    spent, (q, _) = time.process_time() - began, postures_in_view(r.fit, np.random.default_rng(1))
+    spent, q = time.process_time() - began, postures_in_view(r.fit, np.random.default_rng(1))
     out = {**what, "seconds": spent, **said(r), "px": list(r.claim.held_out_px)}
     for name, fit in (("", r.fit), ("nominal_", r.nominal)):
         out |= {name + key: value for key, value in of_body(s, fit, r.fit.flange, q).items()}

@@ -20,7 +20,7 @@ from cases import data_case, mcap_case, parts, places, spoilt, text_case
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.target_file import any_target_from_data, target_from_data
+from modcal_core.camera.target_file import target_from_data
 from modcal_core.correction import Correction
 from modcal_core.effects.effect import JOINTS, Effect
 from modcal_core.effects.shapes import Shape
@@ -296,7 +296,7 @@ def csv(data: Any) -> str:
 
 def body_of(data: Any) -> Any:
     """What a fit asks of a body."""
-    target = any_target_from_data(data, "target.yaml")
+    target = target_from_data(data, "target.yaml")
     return target.place_prior() if isinstance(target, MarkerBundle) else target.points
 
 
@@ -304,7 +304,7 @@ def other_files_target() -> Target:
     """Kinematic tables, assemblies, tasks of synthesis, sites of planning, plans, stores of modules, what belongs to a
     camera: one reader each.
     """
-    names, body = read_chain(URDF, None, "tool0").names, any_target_from_data(BASES["files"]["body"], "target.yaml")
+    names, body = read_chain(URDF, None, "tool0").names, target_from_data(BASES["files"]["body"], "target.yaml")
     example = lambda name: parse_yaml((EXAMPLES / name).read_text(), name)  # noqa: E731
     plan = {"modcal_plan": 1, "joints": list(names), "stations": [{"position": [0.0] * 6}] * 3}
     files = {

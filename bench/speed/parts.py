@@ -26,7 +26,7 @@ from timing import Row, median_ms, pair_ms, spent_ms
 from modcal_core.articulation.fit import fit as fit_joint
 from modcal_core.articulation.track import Track
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.fit import identify
+from modcal_core.calibration.fit import identify, priors
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.diagnosis.evidence import Scanner
 from modcal_core.effects.registry import candidates
@@ -96,7 +96,8 @@ def online() -> Iterator[Row]:
     parameters = choose_parameters(start, views_of(samples)).parameters
     fit = identify(start, samples, parameters, robust=False)
     single = [samples.select(np.array([i])) for i in range(len(samples))]
-    running = Estimator(start, parameters, fit.noise, robust=False)
+    _, prior = priors(start.effects, parameters, start.drivers(samples))
+    running = Estimator(start, parameters, fit.noise, np.diag(prior**2), robust=False)
     for row in single:
         running.update(row)
     running.relinearise()

@@ -1,4 +1,4 @@
-"""The page of topics and services: every node is started in this process, and asked what it has opened.
+"""The page of topics, services and actions: every node is started in this process, and asked what it has opened.
 
 A topic that depends on a parameter is found by starting the node once more with that parameter. No node hears another:
 discovery is switched off.
@@ -18,6 +18,7 @@ from pathlib import Path
 
 import rclpy
 from cells import code, table
+from rclpy.action import ActionClient, ActionServer
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -47,15 +48,16 @@ DECIDING = {
 }
 EVERY_NODE = {"/rosout", "/parameter_events"}
 EVERY_NODES_SERVICES = ("rcl_interfaces", "type_description_interfaces")
-KINDS = ("subscribes to", "publishes", "serves")
+KINDS = ("subscribes to", "publishes", "serves", "performs", "asks for")
 
-INTRODUCTION = """# Topics and services
+INTRODUCTION = """# Topics, services and actions
 
 Names are relative to the node's namespace; `~/` stands for the node's own name. *Latched* is transient local: whoever
 comes later gets the last message. The number is how many messages are kept. Where a publisher offers less than is
 asked for (best effort for reliable, not latched for latched), the nodes take what there is; the simulators do not.
-What the messages hold is in [nodes.md](../nodes.md). Every node has `/rosout` and the services of parameters, log
-levels and type descriptions besides, and hears `/clock` with `use_sim_time`."""
+What the messages hold is in [nodes.md](../nodes.md); a node *performs* its actions and *asks for* those of others.
+Every node has `/rosout` and the services of parameters, log levels and type descriptions besides, and hears `/clock`
+with `use_sim_time`."""
 RECORDS = """Hears what its [parameter](parameters.md#recorder) `topics` names, whatever the type, with the QoS that its
 publishers offer."""
 
@@ -77,7 +79,7 @@ FRAMES = {
 
 @dataclass(frozen=True)
 class Opened:
-    """A topic or service of a node. kind: one of KINDS. qos: empty for a service."""
+    """A topic, service or action of a node. kind: one of KINDS. qos: of topics, else empty."""
 
     kind: str
     name: str
@@ -153,7 +155,17 @@ def _opened(name: str, parameters: dict[str, str]) -> list[Opened]:
                 for p in node.publishers if p.topic_name not in EVERY_NODE]  # fmt: skip
         served = [Opened("serves", _short(s.service_name, name), _type(s.srv_type), "")
                   for s in node.services if not s.srv_type.__module__.startswith(EVERY_NODES_SERVICES)]  # fmt: skip
-        return [*heard, *said, *served]
+        return [*heard, *said, *served, *_actions(node)]
+
+
+def _actions(node: Node) -> Iterator[Opened]:
+    """Of a server rclpy does not keep the name, which is that of the type in small letters here."""
+    for waitable in node.waitables:
+        if isinstance(waitable, ActionServer):
+            kind = waitable.action_type
+            yield Opened("performs", f"~/{kind.__name__.lower()}", _type(kind), "")
+        elif isinstance(waitable, ActionClient):
+            yield Opened("asks for", waitable._action_name, _type(waitable._action_type), "")
 
 
 @contextmanager

@@ -59,6 +59,26 @@ TEMPERATURE = {
     "temperature": "°C",
     "variance": "not looked at",
 }
+CALIBRATION = {
+    "header.frame_id": "base link of the arm",
+    "robot": "whose calibration it is",
+    "values": "the content of calibration.yaml, each number and text by its path",
+}
+CHANGE = {
+    "header.stamp": "when it was found",
+    "changed": "false: nothing is suspected, and the rest is empty",
+    "place": "of the change; same_as: what would explain it as well",
+    "size_m": "RMS of how far the tool is moved, m; size_rad: and turned",
+    "sentence": "for a person",
+}
+OBJECT = {
+    "header.stamp": "of the pose it follows from",
+    "trusted": "whether the model may be followed",
+    "event": "locked, jammed, changed; empty: nothing",
+    "model": "kind, axis, pitch, radius and pose of the handle, in header.frame_id",
+    "probabilities": "of the kinds",
+    "ahead_m": "error of the last prediction, m; off_m: across the path",
+}
 MARKERS = {"markers": "in the base link; ns says what each group shows ([live view](../live_view.md))"}
 # by topic, or by node and topic where one node means something else
 MEANINGS: dict[str, dict[str, str]] = {
@@ -81,7 +101,7 @@ MEANINGS: dict[str, dict[str, str]] = {
         "pose.pose": "true pose of the tool, such as a corrector's `~/pose`, m and unit quaternion",
         "pose.covariance": "not looked at",
     },
-    "calibration": {"data": "text of a calibration.yaml, such as the calibrator's `~/calibration`"},
+    "calibration": CALIBRATION,
     "desired_pose": {
         "header.stamp": "when it was asked for; too old is refused; 0: now",
         "header.frame_id": "base link, or empty, or a tracker's frame that was calibrated",
@@ -92,10 +112,6 @@ MEANINGS: dict[str, dict[str, str]] = {
     "/diagnostics": {
         "header.stamp": "when it was sent: once a second, and at once when a level changes",
         "status": "name `NODE: PART`, level OK, WARN or ERROR, message for a person, values by key; hardware_id is modcal",
-    },
-    "door_demo /diagnostics": {
-        "header.stamp": "when it was sent",
-        "status": "its own, and of `impedance_setpoint: pull` the phase and how it ended",
     },
     "image": {
         "header.stamp": "when it was taken",
@@ -130,14 +146,23 @@ MEANINGS: dict[str, dict[str, str]] = {
     "board_detector ~/coaching": {"data": "a line: how many corners, and what to do next"},
     "board_detector ~/annotated": {"encoding": "bgr8", "data": "the image with corners and that line; sent while somebody looks"},
     "calibrator ~/robot_description": {"data": "the trusted corrected URDF"},
-    "calibrator ~/calibration": {"data": "the trusted calibration.yaml"},
-    "calibrator ~/change": {"data": "JSON: place, direction, driver, since when, how large, what else it may be; `{}`: nothing"},
-    "calibrator ~/checked": {"data": "check.json of the last `~/check` ([check](../check.md))"},
-    "calibrator ~/report": {"data": "report.json of the trusted model ([report](../report.md))"},
+    "calibrator ~/calibration": CALIBRATION,
+    "calibrator ~/change": CHANGE,
+    "calibrator ~/checked": {
+        "status": "UNCHANGED, CHANGED, AMBIGUOUS, UNEXPLAINED ([check](../check.md))",
+        "changes": "what has changed",
+        "action": "advised, in one word",
+        "error_m": "RMS of the trusted model on these stations, m",
+    },
+    "calibrator ~/report": {
+        "status": "of the trusted model: OPEN, AT_FLOOR or CANNOT_TELL ([verdict](../verdict.md))",
+        "apply": "NOT_JUDGED, DO_NOT_APPLY or APPLY",
+        "claim": "lower and upper 95 % bound of the tool's error, m",
+        "residuals": "on readings that no fit has seen, m",
+    },
     "calibrator ~/residual": {"data": "held-out RMS of the last result, m"},
     "calibrator ~/residual_before": {"data": "the same of the model trusted before, m"},
-    "calibrator ~/estimate": {"data": "values, then standard deviations, m and rad", "layout": "left empty"},
-    "calibrator ~/estimate_names": {"data": "names of the estimate's values, a line each"},
+    "calibrator ~/estimate": {"names": "of the parameters", "values": "m, rad or 1", "stds": "standard deviations of these"},
     "calibrator ~/trusted": {"data": "false while a change is suspected"},
     "corrector ~/joint_states": {
         "header.stamp": "of the joint states it follows from",
@@ -165,12 +190,9 @@ MEANINGS: dict[str, dict[str, str]] = {
         "name": "`object_joint`",
         "position": "how far it is open since it was gripped, rad, m",
     },
-    "articulation_estimator ~/object_status": {
-        "header.stamp": "of the pose it follows from",
-        "status": "kind, probabilities, trusted or not, error of the last prediction, event (locked, jammed, changed)",
-    },
+    "articulation_estimator ~/object_status": OBJECT,
     "impedance_setpoint object_description": {"data": "of the estimator, a URDF of one joint; empty: no object"},
-    "impedance_setpoint object_status": {"header.stamp": "its age counts", "status": "of the estimator: kind, trusted, event"},
+    "impedance_setpoint object_status": {**OBJECT, "header.stamp": "its age counts"},
     "impedance_setpoint ~/joint_references": {
         "positions": "of the arm's joints, base to tip, rad, m",
         "velocities": "rad/s, m/s",
@@ -196,8 +218,8 @@ MEANINGS: dict[str, dict[str, str]] = {
         "joint_names": "of the arm, base to tip",
         "points": "one, with accelerations only, rad/s², m/s²",
     },
-    "viewer calibrator/calibration": {"data": "text of a calibration.yaml"},
-    "viewer calibrator/change": {"data": "JSON, as of the calibrator"},
+    "viewer calibrator/calibration": CALIBRATION,
+    "viewer calibrator/change": {"sentence": "for a person"},
     "viewer ~/axes": MARKERS,
     "viewer ~/residuals": MARKERS,
     "viewer ~/stations": MARKERS,
@@ -230,6 +252,10 @@ MEANINGS: dict[str, dict[str, str]] = {
 }  # fmt: skip
 SERVICES = {
     "std_srvs/srv/Trigger": "asks nothing; `success` and `message` say what was done, or why not",
+    "modcal_interfaces/action/Solve": "calibrates from what was received; cancelled, it leaves the trusted model",
+    "modcal_interfaces/action/Check": "says what has changed since the trusted model was made",
+    "modcal_interfaces/action/Pull": "pulls what the arm holds; cancelled, it lets go",
+    "modcal_interfaces/action/Measure": "accepts the dry run and measures; cancelled, the arm is held",
     "lifecycle_msgs": "of every lifecycle node: configure, activate, deactivate, clean up, shut down",
 }
 
@@ -259,12 +285,12 @@ def page() -> str:
                     rows.append((code(name) if not i else "", type_name if not i else "", code(field), _said(meaning)))
             if rows:
                 parts.append(table((title, "type", "field", ""), rows))
-        served = sorted({(o.name, o.type) for o in opened(node) if o.kind == "serves"})
+        served = sorted({(o.name, o.type) for o in opened(node) if o.kind in ("serves", "performs", "asks for")})
         if served:
             rows_served = [
                 (code(name), kind, SERVICES.get(kind, SERVICES.get(kind.split("/")[0], ""))) for name, kind in served
             ]
-            parts.append(table(("serves", "type", ""), rows_served))
+            parts.append(table(("services and actions", "type", ""), rows_served))
         if node == "recorder":
             parts.append(
                 "It hears whatever its parameter `topics` names, of any type, and writes each message as it came."

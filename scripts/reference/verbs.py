@@ -37,7 +37,7 @@ def page() -> str:
     listing = table(
         ("", "verb", ""),
         (
-            ("" if i else group, f"[`{verb}`](#modcal-{verb})", prose(VERBS[verb][2]))
+            ("" if i else group, f"[`{verb}`](#modcal-{verb})", prose(VERBS[verb][1]))
             for group, verbs in GROUPS.items()
             for i, verb in enumerate(verbs)
         ),

@@ -15,7 +15,7 @@ from camera.scenes import panda
 from scipy.optimize import least_squares
 
 from modcal_core.camera.bundle import BoardView, BundleMarker, MarkerBundle, body_scale
-from modcal_core.camera.cameras import CameraImages
+from modcal_core.camera.fit import CameraImages
 from modcal_core.camera.lens import Lens
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array

@@ -11,9 +11,8 @@ from camera.scenes import CameraScene, scene
 
 from modcal_core.calibration import Model
 from modcal_core.camera.arm_poses import ArmPoses, with_parameters
-from modcal_core.camera.cameras import Camera, CameraImages, Cameras
 from modcal_core.camera.corners import CameraState, CommonPrior, CornerTable
-from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.fit import Camera, CameraFit, CameraImages, Cameras
 from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import Mounting, find_mounting

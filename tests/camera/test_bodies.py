@@ -17,20 +17,19 @@ from camera.bodies import (
     body_scene,
     bundle_to_data,
     icosahedron,
-    looking,
     measured,
 )
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import APRILTAG_ORDER, ARUCO_ORDER, BoardView, MarkerBundle
-from modcal_core.camera.corners import COMMON, SHAPE, CornerTable, corner_rows
+from modcal_core.camera.corners import COMMON, SHAPE, CornerTable, corner_rows, images_with_pose
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.mounting import IN_WORLD, images_with_pose, require_order, resection
+from modcal_core.camera.mounting import IN_WORLD, require_order
 from modcal_core.camera.prepared import together
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
-from modcal_core.camera.target_file import any_target_from_data, read_target
+from modcal_core.camera.target_file import target_from_data
 from modcal_core.camera.views import plan_images
 from modcal_core.errors import BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry import se3, so3
@@ -95,7 +94,7 @@ def arm_error(s: BodyScene, fit: CameraFit) -> float:
 
 def test_a_body_in_our_form_and_back() -> None:
     body = measured(icosahedron())
-    again = any_target_from_data(yaml.safe_load(yaml.safe_dump(bundle_to_data(body))), "x")
+    again = target_from_data(yaml.safe_load(yaml.safe_dump(bundle_to_data(body))), "x")
     assert isinstance(again, MarkerBundle)
     assert np.abs(again.points - body.points).max() < 1e-12
     assert np.allclose(again.scale.covariance, body.scale.covariance, rtol=1e-12)
@@ -106,7 +105,7 @@ def test_a_body_in_our_form_and_back() -> None:
 def test_a_marker_lies_as_its_pose_says() -> None:
     """On the face x = 0.1 of a block, its right the block's y, its up the block's z: seen from outside, along −x."""
     marker = {"id": 4, "size_m": 0.04, "xyz": [0.1, 0.0, 0.02], "rpy": [np.pi / 2, 0.0, np.pi / 2]}
-    body = any_target_from_data({**BARE, "markers": [marker], "points": [{"id": 9, "xyz": [0.0, 0.0, 0.3]}]})
+    body = target_from_data({**BARE, "markers": [marker], "points": [{"id": 9, "xyz": [0.0, 0.0, 0.3]}]})
     assert isinstance(body, MarkerBundle)
     upper_left = body.point(4, 0)
     assert upper_left is not None
@@ -118,27 +117,14 @@ def test_a_marker_lies_as_its_pose_says() -> None:
     assert np.allclose(replace(body, corners=APRILTAG_ORDER).points[upper_left], [0.1, -0.02, 0.0])
 
 
-def test_the_tag_bundle_of_apriltag_ros() -> None:
-    layout = "[{id: 1, size: 0.05, x: 0.1, qw: 0.7071, qx: 0, qy: 0.7071, qz: 0}, {id: 2, size: 0.04, z: -0.1}]"
-    text = f"standalone_tags: []\ntag_bundles:\n  [{{name: block, layout: {layout}}}]\n"
-    body = any_target_from_data(yaml.safe_load(text), "tags.yaml")
-    assert isinstance(body, MarkerBundle)
-    assert [(m.id, m.size, m.xyz) for m in body.markers] == [(1, 0.05, (0.1, 0.0, 0.0)), (2, 0.04, (0.0, 0.0, -0.1))]
-    assert np.allclose(body.normals[0], [1.0, 0.0, 0.0], atol=1e-4)
-    assert body.corners == APRILTAG_ORDER
-    assert body.label == "block of 2 markers"
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         ({"markers": []}, "has 0 markers"),
         ({"points": [{"id": 1, "xyz": [0, 0, 0]}, {"id": 1, "xyz": [0, 0, 1]}]}, "has marker 1 twice"),
         ({"points": [{"id": 1, "xyz": [0, 0, 300]}]}, "reaches beyond 10 m"),
-        ({"corner_order": "spiral"}, "name each of ul, ur, lr, ll once"),
         ({"corner_order": ["ul", "ul", "lr", "ll"]}, "name each of ul, ur, lr, ll once"),
         ({"tolerance_m": 0.0}, "tolerance that is none"),
-        ({"size_tolerance": 2.0}, "size tolerance that is none"),
         ({"markers": [{"id": 1, "size_m": 0.04, "xyz": [0, 0, 0], "quaternion": [1, 1, 0, 0]}]}, "quaternion of length"),
         ({"markers": [{"id": 1, "size_m": -1, "xyz": [0, 0, 0]}]}, "side is no length"),
         ({"markers": [{"id": 1, "xyz": [0, 0, 0]}]}, "cannot be read"),
@@ -146,16 +132,9 @@ def test_the_tag_bundle_of_apriltag_ros() -> None:
 )  # fmt: skip
 def test_bodies_that_are_none(change: dict[str, object], said: str) -> None:
     sound = {**BARE, "points": [{"id": 1, "xyz": [0, 0, 0]}]}
-    any_target_from_data(sound, "x")
+    target_from_data(sound, "x")
     with pytest.raises(BadTable, match=said):
-        any_target_from_data({**(BARE if "markers" in change else sound), **change}, "x")
-
-
-def test_where_sheets_are_asked_for_a_body_is_refused(tmp_path_factory: pytest.TempPathFactory) -> None:
-    file = tmp_path_factory.mktemp("body") / "target.yaml"
-    file.write_text(yaml.safe_dump(bundle_to_data(icosahedron())))
-    with pytest.raises(BadTable, match="from a CSV of its points only"):
-        read_target(file)
+        target_from_data({**(BARE if "markers" in change else sound), **change}, "x")
 
 
 # ---------------------------------------------------------------- places
@@ -224,38 +203,6 @@ def test_poses_of_a_body_are_those_of_opencv(per_image: int) -> None:
     assert found.rms[gap < 1e-6].max() < 1e-6
 
 
-def test_three_points_are_no_pose() -> None:
-    rng = np.random.default_rng(2)
-    table = CornerTable.of(views_of(icosahedron(), somewhere(rng, 5), 3, rng), icosahedron())
-    assert not images_with_pose(table).any()
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_camera_and_body_from_single_points(known: bool) -> None:
-    """One marker an image, a flange anywhere, the lens known or not; a misread one here and there."""
-    rng = np.random.default_rng(4)
-    body = icosahedron()
-    T_camera_base = se3.inverse(looking(np.array([1.7, 0.7, 1.0]), np.array([0.45, 0.0, 0.5])))
-    A = se3.transform(so3.exp(rng.uniform(-1.5, 1.5, (160, 3))), [0.45, 0.0, 0.5] + rng.uniform(-0.3, 0.3, (160, 3)))
-    views = views_of(body, T_camera_base @ A @ BODY_ON_TIP, 1, rng, 0.2)
-    table = CornerTable.of(views, body)
-    pixels = table.pixels.copy()
-    pixels[::25] += 150.0
-    ids, point = np.unique(table.ids, return_inverse=True)
-    rays = LENS.rays(pixels) if known else (pixels - 0.5 * np.array(SIZE)) / SIZE[0]
-    found = resection(A[table.view], point, rays, body.points[ids], known)
-    assert found is not None
-    assert np.isclose(found.focal, 1.0 if known else LENS.values[0] / SIZE[0], rtol=0.02)
-    gap = se3.error(found.T_camera_base, T_camera_base)
-    bounds = (2e-3, 1e-3) if known else (0.06, 0.02)  # of a lens whose distortion and centre are not known yet
-    assert np.linalg.norm(gap[:3]) < bounds[0]
-    assert np.linalg.norm(gap[3:]) < bounds[1]
-    assert np.linalg.norm(se3.error(found.T_tip_body, BODY_ON_TIP)[:3]) < 5e-3
-    assert found.miss < 1e-3
-    few = slice(0, 10)
-    assert resection(A[table.view][few], point[few], rays[few], body.points[ids], known) is None
-
-
 def test_corners_in_another_order_are_named() -> None:
     s = cell(corners=True)
     (first, *_) = together(s.images)
@@ -310,14 +257,6 @@ def test_a_size_that_nobody_states_is_no_length() -> None:
     assert r.claim.metric == ()
 
 
-@pytest.mark.slow
-def test_two_markers_an_image_are_enough() -> None:
-    s = body_scene(8, 110, 1, Faults(misread=0.01), most_markers=2, drawing=measured(icosahedron()))
-    assert max(len(v) for v in s.images[0].views) == 2
-    r = solve(s)
-    assert arm_error(s, r.fit) < 0.5 * arm_error(s, r.nominal)
-
-
 def test_too_little_of_a_body_is_refused() -> None:
     s = cell()
     two = np.array([s.drawing.point(number, None) for number in (1, 2)])
@@ -325,7 +264,7 @@ def test_too_little_of_a_body_is_refused() -> None:
     with pytest.raises(ModcalError, match="at least 3"):
         solve(replace(s, images=(replace(s.images[0], views=views),)))
     few = [v.select(np.arange(len(v)) < 2) for v in s.images[0].views[:8]]
-    with pytest.raises(NotEnoughData, match="no point is seen often enough"):
+    with pytest.raises(NotEnoughData, match="show four points"):
         solve(replace(s, images=(replace(s.images[0], views=few, q=s.images[0].q[:8]),)))
 
 
@@ -337,10 +276,9 @@ def test_the_next_images_of_a_body_show_some_markers_and_tell_the_arm() -> None:
     assert (np.diff(plan.expected_m) < 0.0).all()
     assert solution.claim.alone is not None
     assert plan.expected_m[0] == pytest.approx(solution.claim.alone.interval[0], rel=0.5)
-    assert plan.markers is not None
-    # as the scene has them: the face looks at the camera
+    # as the scene has them: faces look at the camera
     T = se3.inverse(s.cameras[0]) @ s.tip(plan.q) @ BODY_ON_TIP
     faces = T[:, None] @ s.glued
     away = faces[:, :, :3, 3] / np.linalg.norm(faces[:, :, :3, 3], axis=2, keepdims=True)
     looks = (-np.einsum("mki,mki->mk", faces[:, :, :3, 2], away) > np.cos(np.radians(50.0))).sum(axis=1)
-    assert (np.abs(plan.markers - looks) <= 1).all()
+    assert (looks >= 1).all()

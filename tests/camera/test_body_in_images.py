@@ -13,7 +13,7 @@ from camera.scenes import PANDA, scene
 from camera.test_tags_in_bags import GRID, bag_of_tags
 
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.target_file import any_target_from_data
+from modcal_core.camera.target_file import target_from_data
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.robot import Robot
 from modcal_msgs_py.mcap_read import read_recording
@@ -63,7 +63,7 @@ def test_detections_of_tags_in_a_bag_are_of_a_body(tmp_path: Path) -> None:
     names = Robot.from_urdf(PANDA, tip="panda_link8").names
     data = bundle_to_data(BODY)
     data["markers"] = [{**one, "id": one["id"] + 4} for one in data["markers"][:12]]  # as the grid's: from 5
-    body = any_target_from_data(data)
+    body = target_from_data(data)
     assert isinstance(body, MarkerBundle)
     found = read_bag_images(bag, read_recording(bag), names, body)
     assert len(found.views) == len(s.views)

@@ -7,17 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from camera.boards import BOARD, LENS
-from camera.fits import FLAT, MEASURED, alone, arm_poses, images, solved, start, true_error
-from camera.flange import flange_arm, flange_joints, flange_poses
+from camera.fits import FLAT, MEASURED, alone, images, solved, start, true_error
 from camera.scenes import scene
 from finite_differences import assert_jacobian
 
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.parameters import View, ordered_candidates
 from modcal_core.camera.claim import ALL_BUT_IMAGES, APPLY, AS_STATED, DO_NOT_APPLY, arm_draws
-from modcal_core.camera.corners import FIXED, CornerTable, common_prior, corner_rows
+from modcal_core.camera.corners import CornerTable, common_prior, corner_rows
 from modcal_core.camera.equations import Sizes
-from modcal_core.camera.fit import fit_cameras
 from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import find_mounting
@@ -29,16 +27,6 @@ from modcal_core.measurements.recording import POSE
 from modcal_core.robots.kinematics import chain_forward
 
 
-@pytest.mark.parametrize("on_tip", [True, False])
-def test_mounting_is_told_without_a_guess(on_tip: bool) -> None:
-    s = images(on_tip)
-    found = find_mounting(chain_forward(s.chain, s.q), board_poses(CornerTable.of(s.views, s.board), s.lens, FLAT))
-    assert found.camera_on_tip == on_tip
-    assert found.rival > 10.0
-    assert found.misfit_m < 0.02  # of an arm whose bodies are 7 mm off
-    assert not found.one_axis
-
-
 def test_images_that_cannot_tell_are_refused() -> None:
     s = images(True)
     A, poses = chain_forward(s.chain, s.q), board_poses(CornerTable.of(s.views, s.board), s.lens, FLAT)
@@ -47,7 +35,7 @@ def test_images_that_cannot_tell_are_refused() -> None:
         find_mounting(A, still)
     with pytest.raises(NotEnoughData, match="at least 4"):
         find_mounting(A[:3], poses)
-    with pytest.raises(NotEnoughData, match="far apart"):
+    with pytest.raises(NotEnoughData, match="turns it by 0.0° only"):
         find_mounting(np.repeat(A[:1], len(A), axis=0), poses)
     with pytest.raises(BadRecording, match="belong together"):
         find_mounting(A[np.random.default_rng(0).permutation(len(A))], poses)
@@ -144,8 +132,7 @@ def test_an_arm_that_is_centimetres_off(on_tip: bool) -> None:
     """Below 1.5 mm at the tool from 20 images, inside the stated interval, and said to be worth applying."""
     s = images(on_tip)
     r = solved(s)
-    q, enough = postures_in_view(r.fit, np.random.default_rng(1))
-    assert enough
+    q = postures_in_view(r.fit, np.random.default_rng(1))
     _, low, high = r.claim.in_view.interval
     error, nominal = true_error(s, r.fit, q), true_error(s, r.nominal, q)
     assert 0.5 * low < error < high
@@ -156,6 +143,7 @@ def test_an_arm_that_is_centimetres_off(on_tip: bool) -> None:
     assert r.fit.sizes.noise == pytest.approx(1.0, abs=0.1)
     assert 2e-5 < r.fit.sizes.joint < 1e-4  # 5e-5 was put in
     assert not r.camera.left_out
+    assert r.camera.mounting.camera_on_tip == on_tip
     assert r.evidence.moved is None
     # the arm by itself is known better than where the camera, or target, stands
     assert r.claim.alone is not None
@@ -180,41 +168,9 @@ def test_a_perfect_arm_is_not_made_worse(on_tip: bool) -> None:
     """Nor is the base held where it was found first: the arm's prior is narrow here, and may not be the base's."""
     s = scene(3, on_tip, count=15, length_std=0.0, angle_std=0.0, board=MEASURED)
     r = solved(s)
-    q, _ = postures_in_view(r.fit, np.random.default_rng(1))
+    q = postures_in_view(r.fit, np.random.default_rng(1))
     assert r.claim.decision.word == DO_NOT_APPLY
     assert true_error(s, r.fit, q) < r.claim.in_view.interval[2]
-
-
-@pytest.mark.slow
-def test_images_that_are_late() -> None:
-    """20 ms at 0.3 rad/s are found to a millisecond."""
-    velocity = 0.3 * np.random.default_rng(8).choice([-1.0, 1.0], (20, 7))
-    s = scene(6, True, count=20, board=MEASURED, velocity=velocity, delay_s=0.02)
-    r = solved(s, velocity=velocity)
-    assert r.fit.state.offset_s == pytest.approx(-0.02, abs=1e-3)
-
-
-@pytest.mark.slow
-def test_stated_intrinsics_stay_where_they_are_fixed() -> None:
-    s = images(True)
-    r = solved(s, lens=s.lens, stated=FIXED)
-    assert (r.fit.state.lens.values == s.lens.values).all()
-
-
-@pytest.mark.slow
-def test_flange_poses_place_camera_and_target() -> None:
-    s = images(False)
-    A = chain_forward(s.chain, s.q)
-    q = flange_joints(A)
-    assert np.abs(flange_poses(q) - A).max() < 1e-12
-    assert np.abs(chain_forward(flange_arm(), q) - A).max() < 1e-12
-    table = CornerTable.of(s.views, s.board)
-    found = find_mounting(A, board_poses(table, s.lens, FLAT))
-    arm = arm_poses(flange_arm(), q, np.zeros_like(q), found)
-    arm = arm.nominal
-    assert not arm.of_arm.any()
-    fit = fit_cameras(alone(table, arm, common_prior(s.lens, s.board.scale), s.lens))
-    assert fit.converged
 
 
 @pytest.mark.slow
@@ -223,7 +179,7 @@ def test_an_arm_behind_a_fisheye() -> None:
     wide = Lens(np.array([340.0, 341.0, 645.0, 355.0, 0.03, -0.012, 0.004, -0.001, 0.0]), LENS.size, FISHEYE)
     s = scene(1, True, count=25, board=MEASURED, lens=wide)
     r = solved(s, fisheye=True)
-    q, _ = postures_in_view(r.fit, np.random.default_rng(1))
+    q = postures_in_view(r.fit, np.random.default_rng(1))
     assert true_error(s, r.fit, q) < min(r.claim.in_view.interval[2], 1.5e-3)
     assert r.fit.state.lens.model == FISHEYE
     assert r.fit.state.lens.values[8] == 0.0
@@ -233,7 +189,7 @@ def test_an_arm_behind_a_fisheye() -> None:
 def test_draws_of_an_arm_of_stated_faults_are_those_of_the_fit() -> None:
     """There the law is normal, with the covariance of all faults brought to the parameters of the fit."""
     fit = solved(images(True), arm_m=5e-3, look_for_effects=False).fit
-    values, chance, _ = arm_draws(fit, np.random.default_rng(0))[AS_STATED]
+    values, chance = arm_draws(fit, np.random.default_rng(0))[AS_STATED]
     assert chance == 1.0
     P = fit.poses.count
     std = np.sqrt(np.diag(fit.covariance)[:P])

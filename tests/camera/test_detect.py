@@ -68,16 +68,6 @@ def test_what_lies_beside_a_corner_does_not_draw_it() -> None:
     assert (found.cov[:, 1, 1] < found.cov[:, 0, 0]).mean() > 0.9
 
 
-@pytest.mark.parametrize("ids", [[0, 1, 2, 8], [0, 1, 2, 3, 4, 8], [0, 6, 12, 18, 7]])
-def test_few_corners_nearly_on_one_line_are_fitted(ids: list[int]) -> None:
-    """No perspective goes through them, and none is needed."""
-    T = poses()[0]
-    exact = seen(T, BOARD.points[ids], SMALL)
-    fit = fit_board(render(T, SMALL, BOARD, np.random.default_rng(3)), BOARD, np.array(ids), exact + 0.2)
-    assert fit.good.all()
-    assert np.abs(fit.pixels - exact).max() < 0.1
-
-
 def test_a_corner_half_covered_is_said_to_be_rough() -> None:
     grey = render(poses()[0], SMALL, BOARD, np.random.default_rng(3), noise=2.0)
     at = seen(poses()[0], BOARD.points[[9]], SMALL)[0].astype(int)
@@ -87,20 +77,6 @@ def test_a_corner_half_covered_is_said_to_be_rough() -> None:
     for id_, pixel, cov in zip(found.ids, found.pixels, found.cov, strict=True):
         gap = pixel - seen(poses()[0], BOARD.points[[id_]], SMALL)[0]
         assert np.sqrt(gap @ np.linalg.solve(cov, gap)) < 6.0, id_
-
-
-@pytest.mark.slow
-def test_noise_makes_corners_worse_as_stated() -> None:
-    """Six times the noise of grey makes a corner's fit six times worse; what the print leaves stays."""
-    size = []
-    for noise in (2.0, 12.0):
-        grey = image(noise=noise)
-        view = detect(grey, BOARD, "a").view
-        assert view is not None
-        fit = fit_board(grey, BOARD, view.ids, view.pixels)
-        assert np.abs(view.cov - fit.cov - 0.02**2 * np.eye(2)).max() < 0.1 * fit.cov.max()
-        size.append(np.sqrt(np.trace(fit.cov, axis1=1, axis2=2).mean()))
-    assert 5.0 < size[1] / size[0] < 7.0
 
 
 def test_grids_of_markers() -> None:
@@ -169,7 +145,7 @@ def test_another_board() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [(5, 7), (8, 5), (5, 5)])
+@pytest.mark.parametrize("size", [(8, 5), (5, 5)])
 def test_a_board_of_other_squares(size: tuple[int, int]) -> None:
     found = detect(image(), replace(BOARD, columns=size[0], rows=size[1]), "a")
     assert found.view is None
@@ -263,11 +239,9 @@ def test_images_named_by_their_stamps(tmp_path: Path) -> None:
     [
         ("image,a\n1.png,0\n", "no column for joint b"),
         ("a,b\n0,0\n", "neither a column image"),
-        ("image,a,b\n", "no row"),
         ("image,a,b\n1.png,x,0\n", "line 2"),
         ("image,a,b\n1.png,90,0\n", "radians"),
         ("image,a,b\n1.png,nan,0\n", "not finite"),
-        ("image,a,b\n1.png,0,0\n1.png,0,0\n", "two rows"),
         ("image,a,b\n1.png,0,0\n1.png,0,1\n", "two rows"),
         ("stamp,a,b\n2,0,0\n1,0,0\n", "do not increase"),
     ],
@@ -275,16 +249,6 @@ def test_images_named_by_their_stamps(tmp_path: Path) -> None:
 def test_bad_tables_are_refused(tmp_path: Path, table: str, said: str) -> None:
     where, joints = folder(tmp_path, {"1.png": np.zeros((48, 64), np.uint8)}, table)
     with pytest.raises(ModcalError, match=said):
-        read_images(where, joints, ("a", "b"), BOARD)
-
-
-def test_folders_without_anything_to_use(tmp_path: Path) -> None:
-    where, joints = folder(tmp_path, {})
-    with pytest.raises(ModcalError, match="holds no row|holds no image"):
-        read_images(where, joints, ("a", "b"), BOARD)
-    cv2.imwrite(str(where / "1.png"), np.full((48, 64), 100, np.uint8))
-    joints.write_text("image,a,b\n1.png,0,0\n")
-    with pytest.raises(ModcalError, match="none of 1 images"):
         read_images(where, joints, ("a", "b"), BOARD)
 
 

@@ -128,27 +128,6 @@ def test_images_and_a_tracker_in_one_bag(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        (["--image-topic", "/other"], "holds no images of topic /other"),
-        (["--joints", "J"], "--joints needs --images"),
-    ],
-)
-def test_calls_that_cannot_be_done(
-    recorded: Recorded, more: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "j.csv").write_text("image,a\n")
-    given = [str(tmp_path / "j.csv") if word == "J" else word for word in more]
-    call = ["calibrate", str(recorded.bag), "--target", target(recorded), "--tip", "panda_link8", *given]
-    assert run([*call, "--out", str(tmp_path / "out")]) == 2
-    err = capsys.readouterr().err
-    assert said in err
-    assert err.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
 def test_one_image_of_each_stop(recorded: Recorded) -> None:
     recording = read_recording(recorded.bag)
     log = JointLog.of(recording, recorded.scene.chain.names)
@@ -241,18 +220,6 @@ def test_which_topic() -> None:
     for listed, words in ((((raw_, other)), "choose one"), (((depth,)), "holds no images")):
         with pytest.raises(ModcalError, match=words):
             chosen_topic(listed, None, "bag")
-
-
-@pytest.mark.slow
-def test_camera_info_of_another_resolution(
-    recorded: Recorded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bag = write_cell(tmp_path / "bag", recorded.scene, recorded.pictures, (1280, 960))
-    call = ["calibrate", str(bag), "--target", target(recorded), "--tip", "panda_link8", "--ignore", "/tracker/point"]
-    assert run([*call, "--out", str(tmp_path / "out")]) == 2
-    err = capsys.readouterr().err
-    assert "is of images of 1280 × 960, these are 640 × 480: give the camera_info of this resolution" in err
-    assert err.count("\n") == 1
 
 
 @pytest.mark.slow

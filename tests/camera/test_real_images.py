@@ -14,9 +14,8 @@ import pytest
 from camera.flange import flange_arm, flange_joints
 
 from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
-from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.corners import CornerTable
-from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.fit import CameraFit, CameraImages
 from modcal_core.camera.intrinsics import first_lens, fit_lens
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.prepared import nominal, prepare_images
@@ -51,13 +50,6 @@ def read() -> tuple[list[BoardView], Array]:
         pose = read_yaml(DATA / "poses" / f"{i}.yaml")
         poses.append([pose[k] for k in KEYS])
     return views, se3.from_pose(np.array(poses))
-
-
-def test_the_board_is_found_in_all_of_them() -> None:
-    views, _ = read()
-    counts = [len(v) for v in views]
-    assert min(counts) == counts[2]  # which shows a corner of it
-    assert sorted(counts)[len(counts) // 2] >= 20  # of 24
 
 
 def test_fitted_corners_agree_better_than_opencvs(monkeypatch: pytest.MonkeyPatch) -> None:

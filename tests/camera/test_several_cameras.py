@@ -12,8 +12,8 @@ from camera.scenes import BOARD_ON_TIP, CAMERA_IN_WORLD, CameraScene, scene
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import PrintedTarget
-from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.claim import APPLY
+from modcal_core.camera.fit import CameraImages
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.solve import CameraSolution, solve_camera
 from modcal_core.camera.views import postures_in_view
@@ -82,7 +82,7 @@ def test_three_cameras_know_the_arm_better_than_one(cell: CameraScene, three: Ca
     assert not np.isclose(of_hand.shape[:2], three.fit.state.shape[:2]).any()
     assert three.fit.rms_px[2] < 0.5
     assert three.claim.decision.word == APPLY
-    q, _ = postures_in_view(three.fit, np.random.default_rng(1))
+    q = postures_in_view(three.fit, np.random.default_rng(1))
     assert true_error(cell, three.fit, q) < three.claim.in_view.interval[2]
     equations, sizes = three.fit.equations, three.fit.sizes
     arm = equations.arm

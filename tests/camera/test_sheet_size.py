@@ -41,24 +41,23 @@ def test_squares_of_another_size_are_named() -> None:
     s = scene(21, True, count=15, length_std=1e-3, angle_std=2e-3, printed=1.1 * BOARD.points, board=MEASURED)
     r = solved(s)
     assert r.claim.decision.word == DO_NOT_APPLY
-    assert "The sheet is +9." in r.claim.decision.because[0] or "The sheet is +10." in r.claim.decision.because[0]
+    assert re.search(r"a sheet \+(9|10)\.", r.claim.decision.because[0])
     assert "scale than its URDF" in r.claim.decision.because[0]
 
 
 @pytest.mark.slow
 def test_a_sheet_that_a_bad_arm_hides_is_not_trusted() -> None:
-    """Rulers stated at their nominal lengths, a sheet 2 % larger, an arm 4 mm off a body: images do not decide, so the interval has
-    both, and what would tell is said.
+    """Rulers stated at their nominal lengths, a sheet 2 % larger, an arm 4 mm off a body: images do not decide, which is
+    said, with what would tell, and how far off the arm could be were the size wrong.
     """
     s = scene(33, False, count=20, length_std=4e-3, angle_std=5e-3, board=AS_DRAWN, printed=1.02 * BOARD.points)
     r = solved(s)
-    q, _ = postures_in_view(r.fit, np.random.default_rng(1))
+    q = postures_in_view(r.fit, np.random.default_rng(1))
     assert r.claim.decision.word == CANNOT_TELL
     assert "state how well (--measured-to-mm)" in r.claim.decision.because[0]
-    assert true_error(s, r.fit, q) < r.claim.in_view.interval[2]
     assert r.claim.rests_on is not None
     assert true_error(s, r.fit, q) < r.claim.rests_on.if_wrong_m
-    assert any("look much alike" in said or "The sheet is +" in said for said in r.claim.decision.because)
+    assert any("look much alike" in said or "a sheet +" in said for said in r.claim.decision.because)
     clean = solved(replace(s, board=MEASURED, views=views(np.random.default_rng(0), s.T, board=s.board)))
     assert clean.claim.decision.word == APPLY
     assert clean.claim.in_view.interval[2] < 4e-3
@@ -70,10 +69,10 @@ def test_rulers_of_which_nobody_says_how_well_they_were_read_count_as_any_statem
     is up to the images.
     """
     s = scene(34, True, count=12, length_std=4e-3, angle_std=5e-3)
-    chance = {}
+    found = {}
     for std in (None, RULER_STD_M):
         board = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2008, 0.1205), "rulers", std))
-        error = solved(replace(s, board=board), look_for_effects=False).claim.in_view
-        chance[std] = error.by["size"].chance
-    assert chance[None] >= 0.0499
-    assert chance[RULER_STD_M] < 0.03
+        found[std] = solved(replace(s, board=board), look_for_effects=False).claim
+    assert found[None].in_view.by["size"].chance >= 0.0499
+    assert "look much alike" in found[None].decision.doubtful[0]
+    assert found[RULER_STD_M].in_view.by["size"].chance < 0.03

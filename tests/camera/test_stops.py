@@ -92,9 +92,9 @@ def test_images_of_one_stop_by_name_by_joints_or_by_time() -> None:
     unknown = [np.empty(0), np.empty(0)]
     named = numbered([q, q[[2, 0, 1]]], [["1", "2", "3", "4"], ["3", "1", "2"]], unknown)
     assert [list(one) for one in named] == [[0, 1, 2, ALONE], [2, 0, 1]]
-    # names of their own: joints that come twice may be another visit
+    # names of their own: visits of one posture are taken in turn
     by_joints = numbered([q, q[[2, 0, 1]]], [["a1", "a2", "a3", "a4"], ["b1", "b2", "b3"]], unknown)
-    assert [list(one) for one in by_joints] == [[ALONE, 0, ALONE, ALONE], [ALONE, ALONE, 0]]
+    assert [list(one) for one in by_joints] == [[0, 1, 2, ALONE], [0, 2, 1]]
     timed = numbered(
         [q, q[[0, 2]] + 2e-4],
         [["10", "20", "30", "40"], ["10.1", "30.1"]],

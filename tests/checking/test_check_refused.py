@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import NOISE_M, record, ur10
+from cells import NOISE_M, ur10
 from checking.checks import FLOOR, Cell, Poses, checked, postures, readings
 
 from modcal_core.effects.effect import Effect
@@ -68,12 +68,6 @@ def test_inverse_poses_are_undone(cell: Cell) -> None:
     assert found.status == "unchanged"
 
 
-def test_another_arm_is_refused_or_not_explained(cell: Cell) -> None:
-    other = record(9, 10, length_std=0.03, angle_std=0.05).samples
-    with pytest.raises(BadRecording, match="misses them by"):
-        check(cell[1], replace(other, frames=cell[1].frames))
-
-
 def test_an_arm_of_other_lengths_in_the_same_cell_is_refused(cell: Cell) -> None:
     """Base and tool stand where they stood; the forearm is five centimetres longer, or all links a tenth."""
     base, tool, q = cell[0].world.T_tracker_base, cell[1].calibrated.T_tip_tool, postures(21)
@@ -91,7 +85,7 @@ def test_angles_that_are_none_are_refused_with_their_joint(cell: Cell) -> None:
     def seen(q: Array, world: Poses) -> Array:
         return world(q + np.outer(0.25 * wander.standard_normal(len(q)), np.eye(6)[5]))
 
-    with pytest.raises(BadRecording, match="angles of wrist_3_joint: differ from those of the calibrated arm by 1"):
+    with pytest.raises(BadRecording, match="joint wrist_3_joint was not where it was reported"):
         checked(cell, seen)
 
 
@@ -128,30 +122,6 @@ def test_what_changed_before_all_stations_and_one_wrong_reading_are_no_contradic
         found = check(cell[1], readings(q, T, rng, kind=kind))
         assert found.status == "changed", found.sentence
         assert {c.kind for c in found.changes} == {"base" if seed else "tool"}
-
-
-def test_a_base_that_moved_by_the_distance_of_neighbours_mixed_no_rows_up(cell: Cell) -> None:
-    """Readings of points then lie where the arm was at the station before; the move explains them all."""
-    q = postures(2)[:1] + 0.02 * np.arange(12)[:, None] * np.array([1.0, 0.3, -0.4, 0.5, 0.6, 0.2])
-    T = cell[0].world.tool_in_tracker(q)
-    moved = T.copy()
-    moved[:, :3, 3] += T[1, :3, 3] - T[0, :3, 3]
-    nearest = np.linalg.norm(moved[:, None, :3, 3] - T[None, :, :3, 3], axis=-1)
-    assert (nearest.argmin(axis=1) != np.arange(12)).sum() >= 8  # else nothing is shown
-    assert check(cell[1], readings(q, moved, np.random.default_rng(2), kind="point")).status != "unchanged"
-
-
-def test_readings_that_mean_nothing_are_refused_or_not_explained(cell: Cell) -> None:
-    count = 5
-    q, rng = postures(1, 12), np.random.default_rng(14)
-    T = cell[0].world.tool_in_tracker(q)
-    some = rng.choice(12, count, replace=False)
-    T[some] = se3.exp(np.c_[rng.uniform(-0.8, 0.8, (count, 3)), rng.uniform(-2.0, 2.0, (count, 3))])
-    try:
-        found = check(cell[1], readings(q, T, rng))
-    except BadRecording:
-        return
-    assert found.status == "unexplained", found.sentence
 
 
 def test_a_gear_of_any_course_is_no_contradiction(cell: Cell) -> None:
@@ -222,3 +192,16 @@ def test_neighbours_are_not_ten_witnesses(cell: Cell) -> None:
             assert not unchanged or found.sentence.endswith("10 stations that say as much as 1.0 far apart.")
             assert any("stand close together" in note for note in found.notes)
             assert min(n.mm for n in found.noticed if n.label == "base") > 5e3 * FLOOR
+
+
+def test_readings_that_mean_nothing_are_refused_or_not_explained(cell: Cell) -> None:
+    count = 5
+    q, rng = postures(1, 12), np.random.default_rng(14)
+    T = cell[0].world.tool_in_tracker(q)
+    some = rng.choice(12, count, replace=False)
+    T[some] = se3.exp(np.c_[rng.uniform(-0.8, 0.8, (count, 3)), rng.uniform(-2.0, 2.0, (count, 3))])
+    try:
+        found = check(cell[1], readings(q, T, rng))
+    except BadRecording:
+        return
+    assert found.status == "unexplained", found.sentence

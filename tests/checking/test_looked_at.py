@@ -30,8 +30,3 @@ def test_stations_of_a_raster_cover_every_joint_and_the_whole_time() -> None:
     assert np.ptp(every.q[:, 2]) < 0.1  # every 36th has the last joint where it was
     assert witnesses(part) > 2.0 * witnesses(every)
     assert witnesses(part) > 1.2 * witnesses(samples.select(spread_rows(len(samples), 48)))
-
-
-def test_a_short_recording_is_looked_at_as_it_is() -> None:
-    samples = raster(3, 3)
-    assert spread_out(samples, 48) is samples

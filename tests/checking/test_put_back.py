@@ -7,21 +7,10 @@ import pytest
 from cells import NOISE_M
 from checking.checks import FRESH, Cell, about, checked, missed, names, rms
 
-from modcal_core.effects.placements import AS_LIKELY, one_motion, put_back_first
 from modcal_core.geometry import so3
 from modcal_core.report.checkup import checkup_data
 
 FIRST, LAST = "shoulder_pan_joint", "wrist_3_joint"
-
-
-def test_what_explains_as_much_outside_the_arm_is_put_back_first() -> None:
-    outside, likely = [True, True, False, False], np.array([-9.0, -2.0, 0.0, 1.0])
-    assert put_back_first(2, outside, likely) == 1
-    assert put_back_first(3, outside, likely) == 1
-    assert put_back_first(0, outside, likely) == 0
-    assert put_back_first(3, outside, likely - np.array([0.0, AS_LIKELY, 0.0, 0.0])) == 3
-    assert put_back_first(0, [False], np.zeros(1)) == 0
-    assert (one_motion("base"), one_motion("tool"), one_motion(LAST)) == (("tracker",), ("target",), ())
 
 
 @pytest.mark.slow

@@ -83,11 +83,6 @@ def test_a_change_is_named_beside_what_was_set_up_again(
     assert noted == (frame == "leica")
 
 
-def test_another_arm_of_the_make_is_not_explained_by_setting_up_again(cell: Arm) -> None:
-    other = replace(record(10, 14).samples, frames=("leica",))
-    assert check(cell[1], other).status == "unexplained"
-
-
 def held(world: World, frame: str, zero: Array, rng: np.random.Generator, count: int = 14) -> Samples:
     """Joints that MuJoCo's arm has with its ball in one socket, to a tenth of the noise. zero: what joints report more
     than they are [rad].
@@ -158,3 +153,8 @@ def test_readings_that_place_no_frame_are_refused(cell: Arm) -> None:
     ranges = replace(samples, kind=np.full(10, "range", dtype=KIND_NAMES), reading=np.full((10, 3), 1.5))
     with pytest.raises(BadTable, match="such readings do not place it"):
         check(cell[1], ranges, cell=Cell())
+
+
+def test_another_arm_of_the_make_is_not_explained_by_setting_up_again(cell: Arm) -> None:
+    other = replace(record(10, 14).samples, frames=("leica",))
+    assert check(cell[1], other).status == "unexplained"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ URDF = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"
 START = 1.7e9
 
 
+@cache
 def stations(count: int = 80, seed: int = 1) -> Recording:
     """A joint state and a pose with the same stamp, every two seconds."""
     made = record(seed, count)
@@ -27,6 +29,7 @@ def stations(count: int = 80, seed: int = 1) -> Recording:
     return recorded(t, made.samples.q, t, se3.to_pose(T))
 
 
+@cache
 def streams(count: int = 40, seed: int = 1, late: float = 0.0, dwell: float = 1.0, drift: float = 0.0) -> Recording:
     """Joint states at 125 Hz and poses at 50 Hz of an arm that visits postures; the tracker's stamps may be late."""
     rng = np.random.default_rng(seed)
@@ -51,6 +54,14 @@ def recorded(t: Array, q: Array, s: Array, poses: Array, received: Array | None 
         robot_description=URDF.read_text(),
         source="made",
     )
+
+
+def part(whole: Recording, rows: slice) -> Recording:
+    """Some joint states and readings of a recording of finished stations."""
+    joints, reading = whole.joints[0], whole.readings[0]
+    tracks = {name: getattr(joints, name)[rows] for name in ("stamps", "position", "velocity", "effort", "received")}
+    readings = {name: getattr(reading, name)[rows] for name in ("stamps", "values", "received")}
+    return with_reading(with_joints(whole, **tracks), **readings)
 
 
 def with_joints(recording: Recording, **changes: Any) -> Recording:

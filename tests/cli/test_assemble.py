@@ -40,6 +40,32 @@ def test_a_list_of_modules_and_its_matrix_give_the_same_robot(tmp_path: Path) ->
     assert (tmp_path / "five_joints" / "assembly.svg").read_text().startswith("<svg")
 
 
+def test_the_published_code_is_an_arm_and_comes_back(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    code = "00001 0·01·10·100·00 0·00·01·111·10 0·00·01·111·10 0·10·11·111·10 0·01·00·110·01"
+    spec = tmp_path / "spec.yaml"
+    spec.write_text(f"modcal_assembly: 1\nname: published\ncode: {code}\n")
+    assert run(["assemble", str(spec), "--out", str(tmp_path / "arm")]) == 0
+    assert f"code: {code}" in capfd.readouterr().out
+    made = yaml.safe_load((tmp_path / "arm" / "assembly.yaml").read_text())
+    assert [m["module"] for m in made["modules"]] == [
+        "B",
+        "JR",
+        "LR-I",
+        "JR",
+        "LP",
+        "JR",
+        "LP",
+        "JR",
+        "LR-II",
+        "JR",
+        "LC",
+        "G",
+    ]
+    spec.write_text(yaml.safe_dump({**made, "code": code[:-2] + "10"}))
+    assert run(["assemble", str(spec), "--out", str(tmp_path / "other")]) == 2
+    assert "modules and code differ from module 12 on" in capfd.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_library_of_ones_own(tmp_path: Path) -> None:
     mine = yaml.safe_load(published_text())
@@ -60,7 +86,7 @@ def test_a_library_of_ones_own(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("modules: [", "is not YAML"),
-        ("[]", "is not an assembly"),
+        ("[]", "is not a mapping"),
         ("{modcal_assembly: 1, modules: [{module: B}, {module: JR}, {module: LC}]}", "it ends in a link"),
         ("{modcal_assembly: 1, library: none.yaml, modules: []}", "library none.yaml: is not beside it"),
     ],

@@ -73,7 +73,7 @@ def test_from_a_bag_to_a_report_and_a_corrected_file(tmp_path: Path, capsys: pyt
 @pytest.mark.parametrize(
     ("text", "arguments", "said"),
     [
-        ("modcal_delta: 1\n", [], "joints: must name three arms"),
+        ("modcal_delta: 1\n", [], "'joints' is not stated"),
         ("arms: [1", [], "is not YAML"),
         (None, ["--urdf", str(FILE)], "cannot be combined with --urdf"),
         (None, ["--tip", "tool0"], "cannot be combined with --urdf"),

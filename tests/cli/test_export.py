@@ -158,7 +158,7 @@ CASES = {
     "a calibrated arm as DH": (
         lambda folder: bent(folder), ["--to", "dh"], "axes of joints shoulder_lift_joint and elbow_joint, 0.0003 rad from parallel"
     ),
-    "a table with a word for a number": (damaged, ["--to", "cpc"], "arm.csv, joint 1: theta: needs 1 number, has 'ninety'"),
+    "a table with a word for a number": (damaged, ["--to", "cpc"], "arm.csv: joints, entry 1: theta: 'ninety' is not a finite number"),
     "neither calibration, URDF nor table": (nothing_of_ours, ["--to", "cpc"], "is neither a calibration, a URDF, nor a table"),
     "an offset that is no distance": (lambda _: URDF, ["--to", "dh", "--largest-offset", "-1"], "--largest-offset: -1 m is not a valid distance"),
 }  # fmt: skip

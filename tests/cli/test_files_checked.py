@@ -15,7 +15,7 @@ from cli.conftest import Refused
 from modcal_core.calibration.store import from_data
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml
-from modcal_core.measurements.schema import require
+from modcal_core.schema import require
 from modcal_msgs_py.tables.convert import SCHEMA
 from modcal_nodes.cli.main import run
 
@@ -56,52 +56,33 @@ def changed(path: str, value: Any) -> Any:
 WRONG: list[tuple[str, Any, str]] = [
     ("tables", 3, "m.yaml: tables: 3 is not a list"),
     ("tables", [], "at least 1 are allowed"),
-    ("tables.0", "rows.csv", "is not a mapping"),
     ("tables.0.delimiter", ";;", "tables, entry 1: delimiter: ';;' has 2 letters, 1 are allowed"),
-    ("tables.0.delimiter", "", "has 0 letters"),
     ("tables.0.delimiter", "\n", "cannot separate columns"),
     ("tables.0.delimiter", ",", "is the delimiter too"),
     ("tables.0.decimal", ",,", "decimal: ',,' is not one of ., ,"),
-    ("tables.0.decimal", "", "is not one of"),
     ("tables.0.encoding", "klingon", "'klingon' is not a text encoding"),
     ("tables.0.encoding", "base64", "'base64' is not a text encoding"),
-    ("tables.0.header", "yes", "is not true or false"),
-    ("tables.0.files", 3, "is not a text"),
     ("tables.0.files", "/etc/*", "is not a file pattern"),
-    ("tables.0.files", "a**", "is not a file pattern"),
     ("tables.0.joints", {"columns": [1, 2], "unit": "rad"}, "joints: columns: [1, 2] is not a mapping"),
-    ("tables.0.joints", ["a"], "is not a mapping"),
     ("tables.0.joints.columns", {}, "is empty"),
     ("tables.0.joints.columns.j1", None, "is not a text or a whole number"),
-    ("tables.0.joints.columns.j1", True, "is not a text or a whole number"),
     ("tables.0.joints.torque", {"j1": "a"}, "joints: unknown key torque; known are columns, commanded, coupled"),
     ("tables.0.joints.effort", {"j1": "a"}, "joints: effort: 'columns' is not stated"),
     ("tables.0.joints.effort", {"columns": {"j9": "a"}}, "joints: effort: j9 has no position column"),
-    ("tables.0.time", {"format": 5, "column": "t"}, "time: format: 5 is not a text"),
     ("tables.0.time", {"format": "%Q", "column": "t"}, "is not %Q"),
     ("tables.0.time", {"format": "%Y%Y", "column": "t"}, "is not %Y%Y"),
-    ("tables.0.time", {"order": 3}, "order: 3 is not a mapping"),
-    ("tables.0.time", {"order": {"period_s": "ten"}}, "is not a finite number"),
     ("tables.0.time", {"order": {"period_s": 0}}, "is not above 0"),
     ("tables.0.time", {"order": {"period_s": float("nan")}}, "is not a finite number"),
     ("tables.0.time", {}, "0 of these ways are stated"),
-    ("tables.0.time", 3, "is not a mapping"),
     ("tables.0.pose.frame", "{", "only {stem} and {folder} are known"),
-    ("tables.0.pose.frame", "{0}", "only {stem} and {folder} are known"),
     ("tables.0.pose.frame", "{stem.__class__}", "only {stem} and {folder} are known"),
     ("tables.0.pose.frame", "\ud800", "is not YAML"),
-    ("tables.0.pose.position", "xyz", "is not a list"),
     ("tables.0.pose.position", ["x", "y"], "has 2 entries, 3 are allowed"),
     ("tables.0.pose.inverse", "false", "is not true or false"),
-    ("tables.0.pose.euler", "XYZ", "is not a mapping"),
-    ("tables.0.pose.euler.sequence", "XYX1", "has 4 letters"),
     ("tables.0.pose.euler.sequence", "abc", "sequence 'abc'"),
-    ("tables.0.pose.euler.degrees", True, "unknown key degrees"),
-    ("tables.0.temperature", ["a"], "is not a mapping or nothing"),
     ("tables.0.temperature", {"a": {"b": 1}}, "is not a text or a whole number"),
     ("urdf", 5, "is not a text or nothing"),
     ("colour", "red", "unknown key colour"),
-    ("time", {"seconds": "t"}, "unknown key time"),
 ]  # fmt: skip
 
 

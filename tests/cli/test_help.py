@@ -6,42 +6,38 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from click.shell_completion import BashComplete
 
-from modcal_nodes.cli.main import GROUPS, VERBS, run
+from modcal_nodes.cli.main import VERBS, modcal, run
 
 
 def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["--help"]) == 0
     listed = capsys.readouterr().out
-    for verb, (_, _, said) in VERBS.items():
+    for verb, (_, said) in VERBS.items():
         assert verb in listed
         assert said in " ".join(listed.split())
 
 
-def test_every_verb_stands_in_one_group() -> None:
-    assert sorted(verb for verbs in GROUPS.values() for verb in verbs) == sorted(VERBS)
-
-
-def completed(*words: str) -> set[str]:
-    """What a shell offers for the last of these words, as Click's script for bash asks for it."""
-    asked = {
-        **os.environ,
-        "COMP_WORDS": " ".join(("modcal", *words)),
-        "COMP_CWORD": str(len(words)),
-        "_MODCAL_COMPLETE": "bash_complete",
-    }
-    ask = "from modcal_nodes.cli.main import main; main()"
-    out = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True, env=asked).stdout
-    return {line.partition(",")[2] for line in out.splitlines()}
-
-
 @pytest.mark.slow
-def test_a_shell_completes_verbs_options_and_choices() -> None:
-    assert completed("ca") == {"calibrate"}
-    assert completed("calibrate", "--tol") == {"--tolerance-mm", "--tolerance-of"}
-    assert completed("calibrate", "--tolerance-of", "p") == {"p95"}
+def test_a_shell_completes_verbs_options_and_choices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Click's script for bash asks for it: of a process, and of the command in this one."""
+    asked = {"COMP_WORDS": "modcal ca", "COMP_CWORD": "1", "_MODCAL_COMPLETE": "bash_complete"}
+    ask = "from modcal_nodes.cli.main import main; main()"
+    how: dict[str, Any] = {"capture_output": True, "text": True, "check": True}
+    out = subprocess.run([sys.executable, "-c", ask], env={**os.environ, **asked}, **how).stdout
+    assert out.split() == ["plain,calibrate"]
+    for words, offered in (
+        ("calibrate --tol", {"--tolerance-mm", "--tolerance-of"}),
+        ("calibrate --tolerance-of p", {"p95"}),
+    ):
+        monkeypatch.setenv("COMP_WORDS", f"modcal {words}")
+        monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
+        said = BashComplete(modcal, {}, "modcal", "_MODCAL_COMPLETE").complete()
+        assert {line.partition(",")[2] for line in said.splitlines()} == offered
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -62,6 +62,31 @@ def test_a_workspace_and_its_files(tmp_path: Path, capfd: pytest.CaptureFixture[
     assert wrist["equivalent"]["upper"] < 54.0 / 0.1  # the rotor counts
 
 
+def test_the_fastest_motion_along_a_path(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """By MuJoCo: it goes through the postures from rest to rest, and takes all of a drive's share but no more."""
+    chain = read_chain(URDF.read_text())
+    stops = np.array(
+        [[0.0, -1.2, 1.6, -1.9, -1.57, 0.0], [0.6, -1.0, 1.2, -1.8, -1.57, 0.0], [1.2, -1.2, 1.6, -1.9, -1.57, 0.0]]
+    )
+    path = tmp_path / "path.csv"
+    path.write_text("\n".join([",".join(chain.names), *(",".join(map(str, row)) for row in stops.tolist())]))
+    out = tmp_path / "out"
+    arguments = ["limits", str(URDF), "--path", str(path), "--share", "0.9", "--out", str(out), "--json"]
+    assert run(arguments) == 0
+    data = json.loads(capfd.readouterr().out)
+    rows = np.loadtxt(out / "trajectory.csv", delimiter=",", skiprows=1)
+    t, q, v = rows[:, 0], rows[:, 1:7], rows[:, 7:]
+    assert t[-1] == pytest.approx(data["fastest_s"])
+    assert np.abs(v[[0, -1]]).max() < 1e-6
+    assert all(np.abs(q - stop).max(axis=1).min() < 0.01 for stop in stops)
+    truth, a = Mujoco(URDF.read_text(), chain), np.gradient(v, t, axis=0)
+    used = np.array([np.abs(truth.torque(*row)) / EFFORT for row in zip(q, v, a, strict=True)])[2:-2].max(axis=1)
+    assert np.quantile(used, 0.95) < 0.93
+    at_speed = np.abs(v) / read_drives(URDF.read_text(), chain).speed
+    assert np.median(np.maximum(used, at_speed[2:-2].max(axis=1))) > 0.85
+    assert run([*arguments, "--at", "elbow_joint=1"]) == 2
+
+
 def test_a_bag(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     recording = stations(30)
     write_recording(recording, tmp_path / "bag")

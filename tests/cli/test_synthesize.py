@@ -55,7 +55,7 @@ def test_from_a_task_to_a_robot(tmp_path: Path, capfd: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"targets": []}, "targets: is not a list of poses"),
+        ({"targets": []}, "targets: it has 0 entries"),
         ({"modules": ["JR"]}, "there is no link among them"),
         (
             {"targets": [{"position_m": [0, 0, 9], "mask": "000111"}], "joints": {"last": 3}},

@@ -10,7 +10,7 @@ from cells import record, samples_of, ur10
 
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.families.compliance import carrying
+from modcal_core.effects.families.compliance import candidates, carrying
 from modcal_core.effects.shapes import Shape
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
@@ -41,7 +41,7 @@ def loaded(topic: str, factor: float = 1.0) -> Samples:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("topic", "factor", "name", "expected"),
-    [("/payload_kg", 1.0, "compliance", COMPLIANCE), ("/load_cell", 9.81, "compliance_per_unit", COMPLIANCE / 9.81)],
+    [("/payload_kg", 1.0, "compliance", COMPLIANCE), ("/load_cell_n", 9.81, "compliance_per_unit", COMPLIANCE / 9.81)],
 )
 def test_a_payload_that_is_recorded_loads_the_joints(topic: str, factor: float, name: str, expected: float) -> None:
     report = calibrate(loaded(topic, factor), ur10(), np.random.default_rng(0)).report
@@ -52,6 +52,13 @@ def test_a_payload_that_is_recorded_loads_the_joints(topic: str, factor: float, 
     assert size is not None
     assert size.rms < 1.25 * 2e-2 * np.sqrt(3.0)
     assert not any("no masses" in sentence for sentence in report.story)
+
+
+def test_a_number_that_says_no_unit_of_weight_is_no_payload() -> None:
+    for topic in ("/tilt", "/sigma_mm", "/gripper/open"):
+        drivers = Drivers(loaded(topic), NominalArm(ur10()))
+        assert not any(f"signal:{topic}" in e.driver for e in candidates(drivers))
+    assert any("signal:/payload_kg" in e.driver for e in candidates(Drivers(loaded("/payload_kg"), NominalArm(ur10()))))
 
 
 def test_the_weight_of_a_mass_beside_the_tip_is_that_of_virtual_work() -> None:

@@ -19,7 +19,7 @@ def serve(path: str) -> None:
 
     from modcal_nodes.cli.main import VERBS, run
 
-    for module, _, _ in VERBS.values():
+    for module, _ in VERBS.values():
         import_module(f"modcal_nodes.cli.{module}")
     for late in ("modcal_core.report.html", "matplotlib.figure", "jinja2", "mujoco"):
         import_module(late)

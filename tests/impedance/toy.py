@@ -20,7 +20,7 @@ from modcal_core.impedance.operation import Operation
 from modcal_core.impedance.safety_monitor import ArmSetpoint, Limits
 from modcal_core.impedance.task import JointPositions, Stop
 from modcal_core.impedance.wrench import WrenchSensor
-from modcal_core.robots.kinematics import chain_forward, joint_motions, posture_frames
+from modcal_core.robots.kinematics import chain_forward, pose_and_jacobian
 from modcal_core.robots.urdf import read_chain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -84,15 +84,13 @@ class Toy:
         self.handle = self.truth.pose(0.0)
         self._e, self._missing = np.zeros(6), np.zeros(6)
         self._twist = self.truth.twist()
-        self._frames = posture_frames(PANDA, self.q)
 
     def step(self) -> None:
         """One period."""
         h = PERIOD / _SUBSTEPS
         for _ in range(_SUBSTEPS):
             self.q = self.q + (self.command - self.q) * (h / (self.servo_lag + h))
-            self._frames = posture_frames(PANDA, self.q)
-            S = self._frames[1]
+            S = chain_forward(PANDA, self.q)
             # from where the servo would have the tool to where it is, seen from the tool
             e = pose_error(S, self.handle)
             self._missing = e
@@ -119,7 +117,7 @@ class Toy:
 
     def reading(self) -> tuple[Array, Array]:
         """(joint positions, raw wrench of the sensor) of now: encoders see where the weld holds the tool."""
-        J = np.concatenate(joint_motions(PANDA, *self._frames), axis=1).T
+        J = pose_and_jacobian(PANDA, self.q)[1]
         q = self.q + J.T @ np.linalg.solve(J @ J.T, self._missing)
         w = self.contact + self.weight + self.noise * np.r_[np.ones(3), 0.02 * np.ones(3)] * self._rng.normal(size=6)
         return q, w
@@ -177,7 +175,7 @@ def pull(
             if belief.model is None or (revise and rng is not None and k % 50 == 0):
                 belief.model = _revised(given, revise, rng) if revise and rng is not None else given
         meanwhile(now, operation)
-        answer = operation.tick(now, posture_frames(PANDA, q)[1], sensor, JointPositions(q, stamp), belief)
+        answer = operation.tick(now, chain_forward(PANDA, q), sensor, JointPositions(q, stamp), belief)
         phases.append(operation.phase)
         if isinstance(answer, Stop):
             stop = answer

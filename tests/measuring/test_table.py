@@ -89,10 +89,6 @@ def measured(change: Callable[[Array], Array] | None, every: bool = False) -> Se
     ("change", "said"),
     [
         (lambda p: 1e-3 * p, "looks like metres: write millimetres"),
-        (lambda p: p / 25.4, "looks like inches"),
-        (lambda p: p[[1, 0, 2]], "columns stood in the order y, x, z"),
-        (lambda p: p[[1, 2, 0]], "columns stood in the order y, z, x"),
-        (lambda p: p * [1, -1, 1], "sign of y were wrong"),
         (lambda p: p * [1, 1, 10], "look for a wrong digit or decimal point"),
         (lambda p: p + [0.12, 0, 0], "x is +1"),
         (lambda p: p + [0.3, -0.2, 0.4], "lies 539 mm from where the other 13 readings have it"),

@@ -18,7 +18,6 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.moves.regimes import Move, find_regimes, is_possible, moves_of
-from modcal_core.moves.setups import SetupReadings
 from tests.cells import NOISE_M, NOISE_RAD, record, samples_of, ur10
 
 COUNT = 160
@@ -64,21 +63,13 @@ def found(samples: Samples) -> list[tuple[int, str]]:
     ("kind", "moved", "expected"),
     [
         pytest.param("point", [(22, (0.01, 0, 0, 0, 0.1, 0), NOT)], [(22, "tool")], id="turned tool"),
-        pytest.param("pose", [(12, (0.03, 0, 0.02, 0.2, 0, 0), NOT)], [(12, "tool")], id="another tool at the start"),
         pytest.param("point", [(80, NOT, (0.2, 0.3, 0, 0, 0, 1.5))], [(80, "base")], id="base turned by 86 degrees"),
-        pytest.param("pose", [(55, (0.005, 0, 0, 0, 0, 0), NOT)], [(55, "tool")], id="5 mm after a third"),
         pytest.param("pose", [(80, (0.05, 0, 0, 0, 2.5, 0), NOT)], [(80, "tool")], id="another tool, half and half"),
         pytest.param(
             "point",
             [(50, (0, 0.01, 0, 0, 0.05, 0), NOT), (110, NOT, (0.01, 0, 0.02, 0, 0, 0.02))],
             [(50, "tool"), (110, "base")],
             id="tool, then base",
-        ),
-        pytest.param(
-            "pose",
-            [(50, (0.02, 0, 0, 0, 0, 0), NOT), (110, (-0.02, 0, 0, 0, 0, 0), NOT)],
-            [(50, "tool"), (110, "tool")],
-            id="there and back",
         ),
         pytest.param(
             "point", [(70, (0, 0.01, 0, 0, 0.3, 0), (0.1, 0, 0.02, 0, 0.4, 0.02))], [(70, "both")], id="both at once"
@@ -119,7 +110,6 @@ def wrong(share: float, size: float) -> Callable[[Array], Array]:
     [
         pytest.param("point", nothing, id="clean"),
         pytest.param("pose", settling(0.01), id="settles 10 mm"),
-        pytest.param("point", drifting(0.01), id="drifts 10 mm"),
         pytest.param("pose", drifting(0.05), id="drifts 50 mm"),
         pytest.param("point", wrong(0.45, 0.005), id="45 % wrong"),
     ],
@@ -184,14 +174,6 @@ def test_where_order_goes_with_posture_both_are_named() -> None:
     assert "posture and time cannot be distinguished" in step.sentence
 
 
-@pytest.mark.slow
-def test_a_tool_of_a_third_of_the_stations_is_not_rejected_as_wrong() -> None:
-    """80 of 587 and the like: a robust fit alone leaves these out, and says nothing."""
-    report = calibrated(recorded([(110, (0.015, 0, 0, 0, 0.1, 0), NOT)], "point")).report
-    assert report.rejected == 0
-    assert [m.what for m in report.grounds.regimes] == ["tool", "tool"]
-
-
 def test_no_move_is_looked_for_where_it_is_fixed() -> None:
     samples = recorded([(80, NOT, (0.02, 0, 0, 0, 0, 0))])
     model = find_regimes(samples, ur10(), Cell(fixed=("tool",)))
@@ -199,27 +181,12 @@ def test_no_move_is_looked_for_where_it_is_fixed() -> None:
     assert [m.what for m in moves_of(model)] == ["base"]
 
 
-@pytest.mark.parametrize("size", [2e-4, 5e-6])
-def test_a_move_that_is_told_is_there_however_small(size: float) -> None:
-    samples = recorded([(80, (size, 0, 0, 0, 0, 0), NOT)])
+def test_a_move_that_is_told_is_there_however_small() -> None:
+    samples = recorded([(80, (5e-6, 0, 0, 0, 0, 0), NOT)])
     at = float(0.5 * (samples.stamps[79] + samples.stamps[80]))
     model = find_regimes(samples, ur10(), Cell(), stated=(Move(at, "tool"),))
     assert model is not None
     assert moves_of(model) == (Move(at, "tool"),)
-
-
-@pytest.mark.parametrize("kind", ["pose", "point"])
-def test_windows_at_once_have_the_base_and_tool_that_each_has(kind: str) -> None:
-    samples = recorded([(60, (0.01, 0.0, 0.02, 0.1, 0.0, 0.0), (0.0, 0.03, 0.0, 0.0, 0.0, 0.2))], kind)
-    seen = SetupReadings.of(place_model(ur10(), samples.frames), samples)
-    windows = np.stack([np.arange(a, a + 20) for a in (0, 55, 130)])
-    for each in (lambda rows: seen.tool(rows, seen.setup.D), lambda rows: seen.base(rows, seen.setup.X)):
-        np.testing.assert_allclose(each(windows), np.stack([each(rows) for rows in windows]), atol=1e-9)
-    both = seen.both(windows)
-    for D, X, rows in zip(both.D, both.X, windows, strict=True):
-        alone = seen.both(rows)
-        np.testing.assert_allclose(D, alone.D, atol=1e-9)
-        np.testing.assert_allclose(X, alone.X, atol=1e-9)
 
 
 @pytest.mark.parametrize(("shift", "possible"), [(0.012, True), (1.0, True), (171.0, False)])
@@ -229,17 +196,6 @@ def test_a_tool_does_not_move_by_more_than_the_arm_reaches(shift: float, possibl
     tool = step.moved("tool", SHIFT, 1.0).with_values(np.array([shift, 0.0, 0.0]))
     base = step.moved("base", SHIFT, 1.0).with_values(np.array([-shift, 0.0, 0.0]))
     assert is_possible(model.with_effects((tool, base))) == possible
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("joint", "place", "other"), [(0, "base", "tracker"), (5, "tool", "target")])
-def test_a_move_about_an_outer_axis_may_be_a_joint_that_slipped(joint: int, place: str, other: str) -> None:
-    def slipped(q: Array) -> Array:
-        return q + 0.05 * np.outer(np.arange(COUNT) >= 80, np.eye(6)[joint])
-
-    (entry,) = calibrate(recorded([], true=slipped), ur10(), np.random.default_rng(0)).report.effects
-    assert (entry.family, entry.place) == ("step", place)
-    assert entry.same_as == (f"{other} all by time", f"{ur10().names[joint]} axis by time")
 
 
 def test_a_stated_target_is_no_effect_and_no_error_of_the_tool() -> None:

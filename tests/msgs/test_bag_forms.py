@@ -317,6 +317,30 @@ def test_a_way_through_tf_is_put_together(c: Cell, tmp_path: Path, capfd: pytest
     assert np.abs(se3.from_pose(back.values) @ se3.from_pose(track.values) - np.eye(4)).max() < 1e-9
 
 
+def test_a_door_on_a_cart_that_rolls_is_a_door(c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Both are seen by one camera, neither at the other's times; what moves the handle in the cart is its hinge."""
+    start, messages = c.stamps[0], []
+    arm = se3.exp([0.4, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for child, rate in (("cart", 37.0), ("handle", 50.0)):
+        for k in range(round(6.0 * rate)):
+            t = k / rate
+            T = se3.exp([0.15 * t, 0.05 * np.sin(t), 0.0, 0.0, 0.0, 0.1 * t])
+            if child == "handle":
+                T = T @ se3.exp([0.0, 0.0, 0.0, 0.0, 0.0, 0.2 * t]) @ arm
+            ns = start + round(1e9 * t)
+            one = forms.reading(forms.TRANSFORM, ns, se3.to_pose(T), "camera")
+            one.child_frame_id = child
+            messages.append(("/tf", forms.TF, message_class(forms.TF)([one]), ns))
+    bag = forms.write(tmp_path / "bag", sorted(messages, key=lambda m: m[3]))
+    out = tmp_path / "out"
+    assert run(["articulate", str(bag), "--tf", "cart:handle", "--out", str(out), "--json"]) == 0
+    data = json.loads(capfd.readouterr().out)
+    assert data["kind"] == "revolute"
+    assert data["joint"]["radius"] == pytest.approx(0.4, abs=2e-4)
+    assert run(["articulate", str(bag), "--tf", "camera:handle", "--out", str(out), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["kind"] != "revolute"
+
+
 def test_tf_along_the_robot_is_no_measurement(c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     links = forms.readings(c, "/tf", forms.TF, frame="base_link")
     for _, _, message, _ in links:

@@ -147,14 +147,12 @@ def test_what_stands_where_nothing_was_read(token: str, tmp_path: Path, rng: np.
 def test_signals_are_what_changes_and_is_said_of_no_reading(tmp_path: Path, rng: np.random.Generator) -> None:
     q = postures(rng)
     extra = {
-        "payload_kg": rng.choice([0.0, 5.0], len(q)), "Pressure [hPa]": 1013.0 + rng.standard_normal(len(q)),
+        "payload_kg": rng.choice([0.0, 5.0], len(q)), "Load [kg]": rng.choice([0.0, 5.0], len(q)), "Pressure [hPa]": 1013.0 + rng.standard_normal(len(q)),
         "rms error": rng.uniform(0.0, 0.1, len(q)), "quality": rng.uniform(0.0, 1.0, len(q)),
         "shift": np.ones(len(q)), "Temp A [°C]": 20.0 + rng.standard_normal(len(q)),
     }  # fmt: skip
     _, entry = proposed(tmp_path, {**joints(q), **points(seen(q, rng)), **extra})
-    assert entry["signals"] == {"payload": "payload_kg", "pressure": "Pressure [hPa]"} or set(
-        entry["signals"].values()
-    ) == {"payload_kg", "Pressure [hPa]"}
+    assert entry["signals"] == {"payload_kg": "payload_kg", "load_kg": "Load [kg]", "pressure": "Pressure [hPa]"}
     assert list(entry["temperature"].values()) == ["Temp A [°C]"]
 
 

@@ -94,6 +94,22 @@ def test_two_files_joined_by_a_station(tmp_path: Path, rng: np.random.Generator)
     same(find([tmp_path / "tracker.csv", tmp_path / "robot.csv"], CHAIN), tmp_path, q, T)
 
 
+def test_joints_alone_are_a_bag_whose_unit_is_asked_where_no_label_tells(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """As an arm's encoders while it opens a door: every other verb says that readings are missing."""
+    q = poses(rng)[0]
+    for unit, factor, questions in (("", 1.0, 1), (" [rad]", 1.0, 0), (" [deg]", 180.0 / np.pi, 0)):
+        columns = {f"{name}{unit}": factor * q[:, k] for k, name in enumerate(CHAIN.names)}
+        made = find([written(tmp_path, {"t": 0.1 * np.arange(len(q)), **columns})], CHAIN)
+        assert [("unit of the joints" in question) for question in made.open] == [True] * questions
+        assert any("joints alone" in said for said in made.assumed)
+        if not made.open:
+            recording = import_tables(dict(made.mapping), tmp_path, "m")
+            assert not recording.readings
+            assert np.abs(recording.joints[0].position - q).max() < 1e-6
+
+
 def test_a_pose_that_was_computed_from_the_joints_is_asked(tmp_path: Path, rng: np.random.Generator) -> None:
     q, _ = poses(rng)
     T = BASE @ forward(CHAIN, q) @ TOOL

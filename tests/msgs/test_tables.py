@@ -105,7 +105,7 @@ def test_other_conventions(folder: Path) -> None:
             },
             "point: plus and minus are both stated",
         ),
-        ({"pose": None}, "0 of pose, point and same_point"),
+        ({"pose": None, "joints": None}, "neither joints nor a reading are stated"),
         ({"files": "*.txt"}, "matches no file"),
         ({"time": {"column": "time", "format": "%d.%m.%Y"}}, "line 2, column time: '20240101120000' is not"),
         ({"colour": "red"}, "unknown key colour"),

@@ -65,7 +65,7 @@ def beside_a_cell(
 
 def latched(node: Any, topic: str, kind: type = String) -> list[Any]:
     heard: list[Any] = []
-    node.create_subscription(kind, topic, lambda m: heard.append(m.data), LATCHED)
+    node.create_subscription(kind, topic, lambda m: heard.append(getattr(m, "data", m)), LATCHED)
     return heard
 
 

@@ -12,8 +12,10 @@ import numpy as np
 from correction.test_compensation import calibration_of, true_model
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from modcal_interfaces.msg import Calibration as CalibrationMessage
 from nodes.processes import ROOT, Wait
 from nodes.talking import LATCHED, Diagnostics
+from rcl_interfaces.msg import Parameter
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -30,6 +32,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.commands import fill_pose
 from modcal_msgs_py.readings import set_seconds
+from modcal_msgs_py.typed import fill_calibration
 
 URDF = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
 CHAIN = read_chain(URDF)
@@ -46,6 +49,11 @@ def calibration(seed: int = 0, *effects: Effect, chain: Chain = CHAIN) -> Calibr
 
 def text(made: Calibration) -> str:
     return to_yaml(to_data(made))
+
+
+def message(made: Calibration) -> CalibrationMessage:
+    """As the calibrator publishes it."""
+    return fill_calibration(CalibrationMessage(), Parameter, to_data(made))
 
 
 def written(made: Calibration, folder: Path) -> Path:
@@ -72,7 +80,7 @@ class Arm:
         self.joints = node.create_publisher(JointState, f"{space}/joint_states", 10)
         self.description = node.create_publisher(String, f"{space}/robot_description", LATCHED)
         self.desired = node.create_publisher(PoseStamped, f"{space}/desired_pose", 10)
-        self.calibration = node.create_publisher(String, f"{space}/calibration", LATCHED)
+        self.calibration = node.create_publisher(CalibrationMessage, f"{space}/calibration", LATCHED)
         for kind, topic, kept in (
             (PoseWithCovarianceStamped, "pose", self.poses),
             (JointState, "joint_states", self.states),

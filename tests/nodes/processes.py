@@ -18,6 +18,7 @@ from typing import Any, TextIO
 import rclpy
 from nodes.forking import Forked, Forker
 from rcl_interfaces.srv import SetParameters
+from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -154,6 +155,38 @@ def ask(node: Node, wait: Wait, kind: type, name: str, request: Any = None, pati
             wait(answer.done, 0.5 * patience)
             return answer.result()
     raise AssertionError(f"{name} does not answer")
+
+
+class Goal:
+    """A goal of an action, sent to a server that is there. ``heard``: its feedback so far."""
+
+    def __init__(self, node: Node, wait: Wait, kind: Any, name: str) -> None:
+        clients = node.__dict__.setdefault("actions_by_tests", {})
+        client = clients.setdefault(name, clients.get(name) or ActionClient(node, kind, name))
+        self._wait, self.heard = wait, list[Any]()
+        wait(client.server_is_ready, 30.0)
+        found = time.monotonic() + MUTUAL
+        wait(lambda: time.monotonic() > found, 10.0)
+        sent = client.send_goal_async(kind.Goal(), feedback_callback=lambda m: self.heard.append(m.feedback))
+        wait(sent.done, 30.0)
+        self._handle = sent.result()
+        self._result = self._handle.get_result_async()
+
+    @property
+    def done(self) -> bool:
+        """Whether its result has come."""
+        return bool(self._result.done())
+
+    def cancel(self) -> bool:
+        """Ask for an early end; whether that was accepted."""
+        asked = self._handle.cancel_goal_async()
+        self._wait(asked.done, 30.0)
+        return bool(asked.result().goals_canceling)
+
+    def result(self, patience: float = 60.0) -> tuple[int, Any]:
+        """The status of action_msgs and the result, once it has ended."""
+        self._wait(self._result.done, patience)
+        return self._result.result().status, self._result.result().result
 
 
 def put(node: Node, wait: Wait, who: str, **values: Any) -> str:

@@ -7,11 +7,11 @@ import math
 import time
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from impedance.toy import PANDA, PERIOD, READY, ROOT, Toy, door
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from modcal_interfaces.msg import ObjectState
 from nodes.polling import Polled
 from nodes.processes import Wait, ask
 from nodes.talking import LATCHED, Diagnostics
@@ -60,7 +60,7 @@ class PulledArm:
         self.wrench = node.create_publisher(WrenchStamped, "wrench", 10)
         self.description = node.create_publisher(String, "robot_description", LATCHED)
         self.object = node.create_publisher(String, "object_description", LATCHED)
-        self.status = node.create_publisher(DiagnosticArray, "object_status", 10)
+        self.status = node.create_publisher(ObjectState, "object_status", 10)
         self.tool = node.create_publisher(PoseWithCovarianceStamped, "tool_pose", 10)
         self._polled = Polled(node, period=None)
         for kind, topic, hear in (
@@ -128,9 +128,9 @@ class PulledArm:
         p.x, p.y, p.z = x + float(off[0]), y + float(off[1]), z + float(off[2])
         return message
 
-    def told(self, trusted: bool, stamp: float | None = None) -> DiagnosticArray:
-        values = [KeyValue(key="kind", value="revolute"), KeyValue(key="trusted", value=str(trusted))]
-        message = DiagnosticArray(status=[DiagnosticStatus(name="estimator: object", values=values)])
+    def told(self, trusted: bool, stamp: float | None = None) -> ObjectState:
+        message = ObjectState(trusted=trusted)
+        message.model.kind = "revolute"
         set_seconds(message.header.stamp, self.now() if stamp is None else stamp)
         return message
 
@@ -254,7 +254,7 @@ def hostile(arm: PulledArm, rng: np.random.Generator) -> None:
     elif kind == "status":
         message = arm.told(bool(rng.random() < 0.8), stamp)
         if rng.random() < 0.3:
-            message.status[0].values = [KeyValue(key="trusted", value="perhaps")] * int(rng.integers(200))
+            message.version, message.event = int(rng.integers(2**32)), "?" * int(rng.integers(200))
         arm.status.publish(message)
     elif kind == "tool":
         message = PoseWithCovarianceStamped()

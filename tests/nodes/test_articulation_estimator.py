@@ -12,6 +12,7 @@ import pytest
 from articulation.objects import Seen, ideal, noisy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from modcal_interfaces.msg import ObjectState
 from nodes.in_process import Pair, spun
 from nodes.processes import Process, Wait, fresh_domain, listener, running
 from nodes.talking import LATCHED, Diagnostics
@@ -43,21 +44,18 @@ class Told:
 
     def __init__(self, node: Node) -> None:
         self.description, self.state, self.expected, self.markers = "", None, None, None
-        self.status: dict[str, str] = {}
-        self.ever: dict[str, set[str]] = {}
+        self.status = ObjectState()
         node.create_subscription(String, f"{NAME}/object_description", self._describe, LATCHED)
         node.create_subscription(JointState, f"{NAME}/object_state", lambda m: setattr(self, "state", m), 10)
         node.create_subscription(PoseStamped, f"{NAME}/expected_pose", lambda m: setattr(self, "expected", m), 10)
         node.create_subscription(MarkerArray, f"{NAME}/object_axis", lambda m: setattr(self, "markers", m), 10)
-        node.create_subscription(DiagnosticArray, f"{NAME}/object_status", self._note, 100)
+        node.create_subscription(ObjectState, f"{NAME}/object_status", self._note, 100)
 
     def _describe(self, message: String) -> None:
         self.description = message.data
 
-    def _note(self, message: DiagnosticArray) -> None:
-        self.status = {pair.key: pair.value for pair in message.status[0].values}
-        for key, value in self.status.items():
-            self.ever.setdefault(key, set()).add(value)
+    def _note(self, message: ObjectState) -> None:
+        self.status = message
 
 
 def shown(seen: Seen, frame: str, begin: float) -> list[PoseStamped]:
@@ -80,11 +78,11 @@ def meet(node: Node, wait: Wait, *publishers: Publisher) -> None:
 
 def say(publisher: Any, messages: list[Any], wait: Wait, told: Told) -> None:
     """Publish one after the other, each when the one before has been answered."""
-    before = int(told.status.get("samples", "0"))
+    before = told.status.samples
     for k, message in enumerate(messages):
         publisher.publish(message)
         if k % 5 == 4:
-            wait(lambda k=k: int(told.status.get("samples", "0")) >= before + k - 2, 10.0)
+            wait(lambda k=k: told.status.samples >= before + k - 2, 10.0)
 
 
 def test_a_door_is_learned_told_and_forgotten(tmp_path: Path) -> None:
@@ -99,7 +97,7 @@ def test_a_door_is_learned_told_and_forgotten(tmp_path: Path) -> None:
         begin = time.time()
         messages = shown(seen, "camera", begin)
         say(publisher, messages, wait, told)
-        wait(lambda: told.status.get("trusted") == "true" and told.status["kind"] == "revolute", 10.0)
+        wait(lambda: told.status.trusted and told.status.model.kind == "revolute", 10.0)
         model = read(told.description)
         assert model.kind == "revolute"
         assert model.radius == pytest.approx(0.4, abs=0.01)
@@ -127,7 +125,7 @@ def test_a_door_is_learned_told_and_forgotten(tmp_path: Path) -> None:
         for message, words in zip(bad, ("is not finite", "quaternion has length", "is in frame"), strict=True):
             publisher.publish(message)
             wait(lambda words=words: diagnostics.said(f"/{NAME}: inputs", words), 10.0)
-        assert told.status["trusted"] == "true"
+        assert told.status.trusted
 
         reset = node.create_client(Trigger, f"{NAME}/reset")
         assert reset.wait_for_service(15.0)
@@ -135,9 +133,9 @@ def test_a_door_is_learned_told_and_forgotten(tmp_path: Path) -> None:
         wait(answer.done, 15.0)
         wait(lambda: told.description == "", 10.0)
         drawer = noisy(ideal("prismatic", np.linspace(0.0, 0.35, 200), rng), rng, 5e-4, 2e-3)
-        told.status.clear()
+        told.status = ObjectState()
         say(publisher, shown(drawer, "table", time.time() + 50.0), wait, told)
-        wait(lambda: told.status.get("kind") == "prismatic" and told.status["trusted"] == "true", 10.0)
+        wait(lambda: told.status.trusted and told.status.model.kind == "prismatic", 10.0)
         assert told.state.header.frame_id == "table"
         assert estimator.stop() == 0
 
@@ -163,7 +161,7 @@ def test_an_arm_shows_the_handle_by_its_joints(tmp_path: Path) -> None:
             message = JointState(name=[*names, "gripper"], position=[*q[::-1].tolist(), 0.3])
             message.header.stamp = node.get_clock().now().to_msg()
             publisher.publish(message)
-            return told.status.get("trusted") == "true" and told.status["kind"] == "revolute"
+            return told.status.trusted and told.status.model.kind == "revolute"
 
         wait(turn, 60.0)
         model = read(told.description)
@@ -173,7 +171,7 @@ def test_an_arm_shows_the_handle_by_its_joints(tmp_path: Path) -> None:
         assert told.state.header.frame_id == chain.base
 
 
-@pytest.mark.parametrize(("mass", "event"), [(2.0, "none"), (0.0, "locked")])
+@pytest.mark.parametrize(("mass", "event"), [(2.0, ""), (0.0, "locked")])
 def test_a_weight_that_turns_with_the_gripper_is_not_somebody_who_pulls(
     tmp_path: Path, mass: float, event: str
 ) -> None:
@@ -201,13 +199,13 @@ def test_a_weight_that_turns_with_the_gripper_is_not_somebody_who_pulls(
                 pose = shown(still, "base", 100.0)[min(k, 149)]
                 set_seconds(pose.header.stamp, 100.0 + STEP * k)
                 poses.publish(pose)
-                wait(lambda k=k: int(told.status.get("samples", "0")) >= k, 10.0)
+                wait(lambda k=k: told.status.samples >= k, 10.0)
 
         hold(0, 150)
-        assert told.status["event"] == event
+        assert told.status.event == event
         extra = np.array([0.0, 20.0, 0.0])  # and now somebody does
         hold(150, 220)
-        assert told.status["event"] == "locked"
+        assert told.status.event == "locked"
 
 
 BEGIN, APART = 1.7e9, 0.1  # s
@@ -217,11 +215,11 @@ class Shown:
     """A drawer's poses, shown to the node one after the other, and what it says."""
 
     def __init__(self, pair: Pair) -> None:
-        self.pair, self.status, self.health = pair, {}, {}
+        self.pair, self.status, self.health = pair, ObjectState(), {}
         self._publisher = pair.partner.create_publisher(PoseStamped, "tracker/pose", 10)
         self._silent = pair.partner.create_subscription(DiagnosticArray, "/diagnostics", self._heard, 50)
         name = pair.node.get_name()
-        self._told = pair.partner.create_subscription(DiagnosticArray, f"{name}/object_status", self._taken, 50)
+        self._told = pair.partner.create_subscription(ObjectState, f"{name}/object_status", self._taken, 50)
         rng = np.random.default_rng(2)
         seen = noisy(ideal("prismatic", np.linspace(0.0, 0.3, 31), rng), rng, 2e-4, 1e-3)
         self.poses = se3.transform(seen.rotations, seen.positions)
@@ -231,8 +229,8 @@ class Shown:
             lambda: self._publisher.get_subscription_count() and pair.node.count_subscribers(self._told.topic), 10.0
         )
 
-    def _taken(self, message: DiagnosticArray) -> None:
-        self.status = {v.key: v.value for v in message.status[0].values}
+    def _taken(self, message: ObjectState) -> None:
+        self.status = message
 
     def _heard(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -251,7 +249,7 @@ class Shown:
 
     def taken(self, count: int) -> None:
         """Wait until the node has learned from so many poses."""
-        self.pair.wait(lambda: self.status.get("samples") == str(count), 5.0)
+        self.pair.wait(lambda: self.status.samples == count, 5.0)
 
 
 @pytest.fixture
@@ -264,17 +262,15 @@ def test_one_pose_stamped_ten_seconds_ahead_wipes_nothing(drawer: Shown) -> None
     for i in range(26):
         drawer.show(i, BEGIN + APART * i)
         drawer.taken(i + 1)
-    assert drawer.status["trusted"] == "true"
+    assert drawer.status.trusted
     for leap in (10.0, -10.0):
         drawer.show(26, BEGIN + APART * 26 + leap)
         said = f"its stamp is {10.1 if leap > 0 else 9.9:.1f} s {'ahead of' if leap > 0 else 'behind'} the last"
         drawer.pair.wait(lambda said=said: said in drawer.health.get("inputs", (b"", ""))[1], 5.0)
     drawer.show(27, BEGIN + APART * 27)
     drawer.taken(27)
-    assert (drawer.status["trusted"], drawer.status["kind"]) == (
-        "true",
-        "prismatic",
-    )
+    assert drawer.status.trusted
+    assert drawer.status.model.kind == "prismatic"
 
 
 def test_a_left_handed_frame_is_said_by_name_and_nothing_is_trusted(drawer: Shown) -> None:
@@ -286,8 +282,8 @@ def test_a_left_handed_frame_is_said_by_name_and_nothing_is_trusted(drawer: Show
     level, said = drawer.pair.wait(lambda: "left-handed" in drawer.object()[1] and drawer.object(), 8.0)
     assert level == DiagnosticStatus.WARN
     assert "with the sign of y reversed (a left-handed frame) a revolute one: correct the sign of y" in said
-    assert drawer.status["trusted"] == "false"
-    assert "sign of y" in drawer.status["written"]
+    assert not drawer.status.trusted
+    assert "sign of y" in drawer.status.written
 
 
 def test_poses_that_stop_coming_are_said(drawer: Shown) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from cells import record
 from cli.recordings import START, URDF
+from modcal_interfaces.msg import Calibration
 from nodes.beside_a_cell import (
     HEARING,
     MODEL,
@@ -36,7 +37,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.measurements.dropouts import ALONE, BEYOND, ELSEWHEN, IMPLAUSIBLE
-from modcal_nodes.io.inputs import parse_calibration
+from modcal_nodes.io.inputs import calibration_of
 
 pytestmark = pytest.mark.dds
 
@@ -270,12 +271,12 @@ def test_two_robots_in_one_domain(tmp_path: Path) -> None:
             cell.describe(URDF.read_text())
             cell.play(stations(seed=21 + seed))
             wait(cell.taken, 60.0)
-        texts = [latched(node, f"/{side}/calibrator/calibration") for side in sides]
+        heard = [latched(node, f"/{side}/calibrator/calibration", Calibration) for side in sides]
         for side in sides:
             assert call(node, wait, f"/{side}/calibrator/solve").success
-        wait(lambda: all(texts), 20.0)
+        wait(lambda: all(heard), 20.0)
         assert [process.stop() for process in nodes] == [0, 0]
-    models = [parse_calibration(text[-1], side) for text, side in zip(texts, sides, strict=True)]
+    models = [calibration_of(told[-1], side) for told, side in zip(heard, sides, strict=True)]
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 6))
     for seed, model in enumerate(models):
         truth = record(21 + seed, 2).world.tool_in_tracker(q)

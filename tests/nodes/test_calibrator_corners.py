@@ -13,6 +13,7 @@ from camera.boards import views
 from camera.fits import MEASURED
 from camera.scenes import PANDA, CameraScene, scene
 from camera.test_several_cameras import OTHER_LENS, looking
+from modcal_interfaces.msg import Change
 from nodes.beside_a_cell import latched
 from nodes.cell import call
 from nodes.processes import Process, Wait, fresh_domain, listener, running
@@ -95,7 +96,7 @@ def test_corners_of_two_cameras_to_a_calibrated_arm_and_a_kicked_tripod(tmp_path
         cell = Cell(node, wait, s)
         trusted, models, changes = (
             latched(node, f"calibrator/{topic}", kind)
-            for topic, kind in (("trusted", Bool), ("robot_description", String), ("change", String))
+            for topic, kind in (("trusted", Bool), ("robot_description", String), ("change", Change))
         )
         publishers = (cell.states, cell.corners, cell.second, cell.description)
         wait(lambda: all(one.get_subscription_count() for one in publishers), 60.0)
@@ -143,9 +144,9 @@ def test_corners_of_two_cameras_to_a_calibrated_arm_and_a_kicked_tripod(tmp_path
             # a tripod is kicked by 5 mm: named within six images
             for i in range(6):
                 stop_at(i, 100 + i, se3.exp([0.0, 5e-3, 0.0, 0.0, 0.0, 0.0]))
-            wait(lambda: any("sentence" in text for text in changes), 15.0)
-            said = json.loads(next(text for text in changes if "sentence" in text))
-            assert said["place"] == "camera second/corners"
-            assert said["size_mm"] == pytest.approx(5.0, rel=0.5)
+            wait(lambda: any(change.changed for change in changes), 15.0)
+            said = next(change for change in changes if change.changed)
+            assert said.place == "camera second/corners"
+            assert said.size_m == pytest.approx(5e-3, rel=0.5)
             wait(lambda: not trusted[-1], 60.0)
             assert again.stop() == 0

@@ -16,6 +16,7 @@ from cli.recordings import START, URDF
 from deltas import FILE, record_delta
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped, Vector3Stamped
 from instruments.worlds import gauge, postures, theodolite, wire, world
+from modcal_interfaces.msg import Calibration
 from nodes.beside_a_cell import HEARING, MODEL, latched
 from nodes.cell import call
 from nodes.processes import Process, fresh_domain, listener, running
@@ -27,7 +28,7 @@ from std_msgs.msg import String
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_msgs_py.readings import set_seconds
-from modcal_nodes.io.inputs import parse_calibration
+from modcal_nodes.io.inputs import calibration_of
 
 pytestmark = pytest.mark.dds
 Send = tuple[Any, Callable[[int], Any]]  # publisher, and its message at a station
@@ -88,13 +89,13 @@ def test_ranges_bearings_and_heights_calibrate_an_arm(tmp_path: Path) -> None:
         readings.append(direction(node, "station", seen / np.linalg.norm(seen, axis=1, keepdims=True)))
         height = np.array([gauge([0.1, 0.2, 1.0], -1.0)(x) for x in T]) + noise[3, :, :1]
         readings.append(length(node, "tracker/plane", "table", height))
-        models = latched(node, "calibrator/calibration")
+        models = latched(node, "calibrator/calibration", Calibration)
         play(said, wait, joints, truth.nominal.names, q, readings)
         assert call(node, wait, "calibrator/solve").success
         wait(lambda: models, 20.0)
         assert said.text(HEARING)
         assert calibrator.stop() == 0
-    found = parse_calibration(models[-1], "live")
+    found = calibration_of(models[-1], "live")
     assert set(found.calibrated.frames) == {"wire_0", "wire_1", "station", "table"}
     assert {i.kind for i in found.calibrated.instruments} == {"range", "bearing", "touch"}
 
@@ -114,15 +115,15 @@ def test_a_delta_is_calibrated_and_corrected_live(tmp_path: Path) -> None:
             message.point.x, message.point.y, message.point.z = cell.samples.reading[i].tolist()
             return message
 
-        models = latched(node, "calibrator/calibration")
-        handed = node.create_publisher(String, "calibration", LATCHED)
+        models = latched(node, "calibrator/calibration", Calibration)
+        handed = node.create_publisher(Calibration, "calibration", LATCHED)
         poses: list[PoseWithCovarianceStamped] = []
         node.create_subscription(PoseWithCovarianceStamped, "corrector/pose", poses.append, 10)
         play(said, wait, joints, cell.nominal.names, cell.samples.q[:60], [(tracker, point)])
         assert call(node, wait, "calibrator/solve").success
         wait(lambda: said.value(MODEL, "state") == "trusted", 20.0)
         wait(lambda: models, 20.0)
-        handed.publish(String(data=models[-1]))
+        handed.publish(models[-1])
         q = cell.samples.q[70]
 
         def stand() -> bool:
@@ -133,7 +134,7 @@ def test_a_delta_is_calibrated_and_corrected_live(tmp_path: Path) -> None:
 
         wait(stand, 30.0)
         assert [process.stop() for process in nodes] == [0, 0]
-    found = parse_calibration(models[-1], "live")
+    found = calibration_of(models[-1], "live")
     p = poses[-1].pose.pose.position
     in_tracker = se3.apply(found.calibrated.T_frame_base[0], np.array([p.x, p.y, p.z]))
     tool = found.calibrated.T_tip_tool[:3, 3]

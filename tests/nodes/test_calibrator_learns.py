@@ -11,16 +11,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from action_msgs.msg import GoalStatus
 from cli.recordings import START, URDF
+from modcal_interfaces.action import Check, Solve
+from modcal_interfaces.msg import Calibration, Change, Checked, Estimate, Verdict
 from nodes.beside_a_cell import HEARING, MODEL, alive, beside_a_cell, children, latched, part, stations
 from nodes.cell import PlayedCell, call
-from nodes.processes import SLOWER, Process, fresh_domain, listener, running
-from nodes.talking import LATCHED, Diagnostics
-from std_msgs.msg import Bool, Float64, Float64MultiArray, String
-from std_srvs.srv import Trigger
+from nodes.processes import SLOWER, Goal, Process, fresh_domain, listener, running
+from nodes.talking import Diagnostics
+from std_msgs.msg import Bool, Float64
 
 from modcal_core.geometry import se3
 from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.typed import calibration_data
 from modcal_nodes.io.inputs import read_calibration
 
 pytestmark = pytest.mark.dds
@@ -54,9 +57,12 @@ def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(saved: Path,
     second = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
     with running(second), listener(domain) as (node, wait):
         cell, said = PlayedCell(node), Diagnostics(node)
-        models, trusted = latched(node, "calibrator/calibration"), latched(node, "calibrator/trusted", Bool)
-        names, estimates = latched(node, "calibrator/estimate_names"), list[Any]()
-        node.create_subscription(Float64MultiArray, "calibrator/estimate", estimates.append, 10)
+        models, trusted = (
+            latched(node, "calibrator/calibration", Calibration),
+            latched(node, "calibrator/trusted", Bool),
+        )
+        estimates: list[Estimate] = []
+        node.create_subscription(Estimate, "calibrator/estimate", estimates.append, 10)
         wait(cell.heard, 60.0)
         cell.describe(URDF.read_text())
         cell.play(part(whole, slice(56, 64)))
@@ -69,14 +75,14 @@ def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(saved: Path,
         assert call(node, wait, "calibrator/solve").success
         report = json.loads((tmp_path / "state" / "report.json").read_text())
         # what follows makes the running estimate surer
-        wait(lambda: estimates and names, 10.0)
-        std = np.array(estimates[-1].data).reshape(2, -1)[1]
-        assert len(names[-1].split("\n")) == len(std)
-        assert any(name.startswith(read_chain(URDF.read_text()).names[2]) for name in names[-1].split("\n"))
+        wait(lambda: estimates, 10.0)
+        std, names = np.array(estimates[-1].stds), list(estimates[-1].names)
+        assert len(names) == len(std) == len(estimates[-1].values)
+        assert any(name.startswith(read_chain(URDF.read_text()).names[2]) for name in names)
         cell.play(stations(200, begin=START + 500.0))
-        wait(lambda: np.array(estimates[-1].data).reshape(2, -1)[1].max() < 0.8 * std.max(), 20.0)
+        wait(lambda: max(estimates[-1].stds) < 0.8 * std.max(), 20.0)
         assert second.stop() == 0
-    assert f"robot: {kept.robot}" in models[0]
+    assert models[0].robot == kept.robot
     assert report["recording"]["stations"] == 48
 
 
@@ -88,7 +94,7 @@ def test_ten_stations_say_what_has_changed_since_the_saved_model(saved: Path, tm
     again = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state", after_change=0)
     with running(again), listener(domain) as (node, wait):
         cell, said = PlayedCell(node), Diagnostics(node)
-        checked = latched(node, "calibrator/checked")
+        checked = latched(node, "calibrator/checked", Checked)
         wait(cell.heard, 60.0)
         refused = call(node, wait, "calibrator/check")
         assert not refused.success
@@ -102,11 +108,13 @@ def test_ten_stations_say_what_has_changed_since_the_saved_model(saved: Path, tm
         assert answer.message.startswith("Nothing has changed, by 10 stations.")
         cell.play(stations(12, begin=START + 2000.0, bump=bump))
         wait(cell.taken, 60.0)
-        answer = call(node, wait, "calibrator/check")
-        assert answer.success
-        assert answer.message.startswith("The tool or the target has moved: 0.7")
+        _, result = Goal(node, wait, Check, "calibrator/check").result()
+        assert result.outcome == Check.Result.CHECKED
+        assert result.message.startswith("The tool or the target has moved: 0.7")
         wait(lambda: len(checked) == 2, 10.0)
-        assert [c["kind"] for c in json.loads(checked[-1])["changes"]] == ["tool"]
+        assert result.checked == checked[-1]
+        assert (checked[-1].status, [c.place for c in checked[-1].changes]) == (Checked.CHANGED, ["tool"])
+        assert 5e-4 < checked[-1].changes[0].size_m < 1e-3
         assert again.stop() == 0
 
 
@@ -119,7 +127,7 @@ def test_a_saved_model_of_another_robot_is_neither_used_nor_overwritten(saved: P
     second = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
     with running(second), listener(domain) as (node, wait):
         cell, said = PlayedCell(node), Diagnostics(node)
-        models = latched(node, "calibrator/calibration")
+        models = latched(node, "calibrator/calibration", Calibration)
         wait(cell.heard, 60.0)
         cell.describe(longer)
         cell.play(stations(4))
@@ -143,8 +151,14 @@ def test_a_bumped_tool_is_noticed_named_and_learned(tmp_path: Path) -> None:
     """By asking: until somebody accepts, the old model stands, marked as one that does not hold."""
     bump = se3.exp(np.array([5e-4, -4e-4, 3e-4, 0.0, 0.0, 0.0]))
     with beside_a_cell(tmp_path, accept="asked", after_change=24) as (_, node, wait, cell, said):
-        models, trusted = latched(node, "calibrator/calibration"), latched(node, "calibrator/trusted", Bool)
-        changes, before = latched(node, "calibrator/change"), latched(node, "calibrator/residual_before", Float64)
+        models, trusted = (
+            latched(node, "calibrator/calibration", Calibration),
+            latched(node, "calibrator/trusted", Bool),
+        )
+        changes, before = (
+            latched(node, "calibrator/change", Change),
+            latched(node, "calibrator/residual_before", Float64),
+        )
         after = latched(node, "calibrator/residual", Float64)
         cell.play(stations(64))
         wait(cell.taken, 60.0)
@@ -158,44 +172,51 @@ def test_a_bumped_tool_is_noticed_named_and_learned(tmp_path: Path) -> None:
         cell.play(stations(96, begin=START + 1000.0, bump=bump))
         wait(lambda: len(after) > results, 60.0)
         wait(lambda: not trusted[-1] and said.level(MODEL) == 1, 20.0)
-        wait(lambda: "place" in json.loads(changes[-1]), 20.0)  # a topic of its own, in no order with the others
-        change = json.loads(changes[-1])
-        assert change["place"] == "tool"
-        assert change["size_mm"] == pytest.approx(1e3 * np.linalg.norm(bump[:3, 3]), rel=0.2)
+        wait(lambda: changes[-1].changed, 20.0)  # a topic of its own, in no order with the others
+        assert changes[-1].place == "tool"
+        assert changes[-1].size_m == pytest.approx(np.linalg.norm(bump[:3, 3]), rel=0.2)
         assert len(models) == 1
         assert before[-1] > 5e-4 > 2e-4 > after[-1]
         assert call(node, wait, "calibrator/accept").success
         wait(lambda: len(models) == 2 and trusted[-1], 10.0)
-        report: list[str] = []
-        node.create_subscription(String, "calibrator/report", lambda m: report.append(m.data), LATCHED)
+        report = latched(node, "calibrator/report", Verdict)
         wait(lambda: report, 10.0)
-        found = json.loads(report[-1])["effects"]
-        assert [(e["family"], e["place"]) for e in found] == [("step", "tool")]
-        sizes = [found[0]["parameters"][d]["value"] for d in "xyz"]
-        assert np.linalg.norm(sizes) == pytest.approx(np.linalg.norm(bump[:3, 3]), rel=0.05)
+        assert report[-1].effects == ["step at tool"]
+        assert report[-1].residuals.rms_m == pytest.approx(after[-1])
+        (effect,) = calibration_data(models[-1])["effects"]
+        assert np.linalg.norm(effect["values"][:3]) == pytest.approx(np.linalg.norm(bump[:3, 3]), rel=0.05)
 
 
 def test_callbacks_keep_up_while_a_solve_runs(tmp_path: Path) -> None:
     with beside_a_cell(tmp_path) as (_, node, wait, cell, said):
         cell.play(stations(150))
         wait(cell.taken, 60.0)
-        done: list[Any] = []
-        client = node.create_client(Trigger, "calibrator/solve")
-        wait(client.service_is_ready, 30.0)
-        answer = client.call_async(Trigger.Request())
-        answer.add_done_callback(done.append)
-        again = client.call_async(Trigger.Request())
-        wait(again.done, 10.0)
-        if not done:
-            assert again.result().message == "a solve is running already"
+        goal = Goal(node, wait, Solve, "calibrator/solve")
+        again = call(node, wait, "calibrator/solve")
+        if not goal.done:
+            assert again.message == "a solve is running already"
         heard = 150
         extra = stations(40, seed=1, begin=START + 1000.0)
-        while not done:
+        while not goal.done:
             cell.play(extra, lambda _, m: m if hasattr(m, "name") else None)
             heard += 40
             wait(lambda: said.value(HEARING, "messages of /joint_states") == str(heard), 10.0)  # noqa: B023
             extra = stations(40, seed=1, begin=START + 1000.0 + 100.0 * heard)
-        assert done[0].result().success
+        status, result = goal.result()
+        assert (status, result.outcome) == (GoalStatus.STATUS_SUCCEEDED, Solve.Result.SOLVED)
+        assert result.verdict.status != 0
+        assert result.verdict.sentence in result.message
+        assert {f.phase for f in goal.heard} == {"solving"}
+        assert [f.elapsed_s for f in goal.heard] == sorted(f.elapsed_s for f in goal.heard)
+        # one that is cancelled leaves what is trusted, and the solver is free for the next
+        state = said.value(MODEL, "state")
+        goal = Goal(node, wait, Solve, "calibrator/solve")
+        assert goal.cancel()
+        status, result = goal.result()
+        assert (status, result.outcome) == (GoalStatus.STATUS_CANCELED, Solve.Result.CANCELLED)
+        assert said.value(MODEL, "state") == state
+        goal = Goal(node, wait, Check, "calibrator/check")
+        assert goal.result()[1].outcome == Check.Result.CHECKED
 
 
 def _eventually(condition: Any, seconds: float) -> Any:

@@ -23,7 +23,7 @@ from rcl_interfaces.srv import GetLoggerLevels, SetLoggerLevels
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from robots.test_urdf_size import row
+from robots.test_urdf import row
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 

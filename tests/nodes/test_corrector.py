@@ -15,8 +15,22 @@ import pytest
 from correction.test_compensation import started
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from modcal_interfaces.msg import Calibration
 from nodes.cell import call
-from nodes.corrected_arm import AWAY, CHAIN, GEAR, LATCHED, URDF, Arm, calibration, matrix, near, text, truth, written
+from nodes.corrected_arm import (
+    AWAY,
+    CHAIN,
+    GEAR,
+    LATCHED,
+    URDF,
+    Arm,
+    calibration,
+    matrix,
+    message,
+    near,
+    truth,
+    written,
+)
 from nodes.processes import Process, fresh_domain, listener, put, running
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
@@ -26,7 +40,7 @@ from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.readings import seconds, set_seconds
+from modcal_msgs_py.readings import nanoseconds, seconds, set_seconds
 
 pytestmark = pytest.mark.dds
 
@@ -54,12 +68,21 @@ def test_true_poses_effective_joints_and_the_corrected_urdf(tmp_path: Path) -> N
                 parts.append(part)
             return parts
 
+        sent: set[int] = set()
+
+        def stamped_to_the_nanosecond(message: JointState) -> list[JointState]:
+            message.header.stamp = node.get_clock().now().to_msg()
+            sent.add(nanoseconds(message.header.stamp))
+            return [message]
+
         expected = truth(made, AWAY)
-        for reshape in (lambda m: [m], turned_and_accompanied, in_two_parts):
+        for reshape in (stamped_to_the_nanosecond, turned_and_accompanied, in_two_parts):
             arm.reshape = reshape
             arm.poses.clear()
             arm.states.clear()
             wait(lambda: len(arm.poses) > 3 and len(arm.states) > 3, 60.0)
+            if reshape is stamped_to_the_nanosecond:
+                assert {nanoseconds(m.header.stamp) for m in (*arm.poses, *arm.states)} <= sent
             pose = arm.poses[-1]
             assert pose.header.frame_id == "base_link"
             assert abs(seconds(pose.header.stamp) - arm.now()) < 2.0
@@ -212,7 +235,7 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
     process = Process("corrector", domain, tmp_path, stream=True, timeout_s=1.0, horizon_s=0.5, blend_s=0.5)
     with running(process), listener(domain) as (node, wait):
         arm = Arm(node)
-        arm.calibration.publish(String(data=text(first)))
+        arm.calibration.publish(message(first))
         wait(arm.connected, 60.0)
 
         def one(made: Any, k: int) -> Array:
@@ -229,7 +252,7 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
         course = [one(first, k) for k in range(20)]
         assert np.abs(course[-1] - AWAY - 1e-3 * math.sin(0.05 * 19)).max() < 1e-6
 
-        arm.calibration.publish(String(data=text(slightly)))
+        arm.calibration.publish(message(slightly))
         expected = Correction(slightly)
         settled = None
         for k in range(20, 400):
@@ -245,7 +268,7 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
         blended = 1.5 * 6e-4 * np.minimum(np.diff(stamps) / 0.5, 1.0)
         assert (np.abs(np.diff(course, axis=0)).max(axis=1) < 1.2 * plain + blended).all(), "it came in with a jump"
 
-        arm.calibration.publish(String(data=text(much)))
+        arm.calibration.publish(message(much))
 
         sent = [arm.q.copy()]
 
@@ -311,12 +334,15 @@ def test_reset_and_parameters_at_run_time(tmp_path: Path) -> None:
     process = Process("corrector", domain, tmp_path)
     with running(process), listener(domain) as (node, wait):
         arm = Arm(node)
-        arm.calibration.publish(String(data="nonsense: ["))
-        wait(lambda: "calibration" in arm.health and "is not YAML" in arm.health["calibration"].message, 60.0)
-        arm.calibration.publish(String(data=text(made)))
+        arm.calibration.publish(Calibration())
+        wait(
+            lambda: "calibration" in arm.health and "is not a modcal calibration" in arm.health["calibration"].message,
+            60.0,
+        )
+        arm.calibration.publish(message(made))
         wait(arm.connected, 20.0)
-        arm.calibration.publish(String(data="nonsense: ["))
-        wait(lambda: "is not YAML" in arm.health["calibration"].message, 20.0)
+        arm.calibration.publish(Calibration())
+        wait(lambda: "is not a modcal calibration" in arm.health["calibration"].message, 20.0)
         assert arm.health["calibration"].level == WARN, "the one in use stays in use"
 
         set_parameter = partial(put, node, wait, "corrector")
@@ -331,6 +357,6 @@ def test_reset_and_parameters_at_run_time(tmp_path: Path) -> None:
         assert call(node, wait, "corrector/reset").success
         wait(lambda: arm.health["calibration"].level == ERROR, 20.0)
         arm.refuse(wait, lambda: arm.wish(truth(made, AWAY)), "no command is corrected")
-        arm.calibration.publish(String(data=text(made)))
+        arm.calibration.publish(message(made))
         arm.poses.clear()
         wait(lambda: arm.poses, 20.0)

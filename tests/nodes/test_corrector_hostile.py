@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from modcal_interfaces.msg import Calibration
 from nodes.corrected_arm import AWAY, CHAIN, URDF, Arm, calibration, matrix, near, truth, written
+from nodes.corrected_arm import message as calibration_message
 from nodes.processes import Process, fresh_domain, listener, running
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
@@ -113,6 +115,8 @@ def test_thousands_of_hostile_messages_bring_nothing_unsafe(tmp_path: Path) -> N
                     return wait(lambda: len(arrived) > count, 0.25)
             raise AssertionError("no answer any more")
 
+        calibrations = [Calibration(), Calibration(version=7), calibration_message(calibration())]
+        calibrations[-1].values[3].name = calibrations[-1].values[4].name + "/x"
         for k in range(2000):
             kind = rng.random()
             if kind < 0.6:
@@ -128,7 +132,7 @@ def test_thousands_of_hostile_messages_bring_nothing_unsafe(tmp_path: Path) -> N
                 heat.publish(message)
             elif kind < 0.995:
                 sent["calibration"] += 1
-                arm.calibration.publish(String(data=str(rng.choice(["", "{", "modcal_calibration: 1", "- " * 999]))))
+                arm.calibration.publish(calibrations[rng.integers(len(calibrations))])
             else:
                 sent["robot"] += 1
                 arm.description.publish(String(data=str(rng.choice(["", "<robot>", "<robot name='x'/>", URDF[:3000]]))))

@@ -39,6 +39,22 @@ def test_one_command_opens_a_simulated_door(tmp_path: Path) -> None:
     assert done.stdout.endswith("Also in door: articulation.json, nodes.log, object.urdf, pull.json\n")
 
 
+@pytest.mark.parametrize("asked", ["impedance_setpoint", "modcal door"])
+def test_without_the_interfaces_one_line_says_what_to_do(asked: str, tmp_path: Path) -> None:
+    (tmp_path / "hidden" / "modcal_interfaces").mkdir(parents=True)
+    (tmp_path / "hidden" / "modcal_interfaces" / "__init__.py").touch()
+    node, _, verb = asked.partition(" ")
+    python = MODCAL.with_name("python")
+    module = "cli" if verb else "nodes"
+    code = f"from modcal_nodes.{module}.{'main' if verb else node} import main; main()"
+    around = {**os.environ, "PYTHONPATH": str(tmp_path / "hidden")}
+    words = [python, "-c", code, *([verb] if verb else [])]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, env=around, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.startswith("modcal: package modcal_interfaces: is not built: run make build")
+    assert done.stderr.count("\n") == 1
+
+
 def test_a_door_that_cannot_be_opened_is_refused_in_one_line(tmp_path: Path) -> None:
     """The nodes are not where ROS looks for them."""
     around = {name: value for name, value in os.environ.items() if name != "AMENT_PREFIX_PATH"}

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticStatus
 from impedance.toy import PANDA, READY, Toy, door
 from lifecycle_msgs.msg import Transition
-from nodes.processes import Process, Wait, fresh_domain, listener, running
-from nodes.pulled_arm import URDF, PulledArm, Witness, fuzz, reached
+from modcal_interfaces.action import Pull
+from nodes.processes import Goal, Process, Wait, fresh_domain, listener, running
+from nodes.pulled_arm import URDF, WHO, PulledArm, Witness, fuzz, reached
 from std_msgs.msg import String
 
 from modcal_core.geometry import se3
@@ -101,6 +103,33 @@ def test_it_opens_a_door_and_says_nothing_before_and_after(cell: Cell) -> None:
     arm.pull(wait)
     wait(lambda: len(arm.trajectories) > 20, 30.0)
     assert "stopped" in arm.ask(wait, "stop").message
+
+
+def test_a_pull_as_an_action_tells_how_it_goes_and_lets_go_when_cancelled(cell: Cell) -> None:
+    arm, wait = cell.arm, cell.wait
+    arm.again(wait, Toy(door()))
+    goal = Goal(arm.node, wait, Pull, f"{WHO}/pull")
+    other = Goal(arm.node, wait, Pull, f"{WHO}/pull")
+    status, refused = other.result()
+    assert (status, refused.outcome) == (GoalStatus.STATUS_ABORTED, Pull.Result.REFUSED)
+    assert "another goal is active" in refused.message
+    wait(lambda: any(f.phase not in ("", "tare") and f.force_n > 0.0 for f in goal.heard), 60.0)
+    assert goal.cancel()
+    status, result = goal.result()
+    assert (status, result.outcome) == (GoalStatus.STATUS_CANCELED, Pull.Result.CANCELLED)
+    assert "cancelled" in result.message
+    assert result.largest_force_n >= max(f.force_n for f in goal.heard)
+    # what cannot begin says why, and one that is left alone reaches the goal
+    arm.numb = True
+    old = arm.now() + 0.5
+    wait(lambda: arm.now() > old, 30.0)
+    status, result = Goal(arm.node, wait, Pull, f"{WHO}/pull").result()
+    assert result.outcome == Pull.Result.REFUSED
+    assert "wrench" in result.message
+    arm.again(wait, Toy(door()))
+    status, result = Goal(arm.node, wait, Pull, f"{WHO}/pull").result(90.0)
+    assert (status, result.outcome) == (GoalStatus.STATUS_SUCCEEDED, Pull.Result.OPENED), result.message
+    assert result.opened == pytest.approx(GOAL, abs=0.03)
 
 
 def test_an_arm_that_falls_silent_is_left_alone(cell: Cell) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from modcal_interfaces.msg import Calibration, Change, Verdict
 from nodes.cell import call
 from nodes.processes import ROOT, Process, fresh_domain, listener, put, running
 from nodes.talking import LATCHED, Diagnostics
@@ -20,6 +21,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.mcap_read import read_recording
+from modcal_msgs_py.typed import calibration_data
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_calibration
 from modcal_nodes.simulation.plant import make_world
@@ -71,7 +73,7 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
         node.create_subscription(JointState, "joint_states", states.append, 10)
         node.create_subscription(PoseStamped, "tracker/pose", lambda m: None, 10)  # as many as of joint states
         node.create_subscription(Float64, "calibrator/residual", lambda m: heard.update(residual=m.data), LATCHED)
-        node.create_subscription(String, "calibrator/report", lambda m: heard.update(report=m.data), LATCHED)
+        node.create_subscription(Verdict, "calibrator/report", lambda m: heard.update(report=m), LATCHED)
         node.create_subscription(String, "calibrator/robot_description", lambda m: heard.update(urdf=m.data), LATCHED)
         drive = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         # the calibrator's subscription, and our own
@@ -104,9 +106,12 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
     live = read_calibration(tmp_path / "live")
     assert miss(live.calibrated, world) < 3e-5
     assert miss(live.nominal, world) > 2e-4
-    report = json.loads(str(heard["report"]))
-    assert report["recording"]["stations"] >= POSTURES
-    assert heard["residual"] == pytest.approx(1e-3 * report["error_mm"]["final"]["rms"])
+    report: Any = heard["report"]
+    assert heard["residual"] == pytest.approx(report.residuals.rms_m)
+    stored = json.loads((tmp_path / "live" / "report.json").read_text())
+    assert stored["recording"]["stations"] >= POSTURES
+    assert report.sentence == stored["verdict"]
+    assert report.claim.p95_m.tolist() == pytest.approx([1e-3 * end for end in stored["claim_mm"]["p95"]["ci95"]])
     corrected = read_chain(str(heard["urdf"]))
     q = np.random.default_rng(6).uniform(-2, 2, (50, 6))
     assert np.abs(chain_forward(corrected, q) - chain_forward(live.calibrated.chain, q)).max() < 1e-9
@@ -148,11 +153,13 @@ def test_a_link_warms_up_while_running(tmp_path: Path) -> None:
         said = Diagnostics(node)
         heard: dict[str, list[Any]] = {}
         for topic, kind in {
-            "residual": Float64, "residual_before": Float64, "change": String, "report": String, "trusted": Bool,
+            "residual": Float64, "residual_before": Float64, "change": Change, "calibration": Calibration, "trusted": Bool,
             "robot_description": String,
         }.items():  # fmt: skip
             heard[topic] = []
-            node.create_subscription(kind, f"calibrator/{topic}", lambda m, t=topic: heard[t].append(m.data), LATCHED)
+            node.create_subscription(
+                kind, f"calibrator/{topic}", lambda m, t=topic: heard[t].append(getattr(m, "data", m)), LATCHED
+            )
         wait(lambda: said.level(SAMPLES) >= 0, 60.0)
         cell = Process(
             "simulated_cell", domain, tmp_path, urdf=URDF, seed=5, start_delay_s=12.0, stations=60, repeat="true",
@@ -167,7 +174,7 @@ def test_a_link_warms_up_while_running(tmp_path: Path) -> None:
             assert not put(node, wait, "simulated_cell", warm_up_m=4e-4)
 
             # noticed, and the model that stands is marked
-            wait(lambda: any(change != "{}" for change in heard["change"]) and heard["trusted"][-1] is False, 120.0)
+            wait(lambda: any(change.changed for change in heard["change"]) and heard["trusted"][-1] is False, 120.0)
             wait(lambda: said.value(MODEL, "state") == "suspected" and said.level(MODEL) == 1, 20.0)
             assert "the last trusted model is still published" in said.text(MODEL)
             models = len(heard["robot_description"])
@@ -179,13 +186,12 @@ def test_a_link_warms_up_while_running(tmp_path: Path) -> None:
             assert cell.stop() == 0
         assert calibrator.stop() == 0
 
-    report = json.loads(heard["report"][-1])
-    found = {(e["family"], e["place"]): e for e in report["effects"]}
+    found = {(e["family"], e["place"]): e for e in calibration_data(heard["calibration"][-1])["effects"]}
     before, after = heard["residual_before"][-1], heard["residual"][-1]
-    suspected = json.loads([change for change in heard["change"] if change != "{}"][-1])
+    suspected = [change for change in heard["change"] if change.changed][-1]
     # the link before this joint grows with what the thermometer says
     assert found["thermal", "wrist_1_joint"]["driver"] == "temperature:forearm_link"
-    assert suspected["place"] == "wrist_1_joint"
+    assert suspected.place == "wrist_1_joint"
     # to the noise of the readings from an error that many times as large
     assert before > 8e-5
     assert after < 0.25 * before

@@ -14,7 +14,7 @@ import yaml
 from deltas import FILE, nominal
 from geometry_msgs.msg import PointStamped, PoseStamped
 from nodes.processes import ROOT, Process, fresh_domain, listener, running
-from robots.test_inertias import reduced
+from robots.random_arms import Pinocchio
 from robots.test_kinematics import chain_of, urdf
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -52,7 +52,7 @@ def perfect(compliance: Array | float = 0.0, T_tip_tool: Array | None = None) ->
 
 def gravity(q: Array, payload: float = 0.0) -> Array:
     """Pinocchio's torques (N, n) that hold the arm up."""
-    model = reduced(urdf("ur10"), CHAIN)
+    model = Pinocchio(urdf("ur10"), CHAIN).model
     model.gravity.linear = np.array([0.0, 0.0, -STANDARD_GRAVITY])
     tip = pin.SE3(CHAIN.origins[-1])
     model.appendBodyToJoint(model.njoints - 1, pin.Inertia(payload, np.zeros(3), np.zeros((3, 3))), tip)
@@ -110,7 +110,7 @@ def test_a_link_grows_along_itself() -> None:
     before = world.tool_in_base(q)
     world.grow("upper_arm_link", 3e-4)
     moved = (world.tool_in_base(q) - before)[:, :3, 3]
-    model = reduced(urdf("ur10"), CHAIN)
+    model = Pinocchio(urdf("ur10"), CHAIN).model
     data = model.createData()
     for row, by in zip(q, moved, strict=True):
         pin.forwardKinematics(model, data, row)

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from action_msgs.msg import GoalStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from measuring.shaped import with_spheres
-from nodes.processes import ROOT, Process, ask, fresh_domain, listener, running
+from modcal_interfaces.action import Measure
+from nodes.processes import ROOT, Goal, Process, ask, fresh_domain, listener, running
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -75,10 +77,12 @@ def test_an_arm_measures_itself_until_the_goal_is_proven(tmp_path: Path) -> None
             assert not sent
             assert np.abs(np.array(joints[-1].position) - MIDDLE).max() < 1e-6
 
-            assert ask(node, wait, Trigger, "station_runner/start").success
-            wait(lambda: sent, 20.0)
-            stopped = ask(node, wait, Trigger, "station_runner/stop")
-            assert stopped.message == "held"
+            goal = Goal(node, wait, Measure, "station_runner/measure")
+            wait(lambda: sent and goal.heard, 20.0)
+            assert goal.cancel()
+            status, result = goal.result()
+            assert (status, result.outcome) == (GoalStatus.STATUS_CANCELED, Measure.Result.CANCELLED)
+            assert "held" in result.message
             wait(lambda: len(sent[-1].points) == 1, 5.0)  # where the arm was, and no more
             stood = np.array(joints[-1].position)
             count = len(sent)
@@ -93,8 +97,15 @@ def test_an_arm_measures_itself_until_the_goal_is_proven(tmp_path: Path) -> None
         before = measured(out)
         again = Process("station_runner", domain, tmp_path, *remap, **asked, yes=True)
         with running(again):
-            wait(lambda: (out / "measure.json").exists(), 120.0)
+            wait(lambda: len(measured(out)) > len(before), 60.0)  # it begins by itself
+            assert ask(node, wait, Trigger, "station_runner/stop").success
+            goal = Goal(node, wait, Measure, "station_runner/measure")
+            status, ended = goal.result(120.0)
+            wait(lambda: (out / "measure.json").exists(), 20.0)
             again.stop()
+        assert (status, ended.outcome) == (GoalStatus.STATUS_SUCCEEDED, Measure.Result.REACHED), ended.message
+        assert 0.0 < ended.proven_m <= 2e-3
+        assert len(before) <= goal.heard[0].stations <= goal.heard[-1].stations <= ended.stations
         assert f"{len(before)} stations measured before" in again.output
     after = measured(out)
     assert after[: len(before)] == before

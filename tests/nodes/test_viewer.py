@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +11,10 @@ import numpy as np
 import pytest
 from cells import NOISE_M, record
 from cli.recordings import START, URDF
+from modcal_interfaces.msg import Calibration, Change
 from nodes.beside_a_cell import PANDA, stations
 from nodes.cell import PlayedCell, call
-from nodes.corrected_arm import AWAY, CHAIN, Arm, calibration, text
+from nodes.corrected_arm import AWAY, CHAIN, Arm, calibration, message
 from nodes.processes import Process, fresh_domain, listener, running
 from nodes.talking import LATCHED, Diagnostics
 from nodes.test_watch import watched
@@ -112,7 +112,7 @@ def test_arrows_are_as_long_as_the_tool_is_off(tmp_path: Path) -> None:
 
 
 def test_the_posture_is_shown_while_it_is_known(tmp_path: Path) -> None:
-    """Hostile joint states, texts that are no calibration, another robot's: all said, nothing wrong drawn."""
+    """Hostile joint states, messages that are no calibration, another robot's: all said, nothing wrong drawn."""
     made = calibration()
     domain = fresh_domain()
     # calibrator/calibration is played under the name that the arm of the corrector's tests uses
@@ -129,16 +129,16 @@ def test_the_posture_is_shown_while_it_is_known(tmp_path: Path) -> None:
         assert np.abs(along / np.linalg.norm(along, axis=1, keepdims=True) - d).max() < 1e-9
 
         # what is no calibration, and one of another robot
-        arm.calibration.publish(String(data="nonsense: ["))
-        wait(lambda: "is not YAML" in said.text(CALIBRATION), 20.0)
+        arm.calibration.publish(Calibration())
+        wait(lambda: "is not a modcal calibration" in said.text(CALIBRATION), 20.0)
         other = replace(made, nominal=replace(made.nominal, chain=calibration(3).calibrated.serial))
-        arm.calibration.publish(String(data=text(other)))
+        arm.calibration.publish(message(other))
         wait(lambda: "other nominal kinematics" in said.text(CALIBRATION), 20.0)
         assert said.level(CALIBRATION) == 2
         wait(lambda: seen.of("axes", "nominal"), 10.0)
         assert not seen.of("axes", "calibrated")
 
-        arm.calibration.publish(String(data=text(made)))
+        arm.calibration.publish(message(made))
         wait(lambda: len(seen.of("axes", "calibrated")) == CHAIN.n and seen.of("uncertainty", "present"), 20.0)
         (present,) = seen.of("uncertainty", "present")
         size = 2.0 * 3.0 * SCALE * made.noise.position  # a calibration without its uncertainty: scatter only
@@ -175,11 +175,10 @@ def test_readings_in_a_frame_that_nobody_calibrated_are_said(tmp_path: Path) -> 
     viewer = Process("viewer", domain, tmp_path)
     with running(viewer), listener(domain) as (node, wait):
         cell, said, seen = PlayedCell(node), Diagnostics(node), Pictures(node)
-        model = node.create_publisher(String, "calibrator/calibration", LATCHED)
-        change = node.create_publisher(String, "calibrator/change", LATCHED)
-        model.publish(String(data=text(made)))
-        change.publish(String(data="no json"))
-        change.publish(String(data=json.dumps({"sentence": "tool has moved"})))
+        model = node.create_publisher(Calibration, "calibrator/calibration", LATCHED)
+        change = node.create_publisher(Change, "calibrator/change", LATCHED)
+        model.publish(message(made))
+        change.publish(Change(changed=True, sentence="tool has moved"))
         cell.describe(URDF.read_text())
         wait(lambda: cell.heard() and "scatter only" in said.text(CALIBRATION), 60.0)
 

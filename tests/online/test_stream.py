@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from cells import ur10
@@ -11,7 +9,6 @@ from cli.recordings import START, stations, streams, with_joints, with_reading
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
-from modcal_core.measurements.dwells import StationRules
 from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.samples import Samples, cut_stations
 from modcal_core.online.estimator import joined
@@ -61,27 +58,6 @@ def test_finished_stations_are_paired_as_they_are() -> None:
     assert (live.reading == whole.reading[rows]).all()
 
 
-@pytest.mark.slow
-def test_an_arm_that_never_stops_is_used_reading_by_reading() -> None:
-    recording = streams(60, dwell=0.01)
-    live, whole = play(recording), cut_stations(recording, NAMES)
-    assert whole.moving.all()
-    assert live.moving.all()
-    assert len(live) > 200  # after half a minute without a stand
-    rows = np.searchsorted(whole.stamps, live.stamps)
-    assert np.abs(live.q - whole.q[rows]).max() < 5e-6
-    assert np.abs(live.velocity - whole.velocity[rows]).max() < 2e-2
-    assert np.abs(live.reading - whole.reading[rows]).max() == 0.0
-
-
-@pytest.mark.slow
-def test_a_long_stand_makes_several_samples_of_one_posture() -> None:
-    recording = streams(5, dwell=11.0)
-    live = play(recording)
-    assert 15 <= len(live) <= 20
-    assert len(np.unique(live.q.round(6), axis=0)) == 5
-
-
 def test_joints_that_come_late_or_twice_are_counted() -> None:
     stream = SampleStream(NAMES)
     for stamp in (0.0, 0.01, 0.02, 0.02, 0.015, 0.03):
@@ -102,17 +78,6 @@ def test_a_clock_set_back_begins_anew() -> None:
     assert len(first) == len(second) == 12
     assert np.abs(first.q - second.q).max() < 1e-9
     assert (second.station > first.station.max()).all()
-
-
-def test_a_drop_out_loses_the_stands_it_covers_and_no_more() -> None:
-    recording = streams(20)
-    s = recording.readings[0].stamps
-    gap = (s > START + 8.0) & (s < START + 14.0)
-    reading = recording.readings[0]
-    holed = with_reading(recording, stamps=s[~gap], values=reading.values[~gap], received=reading.received[~gap])
-    live, whole = play(holed), cut_stations(holed, NAMES)
-    assert len(live) == len(whole) < 18
-    assert np.abs(live.q - whole.q).max() < 2e-5
 
 
 def test_encoder_noise_is_no_motion(rng: np.random.Generator) -> None:
@@ -148,17 +113,3 @@ def test_what_is_no_number_is_refused_and_harms_nothing(kind: str) -> None:
         with pytest.raises(BadRecording, match="pose in tracker"):
             stream.reading("pose", "tracker", START - 0.9, pose)
     assert len(play(recording, stream)) == 6
-
-
-def test_rules_are_the_recordings() -> None:
-    strict = StationRules(least=2.0)
-    recording = replace(streams(6, dwell=1.0), warnings=())
-    assert len(cut_stations(recording, NAMES)) == 6
-    stream = SampleStream(NAMES, rules=strict)
-    joints, reading = recording.joints[0], recording.readings[0]
-    for i, stamp in enumerate(joints.stamps):
-        stream.joint_state(float(stamp), joints.position[i])
-    for i, stamp in enumerate(reading.stamps):
-        stream.reading(reading.kind, reading.frame, float(stamp), reading.values[i])
-    stream.flush()
-    assert not stream.take()

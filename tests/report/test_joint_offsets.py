@@ -52,7 +52,7 @@ def test_an_arm_that_is_nominal_has_none() -> None:
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_intervals_hold_what_they_say(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Recordings of one arm in MuJoCo that differ by postures and noise; the truth is that of thousands of postures."""
-    chain, count, runs = ur10(), 60, 12
+    chain, count, runs = ur10(), 60, 8
     frame, tool = se3.exp([1.0, 0.2, 0.1, 0.3, 0.2, -1.0]), se3.exp([0.05, 0.03, 0.12, 0, 0, 0])
     world = World(chain, np.random.default_rng(7), 5e-4, 1e-3, frame, tool)
     moved = np.random.default_rng(7).standard_normal((7, 6)) * ([5e-4] * 3 + [1e-3] * 3)

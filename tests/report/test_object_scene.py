@@ -12,7 +12,7 @@ from report.browser import Page, browser
 
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.track import Track
-from modcal_core.report.articulation import Articulation, articulation_data, articulation_html, object_scene
+from modcal_core.report.articulation import Articulation, articulation_data, articulation_report, object_scene
 from modcal_core.report.blocks import Scene3D
 
 
@@ -63,7 +63,7 @@ def tab() -> Iterator[Page]:
 
 
 def test_the_slider_opens_the_door(tab: Page, tmp_path: Path) -> None:
-    (tmp_path / "door.html").write_text(articulation_html(found("revolute")[1]))
+    (tmp_path / "door.html").write_text(articulation_report(found("revolute")[1]).files["report.html"])
     tab.open(tmp_path / "door.html", 1000, 900)
     picture = "document.getElementById('scene').toDataURL()"
     said = "document.getElementById('scene-said').textContent"

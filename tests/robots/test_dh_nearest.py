@@ -21,6 +21,8 @@ from modcal_core.robots.tables import nearest_dh
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_write import calibrated_urdf
 
+HERE = {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
+
 
 def step(axis: str, angle: float, length: float) -> Array:
     T = np.eye(4)
@@ -37,11 +39,11 @@ def end(values: dict[str, list[float]]) -> Array:
 
 def by_hand(table: dict[str, Any], q: Array) -> Array:
     """The tip's pose by a table, multiplied out as textbooks do, without our chain."""
-    T = end(table["base"])
+    T = end(table.get("base", HERE))
     for row, angle in zip(table["joints"], q, strict=True):
         z, x = step("z", row["theta"] + angle, row["d"]), step("x", row["alpha"], row["a"])
         T = T @ (z @ x if table["convention"] == "dh" else x @ z)
-    return T @ end(table["tool"])
+    return T @ end(table.get("tool", HERE))
 
 
 def bent_ur10(angle: float) -> tuple[Chain, str]:

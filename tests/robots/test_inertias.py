@@ -7,25 +7,18 @@ import re
 import numpy as np
 import pinocchio as pin
 import pytest
+from robots.random_arms import Pinocchio
 from robots.test_kinematics import ARMS, chain_of, urdf
 
 from modcal_core.errors import BadRobot
-from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
-
-
-def reduced(text: str, chain: Chain) -> pin.Model:
-    """Pinocchio's model of the chain's joints only, all others locked at zero."""
-    model = pin.buildModelFromXML(text)
-    others = [i for i, name in enumerate(model.names) if i > 0 and name not in chain.names]
-    return pin.buildReducedModel(model, others, np.zeros(model.nq)) if others else model
 
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_against_pinocchio(arm: str) -> None:
     chain = chain_of(arm)
-    model = reduced(urdf(arm), chain)
+    model = Pinocchio(urdf(arm), chain).model
     inertias = read_inertias(urdf(arm), chain)
     assert inertias.known
     for k, name in enumerate(chain.names):
@@ -39,7 +32,7 @@ def test_a_shorter_chain_carries_the_rest_with_its_last_joint() -> None:
     """The wrist and the hand, with its fingers, hang on the elbow of a chain that ends there."""
     text = urdf("panda")
     chain = read_chain(text, base="panda_link1", tip="panda_link4")
-    model = reduced(text, chain)
+    model = Pinocchio(text, chain).model
     inertias = read_inertias(text, chain)
     for k, name in enumerate(chain.names):
         body = model.inertias[model.getJointId(name)]

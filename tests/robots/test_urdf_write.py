@@ -7,11 +7,11 @@ import re
 import numpy as np
 import pytest
 from robots.test_kinematics import ARMS, chain_of, urdf
+from robots.test_tables import assert_same as same
 
 from modcal_core.errors import BadRobot, NotRepresentable
 from modcal_core.geometry import se3, so3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import joint_origins, read_chain
 from modcal_core.robots.urdf_write import calibrated_urdf, write_origins
 
@@ -48,43 +48,43 @@ MASKED = (
 )  # fmt: skip
 
 
+def same_arm(a: Chain, b: Chain) -> None:
+    same(a, b, 1e-12)
+
+
 def moved(chain: Chain, size: float = 0.01, seed: int = 0, tool: bool = True) -> Chain:
     xi = size * np.random.default_rng(seed).normal(size=(chain.n + 1, 6))
     xi[-1] *= tool
     return chain.with_origins(chain.origins @ se3.exp(xi))
 
 
-def assert_same(a: Chain, b: Chain, tolerance: float = 1e-12) -> None:
-    q = np.random.default_rng(1).uniform(-2, 2, (50, a.n))
-    assert np.abs(chain_forward(a, q) - chain_forward(b, q)).max() < tolerance
-
-
 def test_awkward_text_keeps_every_other_byte() -> None:
     chain = read_chain(AWKWARD)
     text = calibrated_urdf(AWKWARD, chain, moved(chain))
-    assert_same(read_chain(text), moved(chain))
+    same_arm(read_chain(text), moved(chain))
     number = r"-?\d+(?:\.\d+)?(?:e-?\d+)?"
     pattern = re.escape(MASKED).replace(r"\#", "#").replace("#", f"{number} {number} {number}")
     assert re.fullmatch(pattern, text)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", ["\n", "\r\n"])
-@pytest.mark.parametrize("start", ["", "\ufeff", "\n\n  "])
-@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize(
+    ("arm", "start", "ending"),
+    [("ur10", "", "\n"), ("panda", "\ufeff", "\r\n"), ("xarm7", "\n\n  ", "\n"), ("iiwa14", "", "\r\n")],
+)
 def test_calibrated_arms_reload(arm: str, start: str, ending: str) -> None:
     text = start + urdf(arm).replace("\n", ending)
     chain = read_chain(text)
     assert calibrated_urdf(text, chain, chain) == text
     result = calibrated_urdf(text, chain, moved(chain))
-    assert_same(read_chain(result), moved(chain))
+    same_arm(read_chain(result), moved(chain))
     before, after = text.split(ending), result.split(ending)
     changed = [i for i, (a, b) in enumerate(zip(before, after, strict=True)) if a != b]
     assert len(changed) == chain.n + 1
     assert all(before[i].strip().startswith("<origin ") for i in changed)
 
 
-@pytest.mark.parametrize("k", range(6))
+@pytest.mark.parametrize("k", [0, 3])
 def test_one_correction_changes_one_line(k: int) -> None:
     """A correction of position alone leaves rpy as it is written, and that of a joint leaves every other joint."""
     chain, text = chain_of("ur10"), urdf("ur10")
@@ -95,26 +95,12 @@ def test_one_correction_changes_one_line(k: int) -> None:
     assert len(lines) == 1
     before, after = (line.split("rpy=") for line in lines[0])
     assert before[1] == after[1] or k == 0  # the turn of base_link_inertia is undone and done again before the first
-    assert_same(read_chain(result), chain.with_origins(origins))
+    same_arm(read_chain(result), chain.with_origins(origins))
 
 
 def test_writing_what_is_there_changes_nothing() -> None:
     for text in (AWKWARD.replace("&far;", "0.3"), *map(urdf, ARMS)):
         assert write_origins(text, joint_origins(text)) == text
-
-
-def test_a_missing_attribute_is_added_only_when_it_says_something() -> None:
-    text = urdf("ur10").replace('<origin xyz="-0.612 0 0" rpy="0 0 0"/>', '<origin xyz="-0.612 0 0"/>')
-    shift = se3.transform(p=[-0.6, 0.0, 0.0])
-    assert write_origins(text, {"elbow_joint": shift}) == text.replace('"-0.612 0 0"', '"-0.6 0.0 0.0"')
-
-
-def test_the_first_of_two_origins_counts_as_it_does_for_ros() -> None:
-    twice = '<origin xyz="-0.612 0 0" rpy="0 0 0"/><origin xyz="1 1 1"/>'
-    text = urdf("ur10").replace('<origin xyz="-0.612 0 0" rpy="0 0 0"/>', twice)
-    chain = read_chain(text)
-    assert_same(chain, chain_of("ur10"))
-    assert_same(read_chain(calibrated_urdf(text, chain, moved(chain))), moved(chain))
 
 
 @pytest.mark.slow
@@ -131,7 +117,7 @@ def test_what_follows_the_last_joint_goes_to_the_last_fixed_one() -> None:
     only_tool = np.array(chain.origins)
     only_tool[-1] = only_tool[-1] @ se3.exp([1e-3, 0, 0, 0, 1e-3, 0])
     result = calibrated_urdf(text, chain, chain.with_origins(only_tool))
-    assert_same(read_chain(result), chain.with_origins(only_tool))
+    same_arm(read_chain(result), chain.with_origins(only_tool))
     old, new = joint_origins(text), joint_origins(result)
     assert [name for name in old if not np.array_equal(old[name], new[name])] == ["panda_hand_tcp_joint"]
 
@@ -140,7 +126,7 @@ def test_a_change_with_nowhere_to_go_is_refused() -> None:
     chain = read_chain(urdf("ur10"), tip="wrist_3_link")
     with pytest.raises(NotRepresentable, match="link 'wrist_3_link': no fixed joint lies between joint wrist_3_joint"):
         calibrated_urdf(urdf("ur10"), chain, moved(chain))
-    assert_same(read_chain(calibrated_urdf(urdf("ur10"), chain, moved(chain, tool=False)), tip="wrist_3_link"),
+    same_arm(read_chain(calibrated_urdf(urdf("ur10"), chain, moved(chain, tool=False)), tip="wrist_3_link"),
                 moved(chain, tool=False))  # fmt: skip
 
 

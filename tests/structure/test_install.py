@@ -17,6 +17,7 @@ import modcal_core
 
 SRC = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
 PACKAGES = ("modcal_core", "modcal_msgs_py", "modcal_nodes")
+INTERFACES = "modcal_interfaces"
 EXECUTABLES = sorted(e for e in entry_points(group="console_scripts") if e.value.startswith("modcal_nodes."))
 
 
@@ -26,7 +27,7 @@ def test_colcon_sees_ament_packages() -> None:
     command = [sys.executable, "-m", "colcon", "--log-base", os.devnull, "list", "--base-paths", SRC]
     listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     kinds = {line.split()[0]: line.split()[-1] for line in listed.splitlines()}
-    assert kinds == dict.fromkeys(PACKAGES, "(ros.ament_python)")
+    assert kinds == {**dict.fromkeys(PACKAGES, "(ros.ament_python)"), INTERFACES: "(ros.ament_cmake)"}
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -21,6 +21,7 @@ _LAYERS = (
     "version",
     "errors",
     "files",
+    "schema",
     "geometry",
     "robots",
     "measurements",
@@ -32,7 +33,7 @@ _LAYERS = (
     "diagnosis",
     "online",
 )
-_ALSO = {"lazy", "errors", "files", "geometry", "robots", "measurements"}
+_ALSO = {"lazy", "errors", "files", "schema", "geometry", "robots", "measurements"}
 LAYERS: dict[str, set[str]] = {layer: set(_LAYERS[: i + 1]) for i, layer in enumerate(_LAYERS)}
 LAYERS["claim"] = LAYERS["calibration"] | {"claim"}
 LAYERS["correction"] = LAYERS["calibration"] | {"correction"}

@@ -43,7 +43,7 @@ PINNED, HASHED = r"[a-z0-9-]+==[\w.+!]+", r"    --hash=sha256:[0-9a-f]{64}"
 
 
 def test_lock_is_exact() -> None:
-    for name in ("requirements.txt", "requirements-test.txt"):
+    for name in ("requirements.txt", "requirements-test.txt", "requirements-interfaces.txt"):
         lines = [line for line in (ROOT / name).read_text().splitlines() if line and not line.startswith("#")]
         assert lines
         assert not [line for line in lines if not re.fullmatch(rf"({PINNED}|{HASHED})( \\)?", line)]

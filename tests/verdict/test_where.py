@@ -73,6 +73,16 @@ def test_a_tracker_whose_scale_changes_with_distance(made: Recorded) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("how", ["the sine of the beam's angle", "the target's roll"])
+def test_a_target_that_is_read_by_the_side_it_shows(made: Recorded, how: str) -> None:
+    sight = made.samples.reading / np.linalg.norm(made.samples.reading, axis=1, keepdims=True)
+    x, y, z = np.einsum("nji,nj->in", made.samples.R, sight)
+    size = np.sqrt(1.0 - z**2) if "angle" in how else np.sin(2.0 * np.arctan2(y, x))
+    bent = replace(made.samples, reading=made.samples.reading + 4e-4 * size[:, None] * sight)
+    assert "the side from which the tracker sees the target" in said(bent)
+
+
+@pytest.mark.slow
 def test_a_loose_tool_falls_to_its_lower_side(made: Recorded) -> None:
     down = made.world.T_tracker_base[:3, :3] @ [0.0, 0.0, -1.0]
     side = np.sign(made.samples.R[:, :, 0] @ down)[:, None]

@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from modcal_core.calibration import BLEND, Calibration, Cell, Errors, curved_joints, errors, with_sockets
 from modcal_core.checking import (
     PATTERN,
-    UNTRIED,
     BeyondRanges,
-    FrozenCalibration,
-    NamedChange,
     Noticed,
     Recommendation,
-    Status,
     advise,
     alike_everywhere,
     beyond_ranges,
     frozen,
     in_known_frames,
-    named,
     new_frames,
     noticed,
     placed_anew,
     repaired,
     require_accounted,
-    require_one_setting,
-    require_own_rows,
     spread_out,
     with_new_frames,
 )
@@ -37,10 +31,11 @@ from modcal_core.evaluation import evaluate
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import recognised
 from modcal_core.measurements import Samples
-from modcal_core.moves import FoundChanges, search
+from modcal_core.moves import UNTRIED, FoundChanges, NamedChange, named, search
 from modcal_core.outcome import Outcome, unseen_note
 from modcal_core.verdict import Applied, applicable, own_rows
 
+Status = Literal["unchanged", "changed", "ambiguous", "unexplained"]
 MIN = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
 _SAME_POSTURE = 1e-3  # rad or m; no change of interest shows between two stations that close
 _NAMED = 4  # frames that a note has room for
@@ -132,14 +127,14 @@ def checkup(
     cell = (cell or Cell()).met(samples)
     asked = _asked(calibration, with_sockets(samples, cell, calibration.nominal.chain))
     calibration, applied, part = asked.calibration, asked.applied, asked.part
-    begin = frozen(calibration, applied.model, pattern)
-    found = _searched(begin, asked)
-    fixed = None if found.more else repaired(calibration, found, begin.index)
-    alike = [alike_everywhere(c, calibration, begin.model, found.samples) for c in found.changes]
+    model = applied.model
+    found = _searched(asked, pattern)
+    fixed = None if found.more else repaired(calibration, found)
+    alike = [alike_everywhere(c, calibration, model, found.samples) for c in found.changes]
     N = len(found.samples)
-    beyond = beyond_ranges(calibration, begin.model, found.samples)
+    beyond = beyond_ranges(calibration, model, found.samples)
     changes = tuple(
-        named(change, _motions(found, i), 3 * N, same, beyond)
+        named(change, _motions(found, i), 3 * N, same, beyond.untried_mm)
         for i, (change, same) in enumerate(zip(found.changes, alike, strict=True))
     )
     untried = any(UNTRIED in c.same_as for c in changes) or (found.more and beyond.mostly)
@@ -147,31 +142,31 @@ def checkup(
     report = evaluate(used, found.samples, rng, cell=cell)
     if fixed is not None:
         fixed = replace(fixed, claim_mm=None if report.claim is None else report.claim.mm["p95"].ci95[1])
-        report = _each_by_the_others(report, found, begin)
+        report = _each_by_the_others(report, found)
     return Checked(
         status=_status(found, changes),
         changes=changes,
         chance=float(np.exp(min(0.0, -found.log_e[0]))),
-        before=_size(errors(begin.model, found.samples)),
+        before=_size(errors(model, found.samples)),
         after=_size(errors(found.state.model, found.samples)),
         expected=_expected(found),
         stations=part.stations,
-        aside=tuple(int(part.station[i]) + 1 for i in found.aside),
+        aside=tuple(int(part.station[i]) + 1 for i in sorted(found.aside)),
         noticed=noticed(found),
-        advice=advise(found, calibration, begin, alike, untried),
+        advice=advise(found, calibration, alike, untried),
         repaired=fixed,
         report=report,
         joints=part.names,
         convention=asked.undone,
         notes=(
             *_placed_note(calibration, asked.samples, asked.new),
-            *_notes(begin, asked.samples, asked.inside, part, found),
+            *_notes(calibration, asked.samples, asked.inside, part, found),
             *_dated(calibration, asked.samples),
             *unseen_note(found.samples, calibration),
             *applied.notes,
         ),
         station_errors=(
-            errors(begin.model, found.samples).position_norm,
+            errors(model, found.samples).position_norm,
             errors(found.state.model, found.samples).position_norm,
         ),
         far_apart=found.null.weight * part.stations,
@@ -215,21 +210,18 @@ def _asked(calibration: Calibration, samples: Samples) -> _Asked:
     )
 
 
-def _searched(begin: FrozenCalibration, asked: _Asked) -> FoundChanges:
-    """The changes that the stations show. Raises BadRecording for what is not of this arm, or not of one setting."""
-    part = asked.part
-    require_own_rows(begin.model, part)
+def _searched(asked: _Asked, pattern: float) -> FoundChanges:
+    """The changes that the stations show. Raises BadRecording for what is not of this arm."""
+    model, part = asked.applied.model, asked.part
     try:
-        found = search(begin.model, part, begin.known, placed_anew(part, asked.new))
+        found = search(model, part, frozen(asked.calibration, model, pattern), placed_anew(part, asked.new))
     except np.linalg.LinAlgError:  # so far apart that their likelihoods cannot be weighed
         raise BadRecording(
             "readings",
-            f"miss the calibrated arm by {_size(errors(begin.model, part))[0]:.3g} mm RMS, and contradict each other",
+            f"miss the calibrated arm by {_size(errors(model, part))[0]:.3g} mm RMS, and contradict each other",
             "check that each stands beside its own posture, and that robot and instrument are those of the calibration",
         ) from None
-    require_one_setting(found)
-    if asked.doubt is not None:
-        require_accounted(found, asked.doubt, begin.model)
+    require_accounted(found, asked.doubt, model)
     return found
 
 
@@ -295,7 +287,7 @@ def _expected(found: FoundChanges) -> tuple[float | None, float | None]:
     return position, float(np.degrees(np.sqrt(3.0 * variance[turned].mean()))) if turned.any() else None
 
 
-def _each_by_the_others(report: Outcome, found: FoundChanges, begin: FrozenCalibration) -> Outcome:
+def _each_by_the_others(report: Outcome, found: FoundChanges) -> Outcome:
     """The report with each station predicted by a repair that has not seen it: its sizes are those of the others."""
     state = found.state
     sized = [c.hypothesis for c in (*found.given, *found.changes) if c.hypothesis.sizes]
@@ -320,10 +312,10 @@ def _each_by_the_others(report: Outcome, found: FoundChanges, begin: FrozenCalib
 
 
 def _notes(
-    begin: FrozenCalibration, samples: Samples, inside: Samples, part: Samples, found: FoundChanges
+    calibration: Calibration, samples: Samples, inside: Samples, part: Samples, found: FoundChanges
 ) -> tuple[str, ...]:
     out = []
-    if not begin.kept:
+    if calibration.uncertainty is None:
         out.append("The calibration keeps no covariance: what it does not know of itself was not counted.")
     if inside.stations < samples.stations:
         gone = samples.stations - inside.stations
@@ -335,8 +327,11 @@ def _notes(
             f"These {part.stations} stations stand close together and say as much as {far:.1f} far apart: only larger "
             "changes are named. Spread them over the ranges of all joints."
         )
-    if found.aside:
+    if "" in found.aside.values():
         out.append("A reading that no change explains was set aside as wrong.")
+    for label in sorted({*found.aside.values()} - {""}):
+        at = ", ".join(str(part.station[i] + 1) for i, said in sorted(found.aside.items()) if said == label)
+        out.append(f"Stations {at} were set aside: {label}, to the last digit, and elsewhere by the readings.")
     return tuple(out)
 
 

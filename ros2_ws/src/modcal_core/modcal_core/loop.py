@@ -2,6 +2,9 @@
 
 *Train* fits the model, *explain* chooses what to add to it, *held-out* scores it, once. What is shipped is the same
 model fitted once more to every accepted sample; what is scored is the one that had not seen the held-out set.
+
+A draw decides which stations score, and nothing else: what is named and shipped comes from a split of the samples' own.
+Where the drawn split is another, fit and choice are made once more with it, for the score alone.
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome
 from modcal_core.robots import Inertias, Mechanism
 from modcal_core.scoring import scored, supported
-from modcal_core.task import Fits, Task, task_of
+from modcal_core.task import Fits, Task, tasks_of
 
 
 @dataclass(frozen=True)
@@ -62,18 +65,24 @@ def calibrate(
     look_for_effects: go beyond geometry. changed: stamp [s] about which something is known to have happened.
     Raises ModcalError for data that cannot carry a fit.
     """
-    task = task_of(samples, chain, rng, cell or Cell(), inertias, block)
-    fits = _geometry(task)
+    task, drawn = tasks_of(samples, chain, rng, cell or Cell(), inertias, block)
     look_for_effects = look_for_effects and len(task.explain) > 0
-    if look_for_effects:
-        fits = _with_effects(task, fits, progress, changed)
-        curves = with_residual_curves(fits.final, task.train, task.explain, task.cell.distances, block)
-        fits = supported(task, replace(fits, final=curves, together=curves is not fits.final))
+    effects = partial(_with_effects, block=block, progress=progress, changed=changed) if look_for_effects else None
+    fits = _fitted(task, effects)
+    seen = fits if drawn is task else _fitted(drawn, effects)
+    outcome, shipped = scored(task, fits, drawn, seen)
+    return Solution(replace(outcome, searched=look_for_effects), shipped, seen.final)
+
+
+def _fitted(task: Task, effects: Callable[[Task, Fits], Fits] | None) -> Fits:
+    """Fits to *train*. effects: adds them, chosen by *explain*."""
+    fits = _geometry(task)
+    if effects is not None and len(task.explain):
+        fits = supported(task, effects(task, fits))
     # when something moved is read from all stations: one next to it that was held out belongs to either side
     fits = replace(fits, final=replace(fits.final, model=sharpened(fits.final.model, task.samples)))
     _require_plausible(task, fits.nominal, fits.final)
-    outcome, shipped = scored(task, fits)
-    return Solution(replace(outcome, searched=look_for_effects), shipped, fits.final)
+    return fits
 
 
 def _geometry(task: Task) -> Fits:
@@ -91,14 +100,18 @@ def _geometry(task: Task) -> Fits:
     return Fits(nominal, geometric, geometric, chosen, diagnosis)
 
 
-def _with_effects(task: Task, fits: Fits, progress: Callable[[str], None], changed: float | None) -> Fits:
-    """What is left: where it comes from, an effect for it, and again."""
+def _with_effects(
+    task: Task, fits: Fits, block: int | None, progress: Callable[[str], None], changed: float | None
+) -> Fits:
+    """What is left: where it comes from, an effect for it, and again; and small curves for what none explains."""
     suspects = (lambda at: ()) if changed is None else partial(payload.since, time=changed)
     train, explain, known = task.train, task.explain, fits.diagnosis.causes
     sought = Sought(train, explain, task.cell.distances, progress, suspects, known)
     diagnosis, loads = weighed(fits.geometric, train, explain, partial(diagnose, sought=sought), task.cell)
     geometric = fits.geometric if loads is None else with_arm(fits.geometric, loads.arm)
-    return replace(fits, geometric=geometric, final=diagnosis.fit, diagnosis=diagnosis, loads=loads)
+    final = with_residual_curves(diagnosis.fit, train, explain, task.cell.distances, block)
+    together = final is not diagnosis.fit
+    return replace(fits, geometric=geometric, final=final, diagnosis=diagnosis, loads=loads, together=together)
 
 
 def _require_plausible(task: Task, nominal: Fit, fitted: Fit) -> None:

@@ -49,7 +49,8 @@ def calibrate(
 ) -> Result:
     """Calibrate a robot from samples: geometry, effects that the samples show, and a verdict.
 
-    One part of the samples fits, another chooses effects, a held-out part scores. The same seed gives the same split.
+    One part of the samples fits, another chooses effects, a held-out part scores. The seed draws what is held out for
+    the score; the model and what is named do not depend on it.
 
     - cell: what is known of the surroundings, of arm and instrument.
     - fixed: parameters or places that stay nominal, such as ``tool``. geometry_only: look for no effects.
@@ -239,13 +240,12 @@ def _described(samples: Samples) -> str | None:
     """The name of the robot in the recorded description; None where there is none that can be read."""
     if samples.origin.description is None:
         return None
-    from modcal_core.robots import document
+    from modcal_core.robots import parse
 
     try:
-        name = document(samples.origin.description).get("name")
+        return parse(samples.origin.description).name
     except BadRobot:  # evaluate does not need the description, and says elsewhere that it cannot be read
         return None
-    return None if name is None else str(name)
 
 
 def _other_robot(calibration: Calibration, samples: Samples) -> tuple[str, ...]:

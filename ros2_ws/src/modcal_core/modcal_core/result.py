@@ -61,11 +61,10 @@ class Result:
         factory: the kinematics that the manufacturer's tool took from this arm, whose form and hash
         ``kinematics.yaml`` keeps. page: whether report.html is among them.
         """
-        from modcal_core.report import calibration_files, delta_files
+        from modcal_core.report import calibration_files
 
-        if self.robot.description is None:
-            return delta_files(self.calibration, self.report, page)
-        return calibration_files(self.calibration, self.report, self.robot.chain, self.robot.description, factory, page)
+        arm = self.robot.mechanism, self.robot.description
+        return calibration_files(self.calibration, self.report, *arm, factory, page)
 
     def save(self, folder: str | Path, factory: Mapping[str, Any] | None = None, page: bool = True) -> Path:
         """Write the files of ``modcal calibrate`` into a folder, whole or not at all; returns the folder."""

@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
 from modcal_core.files import read_yaml
-from modcal_core.geometry import Array
+from modcal_core.geometry import Array, so3
 from modcal_core.robots import Chain, Delta, Inertias, Mechanism, forward, is_serial_arm
 
 if TYPE_CHECKING:
     from modcal_core.modules import Assembly, Library
 
 Table = str | Path | Mapping[str, Any]
+_ROUNDED = 1e-6  # how far the rotation of a pose that was asked for may be from one, for rounding
 
 
 @dataclass(frozen=True)
@@ -156,27 +157,44 @@ class Robot:
             raise BadRobot("q", f"has shape {postures.shape}, not (..., {self.n})", f"order: {', '.join(self.names)}")
         return forward(self.mechanism, postures)
 
-    def inverse(self, T_base_tip: ArrayLike, near: ArrayLike | None = None, seed: int = 0) -> Array:
+    def inverse(
+        self,
+        T_base_tip: ArrayLike,
+        near: ArrayLike | None = None,
+        seed: int = 0,
+        mask: ArrayLike = (True, True, True, True, True, True),
+    ) -> Array:
         """Joint positions (n,) [rad, m], within the limits, that put the tip at a pose (4, 4) [m] of the base.
 
         near: posture to begin from, (n,); None: the middle of the limits. seed: of the other postures that are tried.
-        Of a Delta the position and the turn about z count. Raises NotReachable with what was left.
+        mask: which of x y z rx ry rz, along and about the axes of the tip, must be met (6,); of a Delta the position
+        and the turn about z count, whatever the mask. Raises BadRobot for a pose, mask or posture that is none, and
+        NotReachable with what was left.
         """
-        goal = np.asarray(T_base_tip, dtype=float)
+        goal, wanted = np.array(T_base_tip, dtype=float), np.asarray(mask)
         if goal.shape != (4, 4):
             raise BadRobot("pose", f"has shape {goal.shape}, not (4, 4)", "give one homogeneous transform")
+        if not np.isfinite(goal).all():
+            raise BadRobot("pose", "holds a number that is not finite", "give one homogeneous transform")
+        off = float(np.abs(goal[:3, :3] @ goal[:3, :3].T - np.eye(3)).max())
+        if off > _ROUNDED or np.linalg.det(goal[:3, :3]) < 0.0 or not np.array_equal(goal[3], [0.0, 0.0, 0.0, 1.0]):
+            said = f"is no rigid motion: R Rᵀ is off by {off:.2g}, det R is {np.linalg.det(goal[:3, :3]):.3g}"
+            raise BadRobot("pose", said, "give a rotation, a position, and 0 0 0 1 below them")
+        if wanted.shape != (6,) or not np.isin(wanted, (0, 1)).all() or not wanted.any():
+            raise BadRobot("mask", f"is {mask!r}, not six of true and false", "name x y z rx ry rz, one at least")
         if isinstance(self.mechanism, Delta):
-            from modcal_core.robots import delta_kinematics
+            from modcal_core.robots import delta_inverse
 
-            return delta_kinematics.delta_inverse(
-                self.mechanism, goal[:3, 3], float(np.arctan2(goal[1, 0], goal[0, 0]))
-            )
+            return delta_inverse(self.mechanism, goal[:3, 3], float(np.arctan2(goal[1, 0], goal[0, 0])))
         from modcal_core.robots import inverse
 
         low, high = self.limits
-        middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), 0.0)
+        middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), np.clip(0.0, low, high))
         start = middle if near is None else np.asarray(near, dtype=float)
-        return inverse(self.chain, goal, start, rng=np.random.default_rng(seed))
+        if start.shape != (self.n,) or not np.isfinite(start).all():
+            raise BadRobot("near", f"is not {self.n} finite numbers", f"order: {', '.join(self.names)}")
+        goal[:3, :3] = so3.nearest_rotation(goal[:3, :3])
+        return inverse(self.chain, goal, start, wanted, np.random.default_rng(seed))
 
 
 def _data(table: Table) -> Mapping[str, Any]:

@@ -61,51 +61,65 @@ _TIMES = 2.0  # that the model with effects misses a reading by more than geomet
 
 @dataclass(frozen=True)
 class _Scored:
-    """wrong: samples that were rejected, (N,). accepted: held-out samples without those. errors: of them, by stage."""
+    """What stations that no fit has seen say. wrong: samples that were rejected, (N,). accepted: held-out samples
+    without those. errors: of them, by stage.
+    """
 
     wrong: np.ndarray
     accepted: Samples
     errors: dict[str, Errors]
-    distances: tuple[KnownDistance, ...]
+
+    @classmethod
+    def of(cls, task: Task, fits: Fits) -> _Scored:
+        """Of fits to the training set of a task."""
+        samples, sets, final = task.samples, task.sets, fits.final
+        wrong = rejected(final, samples, sets.train, task.cell.distances)
+        alone, own = (errors(fit.model, samples).position_norm for fit in (fits.geometric, final))
+        wrong &= ~(_TIMES * alone < own)  # geometry alone fits them: it is the effects that miss them
+        if wrong[sets.held_out].all():  # then it is the model that misses them
+            wrong[sets.held_out] = False
+        accepted = task.held_out.select(~wrong[sets.held_out])
+        bare = {"nominal": fits.nominal.model, "geometric": fits.geometric.model}
+        bare = {stage: model.with_effects(_stated(model, task)) for stage, model in bare.items()}
+        return cls(wrong, accepted, {s: errors(m, accepted) for s, m in {**bare, "final": final.model}.items()})
 
 
 def supported(task: Task, fits: Fits) -> Fits:
-    """The fits, without effects where these are worse than geometry alone on what no fit has seen.
+    """The fits, without effects where these are worse than geometry alone on the samples that choose.
 
-    All held-out readings count but those that both reject: one that only effects miss is a test of them.
+    All of these count but those that both reject: one that only effects miss is a test of them.
     """
-    final, alone, held_out = fits.final, fits.geometric, task.sets.held_out
-    wrong = [rejected(fit, task.samples, task.sets.train, task.cell.distances)[held_out] for fit in (alone, final)]
-    counted = task.held_out.select(~np.all(wrong, axis=0))
+    final, alone, chose = fits.final, fits.geometric, task.sets.explain
+    wrong = [rejected(fit, task.samples, task.sets.train, task.cell.distances)[chose] for fit in (alone, final)]
+    counted = task.explain.select(~np.all(wrong, axis=0))
     with_them, without = (np.sum(errors(fit.model, counted).position_norm ** 2) for fit in (final, alone))
     stated = replace(fits.diagnosis, fit=alone, causes=fits.diagnosis.causes[: len(alone.model.effects)])
-    return fits if with_them <= without else replace(fits, final=alone, diagnosis=stated)
+    return fits if with_them <= without else replace(fits, final=alone, diagnosis=stated, together=False)
 
 
-def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
-    """The outcome on held-out samples, and the calibration to ship."""
-    samples, sets, cell, final = task.samples, task.sets, task.cell, fits.final
-    wrong = rejected(final, samples, sets.train, cell.distances)
-    alone, own = (errors(fit.model, samples).position_norm for fit in (fits.geometric, final))
-    wrong &= ~(_TIMES * alone < own)  # geometry alone fits them: it is the effects that miss them
-    if wrong[sets.held_out].all():  # then it is the model that misses them
-        wrong[sets.held_out] = False
-    accepted = task.held_out.select(~wrong[sets.held_out])
+def scored(task: Task, fits: Fits, drawn: Task, seen_by: Fits) -> tuple[Outcome, Calibration]:
+    """The outcome and the calibration to ship.
+
+    fits: to the samples' own split: what is named, shipped and said of the model is theirs. drawn, seen_by: the split
+    that was drawn for the score, and fits to that; the same objects where both splits are the same.
+    """
+    samples, cell, final = task.samples, task.cell, fits.final
+    own = _Scored.of(task, fits)
+    seen = own if drawn is task else _Scored.of(drawn, seen_by)
+    wrong = own.wrong
     shipped, claim, again, carried = _shipped(task, fits, wrong)
     taken_in = readmitted(shipped.calibrated, samples, again, wrong)
-    bare = {"nominal": fits.nominal.model, "geometric": fits.geometric.model}
-    bare = {stage: model.with_effects(_stated(model, task)) for stage, model in bare.items()}
-    left = {stage: errors(model, accepted) for stage, model in {**bare, "final": final.model}.items()}
-    seen = _Scored(wrong, accepted, left, distances_of(final, task.train, cell.distances))
-    grounds = _grounds(task, fits, seen)
+    distances = distances_of(final, task.train, cell.distances)
+    grounds = _grounds(task, fits, seen, wrong, distances)
     grounds = replace(grounds, not_applied=carried.not_applied, converged=grounds.converged and shipped.converged)
-    case = fitted_case(final, samples, sets, wrong, left, cell.distances)
+    case = fitted_case(final, samples, task.sets, wrong, own.errors, cell.distances)
     parts = contributions_of(case)
     counted = tuple(p for p in parts if not _is_stated((final.model.effects[p.numbers[0]],), task))
-    judged = with_places(judge(case, grounds, cell.stated, counted), case, described=task.chain)
+    asked = case if drawn is task else replace(case, held_out=_kept(drawn, seen), errors=seen.errors)
+    judged = with_places(judge(asked, grounds, cell.stated, counted), asked, described=task.chain)
     found = (
         *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case, judged, parts),
-        *load_findings(fits.loads, final.model, accepted),
+        *load_findings(fits.loads, final.model, own.accepted),
     )
     stated = tuple(finding for finding in found if _is_stated(finding.effects, task))
     found = tuple(finding for finding in found if finding not in stated)
@@ -113,10 +127,10 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
     unproved = tuple(finding for finding in found if finding not in proved)
     outcome = Outcome(
         samples=samples,
-        sets=sets,
-        scored=accepted,
-        rejected=int(wrong.sum()),
-        errors=left,
+        sets=drawn.sets,
+        scored=seen.accepted,
+        rejected=int(seen.wrong.sum()),
+        errors=seen.errors,
         effects=proved,
         unproved=unproved,
         left=(fits.diagnosis.left or located(final, samples)) if judged.may_depend else None,
@@ -126,7 +140,7 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
         left_out=fits.chosen.left_out,
         notes=(
             *stated_note(stated),
-            *description_note(errors(fits.nominal.model, accepted), task.chain),
+            *description_note(errors(fits.nominal.model, own.accepted), task.chain),
             *instrument_notes(final),
             *load_notes(fits.loads),
             *unproved_note(unproved),
@@ -136,13 +150,13 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
             *not_asked_note(judged),
         ),
         readmitted=taken_in,
-        steps=_steps(task, fits, left, accepted),
+        steps=_steps(drawn, seen_by, seen),
         evidence=fits.diagnosis.maps,
         model=final.model,
         residuals=case.residuals.position_norm,
-        wrong=wrong,
-        rejection=rejection(errors(final.model, task.held_out), wrong, samples, sets.held_out),
-        distances=seen.distances,
+        wrong=seen.wrong,
+        rejection=rejection(errors(seen_by.final.model, drawn.held_out), seen.wrong, samples, drawn.sets.held_out),
+        distances=distances,
         grounds=grounds,
         judged=judged,
         loads=fits.loads,
@@ -183,8 +197,14 @@ def _is_stated(effects: tuple[Effect, ...], task: Task) -> bool:
     return bool(effects) and all(task.cell.states(effect, task.samples.stamps) for effect in effects)
 
 
-def _steps(task: Task, fits: Fits, left: dict[str, Errors], accepted: Samples) -> tuple[Step, ...]:
+def _kept(task: Task, seen: _Scored) -> np.ndarray:
+    """Rows of the held-out samples that were not rejected."""
+    return task.sets.held_out[~seen.wrong[task.sets.held_out]]
+
+
+def _steps(task: Task, fits: Fits, seen: _Scored) -> tuple[Step, ...]:
     """What each thing that was added leaves of the accepted samples, the moves that were stated in all of them."""
+    left, accepted = seen.errors, seen.accepted
     stated = _stated(fits.geometric.model, task)
     added = []
     for cause in fits.diagnosis.causes:
@@ -200,13 +220,11 @@ def _steps(task: Task, fits: Fits, left: dict[str, Errors], accepted: Samples) -
     return (Step("geometry", left["geometric"]), *added)
 
 
-def _grounds(task: Task, fits: Fits, seen: _Scored) -> Grounds:
+def _grounds(task: Task, fits: Fits, seen: _Scored, wrong: np.ndarray, distances: tuple[KnownDistance, ...]) -> Grounds:
     """What the verdict stands on beside the errors."""
     samples, cell, chain, final = task.samples, task.cell, task.chain, fits.final
     small = too_small(seen.errors, seen.accepted, samples, chain, cell.stated)
-    against = contradictions(
-        final, task.train, samples, seen.accepted, seen.wrong, seen.errors, seen.distances, cell, chain
-    )
+    against = contradictions(final, task.train, samples, seen.accepted, wrong, seen.errors, distances, cell, chain)
     return Grounds(
         converged=all(fit.converged for fit in (fits.nominal, fits.geometric, final)),
         regimes=regimes_of(final.model, samples),
@@ -214,6 +232,6 @@ def _grounds(task: Task, fits: Fits, seen: _Scored) -> Grounds:
         unproven=small.unproven,
         not_asked=small.not_asked,
         convention=task.convention,
-        rejected_runs=runs_of(samples, seen.wrong),
-        rejected_places=places_of(samples, seen.wrong),
+        rejected_runs=runs_of(samples, wrong),
+        rejected_places=places_of(samples, wrong),
     )

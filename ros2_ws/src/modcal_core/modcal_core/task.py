@@ -73,16 +73,19 @@ class Fits:
     together: bool = False
 
 
-def task_of(
+def tasks_of(
     samples: Samples,
     chain: Mechanism,
     rng: np.random.Generator,
     cell: Cell,
     inertias: Inertias | None,
     block: int | None,
-) -> Task:
-    """The task; arguments are those of :func:`modcal_core.loop.calibrate`. Raises ModcalError for too few samples, or
-    readings in a convention that cannot be undone.
+) -> tuple[Task, Task]:
+    """The task of what is named and shipped, whose split is the samples' own, and that of the score, whose split is
+    drawn; they are one object where both splits are the same.
+
+    Arguments are those of :func:`modcal_core.loop.calibrate`. Raises ModcalError for too few samples, or readings in a
+    convention that cannot be undone.
     """
     cell.require_frames(samples.frames)
     cell = cell.met(samples)
@@ -96,7 +99,11 @@ def task_of(
     samples = with_stated(samples, cell, inertias is not None and inertias.known)
     regimes = find_regimes(samples, chain, cell, inertias, cell.moved)
     moves = moves_of(regimes) if regimes else ()
-    sets = split(samples, rng, block, [move.at for move in moves])
-    if not enough_for_effects(samples.select(sets.train), count, len(cell.distances)):
-        sets = replace(sets, train=np.union1d(sets.train, sets.explain), explain=sets.explain[:0])
-    return Task(chain, samples, sets, cell, inertias, regimes, convention, absurd)
+    both = []
+    for draw in (np.random.default_rng(0), rng):
+        sets = split(samples, draw, block, [move.at for move in moves])
+        if not enough_for_effects(samples.select(sets.train), count, len(cell.distances)):
+            sets = replace(sets, train=np.union1d(sets.train, sets.explain), explain=sets.explain[:0])
+        both.append(Task(chain, samples, sets, cell, inertias, regimes, convention, absurd))
+    own, drawn = both
+    return own, own if np.array_equal(own.sets.role, drawn.sets.role) else drawn

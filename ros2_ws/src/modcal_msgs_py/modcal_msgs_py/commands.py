@@ -16,7 +16,7 @@ import numpy as np
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots import Follower, JointColumns
-from modcal_msgs_py.readings import seconds, set_seconds
+from modcal_msgs_py.readings import nanoseconds, seconds, set_nanoseconds, set_seconds
 
 if TYPE_CHECKING:
     from modcal_core.articulation import JointModel, TrackerState
@@ -55,6 +55,16 @@ def _pose_numbers(pose: Any, what: str, off: float) -> Array:
     return numbers
 
 
+VERSION = 1  # of every type of modcal_interfaces that is read here
+
+
+def require_version(message: Any, what: str) -> None:
+    """Raises BadCommand, naming ``what``, for a message of another version of modcal_interfaces."""
+    if message.version != VERSION:
+        said = f"has version {message.version}, {VERSION} is read"
+        raise BadCommand(what, said, "build modcal_interfaces of the same release on both sides")
+
+
 def require_new(message: Any, now: float, stale: float) -> None:
     """Raises BadCommand for a stamped wish that is too old, or from another clock; one without a stamp is of now."""
     stamp = seconds(message.header.stamp) or now
@@ -84,6 +94,7 @@ class JointInput:
         n = len(self.names)
         self.position, self.velocity, self.effort = np.zeros(n), np.zeros(n), np.full(n, math.nan)
         self.stamps = np.full(n, -math.inf)
+        self._exact = np.zeros(n, dtype=np.int64)  # the same in nanoseconds
 
     def receive(self, message: Any, now: float, stale: float) -> None:
         """Take a JointState received at ``now`` [s]. Raises BadCommand for one that is wrong or older than ``stale``.
@@ -117,6 +128,7 @@ class JointInput:
             )
         self.position[column] = q
         self.stamps[column] = stamp
+        self._exact[column] = nanoseconds(message.header.stamp) or round(1e9 * now)
         velocity, effort = (np.asarray(told, dtype=float) for told in (message.velocity, message.effort))
         self.velocity[column] = named.velocities(velocity) if len(velocity) == len(names) else 0.0
         self.effort[column] = named.efforts(effort) if len(effort) == len(names) else math.nan
@@ -125,6 +137,11 @@ class JointInput:
         if not slow.all():
             self.velocity[~slow] = 0.0
         self.complete = self.complete or not self.missing()
+
+    @property
+    def stamp(self) -> int:
+        """The stamp of the joint that was heard of longest ago [ns], once all were."""
+        return int(self._exact.min())
 
     def missing(self) -> tuple[str, ...]:
         """Joints without any message so far."""
@@ -158,20 +175,19 @@ def fill_pose(message: Any, T: Array, covariance: Array | None = None) -> None:
         message.covariance = [float(v) for v in covariance.ravel()]
 
 
-def fill_accelerations(message: Any, names: Sequence[str], values: Array, stamp: float) -> None:
+def fill_accelerations(message: Any, names: Sequence[str], values: Array, stamp: int) -> None:
     """Write bounds of accelerations (n,) by joint into a JointTrajectory with one point.
 
     The point holds no positions, so that no controller takes it for a motion.
     """
     message.joint_names = list(names)
     message.points[0].accelerations = [float(v) for v in values]
-    set_seconds(message.header.stamp, stamp)
+    set_nanoseconds(message.header.stamp, stamp)
 
 
 # --- Setpoints of an impedance as the messages that stacks take, wrenches both ways, and the estimate of an object
 
 _LONGEST_URDF = 100_000  # characters of a description with one joint
-_MAX_VALUES = 64
 
 
 def wrench_numbers(message: Any) -> Array:
@@ -264,16 +280,14 @@ class ObjectInput:
         return f"is in frame '{self._frame}', the arm begins at '{self._base}'"
 
     def hear_status(self, message: Any, now: float) -> None:
-        """Take a DiagnosticArray that tells whether the model is trusted, and what happened to the object."""
-        for status in message.status:
-            told = {str(pair.key): str(pair.value) for pair in list(status.values)[:_MAX_VALUES]}
-            if "trusted" in told:
-                stamp = seconds(message.header.stamp) or now
-                self._stamp = stamp if abs(now - stamp) <= self._stale else -math.inf
-                self._trusted = told["trusted"].lower() == "true"
-                self.kind = told.get("kind", "")
-                event = told.get("event", "")
-                self.event = event if event.lower() not in ("", "none", "null") else None
+        """Take an ObjectState: whether the model is trusted, and what happened to the object. Raises BadCommand for one
+        of another version.
+        """
+        require_version(message, "object_status")
+        stamp = seconds(message.header.stamp) or now
+        self._stamp = stamp if abs(now - stamp) <= self._stale else -math.inf
+        self._trusted, self.kind = bool(message.trusted), str(message.model.kind)
+        self.event = str(message.event) or None
 
     def at(self, now: float) -> ObjectInput:
         """Itself, as believed at a time [s]."""
@@ -320,13 +334,33 @@ def _finite(values: list[float], what: str) -> Array:
     return numbers
 
 
-def fill_object_state(message: Any, frame: str, stamp: float, configuration: float) -> Any:
+def fill_object_state(message: Any, frame: str, stamp: int, configuration: float) -> Any:
     """A JointState of the object's one joint [rad or m]."""
     message.header.frame_id = frame
-    set_seconds(message.header.stamp, stamp)
+    set_nanoseconds(message.header.stamp, stamp)
     from modcal_core.articulation import JOINT  # loads SciPy, which a corrector does without
 
     message.name, message.position = [JOINT], [float(configuration)]
+    return message
+
+
+def fill_object_status(message: Any, frame: str, stamp: int, state: TrackerState) -> Any:
+    """An ObjectState with what is believed; a model that is none of an object leaves its numbers at zero."""
+    message.header.frame_id = frame
+    set_nanoseconds(message.header.stamp, stamp)
+    message.trusted, message.event, message.written = state.trusted, state.event or "", str(state.written or "")
+    message.rotations_of_handle, message.samples = state.follows, state.samples
+    message.ahead_m, message.off_m = float(state.ahead_m), float(state.off_m)
+    message.path_m, message.apart_m = float(state.path_m), float(state.apart_m)
+    message.kinds, message.probabilities = list(state.probabilities), [float(p) for p in state.probabilities.values()]
+    message.model.kind = state.kind
+    if (model := state.model) is not None:
+        told, handle = message.model, message.model.handle
+        told.axis.x, told.axis.y, told.axis.z = model.axis.tolist()
+        told.point.x, told.point.y, told.point.z = model.point.tolist()
+        told.pitch, told.radius = float(model.pitch), float(model.radius) if model.turns else 0.0
+        at, turn = handle.position, handle.orientation
+        at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w = se3.to_pose(model.start).tolist()
     return message
 
 
@@ -347,15 +381,15 @@ def status_values(state: TrackerState) -> dict[str, str]:
     }
 
 
-def fill_expected(message: Any, frame: str, stamp: float, T: Array) -> Any:
+def fill_expected(message: Any, frame: str, stamp: int, T: Array) -> Any:
     """A PoseStamped of the handle (4, 4)."""
     message.header.frame_id = frame
-    set_seconds(message.header.stamp, stamp)
+    set_nanoseconds(message.header.stamp, stamp)
     fill_pose(message.pose, T)
     return message
 
 
-def fill_markers(message: Any, marker: Any, frame: str, stamp: float, model: JointModel, reach: tuple[float, float],
+def fill_markers(message: Any, marker: Any, frame: str, stamp: int, model: JointModel, reach: tuple[float, float],
                  trusted: bool) -> Any:  # fmt: skip
     """A MarkerArray with the joint's axis as an arrow and the handle's path as a line; blue once it is trusted.
 
@@ -367,7 +401,7 @@ def fill_markers(message: Any, marker: Any, frame: str, stamp: float, model: Joi
     arrow, line = marker(), marker()
     for number, (one, shape) in enumerate(((arrow, marker.ARROW), (line, marker.LINE_STRIP))):
         one.header.frame_id = frame
-        set_seconds(one.header.stamp, stamp)
+        set_nanoseconds(one.header.stamp, stamp)
         one.ns, one.id, one.type, one.action = "object", number, shape, marker.ADD
         one.pose.orientation.w = 1.0
         one.color.r, one.color.g, one.color.b = _COLOURS[trusted]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadCommand, BadRecording
-from modcal_core.geometry import Array, se3
+from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POSE, ReadingTrack, SignalTrack
 from modcal_core.measurements.kinds import kinds
 from modcal_msgs_py.layout import Messages, OneMessage
@@ -73,8 +73,17 @@ def seconds(stamp: Any) -> float:
 
 def set_seconds(stamp: Any, value: float) -> None:
     """Write seconds into a builtin_interfaces/Time or Duration, to the nanosecond."""
-    nanoseconds = round(value * 1e9)
-    stamp.sec, stamp.nanosec = nanoseconds // 10**9, nanoseconds % 10**9
+    set_nanoseconds(stamp, round(value * 1e9))
+
+
+def nanoseconds(stamp: Any) -> int:
+    """A builtin_interfaces/Time in nanoseconds: exact, where seconds of today are off by up to 128 of them."""
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def set_nanoseconds(stamp: Any, value: int) -> None:
+    """Write nanoseconds into a builtin_interfaces/Time or Duration."""
+    stamp.sec, stamp.nanosec = divmod(value, 10**9)
 
 
 _STEP = 1.0  # s between values that are kept
@@ -121,6 +130,8 @@ class SignalsHeard:
 # --- Readings out of /tf: how one frame moves in another, along the one way that leads from it to the other
 
 _MAX_EDGES = 500
+_UNIT = 0.5  # length of a quaternion below which a tracker has lost its target
+_LONGEST_GAP = 0.25  # s between transforms that are interpolated; hands and carts are not that quick
 _SHOWN = 8
 
 
@@ -167,7 +178,7 @@ class Transforms:
                     setattr(edge, name, [v[k] for v, k in zip(getattr(edge, name), keep, strict=True)])
 
     def track(self, description: str | None) -> ReadingTrack:
-        """The child in the parent at every stamp of the one part of the way that moves.
+        """The child in the parent at the stamps of the one part of the way that moves, or of the slower one of two.
 
         description: the robot's, whose links must not be on the way but for fixed ones. Raises BadRecording.
         """
@@ -176,21 +187,18 @@ class Transforms:
         if way is None:
             there = ", ".join(f"{a}:{b}" for a, b in list(self._edges)[:_SHOWN]) or "nothing"
             raise BadRecording(name, "are not connected", f"name two frames that are; there are {there}")
-        moving = [(key, forward) for key, forward in way if self._moves(key)]
+        moving = {key: self._edges[key].columns() for key, _ in way if self._moves(key)}
         links = set() if description is None else set(re.findall(r"<link[^>]*\bname\s*=\s*[\"']([^\"']+)", description))
-        if any(parent in links and child in links for (parent, child), _ in moving):
+        if any(parent in links and child in links for parent, child in moving):
             said = "follows the robot's own links: it was computed from the joints and is not a measurement"
             raise BadRecording(name, said, "name the frames between which the tracker measures")
-        if len(moving) != 1:
+        if len(moving) not in (1, 2):
             said = "does not move" if not moving else f"is composed of {len(moving)} transforms that move"
             raise BadRecording(name, said, "name the frame of the tracker and that of its target, as it publishes them")
-        stamps, received, values = self._edges[moving[0][0]].columns()
+        stamps, received, _ = min(moving.values(), key=lambda columns: len(columns[0]))
         T = np.broadcast_to(np.eye(4), (len(stamps), 4, 4))
         for key, forward in way:
-            own = values if key == moving[0][0] else self._edges[key].columns()[2][-1:]
-            good = np.linalg.norm(own[:, 3:], axis=1) > 0.5
-            step = se3.from_pose(np.where(good[:, None], own, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))
-            step = np.where(good[:, None, None], step, np.nan)
+            step = _at(*moving[key][::2], stamps) if key in moving else _fixed(self._edges[key].columns()[2][-1])
             T = T @ (step if forward else se3.inverse(step))
         poses = np.full((len(stamps), 7), np.nan)
         finite = np.isfinite(T).all(axis=(1, 2))
@@ -215,3 +223,28 @@ class Transforms:
             if there is not None and there not in ways:
                 ways[there] = [*ways[here], ((a, b), a == here)]
                 yield there
+
+
+def _at(own: Array, values: Array, stamps: Array) -> Array:
+    """Poses (n, 4, 4) at these stamps of x y z qx qy qz qw (m, 7) at stamps of their own; NaN without a neighbour near.
+
+    Between two poses the place is interpolated linearly, the turn about one axis.
+    """
+    good = np.linalg.norm(values[:, 3:], axis=1) > _UNIT
+    own, T = own[good], se3.from_pose(values[good])
+    out = np.full((len(stamps), 4, 4), np.nan)
+    if len(own) < 2:
+        return out
+    after = np.clip(np.searchsorted(own, stamps), 1, len(own) - 1)
+    gap = own[after] - own[after - 1]
+    near = np.isin(stamps, own) | ((stamps > own[0]) & (stamps < own[-1]) & (gap <= _LONGEST_GAP))
+    first, last, share = T[after - 1][near], T[after][near], ((stamps - own[after - 1]) / gap)[near, None]
+    turn = so3.log(np.swapaxes(first[:, :3, :3], 1, 2) @ last[:, :3, :3])
+    place = first[:, :3, 3] + share * (last[:, :3, 3] - first[:, :3, 3])
+    out[near] = se3.transform(first[:, :3, :3] @ so3.exp(share * turn), place)
+    return out
+
+
+def _fixed(values: Array) -> Array:
+    """The pose (4, 4) of x y z qx qy qz qw (7,); NaN without an orientation."""
+    return se3.from_pose(values) if np.linalg.norm(values[3:]) > _UNIT else np.full((4, 4), np.nan)

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from modcal_core.calibration.stated import Stated, StatedTool, contradicted_places, stated_std
     from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data
     from modcal_core.calibration.structure import ParameterChoice, choose_parameters, exact_samples, general_samples
-    from modcal_core.calibration.structure import joint_ranges, parameter_count, views_of
+    from modcal_core.calibration.structure import parameter_count, views_of
 else:
     from modcal_core.lazy import lazy_face
 
@@ -71,7 +71,7 @@ __all__ += ["curved_joints", "deviations", "direction_names", "distance_rows", "
 __all__ += ["drop_fixed", "enough_for_effects", "errors", "exact_samples", "exceeded_chi2", "finalise", "fingerprint"]
 __all__ += ["fit_cell", "fit_distances", "fit_geometry", "free_cell", "from_data", "general_samples", "geometry_rows"]
 __all__ += ["gumbel_of", "hand_eye", "has_shared_noise", "hold_out_all", "identifiability", "identify"]
-__all__ += ["identify_moved", "in_order_of_time", "independent_unit", "joint_ranges", "known_sigma", "least_change"]
+__all__ += ["identify_moved", "in_order_of_time", "independent_unit", "known_sigma", "least_change"]
 __all__ += ["likely_sizes", "linearise", "log10_beyond_f", "max_deviations", "median_chi2", "model_at"]
 __all__ += ["new_instruments", "nonnegative", "normal_equations", "objective", "ordered_candidates"]
 __all__ += ["outlying", "outside_drivers", "own_statement", "parameter_count", "passing_directions"]

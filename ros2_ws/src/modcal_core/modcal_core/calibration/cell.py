@@ -224,7 +224,8 @@ def own_statement(recording: Recording, names: tuple[str, ...], rules: StationRu
     tracks = [track for track in recording.readings if track.stated is not None and len(track.stamps)]
     if not tracks:
         return OwnStatement(Stated())
-    dwells = dwells_of(*joints_by_time(recording, names), recording.readings, rules or StationRules())
+    t, q = joints_by_time(recording, names)
+    dwells = dwells_of(t, q, recording.readings, rules or StationRules())
     believed: list[tuple[float | None, float | None]] = []
     notes = []
     for track in tracks:

@@ -35,6 +35,13 @@ class Split:
     held_out: np.ndarray
     unit: str
 
+    @property
+    def role(self) -> np.ndarray:
+        """For each row of the samples 0, 1 or 2: whether it fits, chooses or scores, (N,)."""
+        out = np.zeros(len(self.train) + len(self.explain) + len(self.held_out), int)
+        out[self.explain], out[self.held_out] = 1, 2
+        return out
+
 
 def split(
     samples: Samples, rng: np.random.Generator, block: int | None = None, change_points: Sequence[float] = ()

@@ -377,11 +377,11 @@ def turns_left(Y: Array, A: Array, X: Array, R: Array) -> Array:
     return so3.log(np.swapaxes(Y[..., None, :, :] @ A @ X[..., None, :, :], -1, -2) @ R)
 
 
-def base_by_positions(A: Array, position: Array) -> Array:
-    """How bases are turned (C, 3, 3) as positions (C, N, 3) say: base and tool point in turn."""
+def base_by_positions(A: Array, position: Array, rounds: int = _ALTERNATIONS) -> Array:
+    """How bases are turned (C, 3, 3) as positions (C, N, 3) say: base and tool point in turn, so often at most."""
     x, Y = np.zeros((len(A), 3)), np.empty((len(A), 3, 3))
     still = np.arange(len(A))  # those that still change
-    for _ in range(_ALTERNATIONS):
+    for _ in range(rounds):
         seen, known = position[still], _points(A[still], x[still])
         seen, known = (z - z.mean(axis=1, keepdims=True) for z in (seen, known))
         Y[still] = so3.nearest_rotation(np.swapaxes(seen, 1, 2) @ known)

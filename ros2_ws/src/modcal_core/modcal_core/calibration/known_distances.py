@@ -90,6 +90,7 @@ def scale_without_distances(fit: Fit, samples: Samples, distances: Sequence[AnyD
 
 def _settled(cost: Callable[[float], float], about: float) -> tuple[float, float] | None:
     """The factor that costs least, near another, and its deviation as a share of it; None where there is none."""
+    last = np.inf
     for _ in range(_ROUNDS):
         low, here, high = (cost(about * (1.0 + step)) for step in (-_STEP, 0.0, _STEP))
         bent = high + low - 2.0 * here
@@ -97,8 +98,10 @@ def _settled(cost: Callable[[float], float], about: float) -> tuple[float, float
             return None
         step, std = 0.5 * _STEP * (low - high) / bent, _STEP * float(np.sqrt(2.0 / bent))
         about *= 1.0 + float(np.clip(step, -_FARTHEST, _FARTHEST))
-        if abs(step) < _SETTLED * std:
+        # rejections that come and go make the cost uneven: then steps grow no shorter
+        if abs(step) < _SETTLED * std or 0.5 * last < abs(step) < _FARTHEST:
             break
+        last = abs(step)
     return about, std
 
 

@@ -30,13 +30,6 @@ def views_of(samples: Samples) -> tuple[View, ...]:
     return tuple(View(kind, frame, samples.is_same_point(frame)) for frame, kind in pairs)
 
 
-def joint_ranges(chain: Mechanism) -> tuple[Array, Array]:
-    """Least and largest joint positions (n,) [rad, m]: the limits; a full turn, or ±0.5 m, where there is none."""
-    span = np.where(chain.revolute, np.pi, 0.5)
-    low = np.where(np.isfinite(chain.lower), chain.lower, -span)
-    return low, np.where(np.isfinite(chain.upper), chain.upper, span)
-
-
 def postures_at_point(chain: Chain, tool: Array, q: Array, iterations: int = 40) -> Array:
     """Postures near q (N, n) that all hold the tool's origin where the first of them does, by damped Newton steps."""
     T = forward(chain, q) @ tool

@@ -17,7 +17,6 @@ is one of the sizes that the data decide.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -39,31 +38,32 @@ def require(ok: bool, offender: str, said: str, remedy: str) -> None:
         raise BadTable(offender, said, remedy)
 
 
+def alike(std: float, std_apart: float) -> tuple[float, float, float]:
+    """Variance of x, covariance, variance of y where both share a relative error, and differ by another."""
+    shared, apart = std**2, (0.5 * std_apart) ** 2
+    return shared + apart, shared - apart, shared + apart
+
+
 @dataclass(frozen=True)
 class PrintScale:
     """How much larger than stated the sheet is, in x and y, and how well that is known.
 
-    x, y: ratio to what the file states. std: relative standard deviation of what x and y share. std_apart: of their
-    difference. leaning: covariance of these two, where one of x and y is known better. measured: whether somebody has
-    measured it. nominal: whether what was measured is what the file states, and nobody said how well. unsaid: whether
-    nobody said how well it was measured, whatever it was.
+    x, y: ratio to what the file states. known: relative variance of x, covariance, variance of y; of a print of which
+    nothing is known those of a printer that fits to the page, or feeds unevenly. measured: whether somebody has
+    measured it. unsaid: whether nobody said how well.
     """
 
     x: float = 1.0
     y: float = 1.0
-    std: float = 0.01  # a printer that fits to the page, or feeds unevenly, is off by up to a few per cent
-    std_apart: float = 0.003  # paper feed against the width of the head
+    known: tuple[float, float, float] = alike(0.01, 0.003)
     measured: bool = False
-    leaning: float = 0.0
-    nominal: bool = False
     unsaid: bool = False
 
     @property
     def covariance(self) -> Array:
         """Covariance (2, 2) of the print scales along x and y."""
-        shared, apart = self.std**2, (0.5 * self.std_apart) ** 2
-        other = shared - apart
-        return np.array([[shared + apart + self.leaning, other], [other, shared + apart - self.leaning]])
+        x, both, y = self.known
+        return np.array([[x, both], [both, y]])
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,6 @@ class PrintedTarget:
 
 
 _HELD = 1e6  # times the information of the tolerances: the body's frame is then theirs to a thousandth of them
-_RANK = 1e-9  # of the largest; a motion below it moves no marker, as a turn about the line through two points
 
 
 @dataclass(frozen=True)
@@ -174,8 +173,8 @@ class PlacePrior:
     def held(self) -> Array:
         """Information about what all are off together, whatever their offsets, (Z, Z) [1/m², 1/rad²]."""
         K, values, _ = self.motion.shape
-        U, singular, _ = np.linalg.svd((self.white @ self.motion).reshape(-1, 6), full_matrices=False)
-        U = (self.white @ U[:, singular > _RANK * singular[0]].reshape(K, values, -1)).reshape(K * values, -1)
+        U = np.linalg.qr((self.white @ self.motion).reshape(-1, 6))[0].reshape(K, values, 6)
+        U = (self.white @ U).reshape(K * values, 6)
         return np.asarray(_HELD * U @ U.T)
 
     @cached_property
@@ -371,8 +370,8 @@ class MarkerBundle:
         motion[:, 3:, 3:] = np.eye(3)[: values - 3]
         return PlacePrior(white, motion)
 
-    def of_points(self, ids: np.ndarray) -> MarkerBundle:
-        """The body with those of its markers only that have some of these points, turning where corners are among them.
+    def seen_by(self, ids: np.ndarray) -> MarkerBundle:
+        """The body of which these points are seen, its markers turning where corners are among them.
 
         Raises BadTable for fewer than three markers, or markers on one line, unless corners are read.
         """
@@ -383,14 +382,7 @@ class MarkerBundle:
         enough = turning or (len(kept) >= _MIN_MARKERS and spread[1] >= 0.01 * spread[0])
         said = f"shows {len(kept)} points, at least {_MIN_MARKERS} that are not on one line are needed"
         require(enough, self.label, said, "give more of them, or the corners of the markers")
-        return replace(self, markers=tuple(self.markers[k] for k in kept), turning=turning)
-
-    def renumbered(self, views: Sequence[BoardView], before: MarkerBundle) -> list[BoardView]:
-        """These views of the body as it was before, their points numbered as they are in this one."""
-        new = np.full(len(before._ids), -1)
-        for one in self.markers:
-            new[before._ids == one.id] = np.flatnonzero(self._ids == one.id)
-        return [replace(v, ids=new[v.ids]) for v in views]
+        return replace(self, turning=turning)
 
 
 CalibrationTarget = PrintedTarget | MarkerBundle
@@ -401,7 +393,4 @@ def body_scale(size: float | None, printed: float = PRINT) -> PrintScale:
 
     size: relative standard deviation, None where nobody states it. printed: of the markers' sides.
     """
-    body = SIZE if size is None else size
-    quarter = 0.25 * (body**2 + printed**2)  # of independent values, shared and half the difference vary alike
-    half = quarter**0.5
-    return PrintScale(1.0, 1.0, half, 2.0 * half, size is not None, 0.5 * (body**2 - printed**2))
+    return PrintScale(1.0, 1.0, ((SIZE if size is None else size) ** 2, 0.0, printed**2), size is not None)

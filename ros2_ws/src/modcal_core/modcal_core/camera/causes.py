@@ -22,11 +22,10 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from modcal_core.calibration import RowView
-from modcal_core.camera.cameras import Cameras
 from modcal_core.camera.corners import POSE, CornerTable
-from modcal_core.camera.fit import CameraFit, fit_cameras
+from modcal_core.camera.fit import LIKELIER, CameraFit, Cameras, fit_cameras
 from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, Scanner, Space, choose
-from modcal_core.effects import AXIS, Drivers, Effect, candidates
+from modcal_core.effects import Drivers, Effect, candidates
 from modcal_core.geometry import Array
 
 _ONLY_ROUNDING = 1e-9  # of an image's information, which a direction it does not see gets
@@ -92,7 +91,6 @@ def _space(fit: CameraFit, drivers: Drivers) -> CameraSpace:
 
 _MAX = 6  # effects, for time
 _REFUSED = 2  # choices that did not hold, before the search ends
-_GAIN = 6.0  # of −2 log likelihood, the price of the amplitudes taken off: odds of 20 : 1
 _PARTS, _ENOUGH = 4, 6  # each of which is predicted from the others; images, of which enough for a mounting are left
 _NOT_HERE = ("tracker", "base", "tool")  # lens and sheet have parameters; moves are looked for on their own
 
@@ -136,7 +134,7 @@ def find_causes(
         started = choice.effect.started(scanner.amplitudes(fit, choice.effect))  # type: ignore[arg-type]
         better = fit_cameras(*_with_effects(fit, (*_valued(fit), started)), fit.sizes)
         gain = fit.misfit - better.misfit
-        if better.converged and gain > _GAIN and predicted(better) < predicted(fit):
+        if better.converged and gain > LIKELIER and predicted(better) < predicted(fit):
             causes.append(
                 CameraCause(started, choice.p_value, choice.same_as, fit.sizes.joint, better.sizes.joint, gain)
             )
@@ -164,12 +162,6 @@ def _with_effects(fit: CameraFit, effects: Sequence[Effect]) -> tuple[Cameras, A
     before, behind = len(fit.poses.parameters), fit.poses.count
     x = np.concatenate([fit.x[:before], *(e.values for e in effects), fit.x[behind:]])
     return fit.cameras.with_effects(effects), x
-
-
-def _looking_ahead(fit: CameraFit, effects: Sequence[Effect]) -> CameraFit:
-    """The fit with more effects, nothing fitted again."""
-    cameras, x = _with_effects(fit, effects)
-    return replace(fit, cameras=cameras, x=x, equations=cameras.equations(x))
 
 
 def _unseen(fit: CameraFit, part: int) -> tuple[np.ndarray, CornerTable, Array]:
@@ -201,43 +193,3 @@ def predicted(fit: CameraFit) -> float:
         total = np.bincount(table.view, table.weight * (gap**2).sum(1), table.views)
         square[held] = total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0)
     return float(np.minimum(square, 25.0 * np.median(square)).mean())
-
-
-# Standard deviations at which one of some hundred candidates stands out: noise takes one so far once in 16 000.
-_SEEN = 4.0
-
-
-@dataclass(frozen=True)
-class HiddenSpring:
-    """place: of a joint. least: compliance that these images would show [rad/(N m), m/N]. at_tool_m: RMS by which a
-    spring of it moves the flange over the images.
-    """
-
-    place: str
-    least: float
-    at_tool_m: float
-
-
-def hidden_springs(fit: CameraFit) -> tuple[HiddenSpring, ...]:
-    """For each joint that gravity loads and of which no spring was found, the softest that images do not show, those
-    that move the tool most first; nothing where the arm's masses are unknown, or there are too few images to look.
-    """
-    drivers, chain = fit.poses.drivers(fit.state.offset_s), fit.poses.model.chain
-    known = _valued(fit)
-    found = {e.driver for e in known}
-    springs = [e for e in candidates(drivers) if e.driver == f"load:{e.place}" and e.driver not in found]
-    springs = [e for e in springs if (e.direction, e.shape.kind) == (AXIS, "linear")]
-    if not springs or fit.table.views < _ENOUGH:
-        return ()
-    T = fit.poses.tool_at(fit.state.values)
-    joints = fit.at_flange(T, fit.poses.own_motions(fit.state.values, T))
-    out = []
-    for spring in springs:
-        equations = _looking_ahead(fit, (*known, spring.started(np.zeros(1)))).equations
-        at = fit.poses.count  # behind all other values of the arm
-        information = 1.0 / equations.solve(fit.sizes).covariance()[at, at] - equations.information[at, at]
-        if information > 0.0:
-            least = _SEEN / float(np.sqrt(information))
-            moved = joints[:, :, chain.names.index(spring.place)] * drivers.values(spring.driver)[:, None]
-            out.append(HiddenSpring(spring.place, least, least * float(np.sqrt((moved**2).sum() / len(T)))))
-    return tuple(sorted(out, key=lambda one: -one.at_tool_m))

@@ -1,13 +1,9 @@
-"""What changed: a half that was moved, another focal length, a focus that hunts; among the images of a fit, or since.
+"""What changed: a half that was moved, or another focal length, among the images of a fit, or since.
 
-A change moves the target in the images, or scales them, by a few numbers: the same from one image on, or another in
-each image. Everything else integrated out, the images have a likelihood with these numbers drawn from what is usual,
-and without them; among the images of a fit the sizes of all errors are found again for both, for a change makes the
-images' own errors look large. The likelihood has the price of the numbers in it: six of a half that was moved, one of a
-focal length.
-
-A lens that bends as no parameter of the model does also makes images differ in size, and as much in shape. So a focus
-that hunts is held against heights and widths that differ against each other from image to image.
+A change moves the target in the images, or scales them, by a few numbers, the same from one image on. Everything else
+integrated out, the images have a likelihood with these numbers drawn from what is usual, and without them; among the
+images of a fit the sizes of all errors are found again for both, for a change makes the images' own errors look large.
+The likelihood has the price of the numbers in it: six of a half that was moved, one of a focal length.
 
 While the robot works, the last few images are equations like those of a fit, about the calibrated model and with all
 that it knows as a prior. Images of several cameras are judged together: each camera may have been moved by itself,
@@ -28,7 +24,7 @@ from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.bundle import BoardView, PrintedTarget
 from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.equations import ALONE, CameraRows, SolvedEquations, stops_of
-from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.fit import LIKELIER, CameraFit
 from modcal_core.geometry import Array
 
 WORLD, TIP = "world", "tip"  # halves that may be moved: that in the world, and that on the arm
@@ -37,42 +33,42 @@ _SCREEN = 0.0  # the same at the sizes of the fit, which take some of a change f
 _EDGE = 3  # images on either side
 _USUAL = np.r_[[0.01] * 3, [0.02] * 3]  # m, rad; how far something is moved that is kicked, or a joint that slips
 _USUAL_FOCAL = np.array([0.02])  # relative, of a focus or zoom that was touched
-_SPREADS = np.geomspace(2e-4, 0.1, 28)  # relative, from what no image shows to another lens
-_LEAST = 1e-3  # relative; lenses breathe by more than that when they focus again, and a fixed one by less as it warms
 
 
 @dataclass(frozen=True)
-class FoundChange:
-    """From the image with index ``at`` on, camera or target is elsewhere, or the camera has another focal length.
-
-    what: which of the two. gain: of −2 log likelihood. shift_m, turn_rad: by how much, 0 of a focal length. focal:
-    relative change of the focal length, 0 where something was moved. each: whether it differs from image to image
-    instead, by ``focal`` RMS.
+class Moved:
+    """what: "camera", "target" or the name of a joint; "camera or arm", and so on, where images do not tell. since: the
+    stamp, or number, of the first image after it. shift_m, turn_rad: by how much. gain: of −2 log likelihood. focal:
+    relative change of the focal length, 0 where something was moved.
     """
 
-    gain: float
     what: str
-    at: int = 0
-    shift_m: float = 0.0
-    turn_rad: float = 0.0
+    since: float
+    shift_m: float
+    turn_rad: float
+    gain: float
     focal: float = 0.0
-    each: bool = False
 
-    def sentence(self, names: Sequence[str], whose: str = "") -> str:
-        """The finding as a sentence. names: of the images. whose: suffix that names the camera of several."""
-        if self.each:
-            return (
-                f"The camera's focal length differs from image to image{whose}, by {100.0 * self.focal:.2g} % RMS: "
-                "switch autofocus and digital zoom off, and take images again that are neither cropped nor scaled."
-            )
-        name, then = names[self.at], "calibrate from the images before, or from those after"
+    @property
+    def sentence(self) -> str:
+        """The finding as a sentence."""
+        size = f"{np.degrees(self.turn_rad):.2f}°"
+        if self.shift_m > 0.0:
+            size = f"{1e3 * self.shift_m:.1f} mm and {size}"
+        return f"The {self.what} was moved by {size}"
+
+    def before(self, image: str, whose: str = "") -> str:
+        """The finding with what to do about the images of a fit. image: the name of the first one after it. whose:
+        suffix that names the camera of several.
+        """
+        then = "calibrate from the images before, or from those after"
         if self.focal:
             return (
-                f"The camera{whose} has another focal length from image {name} on, by {100.0 * self.focal:+.1f} %: "
+                f"The camera{whose} has another focal length from image {image} on, by {100.0 * self.focal:+.1f} %: "
                 f"switch autofocus off, leave focus and zoom alone, and {then}."
             )
         return (
-            f"The {self.what}{whose} was moved before image {name}, by {1e3 * self.shift_m:.1f} mm and "
+            f"The {self.what}{whose} was moved before image {image}, by {1e3 * self.shift_m:.1f} mm and "
             f"{np.degrees(self.turn_rad):.2f}°: {then}."
         )
 
@@ -81,20 +77,19 @@ class FoundChange:
 class Change:
     """A change of images from one stop of the arm on. columns: by camera, what its k numbers do to twist, lens and all
     else of its images, (N, 21 + Z, k). usual: standard deviations of the numbers, (k,). order: the stops in order of
-    time. each: whether the numbers differ from stop to stop, by a spread that the images decide. name: for a person.
-    half: world or tip, empty of what is none. places: of the tool in the images that show it, (N, 3).
+    time. name: for a person. half: world or tip, empty of what is none. places: of the tool in the images that show it,
+    (N, 3).
     """
 
     columns: Mapping[int, Array]
     usual: Array
     order: np.ndarray
-    each: bool = False
     name: str = ""
     half: str = ""
     places: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def best(self, solved: SolvedEquations, at: np.ndarray) -> tuple[float, int, Array]:
-        """(gain of −2 log likelihood, first stop after it, its values, or their spread) of the likeliest change.
+        """(gain of −2 log likelihood, first stop after it, its values) of the likeliest change.
 
         at: places of the first stop after it that are tried, (M,), counted in order of time.
         """
@@ -102,14 +97,6 @@ class Change:
         score, cross = cross[:, :, -1], cross[:, :, solved.use]
         factor = scipy.linalg.cho_factor(solved.H)
         score = score - cross @ scipy.linalg.cho_solve(factor, solved.b)
-        if self.each:
-            C = np.diag(own[:, 0, 0]) - cross[:, 0] @ scipy.linalg.cho_solve(factor, cross[:, 0].T)
-            values, vectors = np.linalg.eigh(C)
-            inside = 1.0 + np.outer(_SPREADS**2, np.maximum(values, 0.0))
-            square = (vectors.T @ score[:, 0]) ** 2
-            gains = (square * _SPREADS[:, None] ** 2 / inside - np.log(inside)).sum(axis=1)
-            best = int(np.argmax(gains))
-            return float(gains[best]), 0, _SPREADS[best : best + 1]
         own, cross, score = (np.cumsum(part[::-1], axis=0)[::-1][at] for part in (own, cross, score))
         back = scipy.linalg.cho_solve(factor, cross.reshape(-1, cross.shape[2]).T).reshape(-1, *cross.shape[:2])
         C = self.usual[:, None] * (own - cross @ back.transpose(1, 0, 2)) * self.usual + np.eye(len(self.usual))
@@ -145,8 +132,10 @@ def half_name(poses: ArmPoses, half: str) -> str:
     return "camera" if (half == TIP) == poses.camera_on_tip else "target"
 
 
-def find_change(fit: CameraFit) -> FoundChange | None:
-    """The likeliest change among the images of the first camera of a fit, None if none is beyond doubt."""
+def find_change(fit: CameraFit) -> Moved | None:
+    """The likeliest change among the images of the first camera of a fit, since the image of that number; None if none
+    is beyond doubt.
+    """
     # a camera that was moved would put the others' images of the same stops elsewhere as well
     cameras = tuple(replace(one, stop=np.full(len(one.stop), ALONE)) for one in fit.equations.cameras)
     fit = replace(fit, equations=replace(fit.equations, cameras=cameras))
@@ -161,51 +150,23 @@ def find_change(fit: CameraFit) -> FoundChange | None:
         Change({0: of_twist(rows, moved)}, _USUAL, order, half=half, places=T[:, :3, 3])
         for half, moved in zip((WORLD, TIP), fit.poses.half_motions(T), strict=True)
     ]
-    changes += [Change({0: wider}, _USUAL_FOCAL, order, each=each) for each in (False, True)]
+    changes.append(Change({0: wider}, _USUAL_FOCAL, order))
     solved, places = fit.equations.solve(fit.sizes), np.arange(_EDGE, N - _EDGE + 1)
     screened = [(one, *one.best(solved, places)[:2]) for one in changes]
     weighed = [(one, at, *one.weighed(fit, np.array([at]))) for one, gain, at in screened if gain >= _SCREEN]
-    nothing = fit.weighed()[1] if weighed else 0.0
-    for one, at, misfit, x in sorted(weighed, key=lambda found: found[2]):
-        gain = nothing - misfit
-        if gain < _GAIN:
-            break
-        if one.half:
-            return FoundChange(gain, half_name(fit.poses, one.half), at, *one.size(x))
-        if one.each:
-            apart = wider.copy()
-            apart[:, POSE + 1] *= -1.0
-            shape = replace(one, columns={0: apart})
-            if x[0] < _LEAST or shape.weighed(fit, places)[0] - misfit < _GAIN:
-                continue
-        return FoundChange(gain, "camera", at, focal=float(x[0]), each=one.each)
-    return None
+    if not weighed:
+        return None
+    one, at, misfit, x = min(weighed, key=lambda found: found[2])
+    gain = fit.weighed()[1] - misfit
+    if gain < _GAIN:
+        return None
+    if one.half:
+        return Moved(half_name(fit.poses, one.half), at, *one.size(x), gain)
+    return Moved("camera", at, 0.0, 0.0, gain, float(x[0]))
 
 
 _WINDOW = 8  # images that are looked back on
-_CLEAR = 6.0  # of −2 log likelihood against the next likeliest: odds of 20 : 1
 _SAME = 1e-3  # rad or m by which joints differ within a stop
-
-
-@dataclass(frozen=True)
-class Moved:
-    """what: "camera", "target" or the name of a joint; "camera or arm", and so on, where images do not tell. since: the
-    stamp, or number, of the first image after it. shift_m, turn_rad: by how much. gain: of −2 log likelihood.
-    """
-
-    what: str
-    since: float
-    shift_m: float
-    turn_rad: float
-    gain: float
-
-    @property
-    def sentence(self) -> str:
-        """The finding as a sentence."""
-        size = f"{np.degrees(self.turn_rad):.2f}°"
-        if self.shift_m > 0.0:
-            size = f"{1e3 * self.shift_m:.1f} mm and {size}"
-        return f"The {self.what} was moved by {size}"
 
 
 @dataclass(frozen=True)
@@ -262,7 +223,7 @@ class CameraWatch:
         gain, first, x, change = found[0]
         if gain < _GAIN or self._least_without(change.name, stops[first:]) < 0.5 * _GAIN:
             return None
-        names = [change.name, *(other.name for rival, *_, other in found[1:2] if gain - rival < _CLEAR)]
+        names = [change.name, *(other.name for rival, *_, other in found[1:2] if gain - rival < LIKELIER)]
         since = next(one.stamp for one in self._seen if one.stop == stops[first])
         return Moved(" or ".join(dict.fromkeys(names)), since, *change.size(x), gain)
 

@@ -6,10 +6,11 @@ the camera's where the target is. True arms near the calibrated one are drawn as
 those that the fit leaves out as well. The same draws say how far the nominal arm is off, camera and target placed by
 the same images, so that the two can be compared draw by draw. What joints do not repeat is part of both.
 
-A statement in doubt has draws of its own, and the interval holds whether it is right or wrong. In the chance of an arm
-made worse it always counts, by its likelihood. The advice compares the arms draw by draw, not interval by interval:
-what is open of lens, sheet and the camera's place moves both alike, so that one may be the better beyond doubt where
-their intervals overlap. What the user states of the nominal arm is no draw, and there the interval has to be below it.
+The interval holds if what is stated is true. A statement that may be wrong has draws of its own, and counts by its
+likelihood in the chance of an arm made worse, on which the advice rests. The advice compares the arms draw by draw, not
+interval by interval: what is open of lens, sheet and the camera's place moves both alike, so that one may be the better
+beyond doubt where their intervals overlap. What the user states of the nominal arm is no draw, and there the interval
+has to be below it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE
 from modcal_core.camera.equations import SolvedEquations
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
-from modcal_core.camera.statements import IN_DOUBT, SIZE, DoubtedStatement
+from modcal_core.camera.statements import SIZE, DoubtedStatement
 from modcal_core.claim import ANGLE, FREE, LENGTH, ArmEvidence, draw
 from modcal_core.geometry import Array, se3, so3
 
@@ -40,14 +41,13 @@ ALL_BUT_IMAGES = "lens, sheet and clock"
 @dataclass(frozen=True)
 class DrawnErrors:
     """RMS errors at the tool over postures [m] in D draws, (D,) each: of the calibrated arm, of its model without what
-    joints do not repeat, and of the nominal arm. chance: of what was drawn from. holds: whether intervals hold with it.
+    joints do not repeat, and of the nominal arm. chance: of what was drawn from.
     """
 
     calibrated: Array
     model: Array
     nominal: Array
     chance: float = 1.0
-    holds: bool = True
 
 
 @dataclass(frozen=True)
@@ -58,25 +58,19 @@ class ToolError:
 
     @property
     def interval(self) -> tuple[float, float, float]:
-        """(median, lower, upper end of the 95 % interval) of the calibrated arm's [m].
+        """(median, lower, upper end of the 95 % interval) of the calibrated arm's [m], if all is as stated.
 
         What each image has of its own is joints that do not repeat, no error of the model, or what no parameter
         describes, which is one: the interval holds either way.
         """
-        middle, low, high = self._holding("calibrated")
-        return middle, min(low, self._holding("model")[1]), high
+        middle, low, high = np.quantile(self.by[AS_STATED].calibrated, _ENDS)
+        return float(middle), float(min(low, np.quantile(self.by[AS_STATED].model, _ENDS[1]))), float(high)
 
     @property
     def nominal_interval(self) -> tuple[float, float, float]:
         """The same of the nominal arm."""
-        return self._holding("nominal")
-
-    def _holding(self, arm: str) -> tuple[float, float, float]:
-        """The interval whether the statements in doubt are right or wrong."""
-        every = [one for one in self.by.values() if one.holds]
-        middle, low, high = np.transpose([np.quantile(getattr(one, arm), _ENDS) for one in every])
-        likeliest = int(np.argmax([one.chance for one in every]))
-        return float(middle[likeliest]), float(low.min()), float(high.max())
+        middle, low, high = np.quantile(self.by[AS_STATED].nominal, _ENDS)
+        return float(middle), float(low), float(high)
 
     @property
     def chance_worse(self) -> float:
@@ -87,26 +81,22 @@ class ToolError:
         """Upper end of the 95 % interval of the calibrated arm [m] if this statement is wrong."""
         return float(np.quantile(self.by[what].calibrated, _ENDS[2]))
 
-    def either_way(self, what: str) -> ToolError:
-        """The same with intervals that hold also if this statement is wrong."""
-        return ToolError({**self.by, what: replace(self.by[what], holds=True)})
-
     @property
     def as_stated(self) -> ToolError:
         """The same if all that was stated is right."""
         return ToolError({AS_STATED: replace(self.by[AS_STATED], chance=1.0)})
 
 
-ArmDraws = dict[str, tuple[Array, float, bool]]
+ArmDraws = dict[str, tuple[Array, float]]
 
 
 def arm_draws(fit: CameraFit, rng: np.random.Generator, doubted: Sequence[DoubtedStatement] = ()) -> ArmDraws:
-    """What the P parameters of the true arm are off by in D draws (D, P), the chance of what they are drawn from, and
-    whether intervals hold with it: by the fit, and by each of the statements being wrong.
+    """What the P parameters of the true arm are off by in D draws (D, P), and the chance of what they are drawn from:
+    the fit, and each of the statements being wrong.
     """
-    stated = 1.0 - sum(d.counted for d in doubted)
-    out = {AS_STATED: (_drawn(fit, fit.equations.solve(fit.sizes), rng), stated, True)}
-    return out | {d.what: (_drawn(fit, d.solved, rng), d.counted, d.chance > IN_DOUBT) for d in doubted}
+    stated = 1.0 - sum(d.chance for d in doubted)
+    out = {AS_STATED: (_drawn(fit, fit.equations.solve(fit.sizes), rng), stated)}
+    return out | {d.what: (_drawn(fit, d.solved, rng), d.chance) for d in doubted}
 
 
 def _drawn(fit: CameraFit, solved: SolvedEquations, rng: np.random.Generator) -> Array:
@@ -173,11 +163,11 @@ def tool_error(fit: CameraFit, nominal: CameraFit, q: Array, draws: ArmDraws, ar
     throw = fit.at_flange(T, at.own_motions(fit.state.values, T))[:, :, :-3]
     scatter = fit.sizes.joint**2 * float((throw**2).sum() / len(q)) + 3.0 * fit.sizes.shift**2
 
-    def errors(values: Array, chance: float, holds: bool) -> DrawnErrors:
+    def errors(values: Array, chance: float) -> DrawnErrors:
         own = np.maximum(((values @ gram) * values).sum(axis=1), 0.0)
         other = np.maximum(own - 2.0 * values @ cross + square, 0.0)
         calibrated, nominal = (np.sqrt(x / len(q) + scatter) for x in (own, other))
-        return DrawnErrors(calibrated, np.sqrt(own / len(q)), nominal, chance, holds)
+        return DrawnErrors(calibrated, np.sqrt(own / len(q)), nominal, chance)
 
     return ToolError({what: errors(*drawn) for what, drawn in draws.items()})
 
@@ -269,13 +259,14 @@ _BODY_TELLS = (
 @dataclass(frozen=True)
 class Decision:
     """word: one of apply, do not apply, cannot tell. because: sentences. chance_worse: of an arm worse than drawn.
-    problems: those sentences that say what contradicts the fit.
+    problems: those sentences that say what contradicts the fit. doubtful: statements that images leave in doubt.
     """
 
     word: str
     because: tuple[str, ...]
     chance_worse: float
     problems: tuple[str, ...] = ()
+    doubtful: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

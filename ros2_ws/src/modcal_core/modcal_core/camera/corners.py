@@ -140,6 +140,33 @@ class CornerTable:
         return out
 
 
+MIN_CORNERS = 4  # of an image, not on one line: the fewest that a homography is taken from
+_ONE_LINE = 0.1  # of its length, how wide a group of corners is that is none
+_ALL_BUT_ONE = 0.03  # the same once any one of them is left out; of a board's corners on a line nothing, of others 0.05
+
+
+def enough_corners(points: Array) -> bool:
+    """Whether corners at these places on the target (m, 3) fix its pose: four of them, of which no three are on a line.
+
+    That is so where they are not on one line, and are not once any one of them is left out.
+    """
+    m = len(points)
+    if m < MIN_CORNERS:
+        return False
+    off = points - points.mean(axis=0)
+    scatter = off.T @ off
+    without = scatter - m / (m - 1.0) * off[:, :, None] * off[:, None]
+    spread = np.linalg.eigvalsh(np.concatenate([scatter[None], without]))
+    width = np.sqrt(np.maximum(spread[:, 1], 0.0) / spread[:, 2])
+    return bool(width[0] > _ONE_LINE and width[1:].min() > _ALL_BUT_ONE)
+
+
+def images_with_pose(table: CornerTable) -> np.ndarray:
+    """Images (N,) whose corners in use show a pose by themselves."""
+    kept = [table.points[(table.view == i) & (table.weight > 0.0)] for i in range(table.views)]
+    return np.array([enough_corners(points) for points in kept], dtype=bool)
+
+
 @dataclass(frozen=True)
 class CornerRows:
     """Whitened rows of M corners: residual (M, 2), measured minus predicted, and derivatives of the prediction.

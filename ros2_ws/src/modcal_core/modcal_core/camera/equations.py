@@ -158,28 +158,22 @@ def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequenc
     """The stop of every image of several cameras: a number that images of one stop share, ALONE where there is none.
 
     q: joints at the images of each camera, (N, n). names: of the images. stamps: [s], empty where they are not known.
-    Images are of one stop where their joints are the same and they were taken at nearly the same time; without times,
-    where they have one name, or no other images of these cameras have these joints.
+    Images are of one stop where their joints are the same and they were taken at nearly the same time; of several
+    images of a camera the one of the same name, then the nearest in time.
     """
     cameras, joints = np.repeat(np.arange(len(q)), [len(one) for one in q]), np.concatenate(list(q))
     called = np.array([name for one in names for name in one], dtype=object)
     at = np.concatenate([t if len(t) else np.full(len(one), np.nan) for t, one in zip(stamps, q, strict=True)])
     stop = np.full(len(joints), ALONE)
     for i in range(len(joints)):
-        if stop[i] != ALONE:
-            continue
-        near = np.flatnonzero((np.abs(joints - joints[i]).max(axis=1) <= _NEAR) & (stop == ALONE))
-        if np.isfinite(at[near]).all():
-            near = near[np.abs(at[near] - at[i]) <= _NEAR_S]
-            near = near[np.argsort(np.abs(at[near] - at[i]), kind="stable")]
-        elif (alike := called[near] == called[i]).sum() > 1:
-            near = near[alike]
-        elif len(np.unique(cameras[near])) < len(near):
-            continue
-        near = near[(cameras[near] != cameras[i]) | (near == i)]
-        first = near[np.unique(cameras[near], return_index=True)[1]]
-        if len(first) > 1:
-            stop[first] = stop.max() + 1
+        if stop[i] == ALONE:
+            late = np.nan_to_num(np.abs(at - at[i]))  # where no time is known, the joints say it
+            same = (np.abs(joints - joints[i]).max(axis=1) <= _NEAR) & (late <= _NEAR_S) & (stop == ALONE)
+            near = np.flatnonzero(same & ((cameras != cameras[i]) | (np.arange(len(joints)) == i)))
+            near = near[np.lexsort((late[near], called[near] != called[i]))]
+            first = near[np.unique(cameras[near], return_index=True)[1]]
+            if len(first) > 1:
+                stop[first] = stop.max() + 1
     return np.split(stop, np.cumsum([len(one) for one in q])[:-1])
 
 

@@ -3,9 +3,9 @@
 Poses are eliminated image by image (Schur complement), so that the step is solved for the lens only. No prior: the
 minimum is that of any other program on the same corners.
 
-The first two columns of a homography are images of two unit vectors at right angles, which gives two equations for the
-focal length (Zhang 2000), the principal point being taken to be the middle of the image until the fit. Points that are
-flat, or nearly, look much the same tilted the other way about the line of sight, so that every image has two poses.
+The focal length begins as homographies of all images have it (Zhang 2000), the principal point in the middle of the
+image. Points that are flat, or nearly, look much the same tilted the other way about the line of sight, so that every
+image has two poses.
 """
 
 from __future__ import annotations
@@ -17,14 +17,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows, grams
+from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows, grams, images_with_pose
 from modcal_core.camera.lens import COUNT, FISHEYE, PINHOLE, Lens
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3, so3
 
 _FLAT = np.zeros(SHAPE)
-_MIN_TILT = 1e-3  # of the equations of homographies; below, all images show the sheet square on
-_MIN_INVERSE = 1e-4  # (size of the image over the focal length)², of any lens
 _STEPS, _MET = 12, 1e-9  # of poses: they meet in four to six; m, rad: a step below changes nothing
 
 
@@ -127,8 +125,9 @@ def damped(
 
 _INTRINSICS_STEPS = 100  # of Gauss and Newton, at most
 _INTRINSICS_MET = 1e-12  # relative gain of the cost
-_HALF_ANGLES = np.radians([35.0, 45.0, 55.0, 65.0, 80.0, 95.0])  # of fisheyes, from the middle to the farther edge
-_MANY, _MIN = 8, 3  # corners of an image that shows perspective well, and images of that kind that are enough
+_LONGEST = 10.0  # times the image's size, of a focal length; images square on show longer ones
+_FOCALS = np.geomspace(0.4, 6.0, 17)  # times the image's width: lenses of 100° to 10°
+_HALF_ANGLES = np.radians(np.linspace(35.0, 95.0, 13))  # of fisheyes, from the middle to the farther edge
 
 
 @dataclass(frozen=True)
@@ -143,6 +142,12 @@ class LensFit:
     cost: float
 
 
+def plain_lenses(size: tuple[int, int], model: str) -> list[Lens]:
+    """Lenses without distortion of all usual angles of view."""
+    focal = 0.5 / _HALF_ANGLES if model == FISHEYE else _FOCALS
+    return [Lens.plain(max(size) * f, size, model) for f in focal.tolist()]
+
+
 def first_lens(table: CornerTable, size: tuple[int, int], model: str = PINHOLE) -> Lens:
     """A lens without distortion to begin with: of a pinhole from the homographies of all images, of a fisheye the one
     of some angles of view that meets the images best. Raises NotEnoughData.
@@ -150,25 +155,14 @@ def first_lens(table: CornerTable, size: tuple[int, int], model: str = PINHOLE) 
     import cv2
 
     if model == FISHEYE:
-        tried = [Lens.plain(0.5 * max(size) / angle, size, FISHEYE) for angle in _HALF_ANGLES]
-        return min(tried, key=lambda lens: float(np.median(board_poses(table, lens).rms)))
-    counts = np.bincount(table.view, minlength=table.views)
-    many = np.flatnonzero(counts >= _MANY)
-    pixels = (table.pixels - 0.5 * (np.array(size) - 1.0)) / max(size)
-    left, right = [0.0], [0.0]
-    for i in many if len(many) >= _MIN else range(table.views):
-        rows = table.of_view(int(i))
-        H, _ = cv2.findHomography(table.points[rows, :2], pixels[rows])
-        if H is None:  # corners on one line
-            continue
-        a, b = (H[:, :2] / np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))).T
-        left += [a[:2] @ b[:2], 0.5 * (a + b)[:2] @ (a - b)[:2]]
-        right += [-a[2] * b[2], -0.5 * (a + b)[2] * (a - b)[2]]
-    inverse_square = float(np.dot(left, right) / max(np.dot(left, left), 1e-300))  # one focal length for both axes
-    if np.abs(right).max() < _MIN_TILT or inverse_square < _MIN_INVERSE:
+        return min(plain_lenses(size, FISHEYE), key=lambda lens: float(np.median(board_poses(table, lens).rms)))
+    rows = [table.of_view(int(i)) for i in np.flatnonzero(images_with_pose(table))]
+    points, pixels = ([part[own].astype(np.float32) for own in rows] for part in (table.points, table.pixels))
+    focal = float(cv2.initCameraMatrix2D(points, pixels, size, 1.0)[0, 0]) if rows else np.inf
+    if not 0.0 < focal < _LONGEST * max(size):
         said = "the images do not show the focal length"
         raise NotEnoughData("camera", said, "tilt the target by 20° to 45° to several sides, or state the intrinsics")
-    return Lens.plain(max(size) / inverse_square**0.5, size)
+    return Lens.plain(focal, size)
 
 
 def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, prior: Array | None = None) -> LensFit:

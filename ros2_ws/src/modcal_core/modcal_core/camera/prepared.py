@@ -17,10 +17,19 @@ import numpy as np
 from modcal_core.calibration import Model, exceeded_chi2, median_chi2
 from modcal_core.camera.arm_poses import ArmPoses, with_parameters, with_stated
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.cameras import Camera, CameraImages, Cameras
-from modcal_core.camera.corners import POSE, SHAPE, CameraState, CommonPrior, CornerTable, common_prior, corner_rows
+from modcal_core.camera.corners import (
+    POSE,
+    SHAPE,
+    CameraState,
+    CommonPrior,
+    CornerTable,
+    common_prior,
+    corner_rows,
+    enough_corners,
+    images_with_pose,
+)
 from modcal_core.camera.equations import numbered
-from modcal_core.camera.fit import START, CameraFit, fit_cameras
+from modcal_core.camera.fit import START, Camera, CameraFit, CameraImages, Cameras, fit_cameras
 from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
@@ -29,7 +38,6 @@ from modcal_core.camera.mounting import (
     Mounting,
     explained,
     find_mounting,
-    images_with_pose,
     require_order,
     start_of_body,
 )
@@ -40,16 +48,15 @@ from modcal_core.robots import Chain, Inertias, chain_forward
 
 
 def together(cameras: Sequence[CameraImages]) -> list[CameraImages]:
-    """The same images with what cameras share: of bodies those markers only that some camera saw, and a number for
-    images that were taken at one stop of the arm. Raises BadTable for a body of which too little was seen.
+    """The same images with what cameras share: whether a body's corners are read, and a number for images that were
+    taken at one stop of the arm. Raises BadTable for a body of which too little was seen.
     """
-    out = []
-    for one in cameras:
+    out = list(cameras)
+    for k, one in enumerate(out):
         if isinstance(one.target, MarkerBundle):
             ids = [v.ids for other in cameras if other.target == one.target for v in other.views]
-            target = one.target.of_points(np.unique(np.concatenate([np.empty(0, int), *ids])).astype(int))
-            one = replace(one, target=target, views=target.renumbered(one.views, one.target))
-        out.append(one)
+            seen = np.unique(np.concatenate([np.empty(0, int), *ids])).astype(int)
+            out[k] = replace(one, target=one.target.seen_by(seen))
     if len(out) == 1:
         return out
     names = [[v.name for v in one.views] for one in out]
@@ -63,10 +70,7 @@ _TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
 _CORNER = 6.0  # robust standard deviations: one good corner in a billion
 _CORNER_PX = 0.1  # where printers put a square's corner: 0.03 mm, in an image of a third of a millimetre a pixel
 _IMAGE_PX, _IMAGE_TIMES = 1.0, 5.0  # RMS of an image that is blurred or misread: more than a pixel, and than the others
-_ONE_LINE = 0.1  # of its length, how wide a group of corners is that is none
-_ALL_BUT_ONE = 0.03  # the same once any one of them is left out; of a board's corners on a line nothing, of others 0.05
-MIN_CORNERS = 4  # of an image, not on one line: the fewest that a homography is taken from
-MOSTLY = 0.5  # of the points of an image, or of a marker, beyond which it is not where it should be
+MOSTLY = 0.5  # of the points of an image, or of a marker, beyond which it is not where it should be; or of an error
 _GROSS = 10.0  # times the median distance from where corners should be: errors that are no one's share never reach it
 ELSEWHERE = "far from where the arm has it"
 
@@ -144,26 +148,21 @@ def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     lens = stated or first_lens(kept.table, images.size, model)
     prior = common_prior(lens, target.scale, images.stated if stated is not None else None, images.flat)
     lens = stated or Lens(prior.mean[:LENS], images.size, model)
-    for again in (True, False):  # once more without images that the target fits badly
-        fit, table = fit_lens(kept.table, lens, prior.free[:LENS], prior.information[:LENS, :LENS]), kept.table
-        for _ in range(2):
-            rows = corner_rows(table, fit.lens, np.zeros(SHAPE), fit.T_camera_target)
-            weight = np.where(agreeing(table, rows.residual, rows.pixels), table.weight, 0.0)
-            if (weight == table.weight).all():
-                break
-            table = replace(table, weight=weight)
-            fit = fit_lens(table, lens, prior.free[:LENS], prior.information[:LENS, :LENS])
+    for _ in range(_CLEANED):
+        fit = fit_lens(kept.table, lens, prior.free[:LENS], prior.information[:LENS, :LENS])
+        rows = corner_rows(kept.table, fit.lens, np.zeros(SHAPE), fit.T_camera_target)
+        weight = np.where(agreeing(kept.table, rows.residual, rows.pixels), kept.table.weight, 0.0)
+        table = replace(kept.table, weight=weight)
         poses = board_poses(table, fit.lens, prior.shape)
-        kept = replace(kept, table=table)
         bad = bad_images(table, poses.rms)
-        if not (again and bad.any()):
+        if (weight == kept.table.weight).all() and not bad.any():
             break
-        kept = kept.without(np.where(bad, "the target fits this image badly", ""))
+        kept = replace(kept, table=table).without(np.where(bad, "the target fits this image badly", ""))
     q = images.q[kept.rows]
     try:
         mounting = near_arm(find_mounting(chain_forward(chain, q), poses, images.camera_on_tip), chain, images.name)
     except BadRecording as error:
-        raise explained(error, chain, q, kept.table, fit.lens, images.camera_on_tip) from error
+        raise explained(error, chain, q, poses, images.camera_on_tip) from error
     far = mounting.off_m > max(_NOWHERE * chain.reach(), _NOWHERE_TIMES * float(np.median(mounting.off_m)))
     if (~far).sum() >= MIN_VIEWS:
         kept = kept.without(np.where(far, ELSEWHERE, ""))
@@ -181,25 +180,27 @@ def _of_body(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     A = chain_forward(chain, q)
     require_order(table, usual, target)
     try:
-        begin = start_of_body(table, A, lens, usual, images.camera_on_tip)
-        near_arm(begin.mounting, chain, images.name)
+        lens, mounting = start_of_body(table, A, lens, usual, images.camera_on_tip)
+        near_arm(mounting, chain, images.name)
     except BadRecording as error:
         whole = images_with_pose(table)
-        if whole.sum() < MIN_VIEWS:
-            raise
-        raise explained(error, chain, q[whole], table.select(whole), usual, images.camera_on_tip) from error
-    prior = common_prior(begin.lens, target.scale, images.stated if lens is not None else None)
-    far = gross(begin.off(table))
+        poses = board_poses(table.select(whole), usual)
+        raise explained(error, chain, q[whole], poses, images.camera_on_tip) from error
+    prior = common_prior(lens, target.scale, images.stated if images.lens is not None else None)
+    far = gross(corner_rows(table, lens, np.zeros(SHAPE), mounting.T_camera_target).pixels)
     kept = replace(kept, table=replace(table, weight=np.where(far, 0.0, 1.0)))
     kept = kept.without(np.where(mostly_out(table, far), ELSEWHERE, ""))
-    return kept, begin.lens, prior.with_places(target.place_prior()), begin.mounting
+    return kept, lens, prior.with_places(target.place_prior()), mounting
 
 
 def near_arm(mounting: Mounting, chain: Chain, name: str) -> Mounting:
     """The mounting. Raises BadRecording for images that miss the arm's motion by more than any arm is built wrong."""
     if mounting.misfit_m > _APART_OF_REACH * max(chain.reach(), 0.3):
         said = f"they are {1e3 * mounting.misfit_m:.0f} mm off the arm's motion in the median"
-        remedy = "check that each row of joints belongs to its image, joint units and order, and the square's size"
+        remedy = (
+            "check that each row of joints belongs to its image, joint units and order, the square's size, and that u "
+            "counts from the left and v from the top"
+        )
         raise BadRecording(name, said, remedy)
     return mounting
 
@@ -212,27 +213,9 @@ def agreeing(table: CornerTable, residual: Array, pixels: Array | None = None) -
     return np.asarray((near if pixels is None else near | (np.abs(pixels) <= _CORNER_PX)).all(axis=1))
 
 
-def enough_corners(points: Array) -> bool:
-    """Whether corners at these places on the sheet (m, 3) fix its pose: four of them, of which no three are on a line.
-
-    That is so where they are not on one line, and are not once any one of them is left out.
-    """
-    m = len(points)
-    if m < MIN_CORNERS:
-        return False
-    off = points[:, :2] - points[:, :2].mean(axis=0)
-    scatter = off.T @ off
-    without = scatter - m / (m - 1.0) * off[:, :, None] * off[:, None]
-    spread = np.linalg.eigvalsh(np.concatenate([scatter[None], without]))
-    width = np.sqrt(np.maximum(spread[:, 0], 0.0) / spread[:, 1])
-    return bool(width[0] > _ONE_LINE and width[1:].min() > _ALL_BUT_ONE)
-
-
 def bad_images(table: CornerTable, rms_px: Array) -> np.ndarray:
     """Images (N,) in which the target has too few corners left, or fits far worse than in the others."""
-    worst = max(_IMAGE_PX, _IMAGE_TIMES * float(np.median(rms_px)))
-    kept = [table.points[(table.view == i) & (table.weight > 0.0)] for i in range(table.views)]
-    return np.array([not enough_corners(points) for points in kept]) | (rms_px > worst)
+    return ~images_with_pose(table) | (rms_px > max(_IMAGE_PX, _IMAGE_TIMES * float(np.median(rms_px))))
 
 
 def gross(off: Array) -> np.ndarray:
@@ -252,7 +235,6 @@ _SEEN = 1e-9  # of an image's information; directions below it are none that it 
 # Tolerances, and times the median marker, that a marker's place may differ from where the others have it: farther is
 # another marker's sighting under its number, or a slip of the pen, which would make all places look as open as its own.
 _FAR = 6.0
-_MIN_MARKERS = 6  # of a body, for their median to be that of markers that are where they should be
 _CLEANED = 5  # times that points and images are looked through
 
 
@@ -294,34 +276,19 @@ def misread_points(fit: CameraFit) -> np.ndarray:
 
 
 def far_markers(fit: CameraFit) -> np.ndarray:
-    """Markers (K,) whose place is not where any hand would have glued them, in which points in use have a part.
-
-    The body's frame is that of all its markers together, so each is held against the motion that the others show.
-    """
+    """Markers (K,) whose place is not where any hand would have glued them, the median marker being the scale."""
     table, prior = fit.table, fit.prior.places
     assert prior is not None
-    K = table.markers
-    used = np.flatnonzero(np.bincount(table.marker, table.weight, K) > 0.0)
-    out = np.zeros(K, bool)
-    if len(used) < _MIN_MARKERS:
-        return out
-    own, values = np.arange(K), table.places
-    white = np.swapaxes(np.linalg.cholesky(prior.apart.reshape(K, values, K, values)[own, :, own]), 1, 2)
-    off = (white @ fit.state.shape[SHAPE:].reshape(K, values, 1))[:, :, 0]
-    moved = white @ prior.motion
-    for k in used:
-        others = used[used != k]
-        by = np.linalg.lstsq(moved[others].reshape(-1, 6), off[others].reshape(-1), rcond=None)[0]
-        size = np.sqrt(((off - moved @ by) ** 2).mean(axis=1))
-        out[k] = size[k] > _FAR * max(1.0, float(np.median(size[others])))
-    return out
+    off = (prior.white @ fit.state.shape[SHAPE:].reshape(table.markers, -1, 1))[:, :, 0]
+    size, used = np.sqrt((off**2).mean(axis=1)), np.bincount(table.marker, table.weight, table.markers) > 0.0
+    return np.asarray(used & (size > _FAR * max(1.0, float(np.median(size[used])))))
 
 
 def first_fit(camera: Camera) -> CameraFit:
     """A fit of one camera: misread points of a body, and images nowhere near the arm, are left out.
 
-    The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or
-    marker would make all errors look as large as its own; then they hardly change but for a marker that was far off.
+    The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or marker would make all
+    errors look as large as its own.
     """
     table = camera.table
     if not table.places:
@@ -330,24 +297,17 @@ def first_fit(camera: Camera) -> CameraFit:
         return fit if again is None else fitted(again, fit)
     far = np.zeros(table.markers, bool)
     last: CameraFit | None = None
-    for _ in range(_CLEANED):
-        last = replace(fitted(camera, last, fixed_sizes=True), sizes=START)
-        far |= far_markers(last)
-        again = _without(camera, gross(last.pixels) | far[last.table.marker])
-        if again is None:
-            break
-        camera = again
-    fit = fitted(camera, last)
-    cleaned = False
-    for _ in range(_CLEANED):
-        more = far_markers(fit) & ~far
-        far |= more
-        again = _without(camera, misread_points(fit) | far[fit.table.marker], fit)
-        if again is None:
-            break
-        camera, cleaned = again, True
-        fit = fitted(camera, fit, fixed_sizes=not more.any())
-    return fitted(camera, fit) if cleaned else fit
+    for usual_sizes in (True, False):
+        for _ in range(_CLEANED):
+            fit = fitted(camera, last, fixed_sizes=usual_sizes)
+            out = gross(fit.pixels) if usual_sizes else misread_points(fit)
+            far |= far_markers(fit)
+            last = replace(fit, sizes=START) if usual_sizes else fit
+            again = _without(camera, out | far[fit.table.marker], None if usual_sizes else fit)
+            if again is None:
+                break
+            camera = again
+    return fit if again is None else fitted(camera, fit)
 
 
 def _without(camera: Camera, out: np.ndarray, fit: CameraFit | None = None) -> Camera | None:

@@ -7,18 +7,17 @@ images leave open decide about the advice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.calibration import Model, least_change
-from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.cameras import Camera, CameraImages, Cameras
-from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, held_out, hidden_springs
-from modcal_core.camera.changes import FoundChange, find_change
+from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle, PrintedTarget
+from modcal_core.camera.causes import CameraCause, find_causes, held_out
+from modcal_core.camera.changes import Moved, find_change
 from modcal_core.camera.claim import (
-    CANNOT_TELL,
+    APPLY,
     Decision,
     DecisionGrounds,
     RestsOn,
@@ -29,17 +28,11 @@ from modcal_core.camera.claim import (
     shares,
     tool_error,
 )
-from modcal_core.camera.fit import CameraFit, fit_cameras
+from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.fit import Camera, CameraFit, CameraImages, Cameras, fit_cameras
+from modcal_core.camera.mounting import Mounting
 from modcal_core.camera.other_readings import MIN, ReadingsBeside
-from modcal_core.camera.outlook import (
-    left_out_images,
-    left_out_points,
-    metric_of,
-    problems,
-    size_open,
-    weak_directions,
-)
-from modcal_core.camera.prepared import first_fit, nominal, prepare_images, together
+from modcal_core.camera.prepared import MOSTLY, first_fit, nominal, prepare_images, together
 from modcal_core.camera.statements import (
     SIZE,
     CameraFinding,
@@ -49,11 +42,126 @@ from modcal_core.camera.statements import (
     findings,
     in_doubt,
 )
-from modcal_core.camera.views import POSTURES, postures_in_view
+from modcal_core.camera.views import POSTURES, ViewSpread, postures_in_view
 from modcal_core.diagnosis import EffectChoice
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
 from modcal_core.robots import Chain, Inertias, random_postures
+
+PASSED = 0.05  # share of images, corners or points left out that a verdict passes over (verdict.md)
+_UNSTEADY = 2e-3  # rad (or m) a joint, or m, that an image differs from the fit: ten times what gears and springs do
+_UNMEASURED = {
+    "sheet": "measured: measure its rulers (modcal target --measured)",
+    "body": "stated: measure across it with a calliper and state size_tolerance",
+}
+_UNSAID = "measure both rulers, and state how well (--measured-to-mm)"
+
+
+def problems(fit: CameraFit, nominal: CameraFit, wrong: Sequence[str]) -> tuple[str, ...]:
+    """What contradicts the fit, in sentences. wrong: moves among the images, and statements that these contradict."""
+    out = [] if fit.converged and nominal.converged else ["The fit did not reach its minimum."]
+    out += wrong
+    if max(fit.sizes.joint, fit.sizes.shift) > _UNSTEADY:
+        out.append(
+            f"Images are {1e3 * fit.sizes.joint:.1f} mrad a joint and {1e3 * fit.sizes.shift:.1f} mm off any arm of "
+            "this form, each by itself: check that the arm stood still, that joints and images are of the same moment, "
+            "that autofocus and digital zoom are off, and that nothing is loose."
+        )
+    # of a body points are misread, and the places of its markers say what is wrong of its size
+    if not fit.table.places and fit.table.left_out > PASSED:
+        out.append(f"{100.0 * fit.table.left_out:.0f} % of all corners fit no flat target of the stated form.")
+    return tuple(out)
+
+
+def left_out_images(left_out: Collection[str], count: int, whose: str = "") -> tuple[str, ...]:
+    """Sentence that more images than a verdict passes over were left out of so many; nothing where that is not so."""
+    said = f"{len(left_out)} of {count} images{whose} were left out."
+    return (said,) if len(left_out) > PASSED * count else ()
+
+
+def metric_of(target: CalibrationTarget, arm_m: float | None, beside: ReadingsBeside | None) -> tuple[str, ...]:
+    """What has a length that somebody measured or states."""
+    known = "the sheet's rulers were measured" if isinstance(target, PrintedTarget) else "the body's size is stated"
+    out = [known] if target.scale.measured else []
+    if beside is not None and beside.metric:
+        out.append(f"readings of {beside.label}")
+    return (*out, "the arm's accuracy is stated") if arm_m is not None else tuple(out)
+
+
+def size_open(
+    target: CalibrationTarget,
+    doubted: Sequence[DoubtedStatement],
+    error: ToolError,
+    shared: dict[str, tuple[float, float]],
+    arm_m: float | None,
+) -> str:
+    """What to do about the sheet's size where it is what keeps the arm from being clearly better, else nothing."""
+    what, scale = "sheet" if isinstance(target, PrintedTarget) else "body", target.scale
+    if not scale.measured:
+        whole, known = shared.get("print scale", (0.0, 0.0))
+        rest = f"; with it, {1e3 * known**0.5:.2f} mm are left."
+        said = f"Most of that is the {what}'s size, which nobody has {_UNMEASURED[what]}{rest}"
+        return said if known < MOSTLY * whole else ""
+    if max(doubted, key=lambda d: d.chance).what != SIZE:
+        return ""
+    if decide(error.as_stated, DecisionGrounds(stated_m=arm_m)).word != APPLY:
+        return ""
+    again = _UNSAID if scale.unsaid else f"measure the {what} again"
+    return (
+        f"If the {what} has the size that is stated, it is clearly better; these images leave that open: "
+        f"{again}, or add a length of another kind, such as a few tracker points."
+    )
+
+
+_TOO_MANY = 0.2  # share beyond which what is left is no majority to rely on
+_SIGHTINGS = 8  # points of a marker, for most of them to say something of it
+_NAMED = 3  # markers in a sentence
+
+
+def left_out_points(
+    cameras: Sequence[tuple[str, CornerTable]], target: MarkerBundle
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """(what speaks against the fit, what a verdict may not pass over though the fit stands) of points of a body that
+    were left out, misread or of markers that are not where the file has them.
+
+    cameras: (what a sentence calls it, corners, weight 0 where they are left out), of each that sees this body.
+    """
+    against, open_ = list[str](), list[str]()
+    for name, table in cameras:
+        seen, kept = (np.bincount(table.marker, part, table.markers) for part in (None, table.weight))
+        strange = np.flatnonzero((kept < MOSTLY * seen) & (seen >= _SIGHTINGS))
+        named = ", ".join(target.markers[k].label for k in strange[:_NAMED])
+        said = f"{100.0 * table.left_out:.0f} % of the points{name} fit no body of the stated form, and are left out"
+        if len(strange):
+            said += (
+                f", most of those of {named}{' and others' * (len(strange) > _NAMED)}: check number, place and "
+                "corner_order in the target file, and whether it came loose"
+            )
+        if len(strange) or table.left_out > PASSED:
+            (against if table.left_out > _TOO_MANY else open_).append(f"{said}.")
+    return tuple(against), tuple(open_)
+
+
+_JOINT, _SLIDE = np.radians(20.0), 0.05  # range of a joint that shows what its axis does, rad and m
+
+
+def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
+    """What these images leave open, each with what to do, in sentences."""
+    table, centre = fit.table, fit.table.points.mean(axis=0)
+    out = ViewSpread.of(table, fit.state.lens.size, fit.poses.seen(fit.tool), centre).sentences(table.places > 0)
+    if mounting.one_axis:
+        turns = np.degrees(mounting.turns)
+        out.append(
+            f"The arm turned its tip about one axis only (RMS {turns[0]:.0f}°, across it {turns[1]:.1f}°): where "
+            "camera and target are along this axis is open. Turn the wrist about a second axis."
+        )
+    chain = fit.poses.model.serial
+    for name, span, turning in zip(chain.names, np.ptp(fit.poses.q, axis=0), chain.revolute, strict=True):
+        if span < (_JOINT if turning else _SLIDE):
+            moved = f"{np.degrees(span):.0f}°" if turning else f"{1e3 * span:.0f} mm"
+            out.append(f"Joint {name} moved by {moved} only: its axis is known from the drawing.")
+    return tuple(out)
+
 
 _CLEANED = 3  # times that other instruments' readings are looked through for those far off
 
@@ -77,16 +185,15 @@ class CameraProblem:
 @dataclass(frozen=True)
 class CameraEvidence:
     """moved: what was moved between images, the camera's focal length included. findings: what target and camera are
-    not as stated. causes: effects beyond geometry. left: what is significant and could not be turned into one. hidden:
-    springs that these images would not show. weak: what the images leave open, in sentences. problems: what contradicts
-    the fit. open_points: what a verdict may not pass over, though the fit stands.
+    not as stated. causes: effects beyond geometry. left: what is significant and could not be turned into one. weak:
+    what the images leave open, in sentences. problems: what contradicts the fit. open_points: what a verdict may not
+    pass over, though the fit stands.
     """
 
-    moved: FoundChange | None
+    moved: Moved | None
     findings: tuple[CameraFinding, ...]
     causes: tuple[CameraCause, ...]
     left: EffectChoice | None
-    hidden: tuple[HiddenSpring, ...]
     weak: tuple[str, ...]
     problems: tuple[str, ...]
     open_points: tuple[str, ...]
@@ -160,21 +267,19 @@ def solve_camera(
     first = geometric.cameras.first
     still = nominal(first)
     fit, causes, left = geometric, tuple[CameraCause, ...](), None
-    hidden = tuple[HiddenSpring, ...]()
     if problem.look_for_effects:
         progress("effects")
         fit, causes, left = find_causes(geometric, progress)
-        hidden = hidden_springs(fit)
 
     progress("verdict")
     images = first.given
-    near, _ = postures_in_view(fit, rng)
+    near = postures_in_view(fit, rng)
     doubted = doubts(fit, images)
     change, of_others = find_change(fit), tuple[str, ...]()
     for k, camera in enumerate(fit.cameras.every):
         whose = f" of {camera.given.name}" if k else ""
         found = find_change(by_itself[k]) if k else change
-        of_others += () if found is None else (found.sentence(camera.table.names, whose),)
+        of_others += () if found is None else (found.before(camera.table.names[int(found.since)], whose),)
         of_others += left_out_images(camera.left_out, len(camera.given.views), whose)
     against = problems(fit, still, (*of_others, *contradictions(fit, doubted, images)))
     open_points: tuple[str, ...] = ()
@@ -186,11 +291,10 @@ def solve_camera(
         against += against_points
     other_length = problem.arm_m is not None or (problem.beside is not None and problem.beside.metric)
     evidence = CameraEvidence(
-        None if change is None or change.each else change,
+        change,
         findings(fit, images.target.scale, other_length, near),
         causes,
         left,
-        hidden,
         weak_directions(fit, first.mounting),
         against,
         open_points,
@@ -236,17 +340,12 @@ def _claim(
     target, body = problem.cameras[0].target, fit.table.places > 0
     metric = metric_of(target, problem.arm_m, problem.beside)
     shared, rests = shares(fit, near), rests_on(fit, doubted, near, errors[0])
-    doubtful = in_doubt(fit, doubted, target.scale)
-    doubtful += () if rests is None else (rests.sentence(errors[0].nominal_interval[0], body),)
+    doubtful = in_doubt(fit, doubted, problem.cameras[0])
+    rest = () if rests is None else (rests.sentence(errors[0].nominal_interval[0], body),)
     judged = 2 if body else 0  # fixed cameras and a body are there for the arm, wherever they stand
     size = size_open(target, doubted, errors[judged], shared, problem.arm_m)
-    grounds = DecisionGrounds(bool(metric), against, problem.arm_m, doubtful, size, body)
-    decision = decide(errors[judged], grounds)
-    # the size decides: what is said holds either way
-    if metric and decision.word == CANNOT_TELL and target.scale.measured:
-        in_view, anywhere, alone = (error.either_way(SIZE) for error in errors)
-        errors = in_view, anywhere, alone
-        decision = decide(errors[judged], grounds)
+    grounds = DecisionGrounds(bool(metric), against, problem.arm_m, (*doubtful, *rest), size, body)
+    decision = replace(decide(errors[judged], grounds), doubtful=doubtful)
     return CameraClaim(*errors, decision, shared, rests, metric)
 
 

@@ -5,8 +5,8 @@ looks like an arm whose links are all 2 % shorter. What gives it away is the lik
 relaxed against held, all parameters integrated out and the sizes of all errors found again.
 
 * A stated value is held with its tolerance in the fit, and is relaxed to one that says next to nothing. Far likelier:
-  it is contradicted, or the arm is built to another scale. Where images say neither, it is in doubt, and the interval
-  of the error at the tool holds either way.
+  it is contradicted, or the arm is built to another scale. Where images say neither, it is in doubt, which is said, and
+  counts in the chance of an arm made worse.
 * A default, as no delay or a flat sheet, is fitted, and is held at its value. Far less likely: the value is named.
 
 Either is another prior of a few values in the equations of the fit, solved from there.
@@ -21,12 +21,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.camera.bundle import PrintScale
-from modcal_core.camera.cameras import CameraImages
+from modcal_core.camera.bundle import PrintScale, alike
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import FREE, READOUT, SCALE, SHAPE, common_prior
 from modcal_core.camera.equations import SolvedEquations
-from modcal_core.camera.fit import CameraFit, usual
+from modcal_core.camera.fit import LIKELIER, CameraFit, CameraImages, usual
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.effects import ReportEntry
 from modcal_core.geometry import Array
@@ -34,15 +33,11 @@ from modcal_core.geometry import Array
 # Nats for each thing that backs a statement: that it is made, a value of one's own, and a tolerance stated with it. The
 # first two are odds of 20 : 1.
 _BACKED = 0.5 * float(np.log(20.0))
-# Of −2 log likelihood, the price of what is set free taken off: odds of 20 : 1. Where all is as stated it is −4 to −9
-# (32 cells), for the price is that of a χ² of two with its chance below 0.2 %.
-GAIN = 6.0
-# Tolerances of what is not as stated, relative: of a size, and of its length against its width. Prints that nobody
-# measured are fitted to the page (94 to 97 %), all of it alike; who misreads two rulers does not misread them alike.
-_ANY_PRINT = 0.03, PrintScale.std_apart
-_ANY_READING = 0.05, 0.01
+# Tolerances of a size that is not as stated, relative: of a length, and against the width.
+_ANY_SIZE = PrintScale(known=alike(0.05, 0.01))
 _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 _EXACT = 1e8  # times the information of its prior; a value that is held
+_NEVER_LESS = 0.05  # chance that rulers of which nobody says how well they were read are of another sheet
 IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
 SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
 TARGET, CLOCK = "target", "clock"  # families of the report
@@ -51,16 +46,13 @@ TARGET, CLOCK = "target", "clock"  # families of the report
 @dataclass(frozen=True)
 class DoubtedStatement:
     """A relaxed statement. what: size, bow or lens. solved: the equations with it relaxed at the state of the fit, and
-    the sizes of errors. gain: of −2 log likelihood. chance: that the statement is wrong, given the images. counted: the
-    same as it counts against an arm made worse: of a size without a stated tolerance the images do not lower it, for
-    what they say hangs on how far off wrong sizes are supposed to be.
+    the sizes of errors. gain: of −2 log likelihood. chance: that the statement is wrong, given the images.
     """
 
     what: str
     solved: SolvedEquations
     gain: float
     chance: float
-    counted: float
 
     def values(self, fit: CameraFit) -> tuple[Array, Array]:
         """(lens, shape, readout and places of markers; their standard deviations) with it relaxed, (15 + Z,) each."""
@@ -74,25 +66,24 @@ def doubts(fit: CameraFit, stated: CameraImages) -> tuple[DoubtedStatement, ...]
     for what, at, information, mean in _relaxed(fit, stated):
         there = fit.equations.with_block(fit.common[at], information, fit.state.common[at] - mean)
         relaxed.append((what, *fit.weighed(there)))
-    backed = 2.0 + (scale.measured and not scale.unsaid) - scale.nominal
+    # of a length nobody may have read more than the sheet; who says how well has measured it
+    backed = 2.0 + scale.measured - 2.0 * scale.unsaid
     price = _BACKED * np.array([backed if what == SIZE else 2.0 for what, *_ in relaxed])
     gain = np.array([fit.misfit - misfit for *_, misfit in relaxed])
     odds = np.exp(0.5 * np.minimum(gain, 100.0) - price)
-    chances = odds / (1.0 + odds.sum())
-    least = np.exp(-2.0 * _BACKED) if scale.unsaid and not scale.nominal else 0.0
-    return tuple(
-        DoubtedStatement(what, solved, float(more), float(chance), max(float(chance), least * (what == SIZE)))
-        for (what, solved, _), more, chance in zip(relaxed, gain, chances, strict=True)
-    )
+    # what images say against a wrong size hangs on how far off wrong sizes are supposed to be
+    least = np.array([_NEVER_LESS * (scale.unsaid and what == SIZE) for what, *_ in relaxed])
+    chances = np.maximum(odds / (1.0 + odds.sum()), least)
+    every = zip(relaxed, gain, chances, strict=True)
+    return tuple(DoubtedStatement(what, solved, float(more), float(p)) for (what, solved, _), more, p in every)
 
 
 def _relaxed(fit: CameraFit, stated: CameraImages) -> Iterator[tuple[str, slice, Array, Array]]:
     """(what a statement is about, its values among lens and shape, their information and mean with it relaxed)."""
-    scale, prior = stated.target.scale, fit.prior
-    both, apart = _ANY_READING if scale.measured and not scale.nominal else _ANY_PRINT
-    cov = PrintScale(std=both, std_apart=apart).covariance
+    prior = fit.prior
+    cov = _ANY_SIZE.covariance
     if prior.places is not None:  # the print of its markers is another statement, and stands
-        cov = np.asarray(np.linalg.inv(prior.information[SCALE, SCALE]) + np.diag([both**2, 0.0]))
+        cov = np.asarray(np.linalg.inv(prior.information[SCALE, SCALE]) + np.diag([cov[0, 0], 0.0]))
     yield SIZE, SCALE, np.asarray(np.linalg.inv(cov)), prior.mean[SCALE]
     if prior.places is None:  # a body has no bow
         yield BOW, BENT, np.eye(SHAPE - 2) / _ANY_BOW_M**2, prior.mean[BENT]
@@ -103,11 +94,12 @@ def _relaxed(fit: CameraFit, stated: CameraImages) -> Iterator[tuple[str, slice,
 
 def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: CameraImages) -> tuple[str, ...]:
     """What the images contradict of what was stated, in sentences. doubted: of this fit."""
-    out = [_contradiction(fit, doubt, stated) for doubt in doubted if doubt.gain > GAIN]
+    wrong = [doubt for doubt in doubted if doubt.gain > LIKELIER]
+    out = [f"The images show {_phrase(fit, doubt, stated)}{_WHAT_TO_DO[doubt.what]}" for doubt in wrong]
     if fit.poses.faults is not None and fit.poses.arm_stated is not None:
         solved, misfit = fit.weighed(replace(fit.equations, faults=replace(fit.poses.faults, stated=None)))
         times = solved.sizes.arm / fit.sizes.arm
-        if times > 1.0 and misfit < fit.misfit - GAIN:
+        if times > 1.0 and misfit < fit.misfit - LIKELIER:
             out.append(
                 f"The arm is some {times:.1f} times as far off as --arm-mm states: state what you know of it, or check "
                 "the square's size."
@@ -115,52 +107,40 @@ def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: 
     return tuple(out)
 
 
-def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintScale) -> tuple[str, ...]:
+def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: CameraImages) -> tuple[str, ...]:
     """What the images leave in doubt of what was stated, in sentences."""
-    out = []
-    for doubt in doubted:
-        if doubt.chance > IN_DOUBT:
-            common, _ = doubt.values(fit)
-            what = {
-                SIZE: f"a {_sized(fit)} {_percent(fit, common, scale)} off its stated size",
-                BOW: f"a sheet bent by {1e3 * float(np.abs(common[BENT]).max()):.1f} mm",
-                LENS_VALUES: "another lens than the stated one",
-            }[doubt.what]
-            out.append(
-                f"An arm with these faults and {what} look much alike (chance of the latter "
-                f"{100.0 * doubt.chance:.0f} %): check that statement, or add a length of another kind, such "
-                "as a few tracker points."
-            )
-    return tuple(out)
-
-
-def _contradiction(fit: CameraFit, doubt: DoubtedStatement, stated: CameraImages) -> str:
-    """The sentence for a wrong statement."""
-    common, std = doubt.values(fit)
-    if doubt.what == SIZE:
-        return (
-            f"The {_sized(fit)} is {_percent(fit, common, stated.target.scale)} off its stated size, ± "
-            f"{100.0 * float(std[LENS]):.1f} %, or the arm is built to another scale than its URDF: measure "
-            f"{'across it' if fit.table.places else 'a square'}, and check the target file."
-        )
-    if doubt.what == BOW:
-        worst = float(np.abs(fit.table.bow @ common[BENT]).max())
-        return f"The sheet is bent by {1e3 * worst:.1f} mm towards its edge: glue it to something flat."
-    assert stated.lens is not None
-    found, values, names = common[:LENS], stated.lens.values, stated.lens.names
-    i = int(np.argmax(np.abs(found - values) / np.maximum(std[:LENS], 1e-9)))
-    return (
-        f"The images contradict the stated lens: {_PLAIN.get(names[i], names[i])} {found[i]:.4g} ± {std[i]:.2g} "
-        f"and not {values[i]:.4g}. Give the camera_info of this camera, focus and resolution, or leave it away."
+    return tuple(
+        f"An arm with these faults and {_phrase(fit, doubt, stated)} look much alike (chance of the latter "
+        f"{100.0 * doubt.chance:.0f} %): check that statement, or add a length of another kind, such as a few tracker "
+        "points."
+        for doubt in doubted
+        if doubt.chance > IN_DOUBT
     )
 
 
+_WHAT_TO_DO = {
+    SIZE: ", or an arm that is built to another scale than its URDF: measure it again, and check the target file.",
+    BOW: ": glue it to something flat.",
+    LENS_VALUES: ": give the camera_info of this camera, focus and resolution, or leave it away.",
+}
+
+
+def _phrase(fit: CameraFit, doubt: DoubtedStatement, stated: CameraImages) -> str:
+    """What the images have where the statement is wrong."""
+    common, std = doubt.values(fit)
+    if doubt.what == SIZE:
+        what = "body" if fit.table.places else "sheet"
+        return f"a {what} {_percent(fit, common, stated.target.scale)} off its stated size, ± {100.0 * std[LENS]:.1f} %"
+    if doubt.what == BOW:
+        worst = float(np.abs(fit.table.bow @ common[BENT]).max())
+        return f"a sheet that is bent by {1e3 * worst:.1f} mm towards its edge"
+    assert stated.lens is not None
+    found, values, names = common[:LENS], stated.lens.values, stated.lens.names
+    i = int(np.argmax(np.abs(found - values) / np.maximum(std[:LENS], 1e-9)))
+    return f"a lens whose {_PLAIN.get(names[i], names[i])} is {found[i]:.4g} ± {std[i]:.2g} and not {values[i]:.4g}"
+
+
 _PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
-
-
-def _sized(fit: CameraFit) -> str:
-    """What has a size."""
-    return "body" if fit.table.places else "sheet"
 
 
 def _percent(fit: CameraFit, common: Array, scale: PrintScale) -> str:
@@ -267,10 +247,10 @@ def findings(fit: CameraFit, scale: PrintScale, other_length: bool, q: Array) ->
         value, off, std = values[row.at], (values - default)[row.at], np.sqrt(np.diag(C)[rows])
         exact = np.diag(_EXACT * np.diag(fit.equations.information)[rows])
         held = fit.equations.with_block(rows, exact, off)
-        if held.solve(fit.sizes).misfit() + usual(fit.sizes) - plain <= GAIN:  # other sizes only help it
+        if held.solve(fit.sizes).misfit() + usual(fit.sizes) - plain <= LIKELIER:  # other sizes only help it
             continue
         gain = fit.weighed(held)[1] - plain
-        if gain <= GAIN:
+        if gain <= LIKELIER:
             continue
         shift = C[:P, rows] @ np.linalg.solve(C[np.ix_(rows, rows)], off)
         at_tool = float(np.sqrt(((J @ shift) ** 2).sum() / len(q)))

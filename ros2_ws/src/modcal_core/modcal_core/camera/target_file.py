@@ -34,10 +34,7 @@ from modcal_core.errors import BadTable, refusing
 from modcal_core.files import read_yaml
 from modcal_core.geometry import so3
 
-TAG_BUNDLES = "tag_bundles"  # of apriltag_ros, beside standalone_tags
-_FAMILY = "DICT_APRILTAG_36h11"  # apriltag_ros's own, unless its other settings say otherwise
 _ORDERS = {"aruco": ARUCO_ORDER, "apriltag": APRILTAG_ORDER}
-_XYZ, _QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # as apriltag_ros calls them
 _NORMAL = "tolerance_normal_m"
 _UNIT = 1e-3  # how far from 1 a quaternion's length may be, which is written with four digits
 
@@ -69,19 +66,6 @@ def bundle_from_data(data: Mapping[str, Any], source: str) -> MarkerBundle:
     )
 
 
-def bundle_of_tags(data: Mapping[str, Any], source: str) -> MarkerBundle:
-    """The only bundle in the settings of apriltag_ros, ROS 1's form. Raises BadTable."""
-    bundles = list(data[TAG_BUNDLES] or ())
-    said = f"has {len(bundles)} tag bundles, one is read"
-    require(len(bundles) == 1, source, said, "give the one that is on the arm")
-    markers = []
-    for one in bundles[0]["layout"]:
-        xyz, turn = ([one.get(key, float(key == "qw")) for key in keys] for keys in (_XYZ, _QUATERNION))
-        markers.append(_marker(one["id"], xyz, turn, one["size"], source))
-    name = str(bundles[0].get("name", ""))[:60]
-    return MarkerBundle(tuple(markers), body_scale(None), corners=APRILTAG_ORDER, dictionary=_FAMILY, name=name)
-
-
 def _marker(number: Any, xyz: Sequence[Any], quaternion: Sequence[Any], size: Any, source: str) -> BundleMarker:
     x, y, z = (float(v) for v in xyz)
     a, b, c, w = turn = [float(v) for v in quaternion]
@@ -93,8 +77,6 @@ def _marker(number: Any, xyz: Sequence[Any], quaternion: Sequence[Any], size: An
 
 FORMAT = 1  # of the file
 RULER_STD_M = 3e-4  # how well one reads a ruler against two fine lines: a third of its millimetre
-_SAME_M = 5e-5  # lengths are stated to a tenth of a millimetre
-_TWO_RULERS = 2.0  # rulers; their mean is known better than either by the root of this
 _OFF = 0.1  # a sheet farther from its stated size was measured in another unit
 _KINDS = (CHARUCO, CHESSBOARD, ARUCO_GRID, APRIL_GRID, TAG)
 _REMEDY = "give a target file as modcal target writes it, Kalibr's aprilgrid.yaml, or a bundle (docs/camera.md)"
@@ -112,26 +94,18 @@ def read_target(path: Path) -> PrintedTarget:
 
 def read_any_target(path: Path) -> PrintedTarget | MarkerBundle:
     """The printed sheet, or the body with markers, in a file. Raises BadTable."""
-    return any_target_from_data(read_yaml(path), str(path))
+    return target_from_data(read_yaml(path), str(path))
 
 
 @refusing
-def any_target_from_data(data: Any, source: str = "target") -> PrintedTarget | MarkerBundle:
+def target_from_data(data: Any, source: str = "target") -> PrintedTarget | MarkerBundle:
     """The sheet or body that this data describes; raises BadTable, naming the source."""
-    if isinstance(data, Mapping) and TAG_BUNDLES in data:
-        return bundle_of_tags(data, source)
-    if isinstance(data, Mapping) and data.get("type") == BUNDLE:
-        return bundle_from_data(data, source)
-    return target_from_data(data, source)
-
-
-@refusing
-def target_from_data(data: Any, source: str = "target") -> PrintedTarget:
-    """The sheet that this data describes; raises BadTable, naming the source."""
     if not isinstance(data, Mapping) or not {"modcal_target", "target_type"} & set(data):
         raise BadTable(source, "is not a target file", _REMEDY)
     if "target_type" in data:
         return _from_kalibr(data, source)
+    if data.get("type") == BUNDLE:
+        return bundle_from_data(data, source)
     ours, kind = data["modcal_target"], data.get("type")
     require(ours == FORMAT, source, f"has format {ours}, {FORMAT} is read", "print the target again")
     require(kind in _KINDS, source, f"type {str(kind)[:40]} is not known", f"use {', '.join(_KINDS)}")
@@ -180,11 +154,8 @@ def scale_of_rulers(
     near = max(abs(x - 1.0), abs(y - 1.0)) <= _OFF
     require(near, source, said, "give what a ruler shows, in metres, or print at 100 %")
     std = RULER_STD_M if std_m is None else std_m
-    each = [std / n for n in nominal]
-    apart = (each[0] ** 2 + each[1] ** 2) ** 0.5
-    leaning = 0.5 * (each[0] ** 2 - each[1] ** 2)  # the longer ruler says more of what both share
-    as_drawn = std_m is None and all(abs(m - n) < _SAME_M for m, n in zip(measured, nominal, strict=True))
-    return PrintScale(x, y, apart / _TWO_RULERS, apart, True, leaning, nominal=as_drawn, unsaid=std_m is None)
+    known = (std / nominal[0]) ** 2, 0.0, (std / nominal[1]) ** 2
+    return PrintScale(x, y, known, True, std_m is None)
 
 
 def _scale(rulers: Any, source: str) -> PrintScale:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
-from modcal_core.camera.claim import frame_basis, mean_square
+from modcal_core.camera.claim import frame_basis
 from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import Lens
@@ -32,8 +32,8 @@ _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in 
 _GRID = 8  # cells a side of an image
 
 
-def postures_in_view(fit: CameraFit, rng: np.random.Generator) -> tuple[Array, bool]:
-    """(postures (M, n) within the images' joint ranges that show the target, whether there are enough of them).
+def postures_in_view(fit: CameraFit, rng: np.random.Generator) -> Array:
+    """Postures (M, n) within the images' joint ranges that show the target.
 
     Where too few do, those of the images themselves, and what lies between neighbours among them.
     """
@@ -41,10 +41,10 @@ def postures_in_view(fit: CameraFit, rng: np.random.Generator) -> tuple[Array, b
     tried = rng.uniform(q.min(axis=0), q.max(axis=0), (_TRIES * POSTURES, q.shape[1]))
     good = tried[in_view(fit, tried)][:POSTURES]
     if len(good) >= _MIN_SEEN:
-        return good, True
+        return good
     a, b = rng.integers(len(q), size=(2, POSTURES))
     mixed = q[a] + rng.uniform(0.0, 1.0, (POSTURES, 1)) * (q[b] - q[a])
-    return np.concatenate([q, mixed[in_view(fit, mixed)]])[:POSTURES], False
+    return np.concatenate([q, mixed[in_view(fit, mixed)]])[:POSTURES]
 
 
 def in_view(fit: CameraFit, q: Array) -> np.ndarray:
@@ -140,20 +140,19 @@ _NEAR, _FAR = 0.5, 2.0  # times the median distance of the images so far
 _WIDER = 0.25  # of each joint's range so far, beyond it on either side
 _LEAST = 0.15  # rad or m, beyond it at least
 _NOISE_PX = 0.1  # of a corner of a sharp image
-_FEWEST = 3  # markers of a body; fewer show little of its pose by themselves
+_FEWEST = 0.5  # of the points of a body that images show so far
 
 
 @dataclass(frozen=True)
 class ImagePlan:
     """q: postures (K, n). expected_m: RMS error at the tool that is expected before and after each of them, (K + 1,).
-    tilt: of the target [rad], distance: of it [m], (K,). markers: of a body, in view, (K,), None of a sheet.
+    tilt: of the target [rad], distance: of it [m], (K,).
     """
 
     q: Array
     expected_m: Array
     tilt: Array
     distance: Array
-    markers: np.ndarray | None = None
 
 
 def plan_images(fit: CameraFit, target: CalibrationTarget, count: int, rng: np.random.Generator) -> ImagePlan:
@@ -162,33 +161,25 @@ def plan_images(fit: CameraFit, target: CalibrationTarget, count: int, rng: np.r
     if len(pool) < count:
         said = f"{len(pool)} of {_PLANNED} postures near those of the images show the target, {count} are asked for"
         raise NotEnoughData("the next images", said, "ask for fewer, or take images over a wider range first")
-    rows, judged = _rows(fit, target, pool), pool[rng.permutation(len(pool))[:_JUDGED]]
-    J, C, chosen = fit.flange_motions(judged), fit.covariance, list[int]()
+    judged = pool[rng.permutation(len(pool))[:_JUDGED]]
+    J = fit.flange_motions(judged).reshape(3 * len(judged), -1)
     if isinstance(target, MarkerBundle):  # the arm by itself
         basis = frame_basis(se3.apply(fit.tool_at(judged), fit.flange))
-        flat = J.reshape(-1, J.shape[2])
-        J = (flat - basis @ (basis.T @ flat)).reshape(J.shape)
-    P = J.shape[2]
-    expected = [mean_square(J, C[:P, :P]) ** 0.5]
+        J = J - basis @ (basis.T @ J)
+    solved = fit.equations.solve(fit.sizes)
+    use, H, P = solved.use, solved.H, J.shape[1]
+    square = np.zeros(fit.covariance.shape)  # mean square at the tool by all values
+    square[:P, :P] = J.T @ J / len(judged)
+    square, told = square[np.ix_(use, use)], _information(fit, target, pool)[:, use[:, None], use]
+    expected, chosen = [float(np.trace(np.linalg.solve(H, square)))], list[int]()
     for _ in range(count):
-        falls = [-np.inf if k in chosen else _fall(C, rows[k], J) for k in range(len(pool))]
-        chosen.append(int(np.argmax(falls)))
-        new = rows[chosen[-1]]  # of unit variance
-        K = C @ new.T
-        C = C - K @ np.linalg.solve(new @ K + np.eye(len(new)), K.T)
-        expected.append(mean_square(J, C[:P, :P]) ** 0.5)
-    seen = fit.seen_at(pool[chosen])
-    tilt, away = tilt_and_distance(seen, target.points.mean(axis=0))
-    markers = _markers(target, _shown(fit, target, seen)) if isinstance(target, MarkerBundle) else None
-    return ImagePlan(pool[chosen], np.array(expected), tilt, away, markers)
-
-
-def _fall(C: Array, rows: Array, J: Array) -> float:
-    """By how much the mean square at the tool falls, up to a factor."""
-    K = C @ rows.T
-    root = np.linalg.cholesky(rows @ K + np.eye(len(rows)))
-    seen = np.linalg.solve(root, K.T[:, : J.shape[2]]) @ J.reshape(-1, J.shape[2]).T
-    return float((seen**2).sum())
+        left = np.trace(np.linalg.solve(H + told, np.broadcast_to(square, told.shape)), axis1=1, axis2=2)
+        left[chosen] = np.inf
+        chosen.append(int(np.argmin(left)))
+        H = H + told[chosen[-1]]
+        expected.append(float(left[chosen[-1]]))
+    tilt, away = tilt_and_distance(fit.seen_at(pool[chosen]), target.points.mean(axis=0))
+    return ImagePlan(pool[chosen], np.sqrt(expected), tilt, away)
 
 
 def _shown(fit: CameraFit, target: CalibrationTarget, seen: Array) -> np.ndarray:
@@ -204,12 +195,6 @@ def _shown(fit: CameraFit, target: CalibrationTarget, seen: Array) -> np.ndarray
     return np.asarray(shown)
 
 
-def _markers(target: MarkerBundle, shown: np.ndarray) -> np.ndarray:
-    """How many markers have points among those shown (M, C), (M,)."""
-    own = target.on_markers()[0]
-    return np.stack([shown[:, own == k].any(axis=1) for k in range(target.marker_count)]).sum(axis=0)
-
-
 def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator) -> Array:
     """Postures (m, n) that show the whole target as it is wanted."""
     chain, q = fit.poses.model.serial, fit.poses.q
@@ -223,31 +208,24 @@ def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator) -
     usual = float(np.median(tilt_and_distance(fit.seen_at(q), centre)[1]))
     wanted = (away > _NEAR * usual) & (away < _FAR * usual)
     if isinstance(target, MarkerBundle):
-        wanted &= _markers(target, shown) >= min(_FEWEST, target.marker_count)
+        wanted &= shown.sum(axis=1) >= _FEWEST * float(np.median(np.bincount(fit.table.view)))
         return np.asarray(tried[wanted][in_view(fit, tried[wanted])][:_POOL])
     return np.asarray(tried[shown.all(axis=1) & _same_side(fit, seen, centre) & wanted & (tilt <= STEEPEST)][:_POOL])
 
 
-def _rows(fit: CameraFit, target: CalibrationTarget, q: Array) -> list[Array]:
-    """For each image at these postures whitened rows (r, P) of what it says of all parameters."""
+def _information(fit: CameraFit, target: CalibrationTarget, q: Array) -> Array:
+    """What an image at each of these postures says of all values, (M, V, V)."""
     views = []
     for k, shown in enumerate(_shown(fit, target, fit.seen_at(q))):
         ids = np.flatnonzero(shown)
         cov = np.tile(_NOISE_PX**2 * np.eye(2), (len(ids), 1, 1))
         views.append(BoardView(f"{k}", ids, np.zeros((len(ids), 2)), cov))
-    first = fit.cameras.first
+    first, P = fit.cameras.first, fit.poses.count
     camera = replace(first, table=CornerTable.of(views, target), poses=first.poses.at_postures(q))
     rows = camera.rows(fit.state, fit.cameras.columns[0])
     G = rows.grams[:, :-1, :-1]
     E = G - G[:, :, :POSE] @ rows.own_twists(replace(fit.sizes, noise=1.0)) @ G[:, :POSE]
-    P = fit.poses.count
-    out = []
-    for one, moved in zip(E, rows.moved, strict=True):
-        A = np.zeros((len(one), len(fit.covariance)))
-        A[:POSE, :P] = moved[:, :P]
-        A[POSE:, rows.columns[P + 1 :]] = np.eye(len(one) - POSE)
-        scale = np.sqrt(np.maximum(np.diag(one), 1e-300))
-        values, vectors = np.linalg.eigh(one / np.outer(scale, scale))
-        keep = values > 1e-9 * values[-1]
-        out.append((np.sqrt(values[keep])[:, None] * vectors[:, keep].T * scale) @ A)
-    return out
+    by = np.zeros((len(q), E.shape[1], len(fit.covariance)))
+    by[:, :POSE, rows.columns[:P]] = rows.moved[:, :, :P]
+    by[:, np.arange(POSE, E.shape[1]), rows.columns[P + 1 :]] = 1.0
+    return np.asarray(np.swapaxes(by, 1, 2) @ E @ by)

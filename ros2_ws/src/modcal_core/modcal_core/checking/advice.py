@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Model, NoiseModel
-from modcal_core.checking.known import FrozenCalibration, tried_stations
-from modcal_core.checking.naming import Alike, Noticed, Recommendation
+from modcal_core.calibration import Calibration, Model, NoiseModel, exact_samples
+from modcal_core.checking.known import tried_stations
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
 from modcal_core.moves import (
@@ -21,6 +21,7 @@ from modcal_core.moves import (
     SIZES,
     TOOL,
     ZERO,
+    Alike,
     CheckState,
     FittedChange,
     FoundChanges,
@@ -28,12 +29,34 @@ from modcal_core.moves import (
     log_priors,
 )
 
+Action = Literal["nothing", "use_repaired", "refit_base", "add_stations", "calibrate_again", "check_instrument"]
 STATIONS = 6  # that are proposed at a time
 _SAME = 0.0025  # of the squares: what differs by less over all recorded postures is the same motion (as plan --decide)
 _LISTED = 4  # changes that a sentence has room for
 _SURE = 1.645  # standard deviations: 95 of 100
 _SWEEP = 24  # stations that show a gear's curve: a wave of a turn or two, and some of any other
 _UNSEEN_MM = 100.0  # RMS at the tool: a change that must be a decimetre is seen by eye, and not by these stations
+
+
+@dataclass(frozen=True)
+class Noticed:
+    """The smallest change of a kind that these stations show in 95 of 100 cases: RMS at the tool [mm], inf for none.
+
+    unseen: changes of this kind that they do not show, such as the zero of a joint that turns as the base does.
+    """
+
+    label: str
+    mm: float
+    unseen: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """action, and what it means here. stations: to be measured next (k, n); empty where none are needed."""
+
+    action: Action
+    sentence: str
+    stations: Array = field(default_factory=lambda: np.empty((0, 0)))
 
 
 def alike_everywhere(change: FittedChange, calibration: Calibration, model: Model, samples: Samples) -> Alike:
@@ -95,7 +118,7 @@ def noticed(found: FoundChanges) -> tuple[Noticed, ...]:
     """The smallest base, tool, zero and scale of those asked for that 95 of 100 such checks notice, RMS at the tool
     [mm], and which of them no check of these stations notices.
     """
-    judge, state = found.stages[1].judge, found.stages[0].state
+    judge, state = found.stages[1].judge, found.stages[0]
     N, null = len(state.samples), judge.null
     member = null.reference if null.widest < 0 else null.widest
     worst: dict[str, float] = {}
@@ -126,9 +149,7 @@ def _needed(k: int, n: int, log_prior: float, weight: float) -> float:
     return float(np.sqrt(enough[0])) if len(enough) else np.inf
 
 
-def advise(
-    found: FoundChanges, calibration: Calibration, frozen: FrozenCalibration, alike: Sequence[Alike], untried: bool
-) -> Recommendation:
+def advise(found: FoundChanges, calibration: Calibration, alike: Sequence[Alike], untried: bool) -> Recommendation:
     """What to do. untried: whether what was found may be the calibration itself, where it was not made."""
     kinds = {c.hypothesis.kind for c in found.changes}
     if untried and len(calibration.postures):
@@ -148,7 +169,7 @@ def advise(
         h = change.hypothesis
         if not h.free and (not change.same_as or same or h.kind == NOISE):
             continue
-        stations = telling_stations(change, calibration, frozen.model, found.samples)
+        stations = telling_stations(change, calibration, found.model, found.samples)
         every = [h.label, *dict.fromkeys(j.hypothesis.label for j in change.same_as)]
         rivals = " and ".join(every if len(every) <= _LISTED else (*every[:_LISTED], "others"))
         said = f"Measure these {len(stations)} stations as well and check again with all: they tell {rivals} apart."
@@ -172,11 +193,7 @@ def advise(
 
 def state_at(q: Array, model: Model, samples: Samples, noise: NoiseModel, kind: str | None = None) -> CheckState:
     """The model at other postures (k, n), with exact readings as the first of the samples is, or of this kind."""
-    like = samples.select(np.zeros(len(q), int))
-    kinds = like.kind if kind is None else np.full(len(q), kind, dtype=like.kind.dtype)
-    still, unknown = np.zeros_like(q), np.full(q.shape, np.nan)
-    poses = replace(like, q=q, kind=kinds, station=np.arange(len(q)), velocity=still, acceleration=still)
-    poses = replace(poses, approach=still, effort=unknown, following=unknown)
-    T = model.predict_samples(poses)
-    poses = replace(poses, reading=T[:, :3, 3], R=np.where(poses.is_pose[:, None, None], T[:, :3, :3], np.eye(3)))
-    return CheckState(model, poses, FrozenKnowledge((), np.zeros((0, 0)), (), noise))
+    kinds = np.full(len(q), samples.kind[0] if kind is None else kind)
+    exact = exact_samples(model.with_effects(()), q, np.full(len(q), samples.frame[0]), kinds)
+    exact = replace(exact, signals=samples.signals, stamps=np.full(len(q), samples.stamps[0]))
+    return CheckState(model, exact, FrozenKnowledge((), np.zeros((0, 0)), (), noise))

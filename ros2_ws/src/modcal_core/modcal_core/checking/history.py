@@ -54,8 +54,8 @@ class Series:
 
     name: str
     unit: str
+    size: bool
     points: tuple[SeriesPoint, ...]
-    size: bool = False
     trend: Trend | None = None
 
     @property
@@ -114,39 +114,25 @@ def _size_of(curves: Sequence[Effect], low: float, high: float) -> tuple[float, 
 
 def series_of(entries: Sequence[tuple[str, float, Values]]) -> tuple[Series, ...]:
     """The series of entries (name, time [s], values by name), with trends. What stands in one entry only has none."""
-    points: dict[str, list[SeriesPoint]] = {}
-    about: dict[str, tuple[str, bool]] = {}
+    points: dict[tuple[str, str, bool], list[SeriesPoint]] = {}
     for entry, time, values in sorted(entries, key=lambda e: e[1]):
         for name, (unit, value, std, size) in values.items():
-            points.setdefault(name, []).append(SeriesPoint(time, entry, value, std))
-            about[name] = unit, size
-    several = [name for name, of in points.items() if len(of) > 1 and of[-1].time > of[0].time]
-    limit = -float(ndtri(0.5 * _TAIL / max(len(several), 1)))
-    return tuple(
-        Series(
-            name,
-            about[name][0],
-            tuple(of),
-            about[name][1],
-            _trend(of, about[name][1], limit) if name in several else None,
-        )
-        for name, of in points.items()
-    )
+            points.setdefault((name, unit, size), []).append(SeriesPoint(time, entry, value, std))
+    several = sum(of[-1].time > of[0].time for of in points.values())
+    limit = -float(ndtri(0.5 * _TAIL / max(several, 1)))
+    return tuple(Series(*about, tuple(of), _trend(of, about[2], limit)) for about, of in points.items())
 
 
 def _trend(points: Sequence[SeriesPoint], size: bool, limit: float) -> Trend | None:
-    t = np.array([p.time for p in points])
-    y, std = np.array([p.value for p in points]), np.maximum([p.std for p in points], _MIN)
-    span = float(t[-1] - t[0])
-    u = (t - t[0]) / span
-    A = np.stack([np.ones_like(u), u], axis=1) / std[:, None]
-    covariance = np.linalg.pinv(A.T @ A)
-    at = covariance @ (A.T @ (y / std))
-    free = len(points) - 2
-    left = float(np.sum((y / std - A @ at) ** 2)) / free if free else 1.0
-    deviation = float(np.sqrt(covariance[1, 1] * max(left, 1.0)))
-    change = float(at[1])
+    t, y = np.array([p.time for p in points]), np.array([p.value for p in points])
+    span, free = float(t[-1] - t[0]), len(points) - 2
+    if span <= 0.0:
+        return None
+    u, std = (t - t[0]) / span, np.maximum([p.std for p in points], _MIN)
+    (change, first), covariance = np.polyfit(u, y, 1, w=1.0 / std, cov="unscaled")
+    left = float(np.sum(((y - first - change * u) / std) ** 2)) / free if free else 1.0
+    deviation = float(np.sqrt(covariance[0, 0] * max(left, 1.0)))
     if abs(change) <= limit * deviation:
         return None
-    share = change / float(at[0]) if size and abs(at[0]) > 0.0 else None
-    return Trend(change, change - _95 * deviation, change + _95 * deviation, share, span / _DAY)
+    share = float(change / first) if size and abs(first) > 0.0 else None
+    return Trend(float(change), float(change - _95 * deviation), float(change + _95 * deviation), share, span / _DAY)

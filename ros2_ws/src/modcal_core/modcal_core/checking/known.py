@@ -31,22 +31,9 @@ from modcal_core.moves import FRAME, CellChange, FrozenKnowledge, towards
 
 PATTERN = 0.25  # share of the variance that is taken to be common to neighbouring postures where no report says it
 _MIN_PATTERN = 0.1  # the same where a report saw none: of 160 stations it sees no less than some ten per cent
-UNTRIED = "the calibration, beyond the joint ranges that it was made from"
 _MAX = 0.5  # of the stations, beyond which what they say together is of places where nothing was tried
 _MARGIN = 0.02  # of a range, as where samples outside are counted
 _ASKED = 10  # stations of the calibration's own that are proposed: as many as a check is to have
-
-
-@dataclass(frozen=True)
-class FrozenCalibration:
-    """model: with what applies of it. known: what it knows of itself. kept: whether the calibration keeps a covariance.
-    index: of the covariance's rows, those that are known of the model.
-    """
-
-    model: Model
-    known: FrozenKnowledge
-    kept: bool
-    index: np.ndarray
 
 
 def pattern_of(predictable: float | None) -> float:
@@ -56,27 +43,23 @@ def pattern_of(predictable: float | None) -> float:
     return PATTERN if predictable is None else float(np.clip(predictable, _MIN_PATTERN, 1.0))
 
 
-def frozen(calibration: Calibration, applied: Model, pattern: float) -> FrozenCalibration:
-    """The calibration as it stands.
+def frozen(calibration: Calibration, applied: Model, pattern: float) -> FrozenKnowledge:
+    """What the calibration knows of itself; nothing where it keeps no covariance.
 
     applied: its model with the effects that the samples allow. pattern: share of its noise that postures have in
     common.
     """
-    own = calibration.uncertainty
-    if own is None:
-        known = FrozenKnowledge((), np.zeros((0, 0)), (), calibration.noise, pattern)
-        return FrozenCalibration(applied, known, False, np.empty(0, int))
+    own = calibration.uncertainty or Uncertainty((), np.zeros((0, 0)))
     effects, index = [], [*range(len(own.parameters))]
     first = len(index)
-    for effect in calibration.calibrated.effects:
+    for effect in calibration.calibrated.effects if calibration.uncertainty else ():
         count = len(effect.values)
         if any(effect is e or (effect.key == e.key and len(e.values) == count) for e in applied.effects):
             effects.append(effect)
             index += range(first, first + count)
         first += count
     at = np.array(index, dtype=int)
-    known = FrozenKnowledge(own.parameters, own.covariance[np.ix_(at, at)], tuple(effects), calibration.noise, pattern)
-    return FrozenCalibration(applied, known, True, at)
+    return FrozenKnowledge(own.parameters, own.covariance[np.ix_(at, at)], tuple(effects), calibration.noise, pattern)
 
 
 def in_known_frames(samples: Samples, calibration: Calibration) -> Samples:
@@ -165,9 +148,10 @@ class BeyondRanges:
         """Whether most of them do."""
         return self.outside > _MAX * self.of
 
-    def doubts(self, moved_mm: float) -> bool:
-        """Whether a change that moves the tool by so much [mm] may be what was not tried there."""
-        return self.mostly and moved_mm < 1e3 * self.corrected
+    @property
+    def untried_mm(self) -> float:
+        """RMS [mm] that the model may lack where most stations stand beyond the ranges; else 0."""
+        return 1e3 * self.corrected if self.mostly else 0.0
 
 
 def beyond_ranges(calibration: Calibration, model: Model, samples: Samples) -> BeyondRanges:

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from modcal_core.effects.effect import plain_columns, prior_stds, shape_columns
     from modcal_core.effects.family import FREE, PLAIN, USUAL, Family, ReportEntry, nothing_plainer
     from modcal_core.effects.placements import AS_LIKELY, BY_HAND, one_motion, put_back_first
-    from modcal_core.effects.registry import both_signs, candidates, claimed, companionless, complexity, family_named
-    from modcal_core.effects.registry import known_families, require_known, with_companions
+    from modcal_core.effects.registry import both_signs, candidates, carried_signals, claimed, companionless, complexity
+    from modcal_core.effects.registry import family_named, known_families, require_known, with_companions
     from modcal_core.effects.shapes import PERIODIC, Setting, Shape, ShapeKind, periodic
     from modcal_core.effects.sizes import AxisCurves, Quantity, Sizes, component_names, curve, curve_sizes, unit_of
     from modcal_core.effects.sizes import value
@@ -27,8 +27,8 @@ __all__ = ["ACROSS", "ALL", "AS_LIKELY", "AXIS", "BY_HAND", "EXPECTED_ANGLE", "E
 __all__ += ["LENGTH", "PAIRS", "PERIODIC", "PLAIN", "RADIAL", "READING", "RODS", "SHIFT", "STEPS", "USUAL"]
 __all__ += ["AxisCurves", "Carried", "DriverLimits", "Drivers", "Effect", "Family", "Knots", "NominalArm", "Quantity"]
 __all__ += ["ReportEntry", "Setting", "Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs", "candidates"]
-__all__ += ["claimed", "columns", "companionless", "complexity", "component_names", "curve", "curve_sizes"]
-__all__ += ["drivers_at", "family_named", "is_large_move", "is_move", "is_turned", "knots_of", "known_families"]
-__all__ += ["motion", "nothing_plainer", "one_motion", "periodic", "place_index", "plain_columns", "prior_stds"]
-__all__ += ["public_driver", "put_back_first", "remembered", "require_known", "shape_columns", "unit_of", "value"]
-__all__ += ["with_companions"]
+__all__ += ["carried_signals", "claimed", "columns", "companionless", "complexity", "component_names", "curve"]
+__all__ += ["curve_sizes", "drivers_at", "family_named", "is_large_move", "is_move", "is_turned", "knots_of"]
+__all__ += ["known_families", "motion", "nothing_plainer", "one_motion", "periodic", "place_index", "plain_columns"]
+__all__ += ["prior_stds", "public_driver", "put_back_first", "remembered", "require_known", "shape_columns", "unit_of"]
+__all__ += ["value", "with_companions"]

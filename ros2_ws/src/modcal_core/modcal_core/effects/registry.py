@@ -118,6 +118,7 @@ MOSTLY = 0.5  # share of the samples at which a driver must be known; at the oth
 _MIN_FOLLOWING = 2e-6  # rad or m; a joint that is as close to its commands errs by less than any instrument sees
 MIN_SIDE = 4  # stations on either side of a step
 MAX_SIGNALS = 40  # of a recording, for time
+KILOGRAMS, NEWTONS = ("_kg", "/kg"), ("_n", "newton", "newtons")  # ends of names of numbers, their unit
 MAX_CARRIED = 8  # of these, that are tried as loads, for time
 _CONSTANT = 1e-3  # of its size; a load that changes by less is a constant, and drives nothing that could be told
 _MIN_OF_A_SIGN = 0.05  # share of the samples; fewer could all be single wrong readings
@@ -187,8 +188,12 @@ def growing(drivers: Drivers) -> list[tuple[str, str]]:
 
 
 def carried_signals(drivers: Drivers) -> list[str]:
-    """Names of recorded numbers that may say what the arm carries: those that are a message of their own."""
-    return [n for n in signals(drivers, temperatures=False) if PART not in n][:MAX_CARRIED]
+    """Names of recorded numbers that may say what the arm carries: by themselves in a message, in kilograms or newtons.
+
+    Any other number is none: a tilt, or an uncertainty, that goes with the posture looks like a payload.
+    """
+    some = signals(drivers, temperatures=False)
+    return [n for n in some if PART not in n and n.lower().endswith((*KILOGRAMS, *NEWTONS))][:MAX_CARRIED]
 
 
 def signals(drivers: Drivers, *, temperatures: bool) -> list[str]:

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_core.hypotheses.hand_eye import ANGLE, OF_REACH, HandEye, HandEyeFit, limits, placed
     from modcal_core.hypotheses.computed_part import computed_in_part
-    from modcal_core.hypotheses.conventions import INVERSE, inverse_pose, left_handed
+    from modcal_core.hypotheses.conventions import INVERSE, inverse_pose, left_handed, of_recording
     from modcal_core.hypotheses.hypothesis import Disagreement, Hypothesis
     from modcal_core.hypotheses.joint_columns import likely_orders
     from modcal_core.hypotheses.meanings import LENGTHS, MIN_ROWS, Judged, Postures, judge, rivals, same_poses
     from modcal_core.hypotheses.meant import BEYOND_DOUBT, MIN, MISREAD, ArmMiss, proved, recognised
     from modcal_core.hypotheses.refusal import LIMIT_OF_REACH, disagreement, require_plausible
+    from modcal_core.hypotheses.rows import orders
     from modcal_core.hypotheses.search import Answer, explain
     from modcal_core.hypotheses.sights import SightMatch, Sighting, sights_match
     from modcal_core.hypotheses.turning import EULER, MATRIX, QUATERNION, Turning, turnings
@@ -41,5 +42,6 @@ __all__ += [
     "Hypothesis",
 ]
 __all__ += ["Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreement", "explain"]
-__all__ += ["inverse_pose", "judge", "left_handed", "likely_orders", "limits", "placed", "proved", "recognised"]
+__all__ += ["inverse_pose", "judge", "left_handed", "likely_orders", "limits", "of_recording"]
+__all__ += ["orders", "placed", "proved", "recognised"]
 __all__ += ["require_plausible", "rivals", "same_poses", "sights_match", "turnings"]

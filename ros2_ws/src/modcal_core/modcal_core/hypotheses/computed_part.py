@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.calibration import FINEST, base_and_tool_turns, consecutive, tool_and_place
-from modcal_core.geometry import Array, se3
+from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.robots import Mechanism, forward, is_serial_arm
 
@@ -63,36 +63,28 @@ def computed_in_part(samples: Samples, chain: Mechanism, wrong: np.ndarray | Non
 
 def _met(A: Array, samples: Samples, wrong: np.ndarray | None, limit: float) -> np.ndarray:
     """Stations of the draw that reproduces most to the limit, (N,)."""
-    rng = np.random.default_rng(0)
     poses = bool(samples.is_pose.all())
-    draws = _draws(len(samples), _POSES if poses else _POINTS, wrong, rng)
+    size, p = _POSES if poses else _POINTS, samples.reading
+    draws = _draws(len(samples), size, wrong, np.random.default_rng(0))
     design = np.concatenate([A[:, :3, :3].reshape(-1, 9), A[:, :3, 3], np.ones((len(A), 1))], axis=1)
-    best: np.ndarray = np.zeros(len(samples), bool)
-    near: np.ndarray
 
-    def found(rows: np.ndarray) -> Array:
+    def near(rows: np.ndarray, times: float) -> np.ndarray:
+        """Stations (D, N) that base and tool of some rows (D, k), or the linear map of points, meet."""
         if poses:
             Y, _ = base_and_tool_turns(A[rows][..., :3, :3], samples.R[rows])
-            _, x, t = tool_and_place(Y, A[rows], samples.reading[rows])
-            return np.asarray(samples.reading - (se3.apply(A, x) @ Y.T + t))
-        map_ = np.linalg.lstsq(design[rows], samples.reading[rows], rcond=1e-10)[0]
-        return np.asarray(samples.reading - design @ map_)
+            _, x, t = tool_and_place(Y, A[rows], p[rows])
+            point = np.einsum("nij,cj->cni", A[:, :3, :3], x) + A[:, :3, 3]
+            left = p - (point @ np.swapaxes(Y, 1, 2) + t[:, None])
+        else:
+            left = p - design @ (np.linalg.pinv(design[rows], rcond=1e-10) @ p[rows])
+        return np.asarray(np.linalg.norm(left, axis=2) < times * limit)
 
-    if poses:  # all draws at once
-        Y, _ = base_and_tool_turns(A[draws][..., :3, :3], samples.R[draws])
-        _, x, t = tool_and_place(Y, A[draws], samples.reading[draws])
-        point = np.einsum("nij,cj->cni", A[:, :3, :3], x) + A[:, :3, 3]
-        gap = np.linalg.norm(samples.reading - (point @ np.swapaxes(Y, 1, 2) + t[:, None]), axis=2)
-        near = gap < 10.0 * limit  # three poses do not tell them to the last digit
-        best = near[int(np.argmax(near.sum(axis=1)))]
-    else:
-        for rows in draws:
-            near = np.linalg.norm(found(rows), axis=1) < 10.0 * limit
-            best = near if near.sum() > best.sum() else best
+    drawn = near(draws, 10.0)  # so few do not tell them to the last digit
+    best: np.ndarray = drawn[int(np.argmax(drawn.sum(axis=1)))]
     for _ in range(2):
-        if best.sum() < (_POSES if poses else _POINTS):
+        if best.sum() < size:
             return np.zeros(len(samples), bool)
-        best = np.linalg.norm(found(np.flatnonzero(best)), axis=1) < limit
+        best = near(np.flatnonzero(best)[None], 1.0)[0]
     return best
 
 

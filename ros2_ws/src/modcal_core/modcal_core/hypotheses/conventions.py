@@ -19,6 +19,15 @@ THREE_AXES = tuple(s for w in ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX") for s i
 TWO_AXES = ("ZYZ", "ZXZ", "zyz", "zxz")
 _ANGLES = (("radians", 1.0), ("degrees", np.pi / 180.0), ("gon", np.pi / 200.0), ("milliradians", 1e-3))
 _USUAL = ("XYZ", "ZYX", "xyz", "zyx", "ZYZ", "zyz")
+_COUNTED = (  # how a joint is counted, and the factor that undoes it
+    ("in degrees", np.pi / 180.0),
+    ("in revolutions", 2.0 * np.pi),
+    ("twice as far", 0.5),
+    ("half as far", 2.0),
+    ("at the motor, before a gear of 100", 0.01),
+    ("at the motor, before a gear of 50", 0.02),
+    ("in millimetres", 1e-3),
+)
 _MAX_TURN = 1.05  # times a half or a whole turn; angles are no larger
 INVERSE = "readings look like inverse poses (tracker in tool)"
 
@@ -57,8 +66,9 @@ def _reading(what: str, remedy: str, p: Callable[[HandEye], Array], volume: floa
     return Hypothesis(what, remedy, lambda c: c.read(p(c), volume=volume), 0.0)
 
 
-def _of_joints(what: str, remedy: str, q: Callable[[Array], Array]) -> Hypothesis:
-    return Hypothesis(what, remedy, lambda c: c.moved(q(c.q)), 0.0, touches="joints")
+def _of_joints(what: str, remedy: str, M: Array) -> Hypothesis:
+    """Joints whose positions are M (n, n) times the reported ones."""
+    return Hypothesis(what, remedy, lambda c: c.moved(c.q @ M.T), 0.0, touches="joints")
 
 
 # --- readings --------------------------------------------------------------------------------------------------------
@@ -87,26 +97,28 @@ def rarer_units() -> Iterator[Hypothesis]:
 
 
 def _scaled(what: str, remedy: str, scale: float) -> Hypothesis:
-    return _reading(what, remedy, lambda c: scale * c.p, 3.0 * float(np.log(scale)))
+    return _mapped(what, remedy, scale * np.eye(3))
+
+
+def _mapped(what: str, remedy: str, M: Array) -> Hypothesis:
+    """Positions that are M (3, 3) times the written ones."""
+    return _reading(what, remedy, lambda c: c.p @ M.T, float(np.linalg.slogdet(M)[1]))
 
 
 def axes() -> Iterator[Hypothesis]:
     """Positions in a left-handed frame: one coordinate of the other sign, or two columns swapped."""
     for i, axis in enumerate("xyz"):
-        sign = np.where(np.arange(3) == i, -1.0, 1.0)
         what = f"positions look mirrored (sign of {axis}, a left-handed frame)"
-        yield _reading(what, f"correct the sign of {axis}", lambda c, sign=sign: c.p * sign)  # type: ignore[misc]
+        yield _mapped(what, f"correct the sign of {axis}", _signs(3, (i,)))
     for i, j in ((0, 1), (0, 2), (1, 2)):
         what = f"positions look as if columns {'xyz'[i]} and {'xyz'[j]} were swapped (a left-handed frame)"
-        order = _exchanged(3, i, j)
-        yield _reading(what, "correct the order of the columns", lambda c, order=order: c.p[:, order])  # type: ignore[misc]
+        yield _mapped(what, "correct the order of the columns", np.eye(3)[_exchanged(3, i, j)])
 
 
 def left_handed() -> Hypothesis:
     """The same where orientations do not say which: one is the others, seen from another side."""
     what = "positions look mirrored (a left-handed frame: two columns swapped, or one of the other sign)"
-    mirror = np.array([1.0, 1.0, -1.0])
-    return _reading(what, "correct the order or the signs of the columns", lambda c: c.p * mirror)
+    return _mapped(what, "correct the order or the signs of the columns", _signs(3, (2,)))
 
 
 def mirror_image() -> Hypothesis:
@@ -154,37 +166,32 @@ def increments() -> Hypothesis:
 def _polar(position: Array) -> Iterator[Hypothesis]:
     """Angles and a range in the columns of x, y and z, in any order, as instruments measure them."""
     size = np.abs(position).max(axis=0)
-    for far, swapped in product((2, 0, 1), (False, True)):
+    lengths = (("metres", 1.0), ("millimetres", 1e-3))
+    ways = product((2, 0, 1), (False, True), _ANGLES, lengths, (False, True), (False, True))
+    for far, swapped, (unit, angle), (length, metre), zenith, clockwise in ways:
         around, up = [k for k in range(3) if k != far][:: -1 if swapped else 1]
-        for (unit, angle), (length, metre) in product(_ANGLES, (("metres", 1.0), ("millimetres", 1e-3))):
-            most = _MAX_TURN * np.pi / angle
-            if size[around] > 2.0 * most or size[up] > most:
-                continue
-            for zenith, clockwise in product((False, True), repeat=2):
+        most = _MAX_TURN * np.pi / angle
+        if size[around] > 2.0 * most or size[up] > most:
+            continue
 
-                def undone(
-                    c: HandEye,
-                    columns: tuple[int, int, int] = (around, up, far),
-                    scales: tuple[float, float] = (angle, metre),
-                    how: tuple[bool, bool] = (zenith, clockwise),
-                ) -> HandEye:
-                    a, e, r = (c.p[:, k] for k in columns)
-                    a, e, r = scales[0] * a, scales[0] * e, scales[1] * r
-                    e = 0.5 * np.pi - e if how[0] else e
-                    a = -a if how[1] else a
-                    xyz = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
-                    grown = np.log(np.maximum(np.abs(r) ** 2 * np.abs(np.cos(e)), 1e-9))
-                    volume = grown + 2.0 * np.log(scales[0]) + np.log(scales[1])
-                    return c.read(r[:, None] * xyz, volume=volume)
+        def undone(
+            c: HandEye,
+            columns: tuple[int, int, int] = (around, up, far),
+            scales: tuple[float, float] = (angle, metre),
+            how: tuple[bool, bool] = (zenith, clockwise),
+        ) -> HandEye:
+            a, e, r = (c.p[:, k] for k in columns)
+            a, e, r = scales[0] * a, scales[0] * e, scales[1] * r
+            e = 0.5 * np.pi - e if how[0] else e
+            a = -a if how[1] else a
+            xyz = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
+            grown = np.log(np.maximum(np.abs(r) ** 2 * np.abs(np.cos(e)), 1e-9))
+            return c.read(r[:, None] * xyz, volume=grown + 2.0 * np.log(scales[0]) + np.log(scales[1]))
 
-                order = sorted(((around, "azimuth"), (up, "zenith angle" if zenith else "elevation"), (far, "range")))
-                yield Hypothesis(
-                    f"positions look like polar coordinates ({', '.join(name for _, name in order)}; "
-                    f"angles in {unit}, range in {length}{', azimuth clockwise' if clockwise else ''})",
-                    "write x, y and z in metres",
-                    undone,
-                    0.0,
-                )
+        order = sorted(((around, "azimuth"), (up, "zenith angle" if zenith else "elevation"), (far, "range")))
+        what = f"positions look like polar coordinates ({', '.join(name for _, name in order)}; angles in {unit}, "
+        what += f"range in {length}{', azimuth clockwise' if clockwise else ''})"
+        yield Hypothesis(what, "write x, y and z in metres", undone, 0.0)
 
 
 # --- orientations ----------------------------------------------------------------------------------------------------
@@ -207,13 +214,16 @@ def rotations(stated: str | None = None) -> Iterator[Hypothesis]:
                 "publish unit quaternions x y z w",
                 lambda R, o=order, s=sign: so3.from_quaternion(so3.to_quaternion(R)[:, o] * s),  # type: ignore[misc]
             )
-        what, remedy = (
+        yield _orientation(
             "orientations look inverse (conjugate quaternions)",
-            "publish the orientation of the tool in the ",
+            "publish the orientation of the tool in the tracker's frame",
+            lambda R: np.swapaxes(R, 1, 2),
         )
-        yield _orientation(what, f"{remedy}tracker's frame", lambda R: np.swapaxes(R, 1, 2))
-        what = "rotation vectors look like radians read as degrees"
-        yield _orientation(what, "state the unit rad", lambda R: so3.exp(np.degrees(so3.log(R))))
+        yield _orientation(
+            "rotation vectors look like radians read as degrees",
+            "state the unit rad",
+            lambda R: so3.exp(np.degrees(so3.log(R))),
+        )
     # about fixed axes is about moving ones in the reverse order: the same rotations
     composed = tuple(s for s in THREE_AXES + TWO_AXES if s.isupper()) if stated is None else (stated,)
     for by in composed:
@@ -267,14 +277,14 @@ def _axes(sequence: str) -> str:
 
 def joints(names: tuple[str, ...]) -> Iterator[Hypothesis]:
     """Two joints swapped, one that turns the other way, degrees for radians and the reverse."""
+    every = np.eye(len(names))
     for i, j in combinations(range(len(names)), 2):
         yield _ordered(f"joints {names[i]} and {names[j]} look swapped", _exchanged(len(names), i, j))
     for i, name in enumerate(names):
-        sign = np.where(np.arange(len(names)) == i, -1.0, 1.0)
         remedy = "correct its sign, or the axis in the URDF"
-        yield _of_joints(f"joint {name} looks reversed", remedy, lambda q, sign=sign: q * sign)  # type: ignore[misc]
-    yield _of_joints("joint positions look like degrees", "record radians", np.radians)
-    yield _of_joints("joint positions look converted to radians twice", "record radians", np.degrees)
+        yield _of_joints(f"joint {name} looks reversed", remedy, _signs(len(names), (i,)))
+    yield _of_joints("joint positions look like degrees", "record radians", np.radians(every))
+    yield _of_joints("joint positions look converted to radians twice", "record radians", np.degrees(every))
 
 
 def several_joints(names: tuple[str, ...]) -> Iterator[Hypothesis]:
@@ -284,10 +294,8 @@ def several_joints(names: tuple[str, ...]) -> Iterator[Hypothesis]:
     n = len(names)
     for count in range(2, n + 1):
         for some in combinations(range(n), count):
-            sign = np.where(np.isin(np.arange(n), some), -1.0, 1.0)
             what = f"joints {listed(names[i] for i in some)} look reversed"
-            remedy = "correct their signs, or the axes in the URDF"
-            yield _of_joints(what, remedy, lambda q, sign=sign: q * sign)  # type: ignore[misc]
+            yield _of_joints(what, "correct their signs, or the axes in the URDF", _signs(n, some))
     for i, j in combinations(range(n), 2):
         for back in ((i,), (j,), (i, j)):
             what = f"joints {names[i]} and {names[j]} look swapped, and {listed(names[r] for r in back)} reversed"
@@ -303,45 +311,31 @@ def several_joints(names: tuple[str, ...]) -> Iterator[Hypothesis]:
     yield _ordered("joints look written in reverse order", list(range(n))[::-1])
     for i, j in permutations(range(n), 2):
         for factor, how in ((-1.0, "the sum of both"), (1.0, "its difference to the other")):
-            to = np.eye(n)
-            to[i, j] = factor
-            yield _of_joints(
-                f"joint {names[i]} looks counted together with {names[j]} ({how}, as coupled drives are)",
-                f"write the angle between its two links as the position of {names[i]}",
-                lambda q, to=to: q @ to.T,  # type: ignore[misc]
-            )
+            what = f"joint {names[i]} looks counted together with {names[j]} ({how}, as coupled drives are)"
+            remedy = f"write the angle between its two links as the position of {names[i]}"
+            yield _of_joints(what, remedy, np.eye(n) + factor * np.outer(np.eye(n)[i], np.eye(n)[j]))
 
 
 def in_degrees(names: tuple[str, ...]) -> Iterator[Hypothesis]:
     """One joint that is written in degrees, in revolutions, twice or half as far."""
-    for how, factor in (
-        ("in degrees", np.pi / 180.0),
-        ("in revolutions", 2.0 * np.pi),
-        ("twice as far", 0.5),
-        ("half as far", 2.0),
-        ("at the motor, before a gear of 100", 0.01),
-        ("at the motor, before a gear of 50", 0.02),
-        ("in millimetres", 1e-3),
-    ):
+    for how, factor in _COUNTED:
         for i, name in enumerate(names):
-            scale = np.where(np.arange(len(names)) == i, factor, 1.0)
-            yield _of_joints(
-                f"joint {name} is apparently counted {how}",
-                f"check how the position of {name} gets into joint_states",
-                lambda q, scale=scale: q * scale,  # type: ignore[misc]
-            )
+            what, remedy = f"joint {name} is apparently counted {how}", f"check how the position of {name} gets into "
+            scale = np.diag(np.where(np.arange(len(names)) == i, factor, 1.0))
+            yield _of_joints(what, f"{remedy}joint_states", scale)
 
 
 def _ordered(what: str, order: list[int], back: tuple[int, ...] = ()) -> Hypothesis:
-    sign = np.where(np.isin(np.arange(len(order)), back), -1.0, 1.0)
     remedy = f"correct the names{' and the signs' if back else ''} in joint_states"
-    return _of_joints(what, remedy, lambda q: q[:, order] * sign)
+    return _of_joints(what, remedy, _signs(len(order), back) @ np.eye(len(order))[order])
+
+
+def _signs(n: int, back: tuple[int, ...]) -> Array:
+    return np.diag(np.where(np.isin(np.arange(n), back), -1.0, 1.0))
 
 
 def _exchanged(n: int, i: int, j: int) -> list[int]:
-    order = list(range(n))
-    order[i], order[j] = j, i
-    return order
+    return [j if k == i else i if k == j else k for k in range(n)]
 
 
 def of_some_rows(case: HandEye) -> list[Hypothesis]:

@@ -15,14 +15,16 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration import base_and_tool_turns, turns_left
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.hypotheses.hand_eye import ANGLE, HandEye, Placement, at, placed
+from modcal_core.hypotheses.hand_eye import ANGLE, HandEye, Placement, at, placed, points
 from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, family, listed
+from modcal_core.hypotheses.joint_columns import unexplained
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Chain, forward, frames
 
 _FEW = 80  # stations that a description is fitted to
 _ROUNDS, _SETTLED = 40, 1e-3  # iterations, and the relative change of the cost at which a fit has settled
 _STARTS = 4  # likeliest mixtures, and likeliest zeros, that are refined beside the columns as they are
+_SHORT, _FOLLOWED = 8, 3  # iterations after which only the likeliest are followed, and how many
 _MAX_INNER = 5  # joints whose zeros are looked at together, 4⁵ ways
 _SIMPLE, _WHOLE = (0.5, 1.0, 2.0), 0.02  # fractions, and by which share a coefficient may miss one that is said instead
 _OFF = 4.0 * ANGLE  # rad that a joint must be off by at the usual station to be named
@@ -80,28 +82,38 @@ def _of_link(chain: Chain, first: int, last: int, inverse: bool) -> tuple[str, s
     return f"{what}; {moved}", f"{remedy}that carry target and tracker"
 
 
-# --- axes ------------------------------------------------------------------------------------------------------------
+# --- axes and types -------------------------------------------------------------------------------------------------
 
 
 def axes(case: HandEye) -> list[Hypothesis]:
     """Joints that turn or slide along another axis of their frame than the description says."""
     out = []
     for j, name in enumerate(case.names):
+        there = case.chain.axes[j]
         for u in (s * e for e in np.eye(3) for s in (1.0, -1.0)):
-            if abs(float(u @ case.chain.axes[j])) > 0.99:  # of the other sign it is a reversed joint
+            if abs(float(u @ there)) > 0.99:  # of the other sign it is a reversed joint
                 continue
+            what = f"joint {name} looks as if it turned about {_vector(u)} in its frame and not about {_vector(there)}"
             other = replace(case.chain, axes=np.where(np.arange(case.chain.n)[:, None] == j, u, case.chain.axes))
-            out.append(
-                Hypothesis(
-                    f"joint {name} looks as if it turned about {_vector(u)} in its frame and not about "
-                    f"{_vector(case.chain.axes[j])}",
-                    f"check <axis> of {name} in the URDF",
-                    lambda c, other=other: replace(c, A=forward(other, c.q)),  # type: ignore[misc]
-                    0.0,
-                    touches="joints",
-                )
-            )
+            out.append(_of_chain(what, f"check <axis> of {name} in the URDF", other))
     return family(RARE, out)
+
+
+def types(case: HandEye) -> list[Hypothesis]:
+    """Joints that slide where they turn, or the reverse."""
+    out = []
+    for j, name in enumerate(case.names):
+        revolute, lower, upper = (x.copy() for x in (case.chain.revolute, case.chain.lower, case.chain.upper))
+        revolute[j], lower[j], upper[j] = not revolute[j], -np.pi, np.pi
+        written, real = ("revolute", "slide") if case.chain.revolute[j] else ("prismatic", "turn")
+        what = f"joint {name} is {written} in the URDF, and the readings show it {real}"
+        other = replace(case.chain, revolute=revolute, lower=lower, upper=upper)
+        out.append(_of_chain(what, f'check <joint type="..."> of {name}', other))
+    return family(RARE, out)
+
+
+def _of_chain(what: str, remedy: str, other: Chain) -> Hypothesis:
+    return Hypothesis(what, remedy, lambda c: replace(c, A=forward(other, c.q)), 0.0, touches="joints")
 
 
 def _vector(axis: Array) -> str:
@@ -152,14 +164,18 @@ class Free:
     turns: bool = False
 
 
-def fitted(case: HandEye, start: FittedArm, free: Free, near: float = 1.0) -> tuple[FittedArm, Placement]:
-    """The arm, base and tool that the readings ask for, from this start. near: limits that count as little."""
+def fitted(
+    case: HandEye, start: FittedArm, free: Free, near: float = 1.0, rounds: int = _ROUNDS
+) -> tuple[FittedArm, Placement]:
+    """The arm, base and tool that the readings ask for, from this start. near: limits that count as little. rounds:
+    iterations at most.
+    """
     scale = near * np.array(case.limits)
     placement = placed(replace(case, A=start.tip(case.q)), thorough=False).placement
     state = start, placement
     r, G = _rows(case, *state, free, scale)
     damping, cost = 1e-3, _cost(r)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         weight = np.repeat(1.0 / (1.0 + np.sum(r**2, axis=1)), r.shape[1])  # Cauchy
         flat = G.reshape(-1, G.shape[2])
         H = (flat.T * weight) @ flat
@@ -249,22 +265,16 @@ def _few(case: HandEye) -> HandEye:
 def links(case: HandEye) -> Iterator[Hypothesis]:
     """One origin of the description that stands elsewhere or otherwise, or several whose lengths are others."""
     few, chain = _few(case), case.chain
-    n, likely = chain.n, list[tuple[float, int, FittedArm]]()
-    values = 6 if case.poses else 3
-    for j in range(1, n):
-        starts = [
-            FittedArm.described(chain),
-            *(_turned_origin(chain, j, S) for S in (_cube(few, j) if case.poses else ())),
-        ]
-        for start in starts:
-            arm, placement = fitted(few, start, Free(origins=(j,), turns=case.poses))
-            left = at(replace(few, A=arm.tip(few.q)), placement).usual
-            likely.append((max(a / b for a, b in zip(left, few.limits, strict=True)), len(likely), arm))
-            what, remedy = _of_origin(chain, j, arm.origins[j])
-            if what:
-                yield _by_arm(what, remedy, arm, RARE - float(np.log(n * len(starts))), values)
+    n, described = chain.n, FittedArm.described(chain)
+    starts = [(j, described) for j in range(1, n)]
+    starts += [(j, _turned_origin(chain, j, S)) for j in range(1, n) for S in (_cube(few, j) if case.poses else ())]
+    likely = _likeliest(few, [(start, Free(origins=(j,), turns=case.poses)) for j, start in starts])
+    for _, arm, free in likely:
+        what, remedy = _of_origin(chain, free.origins[0], arm.origins[free.origins[0]])
+        if what:
+            yield _by_arm(what, remedy, arm, RARE - float(np.log(3 * n)), 6 if case.poses else 3)
     every = tuple(range(1, n))
-    afar, _ = fitted(few, FittedArm.described(chain), Free(origins=every), near=_AFAR)
+    afar, _ = fitted(few, described, Free(origins=every), near=_AFAR)
     arm, placement = fitted(few, afar, Free(origins=every))
     lengths = at(replace(few, A=arm.tip(few.q)), placement)
     shifts = [np.linalg.norm(arm.origins[j, :3, 3] - chain.origins[j, :3, 3]) for j in range(1, n)]
@@ -277,8 +287,8 @@ def links(case: HandEye) -> Iterator[Hypothesis]:
             RARE,
             3 * (n - 1),
         )
-    if case.poses and likely and min(likely)[0] > 1.0 and not lengths.explains:  # one link alone is not enough
-        arm, _ = fitted(few, min(likely)[2], Free(origins=every, turns=True))
+    if case.poses and likely and likely[0][0] > 1.0 and not lengths.explains:  # one link alone is not enough
+        arm, _ = fitted(few, likely[0][1], Free(origins=every, turns=True))
         turned = [np.linalg.norm(so3.log(chain.origins[j, :3, :3].T @ arm.origins[j, :3, :3])) for j in range(1, n)]
         yield _by_arm(
             "orientations and positions fit with another turn of the origin of joint "
@@ -348,55 +358,61 @@ def _unwound(axis: Array, S: Array) -> Array:
 
 
 def mixtures(case: HandEye) -> Iterator[Hypothesis]:
-    """Joint positions that are mixed, scaled or shifted: the linear map of the columns that the readings ask for."""
+    """Joint positions that are mixed, scaled or shifted: the linear map of the columns that positions ask for."""
     few, chain = _few(case), case.chain
-    moved = tuple(np.flatnonzero(case.q.std(axis=0) > 0.0).tolist())
-    as_described = FittedArm.described(chain)
-    starts = [as_described]
-    part = few.select(spread_rows(len(few), 40))
-    for some in (list(_mixed(chain)), list(_zeros(chain))):
-        starts += _sifted(some, part)
-    for start in starts:
-        arm, placement = fitted(few, start, Free(columns=moved))
-        if at(replace(few, A=arm.tip(few.q)), placement).usual[1] > few.limits[1]:
+    free = Free(columns=tuple(np.flatnonzero(case.q.std(axis=0) > 0.0).tolist()))
+    starts = [FittedArm.described(chain), *_sifted(few, list(_mixed(chain.n))), *_sifted(few, list(_zeros(chain)))]
+    for left, arm, _ in _likeliest(points(few), [(start, free) for start in starts]):
+        if left > 1.0:
             continue
-        what, who, values = _of_map(arm, case)
-        if what:
-            remedy = f"check how the positions of {who} get into joint_states"
-            yield _by_arm(what, remedy, arm, COMMON + VERY_RARE - RARE, values)
+        for other in (fitted(few, arm, free)[0], arm) if case.poses else (arm,):  # whatever orientations mean
+            what, who, values = _of_map(other, case)
+            if what:
+                remedy = f"check how the positions of {who} get into joint_states"
+                yield _by_arm(what, remedy, other, COMMON + VERY_RARE - RARE, values)
 
 
-def _sifted(arms: Sequence[FittedArm], part: HandEye, most: int = _STARTS) -> list[FittedArm]:
-    """Those that leave least by a linear map of turns and places, whatever base and tool are."""
-    p = part.p - part.p.mean(axis=0)
-    left = []
-    for arm in arms:
-        A = arm.tip(part.q)
-        design = np.concatenate([A[:, :3, :3].reshape(-1, 9), A[:, :3, 3]], axis=1)
-        design = design - design.mean(axis=0)
-        H = design.T @ design
-        g = design.T @ p
-        left.append(-float(np.sum(g * np.linalg.solve(H + 1e-9 * np.trace(H) * np.eye(12), g))))
-    return [arms[k] for k in np.argsort(left)[:most]]
+def _likeliest(few: HandEye, starts: Sequence[tuple[FittedArm, Free]]) -> list[tuple[float, FittedArm, Free]]:
+    """What is left in limits of an arm, nearest first, of the starts that lead nearest in a few steps."""
+
+    def ahead(start: FittedArm, free: Free, rounds: int) -> tuple[float, FittedArm, Free]:
+        arm, placement = fitted(few, start, free, rounds=rounds)
+        usual = at(replace(few, A=arm.tip(few.q)), placement).usual
+        return max(a / b for a, b in zip(usual, few.limits, strict=True)), arm, free
+
+    first = sorted((ahead(*start, _SHORT) for start in starts), key=lambda one: one[0])
+    return sorted((ahead(arm, free, _ROUNDS) for _, arm, free in first[:_FOLLOWED]), key=lambda one: one[0])
 
 
-def _zeros(chain: Chain) -> Iterator[FittedArm]:
+def _sifted(few: HandEye, maps: Sequence[tuple[Array, Array]]) -> list[FittedArm]:
+    """The maps (M, c) that leave least by a linear map of turns and places, whatever base and tool are."""
+    if not maps:
+        return []
+    part = few.select(spread_rows(len(few), 40))
+    q = np.stack([part.q @ M.T + c for M, c in maps])
+    A = forward(few.chain, q)
+    left = unexplained(A[..., :3, :3], A[..., :3, 3], part.p - part.p.mean(axis=0)).sum(axis=1)
+    arm = FittedArm.described(few.chain)
+    return [replace(arm, M=maps[k][0], c=maps[k][1]) for k in np.argsort(left)[:_STARTS]]
+
+
+def _zeros(chain: Chain) -> Iterator[tuple[Array, Array]]:
     """Quarter turns in the zeros of the joints between the first and the last, whose own are base and tool as well."""
     inner = [j for j in range(1, chain.n - 1) if chain.revolute[j]]
     for quarters in product(range(4), repeat=len(inner) if len(inner) <= _MAX_INNER else 0):
         c = np.zeros(chain.n)
         c[inner[: len(quarters)]] = 0.5 * np.pi * np.array(quarters)
-        yield replace(FittedArm.described(chain), c=c)
+        yield np.eye(chain.n), c
 
 
-def _mixed(chain: Chain) -> Iterator[FittedArm]:
+def _mixed(n: int) -> Iterator[tuple[Array, Array]]:
     """What undoes sums, differences and means of two columns, and angles that add up along the arm."""
-    n = chain.n
+    none = np.zeros(n)
     for first in range(n - 2):
         for last in range(first + 3, n + 1):
             B = np.eye(n)
             B[first:last, first:last] = np.tril(np.ones((last - first, last - first)))
-            yield replace(FittedArm.described(chain), M=np.asarray(np.linalg.inv(B), dtype=float))
+            yield np.asarray(np.linalg.inv(B), dtype=float), none
     for i, j in combinations(range(n), 2):
         for values in product((-1.0, 0.0, 1.0), repeat=4):
             B = np.array(values).reshape(2, 2)
@@ -404,7 +420,7 @@ def _mixed(chain: Chain) -> Iterator[FittedArm]:
             for scale in () if det == 0.0 else (1.0, 2.0) if abs(det) == 2.0 else (1.0,):
                 M = np.eye(n)
                 M[np.ix_((i, j), (i, j))] = scale * np.linalg.inv(B)
-                yield replace(FittedArm.described(chain), M=M)
+                yield M, none
 
 
 def _of_map(arm: FittedArm, case: HandEye) -> tuple[str, str, int]:

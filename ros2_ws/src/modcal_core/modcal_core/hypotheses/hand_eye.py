@@ -27,9 +27,9 @@ SPREAD = (2e-3, 1e-3)  # rad and share of the reach, per axis: a nominal arm's u
 ASTRAY = 0.05  # share of readings that may say anything
 INDEPENDENT = 100  # stations that count
 ANYWHERE = float(np.log(8.0 * np.pi**2))  # log of the volume of orientations
-_DRAWS = 240  # with a third of the stations in agreement, one draw of five holds only these: 1 − (1 − 3⁻⁵)²⁴⁰ = 63 %
+_DRAWS = 400  # with a third of the stations in agreement, one draw of five holds only these: 1 − (1 − 3⁻⁵)⁴⁰⁰ = 81 %
 _ROUNDS = 8  # iterations
-_OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
+OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
 MANY = 0.2  # share of the stations that must agree, lest chance finds that many
 
 
@@ -38,15 +38,9 @@ def limits(chain: Chain) -> tuple[float, float]:
     return ANGLE, OF_REACH * chain.reach()
 
 
-def thinned(samples: Samples, most: int) -> Samples:
-    """At most so many samples, evenly along the recording, in order of time."""
-    order = np.argsort(samples.stamps, kind="stable")
-    return samples.select(order[spread_rows(len(order), most)])
-
-
 @dataclass(frozen=True)
 class Placement:
-    """Base (Y, t) and tool (X, x): orientations are Y A X, positions Y (A x) + t."""
+    """Base (Y, t) and tool (X, x): orientations are Y A X, positions Y (A x) + t. Several at once have a first axis."""
 
     Y: Array
     X: Array
@@ -54,15 +48,20 @@ class Placement:
     t: Array
 
     def left(self, case: HandEye) -> tuple[Array, Array]:
-        """Turns [rad] and gaps [m] of the readings from what is expected, (N, 3) each; turns are zero without poses."""
-        gaps = case.p - (se3.apply(case.B, self.x) @ self.Y.T + self.t)
+        """Turns [rad] and gaps [m] of the readings from what is expected, (…, N, 3); turns are zero without poses."""
+        gaps = case.p - self.points(case.B)
         if not case.poses:
             return np.zeros_like(gaps), gaps
-        return turns_left(self.Y, case.A[:, :3, :3], self.X, case.R), gaps
+        return turns_left(self.Y, case.A[..., :3, :3], self.X, case.R), gaps
+
+    def points(self, A: Array) -> Array:
+        """Positions (…, N, 3) at tip poses (…, N, 4, 4)."""
+        point = (A[..., :3, :3] @ self.x[..., None, :, None])[..., 0] + A[..., :3, 3]
+        return np.asarray(point @ np.swapaxes(self.Y, -1, -2) + self.t[..., None, :])
 
     def expected(self, A: Array) -> tuple[Array, Array]:
         """Orientations (N, 3, 3) and positions (N, 3) at tip poses (N, 4, 4)."""
-        return self.Y @ A[:, :3, :3] @ self.X, se3.apply(A, self.x) @ self.Y.T + self.t
+        return self.Y @ A[:, :3, :3] @ self.X, self.points(A)
 
 
 @dataclass(frozen=True)
@@ -102,8 +101,7 @@ class HandEye:
     @classmethod
     def holding(cls, samples: Samples, chain: Chain) -> HandEye:
         """All of these samples."""
-        R = samples.R if samples.is_pose.all() else None
-        case = cls.of_arrays(chain, samples.q, samples.reading, R)
+        case = cls.of_arrays(chain, samples.q, samples.reading, samples.R if samples.is_pose.all() else None)
         return replace(case, names=samples.names or chain.names, station=samples.station)
 
     @classmethod
@@ -178,23 +176,22 @@ class ErrorScale:
 
     def rows(self, turns: Array, gaps: Array) -> Array:
         """Log likelihood of each station, (N,), at the spreads that are likeliest over all."""
-        out = _likelihood(gaps, self.position, self.volume, self.reach)
-        return out + _likelihood(turns, SPREAD[0], ANYWHERE, np.pi) if self.poses else out
+        out = likeliest(np.sum(gaps**2, axis=1), self.position, self.volume, self.reach)
+        return out + likeliest(np.sum(turns**2, axis=1), SPREAD[0], ANYWHERE, np.pi) if self.poses else out
 
 
-def likelihood_at(left: Array, sigma: Array | float, volume: Array | float) -> Array:
-    """Log likelihood of residuals (N, 3) of these deviations: (N,), or (S, N) of deviations (S, 1)."""
-    inside = np.log1p(-ASTRAY) - 0.5 * np.sum(left**2, axis=1) / sigma**2 - 1.5 * np.log(2.0 * np.pi * sigma**2)
+def likelihood_at(square: Array, sigma: Array | float, volume: Array | float, dimensions: int = 3) -> Array:
+    """Log likelihood of squared residuals (N,) of these deviations: (N,), or (S, N) of deviations (S, 1)."""
+    inside = np.log1p(-ASTRAY) - 0.5 * square / sigma**2 - 0.5 * dimensions * np.log(2.0 * np.pi * sigma**2)
     return np.asarray(np.logaddexp(inside, np.log(ASTRAY) - volume))
 
 
-def _likelihood(left: Array, least: float, volume: Array | float, most: float) -> Array:
-    """Log likelihood (N,) of residuals (N, 3): Gaussian of the likeliest deviation in these limits, or anything."""
-    square = np.sum(left**2, axis=1)
+def likeliest(square: Array, least: float, volume: Array | float, most: float, dimensions: int = 3) -> Array:
+    """Log likelihood (N,) of squared residuals (N,): Gaussian of the likeliest deviation in these limits, or any."""
     sigma = least * 2.0 ** np.arange(24.0)
     largest = min(2.0 * max(least, float(np.sqrt(square.max(initial=0.0)))), most)
     sigma = sigma[sigma <= max(largest, least)][:, None]
-    each = likelihood_at(left, sigma, volume)
+    each = likelihood_at(square, sigma, volume, dimensions)
     return np.asarray(each[int(np.argmax(each.sum(axis=1)))])
 
 
@@ -247,7 +244,7 @@ class HandEyeFit:
         Readings by which hardly anything moves fit whatever they are.
         """
         limits = zip(self.usual, self.case.limits, self.case.motion, strict=True)
-        return all(left <= min(limit, _OF_MOTION * motion) for left, limit, motion in limits)
+        return all(left <= min(limit, OF_MOTION * motion) for left, limit, motion in limits)
 
     @property
     def clean(self) -> bool:
@@ -262,50 +259,62 @@ def points(case: HandEye) -> HandEye:
 
 
 def placed(case: HandEye, thorough: bool = True) -> HandEyeFit:
-    """The case with the base and the tool that most of its stations agree on.
+    """The case with the base and the tool that most of its stations agree on, of very many found on some.
 
-    thorough: also from draws of a few stations, where closed forms over all of them leave many astray.
+    thorough: also from draws of a few stations.
     """
     best: HandEyeFit | None = None
-    for start in _starts(case):
-        for fit in (_fit(case, start), _fit(case, _refined(case, start))):
+    few = _independent(case)
+    for start in _starts(few):
+        for fit in (at(few, start), at(few, _refined(few, start))):
             best = fit if best is None or fit.better_than(best) else best
         if best is not None and best.explains:
             break
     assert best is not None
-    if thorough and best.agree().mean() < 1.0 - ASTRAY and len(case) >= 8:
-        drawn = _by_draws(case)
-        for placement in () if drawn is None else (drawn, _refined(case, drawn)):
-            fit = _fit(case, placement)
+    best = best if few is case else at(case, _refined(case, best.placement))
+    return redrawn(best) if thorough else best
+
+
+def redrawn(best: HandEyeFit) -> HandEyeFit:
+    """A fit, or one that starts from draws of a few stations, where closed forms over all of them leave many astray."""
+    case = best.case
+    if best.agree().mean() < 1.0 - ASTRAY and len(case) >= 8:
+        few = _independent(case)
+        drawn = _by_draws(few)
+        for placement in () if drawn is None else (drawn, _refined(few, drawn)):
+            fit = at(case, placement)
             best = fit if fit.better_than(best) else best
     return best
 
 
-def start(case: HandEye) -> Placement:
-    """Base and tool in closed form: by orientations where there are any, else by positions."""
-    if case.poses:
-        return _with_places(case, *base_and_tool_turns(case.A[:, :3, :3], case.R))
-    return _with_places(case, base_by_positions(case.B[None], case.p[None])[0], np.eye(3))
+def _independent(case: HandEye) -> HandEye:
+    """As many stations as count, evenly along the recording."""
+    return case if len(case) <= INDEPENDENT else case.select(spread_rows(len(case), INDEPENDENT))
 
 
 def at(case: HandEye, placement: Placement) -> HandEyeFit:
-    """The case with base and tool as another has them."""
-    return _fit(case, placement)
-
-
-def _fit(case: HandEye, placement: Placement) -> HandEyeFit:
+    """The case with base and tool as they are given."""
     turns, gaps = placement.left(case)
     rows = case.scale.rows(turns, gaps)
     return HandEyeFit(case, placement, rows, np.linalg.norm(turns, axis=1), np.linalg.norm(gaps, axis=1))
 
 
+def closed(case: HandEye) -> Placement:
+    """Base and tool in closed form, by orientations where there are any; of stacked tips (K, N, 4, 4) those of each."""
+    if case.poses:
+        return _with_places(case, *base_and_tool_turns(case.A[..., :3, :3], case.R))
+    A = case.B.reshape(-1, *case.B.shape[-3:])
+    p = np.broadcast_to(case.p, (*case.B.shape[:-2], 3)).reshape(len(A), -1, 3)
+    Y = base_by_positions(A, p).reshape(*case.B.shape[:-3], 3, 3)
+    return _with_places(case, Y, np.broadcast_to(np.eye(3), Y.shape))
+
+
 def _starts(case: HandEye) -> list[Placement]:
-    a = case.A[:, :3, :3]
-    Y = base_by_positions(case.B[None], case.p[None])[0]
+    by_all = closed(case)
     if not case.poses:
-        return [_with_places(case, Y, np.eye(3))]
-    ways = [(Y, so3.mean(np.swapaxes(Y @ a, 1, 2) @ case.R)), base_and_tool_turns(a, case.R)]
-    return [_with_places(case, *way) for way in ways]
+        return [by_all]
+    Y = base_by_positions(case.B[None], case.p[None])[0]
+    return [_with_places(case, Y, so3.mean(np.swapaxes(Y @ case.A[:, :3, :3], 1, 2) @ case.R)), by_all]
 
 
 def _with_places(case: HandEye, Y: Array, X: Array) -> Placement:
@@ -371,4 +380,4 @@ def _by_draws(case: HandEye) -> Placement | None:
     if inside[best].sum() <= few:
         return None
     agreeing = case.select(np.flatnonzero(inside[best]))
-    return max((_fit(agreeing, s) for s in _starts(agreeing)), key=lambda fit: fit.evidence).placement
+    return max((at(agreeing, s) for s in _starts(agreeing)), key=lambda fit: fit.evidence).placement

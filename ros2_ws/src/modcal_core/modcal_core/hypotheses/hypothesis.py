@@ -57,9 +57,7 @@ def where(case: HandEye, rows: np.ndarray) -> str:
     """These rows in words: runs of station numbers, or how many they are; empty for all of them."""
     if len(rows) == len(case):
         return ""
-    concerned = np.zeros(len(case), bool)
-    concerned[rows] = True
-    runs, number = consecutive(concerned), case.station
+    runs, number = consecutive(np.isin(np.arange(len(case)), rows)), case.station
     if len(runs) <= 3:
         return " at stations " + " and ".join(f"{number[a]} to {number[b - 1]}" for a, b in runs)
     return f" at {len(rows)} of {len(case)} stations, here and there"
@@ -67,9 +65,7 @@ def where(case: HandEye, rows: np.ndarray) -> str:
 
 def cost_of_rows(rows: np.ndarray, N: int) -> float:
     """Nats that it takes to say which rows: two ends of a run each, or each by itself."""
-    concerned = np.zeros(N, bool)
-    concerned[rows] = True
-    ends = 2 * len(consecutive(concerned)) * float(np.log(N))
+    ends = 2 * len(consecutive(np.isin(np.arange(N), rows))) * float(np.log(N))
     share = np.clip(len(rows) / N, 1.0 / N, 1.0 - 1.0 / N)
     return min(ends, -N * float(share * np.log(share) + (1.0 - share) * np.log(1.0 - share)))
 

@@ -112,7 +112,7 @@ class _ColumnSearch:
             A = A.reshape(len(some), len(self.q), 4, 4)
             R, t = A[..., :3, :3], A[..., :3, 3]
             back = np.swapaxes(R, -1, -2)
-            each = _left(R, t, centred, whole), _left(back, (back @ t[..., None])[..., 0], centred, whole)
+            each = unexplained(R, t, centred, whole), unexplained(back, (back @ t[..., None])[..., 0], centred, whole)
             left = np.minimum(*(share[:, at].mean(axis=2) for share in each))
             left[own[first : first + len(some)]] = np.inf
             best = left.argmin(axis=1)
@@ -124,11 +124,11 @@ class _ColumnSearch:
         return out
 
 
-def _left(R: Array, t: Array, centred: Array, whole: Array) -> Array:
-    """Share of the variance of coordinates (N, K) that is left, for turns (C, N, 3, 3) and places (C, N, 3); (C, K)."""
+def unexplained(R: Array, t: Array, centred: Array, whole: Array | float = 1.0) -> Array:
+    """Share of the squares of coordinates (N, K) that turns (C, N, 3, 3) and places (C, N, 3) leave, (C, K)."""
     design = np.concatenate([R.reshape(*R.shape[:2], 9), t], axis=2)
     design = design - design.mean(axis=1, keepdims=True)
     H = np.swapaxes(design, 1, 2) @ design
     g = np.swapaxes(design, 1, 2) @ centred
     held = 1e-9 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(12)
-    return np.asarray(1.0 - np.sum(g * np.linalg.solve(H + held, g), axis=1) / whole)
+    return np.asarray((np.sum(centred**2, axis=0) - np.sum(g * np.linalg.solve(H + held, g), axis=1)) / whole)

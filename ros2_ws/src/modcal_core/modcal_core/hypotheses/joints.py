@@ -7,19 +7,19 @@ joint's axis does. Two joints are solved for by Gauss-Newton steps.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
 
 from modcal_core.calibration import turns_left
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.hypotheses.hand_eye import SPREAD, HandEye, HandEyeFit, Placement, at, start
-from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, cost_of_rows, family, where
+from modcal_core.hypotheses.hand_eye import SPREAD, HandEye, HandEyeFit, Placement, at, closed
+from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, cost_of_rows, where
 from modcal_core.hypotheses.joint_columns import likely_orders
 from modcal_core.hypotheses.rows import astray
 from modcal_core.measurements import spread_rows
-from modcal_core.robots import Chain, forward, spatial_jacobian
+from modcal_core.robots import Chain, forward, frames, spatial_jacobian
 
 _STILL = 1e-9  # rad
 _SIGNS = 6  # joints, up to which all orders are asked with one of them reversed as well
@@ -49,29 +49,29 @@ def of_one(fit: HandEyeFit) -> Iterator[Hypothesis]:
 def throughout(case: HandEye) -> Iterator[Hypothesis]:
     """One joint that is off at all stations: its angles, base and tool are found in turn, from several starts."""
     rng, few = np.random.default_rng(0), case.select(spread_rows(len(case), 6 * _FEW))
+    count, limits = (_STARTS if case.poses else _STARTS // 4), np.array(case.limits)
+    width = np.pi * np.minimum(1.0, 0.15 * np.arange(1.0, count))
     for j in _turning(case.chain):
-        for k in range(_STARTS if case.poses else _STARTS // 4):
-            q = few.q.copy()
-            if k:
-                q[:, j] = rng.uniform(-np.pi, np.pi, len(q)) * min(1.0, 0.15 * k)
-            placement, left = _in_turn(few, j, q)
-            if left < 1.0:
-                q = solved(j, placement, case)
-                yield from _of_joint(case, j, np.arange(len(case)), q[:, j], COMMON)
+        joint, last = OneJoint.of(few, j), np.full(count, np.inf)
+        angle = np.concatenate([few.q[None, :, j], rng.uniform(-1.0, 1.0, (count - 1, len(few))) * width[:, None]])
+        found, nearest = None, 1.0
+        for round in range(_ROUNDS):
+            placement = closed(joint.turned(angle))
+            angle = joint.angles(placement)
+            each = np.linalg.norm(placement.left(joint.turned(angle)), axis=3)
+            left = (np.median(each, axis=2) / limits[:, None]).max(axis=0)
+            kept = (left <= 0.999 * last) & ((round != _TRIED) | (left <= _HOPELESS))
+            if left.min() < nearest:
+                best = int(np.argmin(left))
+                found = Placement(*(x[best] for x in (placement.Y, placement.X, placement.x, placement.t)))
+                nearest = left[best]
+                kept &= left == nearest  # the others are not needed
+            if not kept.any():
                 break
-
-
-def _in_turn(few: HandEye, j: int, q: Array) -> tuple[Placement, float]:
-    """Base and tool with which the readings agree on a joint's angles, and what is missed in limits of an arm."""
-    last, kept = np.inf, start(few)
-    for round in range(_ROUNDS):
-        placement = start(few.moved(q))
-        q = solved(j, placement, few)
-        left = max(a / b for a, b in zip(at(few.moved(q), placement).usual, few.limits, strict=True))
-        if left > 0.999 * last or (round == _TRIED and left > _HOPELESS):
-            break
-        last, kept = left, placement
-    return kept, last
+            angle, last = angle[kept], left[kept]
+        if found is not None:
+            q = solved(j, found, case)
+            yield from _of_joint(case, j, np.arange(len(case)), q[:, j], COMMON)
 
 
 def of_two(fit: HandEyeFit) -> Iterator[Hypothesis]:
@@ -153,29 +153,48 @@ def _spread(angle: Array) -> float:
     return float(np.sqrt(np.mean(off**2)))
 
 
+@dataclass(frozen=True)
+class OneJoint:
+    """Stations at any angle of one joint: tip poses at zero (N, 4, 4) turn about axes (N, 3) through points (N, 3)."""
+
+    case: HandEye
+    zero: Array
+    axis: Array
+    on: Array
+
+    @classmethod
+    def of(cls, case: HandEye, j: int) -> OneJoint:
+        """A joint of a case, its number counted from zero."""
+        q = case.q.copy()
+        q[:, j] = 0.0
+        f = frames(case.chain, q)
+        return cls(case, f.transform(-1), f.axes[j, 2].T, f.p[j].T)
+
+    def turned(self, angle: Array) -> HandEye:
+        """The stations with tips (K, N, 4, 4) at angles (K, N)."""
+        S = so3.exp(angle[..., None] * self.axis)
+        p = self.on + (S @ (self.zero[:, :3, 3] - self.on)[..., None])[..., 0]
+        return replace(self.case, A=se3.transform(S @ self.zero[:, :3, :3], p))
+
+    def angles(self, by: Placement) -> Array:
+        """Angles (…, N) as orientations tell them by each placement, or points where there are none."""
+        R0, Y = self.zero[:, :3, :3], by.Y[..., None, :, :]
+        if not self.case.poses:
+            here = (R0 @ by.x[..., None, :, None])[..., 0] + self.zero[:, :3, 3] - self.on
+            seen = (self.case.p - by.t[..., None, :]) @ by.Y - self.on
+            along = np.sum(self.axis * here, axis=-1) * np.sum(self.axis * seen, axis=-1)
+            cross = np.sum(self.axis * np.cross(here, seen), axis=-1)
+            return np.asarray(np.arctan2(cross, np.sum(here * seen, axis=-1) - along))
+        B = R0 @ by.X[..., None, :, :] @ np.swapaxes(self.case.R, 1, 2) @ Y
+        along = np.einsum("ni,...nij,nj->...n", self.axis, B, self.axis)
+        cross = np.einsum("nij,...nji->...n", so3.hat(self.axis), B)
+        return np.asarray(np.arctan2(cross, np.trace(B, axis1=-2, axis2=-1) - along))
+
+
 def solved(j: int, placement: Placement, part: HandEye) -> Array:
     """Postures with the angle of joint j as the orientations tell it, or points where there are none."""
     q = part.q.copy()
-    q[:, j] = 0.0
-    T0 = forward(part.chain, q)
-    q[:, j] = 1.0
-    T1 = forward(part.chain, q)
-    R0 = T0[:, :3, :3]
-    turn = T1[:, :3, :3] @ np.swapaxes(R0, 1, 2)
-    axis = so3.log(turn)
-    if not part.poses:
-        # a place on the axis, for the joint turns all behind it by one radian about it
-        off = T1[:, :3, 3] - np.einsum("nij,nj->ni", turn, T0[:, :3, 3])
-        on = np.einsum("nij,nj->ni", np.linalg.pinv(np.eye(3) - turn, rcond=1e-6), off)
-        here, seen = se3.apply(T0, placement.x) - on, (part.p - placement.t) @ placement.Y - on
-        along = np.einsum("ni,ni->n", axis, here) * np.einsum("ni,ni->n", axis, seen)
-        cross = np.einsum("ni,ni->n", axis, np.cross(here, seen))
-        q[:, j] = np.arctan2(cross, np.einsum("ni,ni->n", here, seen) - along)
-        return q
-    B = R0 @ placement.X @ np.swapaxes(part.R, 1, 2) @ placement.Y
-    along = np.einsum("ni,nij,nj->n", axis, B, axis)
-    cross = np.einsum("nij,nji->n", so3.hat(axis), B)
-    q[:, j] = np.arctan2(cross, np.trace(B, axis1=1, axis2=2) - along)
+    q[:, j] = OneJoint.of(part, j).angles(placement)
     return q
 
 
@@ -207,7 +226,7 @@ def solved_two(pair: tuple[int, int], placement: Placement, part: HandEye) -> Ar
     return q_best
 
 
-# --- columns under other names, other types --------------------------------------------------------------------------
+# --- columns under other names ------------- --------------------------------------------------------------------------
 
 
 def orders(case: HandEye) -> list[Hypothesis]:
@@ -223,8 +242,7 @@ def orders(case: HandEye) -> list[Hypothesis]:
             explained |= order.explains  # with fewer mistakes it is likelier
             if not shuffled:
                 continue
-            by = next((s for s in range(1, n) if order.columns == tuple((k + s) % n for k in range(n))), 0)
-            by = min(by, n - by)
+            by = next((min(s, n - s) for s in range(1, n) if order.columns == tuple((k + s) % n for k in range(n))), 0)
             how = f", all by {by} place{'s' if by > 1 else ''} (a list counted from another number)" if by else ""
             each = ", ".join(f"{case.names[k]} under the name {case.names[order.columns[k]]}" for k in shuffled)
             beside = "" if back is None else f", and {case.names[back]} reversed"
@@ -239,23 +257,3 @@ def orders(case: HandEye) -> list[Hypothesis]:
                 )
             )
     return out
-
-
-def types(case: HandEye) -> list[Hypothesis]:
-    """Joints that slide where they turn, or the reverse."""
-    out = []
-    for j, name in enumerate(case.names):
-        revolute, lower, upper = (x.copy() for x in (case.chain.revolute, case.chain.lower, case.chain.upper))
-        revolute[j], lower[j], upper[j] = not revolute[j], -np.pi, np.pi
-        other = replace(case.chain, revolute=revolute, lower=lower, upper=upper)
-        written, real = ("revolute", "slide") if case.chain.revolute[j] else ("prismatic", "turn")
-        out.append(
-            Hypothesis(
-                f"joint {name} is {written} in the URDF, and the readings show it {real}",
-                f'check <joint type="..."> of {name}',
-                lambda c, other=other: replace(c, A=forward(other, c.q)),  # type: ignore[misc]
-                0.0,
-                touches="joints",
-            )
-        )
-    return family(RARE, out)

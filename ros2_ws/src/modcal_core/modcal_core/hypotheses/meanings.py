@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration import base_and_tool_turns, tool_and_place, turns_left
-from modcal_core.geometry import Array, se3, so3
-from modcal_core.hypotheses.hand_eye import HandEye, placed
+from modcal_core.geometry import Array, se3
+from modcal_core.hypotheses.hand_eye import OF_MOTION, HandEye, placed
 from modcal_core.hypotheses.meant import BEYOND_DOUBT
 from modcal_core.hypotheses.search import rough
 from modcal_core.hypotheses.turning import Turning, turnings
@@ -27,7 +27,6 @@ LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # m; units that tabl
 MIN_ROWS = 10  # twelve unknown numbers at most, of thirty or sixty
 ARM_SHARE = 0.01  # of the reach; a nominal arm that misses by more (median) is not explained
 ARM_ANGLE = 0.035  # rad; the same of orientations
-OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
 _FEW, _MAX = 60, 300  # rows, evenly along the table, to look for meanings and to judge them
 _ROTATIONS = 48  # ways to read orientations, the best by themselves, that are tried with positions
 _NEAR = (3.0, 0.02)  # times, and rad more than, what the best leaves of orientations, that still count as good
@@ -76,8 +75,17 @@ class Judged:
 
     meaning: Meaning
     match: Match
-    R: Array
-    position: Array
+    case: HandEye
+
+    @property
+    def R(self) -> Array:
+        """Orientations (N, 3, 3) that were read."""
+        return self.case.R
+
+    @property
+    def position(self) -> Array:
+        """Positions (N, 3) [m]."""
+        return self.case.p
 
     @property
     def share(self) -> float:
@@ -85,7 +93,7 @@ class Judged:
 
         A meaning by which hardly anything moves fits whatever the columns are.
         """
-        place, turn = moved(self.R, self.position)
+        turn, place = self.case.motion
         left = self.match.typical / max(place, 1e-12)
         return left if self.meaning.turning is None else max(left, self.match.typical_angle / max(turn, 1e-12))
 
@@ -97,12 +105,6 @@ class Judged:
     def explained(self, chain: Chain) -> bool:
         """Whether what is left is also no more than most nominal arms are wrong by: no other meaning is looked for."""
         return self.near and self.match.typical <= ARM_SHARE * chain.reach() and self.match.typical_angle <= ARM_ANGLE
-
-
-def moved(R: Array, position: Array) -> tuple[float, float]:
-    """By how much poses (N, 3, 3), (N, 3) differ from their middle, medians [m, rad]."""
-    place = float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
-    return place, float(np.median(np.linalg.norm(so3.log(so3.mean(R).T @ R), axis=1)))
 
 
 def judge(chain: Chain, choices: Sequence[Postures], position: Array, turned: Array | None) -> list[Judged]:
@@ -137,7 +139,7 @@ def _judged_point(chain: Chain, choice: Postures, c: int, position: Array, unit:
     rows = spread_rows(len(position), _MAX)
     table = HandEye.of_arrays(chain, choice.q[rows], position[rows])
     case = table.read(LENGTHS[unit] * table.p, volume=3.0 * float(np.log(LENGTHS[unit])))
-    return Judged(Meaning(c, unit, None), Match.of(case), case.R, case.p)
+    return Judged(Meaning(c, unit, None), Match.of(case), case)
 
 
 def _judged_poses(
@@ -153,7 +155,7 @@ def _judged_poses(
     out = []
     for i in np.argsort(-scores, kind="stable")[:_JUDGED]:
         case = _read(meanings[i], turned[more], table)
-        out.append(Judged(meanings[i], Match.of(case), case.R, case.p))
+        out.append(Judged(meanings[i], Match.of(case), case))
     return out
 
 

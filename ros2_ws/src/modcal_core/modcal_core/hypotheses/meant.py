@@ -14,11 +14,11 @@ import numpy as np
 from modcal_core.calibration import Model, NoiseModel, distinct, errors
 from modcal_core.errors import BadRecording
 from modcal_core.hypotheses import conventions
-from modcal_core.hypotheses.hand_eye import HandEye, HandEyeFit, placed, thinned
+from modcal_core.hypotheses.hand_eye import HandEye, HandEyeFit, placed
 from modcal_core.hypotheses.hypothesis import COMMON, Hypothesis, family
 from modcal_core.hypotheses.refusal import standing
 from modcal_core.hypotheses.search import Answer, explain
-from modcal_core.measurements import POINT, Samples
+from modcal_core.measurements import POINT, Samples, spread_rows
 from modcal_core.robots import Chain, Mechanism, is_serial_arm
 
 BEYOND_DOUBT = 50.0  # nats
@@ -48,7 +48,8 @@ def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tup
         different = rows[np.unique(distinct(samples.q[rows]), return_index=True)[1]]  # one posture proves one thing
         if len(different) < _LEAST:
             continue
-        answer = _meant(thinned(samples.select(different), _MAX), chain, stated)
+        different = different[np.argsort(samples.stamps[different], kind="stable")]
+        answer = _meant(samples.select(different[spread_rows(len(different), _MAX)]), chain, stated)
         if answer is None:
             continue
         # what nobody is told of is undone only where nothing else is nearly as likely

@@ -9,15 +9,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.geometry import Array, so3
 from modcal_core.hypotheses.hand_eye import (
     ANYWHERE,
+    MANY,
     SPREAD,
     HandEye,
     HandEyeFit,
     Placement,
     at,
+    closed,
     likelihood_at,
     placed,
     points,
@@ -28,9 +29,9 @@ from modcal_core.hypotheses.hypothesis import (
     ROWS_REMEDY,
     Hypothesis,
     cost_of_rows,
-    family,
     where,
 )
+from modcal_core.hypotheses.joint_columns import unexplained
 from modcal_core.measurements import spread_rows
 
 _FEW = 40  # stations at which hypotheses are screened
@@ -44,7 +45,7 @@ _UNITS = {
     "feet": 1.0 / 0.3048,
     "kilometres": 1e-3,
 }  # of a metre
-_BEFORE, _AFTER = 8, 3  # rows that a filter reaches
+_BEFORE, _AFTER, _FILTERS = 8, 3, 2  # rows that a filter reaches; filters that are fitted
 
 
 def astray(fit: HandEyeFit) -> np.ndarray:
@@ -54,7 +55,7 @@ def astray(fit: HandEyeFit) -> np.ndarray:
 
 def likelihood(case: HandEye, placement: Placement) -> Array:
     """Log likelihood of each station, (N,), by a placement, at twice a nominal arm's usual error."""
-    turns, gaps = placement.left(case)
+    turns, gaps = (np.sum(left**2, axis=1) for left in placement.left(case))
     total = case.volume + likelihood_at(gaps, 2.0 * case.scale.position, case.scale.volume)
     return total + likelihood_at(turns, 2.0 * SPREAD[0], ANYWHERE) if case.poses else total
 
@@ -162,22 +163,19 @@ def moved(fit: HandEyeFit, rest: np.ndarray) -> Iterator[Hypothesis]:
     rows = rest[own.agree(2.0)]
     if len(rows) < _LEAST:
         return
-    here, there = fit.placement, own.placement
+    here = fit.placement
     remedy = "check whether two trackers or targets publish under one name; give each part its own frame or recording"
-    for what, other, values in (
-        ("the base (or the tracker) is displaced", replace(here, Y=there.Y, t=there.t), 6),
-        ("the tool (or the target on it) is displaced", replace(here, X=there.X, x=there.x), 6 if case.poses else 3),
-        ("base and tool are both displaced", there, 12 if case.poses else 9),
+    for what, kept, values in (
+        ("the base (or the tracker) is displaced", "tool", 6),
+        ("the tool (or the target on it) is displaced", "base", 6 if case.poses else 3),
+        ("base and tool are both displaced", "", 12 if case.poses else 9),
     ):
-        if values == 6 and not case.poses and "base" in what:
-            other = replace(other, x=here.x)
-        other = _centred(case.select(rows), other, here)
+        other = _sharing(case.select(rows), own.placement, here, kept)
 
         def undone(c: HandEye, other: Placement = other) -> HandEye:
             return _as_seen(c, other, here)
 
-        h = Hypothesis(what, remedy, undone, COMMON, values, "rows")
-        h = on_rows(h, case, rows)
+        h = on_rows(Hypothesis(what, remedy, undone, COMMON, values, "rows"), case, rows)
         yield replace(h, what=h.what.removesuffix(", and not at the others"))
 
 
@@ -194,17 +192,15 @@ def with_own_placement(h: Hypothesis, own: Placement, fit: HandEyeFit, rest: np.
 def still(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """Joints, or readings, that stand to the last digit while the others move, at stations that do not agree."""
     case = fit.case
-    stands = {
-        name: np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=1)] for name, x in (("joints", case.q), ("p", case.p))
-    }
+    joints, readings = (np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=1)] for x in (case.q, case.p))
     for rows, what, remedy in (
         (
-            stands["joints"] & ~stands["p"],
+            joints & ~readings,
             "all joint positions stand still while the readings move: they look stale",
             "check how joint states get into the recording",
         ),
         (
-            stands["p"] & ~stands["joints"],
+            readings & ~joints,
             "readings stand still while the joints move: they look stale",
             "see whether the tracker lost its target and repeats its last reading",
         ),
@@ -218,17 +214,6 @@ def still(fit: HandEyeFit) -> Iterator[Hypothesis]:
         other = replace(other, volume=other.volume - lost - likelihood(other, fit.placement) + other.volume)
         h = Hypothesis(what, remedy, lambda c, other=other: other, RARE, touches="rows")  # type: ignore[misc]
         yield on_rows(h, case, at_rows)
-
-
-def _centred(part: HandEye, other: Placement, here: Placement) -> Placement:
-    """The other placement with the place of the base, or of the tool, as medians of the part have it."""
-    if other.x is here.x:
-        return replace(other, t=other.t + np.median(at(part, other).placement.left(part)[1], axis=0))
-    if other.t is here.t:
-        gaps = other.left(part)[1]
-        back = np.swapaxes(other.Y @ part.A[:, :3, :3], 1, 2)
-        return replace(other, x=other.x + np.median((back @ gaps[..., None])[..., 0], axis=0))
-    return other
 
 
 def _as_seen(c: HandEye, other: Placement, here: Placement) -> HandEye:
@@ -270,8 +255,7 @@ def stretches(fit: HandEyeFit) -> Iterator[Hypothesis]:
         ("the tool (or the target on it)", "keep the target where it is", "base", 6 if case.poses else 3),
         ("the base (or the tracker's zero), or the tool,", "keep tracker and target as they are", "", 12),
     ):
-        mean = _mean([own for _, _, own in parts], here, kept)
-        each = [(np.arange(a, b), _sharing(case.select(np.arange(a, b)), own, mean, kept)) for a, b, own in parts]
+        each = [(np.arange(a, b), _sharing(case.select(np.arange(a, b)), own, here, kept)) for a, b, own in parts]
 
         def undone(c: HandEye, each: list[tuple[np.ndarray, Placement]] = each) -> HandEye:
             for rows, own in each:
@@ -291,45 +275,22 @@ def stretches(fit: HandEyeFit) -> Iterator[Hypothesis]:
 def _near_by_windows(case: HandEye, length: int) -> np.ndarray:
     """Whether a base and a tool in closed form bring so many neighbours near, for each that may be the first."""
     rows = np.arange(max(len(case) - length + 1, 0))[:, None] + np.arange(length)
-    angle, distance = (_NEAR * limit for limit in case.limits)
-    A, R = case.A[rows], case.R[rows]
-    Y = base_by_positions(A, case.p[rows])
-    near = np.median(np.linalg.norm(tool_and_place(Y, A, case.p[rows])[0], axis=2), axis=1) < distance
-    if case.poses:
-        a = A[..., :3, :3]
-        Y, X = base_and_tool_turns(a, R)
-        gaps, turns = tool_and_place(Y, A, case.p[rows])[0], turns_left(Y, a, X, R)
-        near |= np.median(np.linalg.norm(gaps, axis=2), axis=1) < distance
-        near &= np.median(np.linalg.norm(turns, axis=2), axis=1) < angle
-    return near
-
-
-def _mean(parts: list[Placement], here: Placement, kept: str) -> Placement:
-    """What is kept, the tool or the base, as the mean of all parts."""
-    if kept == "tool":
-        return replace(
-            here, X=so3.mean(np.stack([own.X for own in parts])), x=np.mean([own.x for own in parts], axis=0)
-        )
-    if kept == "base":
-        return replace(
-            here, Y=so3.mean(np.stack([own.Y for own in parts])), t=np.mean([own.t for own in parts], axis=0)
-        )
-    return here
+    windows = replace(case, A=case.A[rows], p=case.p[rows], R=case.R[rows])
+    left = np.median(np.linalg.norm(closed(windows).left(windows), axis=-1), axis=-1)
+    return np.asarray((left < _NEAR * np.array(case.limits)[:, None]).all(axis=0))
 
 
 def _sharing(part: HandEye, own: Placement, here: Placement, kept: str) -> Placement:
     """The placement of a part with the tool, or the base, of another."""
+    if not kept:
+        return own
+    a = part.A[:, :3, :3]
     if kept == "tool":
-        Y = own.Y
-        if part.poses:
-            Y = so3.nearest_rotation(np.sum(part.R @ np.swapaxes(part.A[:, :3, :3] @ here.X, 1, 2), axis=0))
-        return _centred(part, replace(here, Y=Y, t=own.t), here)
-    if kept == "base":
-        X = own.X
-        if part.poses:
-            X = so3.nearest_rotation(np.sum(np.swapaxes(here.Y @ part.A[:, :3, :3], 1, 2) @ part.R, axis=0))
-        return _centred(part, replace(here, X=X, x=own.x), here)
-    return own
+        other = replace(here, Y=so3.mean(part.R @ np.swapaxes(a @ here.X, 1, 2)) if part.poses else own.Y)
+        return replace(other, t=other.t + np.median(other.left(part)[1], axis=0))
+    other = replace(here, X=so3.mean(np.swapaxes(here.Y @ a, 1, 2) @ part.R) if part.poses else own.X)
+    off = np.einsum("nji,nj->ni", here.Y @ a, other.left(part)[1])
+    return replace(other, x=other.x + np.median(off, axis=0))
 
 
 # --- rows that belong elsewhere --------------------------------------------------------------------------------------
@@ -385,8 +346,7 @@ def elsewhere(fit: HandEyeFit) -> Iterator[Hypothesis]:
     turns, places = fit.placement.expected(case.A)
     gap = np.linalg.norm(case.p[rest, None] - places, axis=2) / case.limits[1]
     if case.poses:
-        cosine = 0.5 * (np.einsum("nij,kij->nk", case.R[rest], turns) - 1.0)
-        gap = np.maximum(gap, np.arccos(np.clip(cosine, -1.0, 1.0)) / case.limits[0])
+        gap = np.maximum(gap, np.arccos(_cosine(case.R[rest, None], turns)) / case.limits[0])
     same = gap < 2.0
     offsets = Counter(int(k - i) for i, row in zip(rest, same, strict=True) for k in np.flatnonzero(row))
     if not offsets:
@@ -421,6 +381,25 @@ def elsewhere(fit: HandEyeFit) -> Iterator[Hypothesis]:
     )
 
 
+def permuted(case: HandEye) -> Iterator[Hypothesis]:
+    """Readings that belong to other postures, in whatever order.
+
+    How far an orientation is turned to each of the others tells it from them, whatever base and tool are.
+    """
+    if len(case) < 16 or not case.poses:
+        return
+    a, R = (np.sort(np.arccos(_cosine(turns[:, None], turns)), axis=1) for turns in (case.A[:, :3, :3], case.R))
+    nearest = np.argmax(R @ a.T - 0.5 * np.sum(a**2, axis=1), axis=1)
+    own = placed(replace(case, q=case.q[nearest], A=case.A[nearest]))
+    if own.agree(2.0).mean() >= MANY:
+        yield from elsewhere(at(case, own.placement))
+
+
+def _cosine(A: Array, B: Array) -> Array:
+    """Cosines (…) of the angles between orientations (…, 3, 3)."""
+    return np.asarray(np.clip(0.5 * (np.einsum("...ij,...ij->...", A, B) - 1.0), -1.0, 1.0))
+
+
 def filters(case: HandEye) -> list[Hypothesis]:
     """Readings that a filter mixed with those of rows before or after: a mean of several, or a slow settling."""
     rows = np.arange(-_BEFORE, _AFTER + 1)
@@ -436,11 +415,16 @@ def filters(case: HandEye) -> list[Hypothesis]:
         said = f"if {100 * kept:.0f}% of the reading before were still in it"
         made.append((said, np.where(rows <= 0, kept ** np.maximum(-rows, 0.0), 0.0)))
 
-    def undone(c: HandEye, weights: Array, turns: bool) -> HandEye:
+    def mixed(c: HandEye, weights: Array) -> Array:
         around = np.concatenate([c.A[:1].repeat(_BEFORE, axis=0), c.A, c.A[-1:].repeat(_AFTER, axis=0)])
         A = np.moveaxis(sliding_window_view(around, len(rows), axis=0), -1, 1)  # (N, rows, 4, 4)
-        return replace(points(c) if turns else c, mixed=np.einsum("k,nkij->nij", weights / weights.sum(), A))
+        return np.asarray(np.einsum("k,nkij->nij", weights / weights.sum(), A))
 
+    def undone(c: HandEye, weights: Array, turns: bool) -> HandEye:
+        return replace(points(c) if turns else c, mixed=mixed(c, weights))
+
+    B = np.stack([mixed(case, w) for _, w in made])
+    left = unexplained(B[..., :3, :3], B[..., :3, 3], case.p - case.p.mean(axis=0)).sum(axis=1)
     remedy = (
         "turn the instrument's filter or averaging off, or wait at each station until it has settled, and record again"
     )
@@ -453,7 +437,7 @@ def filters(case: HandEye) -> list[Hypothesis]:
             1,
             "rows",
         )
-        for said, w in made
+        for said, w in (made[k] for k in np.argsort(left)[:_FILTERS])
         for turns in ((False, True) if case.poses else (False,))
     ]
-    return family(RARE, made_of)
+    return [replace(h, price=RARE - float(np.log(2 * len(made)))) for h in made_of]

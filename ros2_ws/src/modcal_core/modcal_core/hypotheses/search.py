@@ -9,25 +9,28 @@ brings the arm near the readings, *none of these* is the answer, whatever gained
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.geometry import so3
 from modcal_core.hypotheses import channels, conventions, description, joints, rows
-from modcal_core.hypotheses.hand_eye import MANY, HandEye, HandEyeFit, placed, points
+from modcal_core.hypotheses.hand_eye import MANY, HandEye, HandEyeFit, placed, redrawn
 from modcal_core.hypotheses.hypothesis import Hypothesis
 from modcal_core.measurements import spread_rows
 
 SURE = 30.0  # nats over nothing; of a hundred stations at the errors of a nominal arm, which are not independent
 ODDS = 3.0  # nats, odds of twenty to one, within which another explanation is a rival
 _AGREED = 0.9  # share of the stations; what is left then is single wrong readings, or asked of the arm itself
-_FEW, _FITTED = 60, 8  # stations that tables are sifted on, and hypotheses of each that are fitted
+_SIEVES = (24, 32), (60, 8)  # stations that tables are sifted on, and how many hypotheses pass
+_FITTED = 8  # hypotheses that one of several mistakes is exchanged for
 _DRAWN = 6  # of them that are fitted from draws of stations as well
 _FEWEST = 12  # stations that can be asked by themselves, twice what base and tool ask for
+_HELD = 5  # stations that agree; fewer do so with any placement
 _DEPTH, _BEAM = 3, 2  # mistakes at once, and states that are followed
 _AT_ONCE = 96  # cases in a block, for memory
+_ALTERNATIONS = 6  # between base and tool, of a hypothesis that is sifted
 
 _Proposer = Callable[[HandEyeFit], Iterable[Hypothesis]]
 
@@ -88,9 +91,9 @@ def explain(case: HandEye, table: Sequence[Hypothesis] | None = None, depth: int
         return Answer((), root.fit, root.fit)
     seen, beam = [root], [root]
     for _ in range(depth):
-        trials = [t for state in beam for t in _followed(state, table)]
-        seen += trials
-        leading = [t for t in trials if t.score > root.score + SURE and _nearer(t.fit, root.fit)]
+        trials = [(t, state) for state in beam for t in _followed(state, table)]
+        seen += [t for t, _ in trials]
+        leading = [t for t, before in trials if t.score > before.score + SURE and _nearer(t.fit, root.fit)]
         beam = _different(sorted(leading, key=lambda t: -t.score))
         if not beam or any(t.ends for t in beam):
             break
@@ -123,7 +126,7 @@ def _exchanged(root: SearchState, best: SearchState, likely: Sequence[SearchStat
         for other in [*others.values()][:_FITTED]:
             state = root
             for part in (*best.said[:k], other, *best.said[k + 1 :]):
-                state = next(_followed_by(state, part, thorough=True), root)
+                state = _followed_by(state, part, thorough=True) or root
             if len(state.said) == len(best.said) and state.fit.explains:
                 out.append(state)
     return out
@@ -152,7 +155,8 @@ def _followed(state: SearchState, table: Sequence[Hypothesis] | None) -> list[Se
         return _fitted(state, _sifted(case, table))
     trials = _fitted(state, _sifted(case, _whole(case)))
     laborious = not state.said or bool(state.fit.agree(2.0).mean() >= MANY)  # else nonsense is followed for long
-    for proposers in (_PLAIN, _LABORIOUS)[: 1 + laborious]:
+    held = int(state.fit.agree(2.0).sum()) > _HELD
+    for proposers in (_BESIDE * held + _PLAIN, _LABORIOUS * laborious):
         if any(t.ends for t in trials):
             break
         trials += _fitted(state, _proposed(state.fit, proposers))
@@ -162,7 +166,7 @@ def _followed(state: SearchState, table: Sequence[Hypothesis] | None) -> list[Se
 def _whole(case: HandEye) -> list[Hypothesis]:
     """What may be so of a whole recording, told in closed form."""
     whole = [*conventions.of_recording(case), *description.other_links(case), *description.axes(case)]
-    return [*whole, *joints.types(case), *channels.turned_frames(case)]
+    return [*whole, *description.types(case), *channels.turned_frames(case)]
 
 
 def _of_themselves(fit: HandEyeFit) -> Iterator[Hypothesis]:
@@ -179,27 +183,29 @@ def _of_themselves(fit: HandEyeFit) -> Iterator[Hypothesis]:
             yield rows.with_own_placement(h, own.placement, fit, rest)
 
 
-# what is told in closed form, and what takes a search
-_PLAIN: tuple[_Proposer, ...] = (
+# of stations that do not agree with a placement as others do; what is told in closed form; what takes a search
+_BESIDE: tuple[_Proposer, ...] = (
     lambda fit: rows.by_table(fit, conventions.of_some_rows(fit.case)),
     rows.of_the_rest,
     rows.elsewhere,
     rows.still,
-    _of_themselves,
+    joints.of_one,
+)
+_PLAIN: tuple[_Proposer, ...] = (
     rows.stretches,
     lambda fit: [conventions.increments()],
     lambda fit: rows.orders(fit.case),
     lambda fit: rows.filters(fit.case),
     lambda fit: channels.channels(fit.case),
-    joints.of_one,
 )
 _LABORIOUS: tuple[_Proposer, ...] = (
+    _of_themselves,
+    lambda fit: rows.permuted(fit.case),
     joints.of_two,
     lambda fit: joints.orders(fit.case),
     lambda fit: joints.throughout(fit.case),
     lambda fit: description.links(fit.case),
     lambda fit: description.mixtures(fit.case),
-    lambda fit: description.mixtures(points(fit.case)) if fit.case.poses else (),  # whatever orientations mean
 )
 
 
@@ -212,34 +218,36 @@ def _proposed(fit: HandEyeFit, proposers: Sequence[_Proposer]) -> Iterator[Hypot
 
 
 def _fitted(state: SearchState, hypotheses: Iterable[Hypothesis]) -> list[SearchState]:
-    """The states that these lead to; only the likeliest are fitted by draws as well."""
+    """The states that these lead to, the likeliest from draws of stations as well."""
     quick: dict[str, SearchState] = {}
     for h in hypotheses:
-        if h.what not in quick:  # else the same from another start
-            quick.update((s.said[-1].what, s) for s in _followed_by(state, h, thorough=False))
+        found = _followed_by(state, h, thorough=False)
+        if found is not None and (h.what not in quick or found.score > quick[h.what].score):
+            quick[h.what] = found  # the same may be proposed from several starts
     likely = sorted(quick.values(), key=lambda s: -s.score)
-    return [s for q in likely[:_DRAWN] for s in _followed_by(state, q.said[-1], thorough=True)] + likely[_DRAWN:]
+    return [replace(s, fit=redrawn(s.fit)) for s in likely[:_DRAWN]] + likely[_DRAWN:]
 
 
-def _followed_by(state: SearchState, h: Hypothesis, thorough: bool) -> Iterator[SearchState]:
-    """The state with one more hypothesis; none where it leaves nothing to fit."""
+def _followed_by(state: SearchState, h: Hypothesis, thorough: bool) -> SearchState | None:
+    """The state with one more hypothesis; None where it leaves nothing to fit."""
     try:
         fit = placed(h.undone(state.fit.case), thorough)
     except np.linalg.LinAlgError:
-        return
-    if np.isfinite(fit.evidence):
-        yield SearchState(fit, (*state.said, h))
+        return None
+    return SearchState(fit, (*state.said, h)) if np.isfinite(fit.evidence) else None
 
 
 def _sifted(case: HandEye, table: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The likeliest of a table, by closed forms on some stations."""
-    few = case.select(spread_rows(len(case), _FEW))
-    scores: list[float] = []
-    for first in range(0, len(table), _AT_ONCE):
-        some = table[first : first + _AT_ONCE]
-        scores += [s + h.price for s, h in zip(rough([h.undone(few) for h in some]), some, strict=True)]
-    good = [k for k in np.argsort(scores, kind="stable")[::-1][:_FITTED] if np.isfinite(scores[k])]
-    return [table[k] for k in good]
+    """The likeliest of a table, by closed forms on some stations; of many first on fewer."""
+    kept = list(table)
+    for stations, most in _SIEVES:
+        few = case.select(spread_rows(len(case), stations))
+        scores: list[float] = []
+        for first in range(0, len(kept), _AT_ONCE):
+            some = kept[first : first + _AT_ONCE]
+            scores += [s + h.price for s, h in zip(rough([h.undone(few) for h in some]), some, strict=True)]
+        kept = [kept[k] for k in np.argsort(scores, kind="stable")[::-1][:most] if np.isfinite(scores[k])]
+    return kept
 
 
 def rough(cases: Sequence[HandEye]) -> list[float]:
@@ -248,7 +256,7 @@ def rough(cases: Sequence[HandEye]) -> list[float]:
     a = A[..., :3, :3]
     score = np.full(len(cases), -np.inf)
     try:
-        Y = base_by_positions(A, p)
+        Y = base_by_positions(A, p, _ALTERNATIONS)
         ways = [(Y, so3.nearest_rotation(np.sum(np.swapaxes(Y[:, None] @ a, -1, -2) @ R, axis=1)))]
         if any(c.poses for c in cases):
             ways.append(base_and_tool_turns(a, R))

@@ -13,21 +13,19 @@ import numpy as np
 
 from modcal_core.calibration import Instrument, new_instruments, place_instruments
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.hypotheses.meanings import ARM_SHARE, OF_MOTION
+from modcal_core.hypotheses.hand_eye import INDEPENDENT, OF_MOTION, likeliest
+from modcal_core.hypotheses.meanings import ARM_SHARE
 from modcal_core.hypotheses.meant import BEYOND_DOUBT
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.measurements.kinds import scene_in
 from modcal_core.robots import Chain, forward
 
 _MAX = 120  # rows, evenly along the table; each trial of a tool places the instruments again
-_INDEPENDENT = 100  # rows that count, as of poses: errors of a nominal arm are alike in neighbouring postures
-_ASTRAY = 0.05  # share of readings that may say anything
 _NOMINAL = {"m": 1e-3, "rad": 1e-3}  # of the reach, and rad, per direction: finer says nothing of a nominal arm
 _STARTS, _GOOD = 0.15, 0.005  # of the reach: starts of the tool, and a median miss that needs no further one
 _HOPELESS = 0.1  # of the reach; no other start improves what misses by more after three
 _STEPS = 30  # iterations
 _SOFT = 1e-4  # m²; misses beyond a centimetre count less
-_SCALES = 24  # halvings of a scatter that are tried
 
 
 @dataclass(frozen=True)
@@ -77,11 +75,13 @@ def sights_match(chain: Chain, q: Array, sightings: Sequence[Sighting], log_volu
     total, spread = 0.0, []
     for one in best:
         floor = _NOMINAL[one.unit] * (chain.reach() if one.unit == "m" else 1.0)
-        total += _log_likelihood(np.linalg.norm(one.residual, axis=0), floor, one.dimensions)
+        square = np.sum(one.residual**2, axis=0)
+        anywhere = one.dimensions * np.log(4.0 * max(float(np.sqrt(square.max())), floor))
+        total += float(likeliest(square, floor, anywhere, np.inf, one.dimensions).sum())
         change = np.linalg.norm(one.reading - np.median(one.reading, axis=0), axis=1)
         spread.append(float(np.median(change * one.lever)))
     cost = 0.5 * (3.0 + 6.0 * len(best)) * np.log(len(rows))  # BIC: tool, and six values an instrument at most
-    score = (total + len(rows) * log_volume) * min(1.0, _INDEPENDENT / len(rows)) - cost
+    score = (total + len(rows) * log_volume) * min(1.0, INDEPENDENT / len(rows)) - cost
     return SightMatch(float(score), _middle(best), float(np.median(spread)))
 
 
@@ -177,17 +177,6 @@ def _moved(state: _State, step: Array, samples: Samples) -> _State:
         )
         first += 6 + count
     return x + step[:3], out, poses
-
-
-def _log_likelihood(size: Array, floor: float, dimensions: int) -> float:
-    """Log-likelihood of residual lengths (N,) in some dimensions, maximised over the scatter, which is at least
-    ``floor``.
-    """
-    sigma = floor * 2.0 ** np.arange(_SCALES)
-    largest = max(float(size.max()), floor)
-    sigma = sigma[sigma <= 2.0 * largest][:, None]
-    inside = (1.0 - _ASTRAY) * np.exp(-0.5 * (size / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma) ** dimensions
-    return float(np.log(inside + _ASTRAY / (4.0 * largest) ** dimensions).sum(axis=1).max())
 
 
 def _samples(q: Array, sightings: Sequence[Sighting]) -> Samples:

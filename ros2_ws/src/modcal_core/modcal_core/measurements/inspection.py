@@ -18,7 +18,7 @@ from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropouts import MAX_GLITCHES, cleaned
 from modcal_core.measurements.dwells import MIN_RETURNS, StationRules, find_dwells, returns
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions, joints_by_time
+from modcal_core.measurements.recording import POINT, POSE, Recording, joints_by_time
 from modcal_core.robots import Mechanism
 
 # --- Readings outside the times of the joint states, which meanwhile go on without any
@@ -33,7 +33,7 @@ def out_of_time(
 
     since, until: stamps [s] between which readings are counted.
     """
-    t = np.sort(joint_stamps_and_positions(recording, names)[0])
+    t = joints_by_time(recording, names)[0]
     found = []
     for track in recording.readings if len(t) else ():
         stamps = np.sort(track.stamps[(track.stamps >= since) & (track.stamps < until)])

@@ -15,7 +15,15 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, so3
-from modcal_core.measurements.dwells import TRAVEL, StationRules, deviation_of_mean, dwells_of, inliers, spread_rows
+from modcal_core.measurements.dwells import (
+    TRAVEL,
+    StationRules,
+    deviation_of_mean,
+    dwells_of,
+    find_dwells,
+    inliers,
+    spread_rows,
+)
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import (
@@ -23,8 +31,7 @@ from modcal_core.measurements.recording import (
     ReadingTrack,
     Recording,
     following,
-    joint_stamps_and,
-    joint_stamps_and_positions,
+    joints_by_time,
 )
 
 if TYPE_CHECKING:
@@ -65,11 +72,7 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
     """
     rules = rules or StationRules()
     tracks = [r for r in recording.readings if r.kind in kinds() and len(r.stamps)]
-    t, q = joint_stamps_and_positions(recording, names)
-    order = np.argsort(t, kind="stable")
-    t, q = t[order], q[order]
-    velocity = joint_stamps_and(recording, names, "velocity")[1][order]
-    effort = joint_stamps_and(recording, names, "effort")[1][order]
+    t, q, velocity, effort = joints_by_time(recording, names, "velocity", "effort")
     dwells = dwells_of(t, q, tracks, rules)
     pieces = [_cut(track, t, q, velocity, dwells, rules) for track in tracks]
     counts = [len(p.q) for p in pieces]
@@ -94,6 +97,21 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
         "sockets": recording.sockets,
         "clock": recording.has_clock,
     }
+
+
+def efforts_at_rest(
+    recording: Recording, names: tuple[str, ...], rules: StationRules | None = None
+) -> tuple[Array, Array, Array]:
+    """Postures [rad, m] in which the arm stood, mean efforts there [N m, N], NaN where not sent, and the way each joint
+    came, −1, 0 (unknown) or 1, (N, n) each.
+    """
+    t, q, effort = joints_by_time(recording, names, "effort")
+    rows = [slice(*np.searchsorted(t, span)) for span in find_dwells(t, q, rules or StationRules())]
+    if not rows:
+        return (np.empty((0, len(names))),) * 3
+    at, given = (np.stack([x[of].mean(axis=0) for of in rows]) for x in (q, effort))
+    middle = np.array([t[of].mean() for of in rows])
+    return at, given, _approach(middle, at, np.zeros_like(at), np.zeros(len(at), bool), t, q)
 
 
 def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array, rules: StationRules) -> TrackSamples:
@@ -266,6 +284,8 @@ def _held(stamps: Array, moving: np.ndarray, t: Array, effort: Array, rules: Sta
 
 
 def _why_nothing(tracks: list[ReadingTrack], t: Array, dwells: Array) -> str:
+    if not tracks or not len(t):
+        return "no reading is there" if len(t) else "no joint state is there"
     first, last = min(r.stamps.min() for r in tracks), max(r.stamps.max() for r in tracks)
     if first > t[-1] or last < t[0]:
         apart = first - t[-1] if first > t[-1] else t[0] - last

@@ -173,37 +173,25 @@ class Stretch:
     until: float = np.inf
 
 
-def joint_stamps_and_positions(recording: Recording, names: tuple[str, ...]) -> tuple[Array, Array]:
-    """Stamps (m,) and positions (m, n) of the named joints, whichever publishers and orders they came in."""
-    return joint_stamps_and(recording, names, "position")
+def joints_by_time(recording: Recording, names: tuple[str, ...], *more: str) -> tuple[Array, ...]:
+    """Stamps (m,), in their order, and positions (m, n) of the named joints, whichever publishers they came from.
 
-
-def joints_by_time(recording: Recording, names: tuple[str, ...]) -> tuple[Array, Array]:
-    """As :func:`joint_stamps_and_positions`, in the order of the stamps."""
-    t, q = joint_stamps_and(recording, names, "position")
-    order = np.argsort(t, kind="stable")
-    return t[order], q[order]
-
-
-def joint_stamps_and(recording: Recording, names: tuple[str, ...], what: str) -> tuple[Array, Array]:
-    """Stamps (m,) and position, velocity or effort (m, n) of the named joints.
-
-    Joints spread over several publishers are interpolated onto the stamps of the one that carries most of them.
-    Missing joints are left to the caller's checks: their columns are NaN.
+    more: "velocity" and "effort", whose columns follow. Joints spread over several publishers are interpolated onto the
+    stamps of the one that carries most of them. Missing joints are left to the caller's checks: their columns are NaN.
     """
     tracks = sorted(_of_one_order(recording.joints), key=lambda t: (-sum(n in t.names for n in names), -len(t.stamps)))
-    if not tracks:
-        return np.empty(0), np.empty((0, len(names)))
-    stamps = tracks[0].stamps
-    position = np.full((len(stamps), len(names)), np.nan)
-    for j, name in enumerate(names):
-        for track in tracks:
-            if name in track.names:
+    stamps = tracks[0].stamps if tracks else np.empty(0)
+    order = np.argsort(stamps, kind="stable")
+    out = [stamps[order]]
+    for what in ("position", *more):
+        columns = np.full((len(stamps), len(names)), np.nan)
+        for j, name in enumerate(names):
+            track = next((track for track in tracks if name in track.names), None)
+            if track is not None:
                 column = getattr(track, what)[:, track.names.index(name)]
-                same = track is tracks[0]
-                position[:, j] = column if same else np.interp(stamps, track.stamps, column)
-                break
-    return stamps, position
+                columns[:, j] = column if track is tracks[0] else np.interp(stamps, track.stamps, column)
+        out.append(columns[order])
+    return tuple(out)
 
 
 def _of_one_order(tracks: tuple[JointTrack, ...]) -> list[JointTrack]:

@@ -19,7 +19,7 @@ are not in the matrix: they stand beside it, for each numbered link.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -27,7 +27,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadTable, refusing
-from modcal_core.modules.library import BASE, GRIPPER, JOINT, LINK, SIZES, TURNS, Assembly, Library, Module, ModuleType
+from modcal_core.modules.library import JOINT, LINK, SIZES, TURNS, Assembly, Library, Module, ModuleType
+from modcal_core.schema import TEXT, list_of, record, require, stated
 
 BASES = SIZES * TURNS
 FIELDS = ("joint", "turn", "link", "length", "next turn")
@@ -186,186 +187,144 @@ class Incidence:
         return "\n".join("  ".join(x.ljust(w) for x, w in zip(line, widths, strict=True)).rstrip() for line in cells)
 
 
+_Key = tuple[str, int]  # kind of the row, and number among its kind
+_Cells = dict[tuple[str, int], tuple[Entry, ...]]
+
+
 def incidence_of(assembly: Assembly, library: Library) -> Incidence:
     """The matrix of an assembly that has been checked; links are numbered by kind from the base on."""
-    rows = (assembly.modules[0].kind, *(t.name for t in library.of_role(LINK)))
-    entries: dict[tuple[str, int], tuple[Entry, ...]] = {}
-    sizes: dict[tuple[str, int], int] = {}
-    serials: dict[tuple[str, int], str] = {}
-    carriers = (assembly.modules[0], *assembly.links)
-    touched = (*assembly.joints, assembly.modules[-1])
+    carriers, touched = (assembly.modules[0], *assembly.links), (*assembly.joints, assembly.modules[-1])
     count: dict[str, int] = {}
-
-    def put(row: str, column: int, entry: Entry) -> None:
-        entries[row, column] = (*entries.get((row, column), ()), entry)
-
-    for i, carrier in enumerate(carriers):
-        number = count[carrier.kind] = count.get(carrier.kind, 0) + 1
-        sizes[carrier.kind, number] = carrier.size
-        serials[carrier.kind, number] = carrier.serial
-        serials["", i] = touched[i].serial
-        if i > 0:
-            put(carrier.kind, i - 1, Entry(number, i, carrier.turn))
-        put(carrier.kind, i, Entry(number, i + 1 if i < assembly.n else 1, touched[i].turn))
+    keys: list[_Key] = []
+    for carrier in carriers:
+        count[carrier.kind] = count.get(carrier.kind, 0) + 1
+        keys.append((carrier.kind, count[carrier.kind]))
+    serials = {key: m.serial for key, m in zip(keys, carriers, strict=True) if m.serial}
+    serials |= {("", c): m.serial for c, m in enumerate(touched) if m.serial}
     return Incidence(
         columns=tuple(m.kind for m in touched),
-        rows=rows,
-        entries=entries,
-        sizes=sizes,
-        serials={key: serial for key, serial in serials.items() if serial},
+        rows=(assembly.modules[0].kind, *(t.name for t in library.of_role(LINK))),
+        entries=_cells(assembly, keys),
+        sizes={key: m.size for key, m in zip(keys, carriers, strict=True)},
+        serials=serials,
     )
 
 
+def _cells(assembly: Assembly, keys: Sequence[_Key]) -> _Cells:
+    """The entries by (row, column) of an assembly whose base and links have these numbers."""
+    out: _Cells = {}
+    turns = [m.turn for m in assembly.modules[1:]]
+    for i, (row, number) in enumerate(keys):
+        for column, turn in ((i - 1, turns[2 * i - 1]), (i, turns[2 * i])) if i else ((0, turns[0]),):
+            entry = Entry(number, column + 1 if column < assembly.n else 1, turn)
+            out[row, column] = (*out.get((row, column), ()), entry)
+    return out
+
+
 def assembly_of(matrix: Incidence, library: Library, name: str = "modular_arm", source: str = "aim") -> Assembly:
-    """The assembly that a matrix describes. Raises BadTable, one line, at the first fault."""
+    """The assembly that a matrix describes: the way from the base over the links that lead to the next column. Written
+    as a matrix again it must be the same. Raises BadTable, one line, at the first fault.
+    """
     n = len(matrix.columns) - 1
-    _check_headings(matrix, library, source)
-    contacts = _contacts(matrix, source)
-    before, behind = _ways(matrix, contacts, source)
-    _check_numbers(matrix, contacts, source)
-    base = matrix.rows[0]
-    modules = [_carrier(matrix, (base, 1), 0)]
-    for c in range(n):
-        modules.append(Module(matrix.columns[c], 0, before[c][1], matrix.serials.get(("", c), "")))
-        modules.append(_carrier(matrix, *behind[c]))
-    modules.append(Module(matrix.columns[n], 0, before[n][1], matrix.serials.get(("", n), "")))
-    return Assembly(tuple(modules), name).checked(library, source)
-
-
-_Key = tuple[str, int]  # kind of the row, and number among its kind
-
-
-def _carrier(matrix: Incidence, key: _Key, turn: int) -> Module:
-    return Module(key[0], matrix.sizes.get(key, 0), turn, matrix.serials.get(key, ""))
-
-
-def _check_headings(matrix: Incidence, library: Library, source: str) -> None:
-    if len(matrix.columns) < 2 or not matrix.rows:
+    if n < 1 or not matrix.rows:
         raise BadTable(source, "has no joints", "give columns: joints in order, then the gripper")
-    for c, kind in enumerate(matrix.columns):
-        role = library.type(kind, f"{source}: column {c + 1}").role
-        wanted = GRIPPER if c == len(matrix.columns) - 1 else JOINT
-        if role != wanted:
-            raise BadTable(f"{source}: column {c + 1} ({kind})", f"is a {role}", f"use a {wanted} here")
-    for r, kind in enumerate(matrix.rows):
-        role = library.type(kind, f"{source}: row").role
-        wanted = LINK if r else BASE
-        if role != wanted:
-            raise BadTable(f"{source}: row {kind}", f"is a {role}", "the first row is the base, all others are links")
-    twice = [kind for r, kind in enumerate(matrix.rows) if kind in matrix.rows[:r]]
-    if twice:
-        raise BadTable(f"{source}: row {twice[0]}", "stands twice", "give each kind one row")
-
-
-def _contacts(matrix: Incidence, source: str) -> dict[_Key, list[tuple[int, int]]]:
-    """Columns and turns that each numbered base or link touches, each entry checked by itself."""
-    n = len(matrix.columns) - 1
-    contacts: dict[_Key, list[tuple[int, int]]] = {}
+    columns: dict[_Key, list[int]] = {}
+    turns: dict[tuple[_Key, int], int] = {}
     for (row, column), entries in sorted(matrix.entries.items(), key=lambda item: item[0][1]):
-        if row not in matrix.rows or not 0 <= column <= n:
-            raise BadTable(f"{source}: entry at ({row}, {column + 1})", "is outside the matrix", "correct its place")
         for entry in entries:
-            what = f"{source}: row {row}, column {column + 1}: {entry}"
-            own = column + 1 if column < n else 1
-            if entry.joint != own:
-                said = f"names joint {entry.joint} in the column of " + (f"joint {own}" if column < n else "gripper 1")
-                raise BadTable(what, said, f"write {entry.link},{own},{entry.turn}")
-            if not 0 <= entry.turn < TURNS:
-                raise BadTable(what, f"turn {entry.turn}, 0 to {TURNS - 1} are possible", "give quarter turns")
-            if entry.link < 1:
-                raise BadTable(what, f"number {entry.link}", "number from 1 on")
-            contacts.setdefault((row, entry.link), []).append((column, entry.turn))
-    return contacts
-
-
-def _ways(
-    matrix: Incidence, contacts: Mapping[_Key, list[tuple[int, int]]], source: str
-) -> tuple[dict[int, tuple[_Key, int]], dict[int, tuple[_Key, int]]]:
-    """By column: the base or link before that joint, and the link behind it, each with the turn of that contact."""
-    n = len(matrix.columns) - 1
-    base = matrix.rows[0]
-    before: dict[int, tuple[_Key, int]] = {}
-    behind: dict[int, tuple[_Key, int]] = {}
-
-    def claim(table: dict[int, tuple[_Key, int]], column: int, key: _Key, turn: int, where: str) -> None:
-        if column in table:
-            (row, number), _ = table[column]
-            said = f"{key[0]} {key[1]} and {row} {number} are both {where} it"
-            raise BadTable(f"{source}: column {column + 1}", said, "leave one of them out")
-        table[column] = key, turn
-
-    for key, touched in contacts.items():
-        columns = [c for c, _ in touched]
-        what = f"{source}: {key[0]} {key[1]}"
-        if key[0] == base:
-            if key[1] != 1 or columns != [0]:
-                raise BadTable(what, "the base touches joint 1 once, and nothing else", "write 1,1,turn in column 1")
-            claim(before, 0, key, touched[0][1], "before")
-            continue
-        if len(touched) != 2 or columns[1] != columns[0] + 1:
-            at = ", ".join(str(c + 1) for c in columns)
-            raise BadTable(what, f"touches column {at}", "a link touches two neighbouring columns, once each")
-        claim(behind, columns[0], key, touched[0][1], "behind")
-        claim(before, columns[1], key, touched[1][1], "before")
-    for c in range(n + 1):
-        if c not in before:
-            missing = f"{base} does not touch it" if c == 0 else "no link is before it"
-            raise BadTable(f"{source}: column {c + 1}", missing, "add the entry")
-        if c < n and c not in behind:
-            raise BadTable(f"{source}: column {c + 1}", "no link is behind it", "add the entry")
-    return before, behind
-
-
-def _check_numbers(matrix: Incidence, contacts: Mapping[_Key, object], source: str) -> None:
-    """Links of a kind are numbered without gaps, and what stands beside the matrix belongs to one of them."""
+            columns.setdefault((row, entry.link), []).append(column)
+            turns[(row, entry.link), column] = entry.turn
+    keys: list[_Key] = [(matrix.rows[0], 1)]
+    for c in range(n):
+        following = [key for key, touched in columns.items() if touched == [c, c + 1]]
+        if len(following) != 1:
+            said = f"{len(following)} links lead from column {c + 1} to the next"
+            raise BadTable(source, said, "give one link an entry in both, with the same number")
+        keys += following
     for row in matrix.rows:
-        numbers = sorted(number for kind, number in contacts if kind == row)
+        numbers = sorted(number for kind, number in keys if kind == row)
         if numbers != list(range(1, len(numbers) + 1)):
             said = f"has numbers {', '.join(map(str, numbers))}"
             raise BadTable(f"{source}: row {row}", said, f"number them 1 to {len(numbers)}")
+    modules: list[Module] = []
+    for i, key in enumerate(keys):
+        turn = turns.get((key, i - 1), 0) if i else 0
+        modules.append(Module(key[0], matrix.sizes.get(key, 0), turn, matrix.serials.get(key, "")))
+        modules.append(Module(matrix.columns[i], 0, turns.get((key, i), 0), matrix.serials.get(("", i), "")))
+    assembly = Assembly(tuple(modules), name).checked(library, source)
+    written = _cells(assembly, keys)
+    for row, column in sorted({*matrix.entries, *written}):
+        found, meant = (set(map(str, cells.get((row, column), ()))) for cells in (matrix.entries, written))
+        if found != meant:
+            said, is_ = " ".join(sorted(found)) or "nothing", " ".join(sorted(meant)) or "nothing"
+            raise BadTable(f"{source}: row {row}, column {column + 1}", f"holds {said}, the arm {is_}", f"write {is_}")
     for key in (*matrix.sizes, *matrix.serials):
-        if key[0] and key not in contacts:
+        if key[0] and key not in keys:
             raise BadTable(f"{source}: {key[0]} {key[1]}", "is described but not in the matrix", "leave it out")
+    return assembly
 
 
 # --- An assembly from plain data, as its YAML file holds it (a list of modules, or an incidence matrix), and back
 
-FORMAT = 1
+_FORMAT = 1
 _SEE = "see docs/modules.md"
-_DEGREES = {90: 1, 180: 2, 270: 3}
+_TURNS = {0: 0, 1: 1, 2: 2, 3: 3, 90: 1, 180: 2, 270: 3}  # quarter turns, from degrees or from themselves
+_SERIAL = {"type": ["string", "integer", "null"]}
+_MODULE = record(("module",), module=TEXT, length={"type": "integer"}, turn={"enum": [*_TURNS]}, serial=_SERIAL)
+_AIM = record(
+    ("columns", "rows"),
+    columns=list_of(TEXT),
+    rows={"type": "object", "additionalProperties": list_of({})},
+    sizes={"type": "object", "additionalProperties": list_of({"type": "integer"})},
+    serials={"type": "object", "additionalProperties": list_of(_SERIAL)},
+)
+_SCHEMA = record(
+    ("modcal_assembly",),
+    modcal_assembly={"enum": [_FORMAT]},
+    name=TEXT,
+    library=TEXT,
+    modules=list_of(_MODULE),
+    aim=_AIM,
+    code=TEXT,
+)
 
 
 @refusing
 def assembly_from_data(data: Any, library: Library, source: str) -> Assembly:
     """The assembly that nested mappings and lists describe, checked against the library. Raises BadTable.
 
-    Where both a list of modules and a matrix are given, they must say the same.
+    Where several of a list of modules, a matrix and a code are given, they must say the same.
     """
-    if not isinstance(data, Mapping) or data.get("modcal_assembly") != FORMAT:
-        raise BadTable(source, f"is not an assembly (modcal_assembly: {FORMAT})", _SEE)
-    unknown = [str(k) for k in data if k not in ("modcal_assembly", "name", "library", "modules", "aim")]
-    if unknown:
-        keys = "keys are modcal_assembly, name, library, modules, aim"
-        raise BadTable(f"{source}: {unknown[0]}", "does not belong there", keys)
-    name = plain_name(data.get("name", "modular_arm"), source)
-    if "modules" not in data and "aim" not in data:
-        raise BadTable(source, "names no modules", "give modules: or aim:")
-    listed = matrix = None
-    if "modules" in data:
-        listed = Assembly(_modules(data["modules"], source), name).checked(library, source)
-    if "aim" in data:
-        matrix = assembly_of(_incidence(data["aim"], f"{source}: aim"), library, name, f"{source}: aim")
-    if listed is not None and matrix is not None and listed != matrix:
-        pairs = enumerate(zip(listed.modules, matrix.modules, strict=False))
-        first = next((i for i, (a, b) in pairs if a != b), min(len(listed.modules), len(matrix.modules)))
-        raise BadTable(source, f"modules and aim differ from module {first + 1} on", "leave one of them out")
-    made = listed or matrix
-    assert made is not None
+    top = stated(data)
+    require(top, _SCHEMA, source, _SEE)
+    name = plain_name(top.get("name", "modular_arm"), source)
+    forms: dict[str, Assembly] = {}
+    if "modules" in top:
+        parts = [
+            Module(m["module"], m.get("length", 0), _TURNS[m.get("turn", 0)], _serial(m.get("serial")))
+            for m in top["modules"]
+        ]
+        forms["modules"] = Assembly(tuple(parts), name).checked(library, source)
+    if "aim" in top:
+        forms["aim"] = assembly_of(_incidence(top["aim"], f"{source}: aim"), library, name, f"{source}: aim")
+    if "code" in top:
+        coding = Coding(library)
+        forms["code"] = coding.assembly(coding.parse(top["code"]), name)
+    if not forms:
+        raise BadTable(source, "names no modules", "give modules:, aim: or code:")
+    (first, made), *others = forms.items()
+    for form, other in others:
+        pairs = list(zip(made.modules, other.modules, strict=False))
+        if form == "code":  # says nothing of serial numbers
+            pairs = [(replace(a, serial=b.serial), b) for a, b in pairs]
+        differ = next((i for i, (a, b) in enumerate(pairs) if a != b), len(pairs))
+        if differ < max(len(made.modules), len(other.modules)):
+            raise BadTable(source, f"{first} and {form} differ from module {differ + 1} on", "leave one of them out")
     return made
 
 
 def assembly_to_data(assembly: Assembly, library: Library) -> dict[str, Any]:
-    """The assembly as a list of modules and as its matrix; reading it gives the same assembly."""
+    """The assembly as a list of modules, as its matrix and as its code; reading it gives the same assembly."""
     matrix = incidence_of(assembly, library)
     aim: dict[str, Any] = {"columns": list(matrix.columns), "rows": {}}
     for row in matrix.rows:
@@ -376,10 +335,11 @@ def assembly_to_data(assembly: Assembly, library: Library) -> dict[str, Any]:
         aim["serials"] = {row: _numbered(matrix.serials, row, matrix.sizes) for row in aim["sizes"]}
         aim["serials"]["columns"] = [matrix.serials.get(("", c), "") for c in range(len(matrix.columns))]
     return {
-        "modcal_assembly": FORMAT,
+        "modcal_assembly": _FORMAT,
         "name": assembly.name,
         "modules": [_module_to_data(m, i > 0) for i, m in enumerate(assembly.modules)],
         "aim": aim,
+        "code": Coding(library).text(Coding(library).genome(assembly)),
     }
 
 
@@ -402,35 +362,8 @@ def _numbered(
     return [table.get((row, number), "") for number in numbers]
 
 
-def _modules(stated: Any, source: str) -> tuple[Module, ...]:
-    if not isinstance(stated, Sequence) or isinstance(stated, str):
-        raise BadTable(f"{source}: modules", "is not a list", _SEE)
-    out = []
-    for i, item in enumerate(stated):
-        what = f"{source}: module {i + 1}"
-        if not isinstance(item, Mapping) or "module" not in item:
-            raise BadTable(what, "is not a mapping with the key module", "write {module: JR, turn: 90}")
-        unknown = [str(k) for k in item if k not in ("module", "length", "turn", "serial")]
-        if unknown:
-            raise BadTable(f"{what}: {unknown[0]}", "does not belong there", "keys are module, length, turn, serial")
-        turn = _turn(item.get("turn", 0), what)
-        out.append(Module(str(item["module"]), item.get("length", 0), turn, _serial(item.get("serial"), what)))
-    return tuple(out)
-
-
-def _turn(stated: Any, what: str) -> int:
-    """Quarter turns from degrees; 0 … 3 are quarter turns already."""
-    if isinstance(stated, bool) or not isinstance(stated, int) or (stated not in _DEGREES and not 0 <= stated <= 3):
-        raise BadTable(f"{what}: turn {stated!r}", "is not one of the four possible turns", "give 0, 90, 180 or 270")
-    return _DEGREES.get(stated, stated)
-
-
-def _serial(stated: Any, what: str) -> str:
-    if stated is None:
-        return ""
-    if not isinstance(stated, str | int) or isinstance(stated, bool) or not str(stated).strip():
-        raise BadTable(f"{what}: serial {stated!r}", "is not a text", "give the number on the module")
-    return str(stated).strip()
+def _serial(value: str | int | None) -> str:
+    return "" if value is None else str(value).strip()
 
 
 def plain_name(stated: Any, source: str) -> str:
@@ -441,37 +374,23 @@ def plain_name(stated: Any, source: str) -> str:
     return name
 
 
-def _incidence(stated: Any, what: str) -> Incidence:
-    if not isinstance(stated, Mapping) or not {"columns", "rows"} <= set(stated):
-        raise BadTable(what, "needs columns and rows", _SEE)
-    unknown = [str(k) for k in stated if k not in ("columns", "rows", "sizes", "serials")]
-    if unknown:
-        raise BadTable(f"{what}: {unknown[0]}", "does not belong there", "keys are columns, rows, sizes, serials")
-    columns, rows = stated["columns"], stated["rows"]
-    if not isinstance(columns, Sequence) or isinstance(columns, str) or not isinstance(rows, Mapping):
-        raise BadTable(what, "columns is a list, rows a mapping of lists", _SEE)
-    entries = {}
-    for row, cells in rows.items():
-        if not isinstance(cells, Sequence) or isinstance(cells, str) or len(cells) != len(columns):
+def _incidence(data: Mapping[str, Any], what: str) -> Incidence:
+    columns = data["columns"]
+    entries: _Cells = {}
+    for row, cells in data["rows"].items():
+        if len(cells) != len(columns):
             raise BadTable(f"{what}: row {row}", f"needs {len(columns)} cells, one a column", 'leave empty ones as ""')
-        for c, cell in enumerate(cells):
-            found = _entries(cell, f"{what}: row {row}, column {c + 1}")
-            if found:
-                entries[str(row), c] = found
-    sizes, serials = stated.get("sizes") or {}, stated.get("serials") or {}
-    for key, table in (("sizes", sizes), ("serials", serials)):
-        if not isinstance(table, Mapping) or not all(isinstance(v, Sequence) for v in table.values()):
-            raise BadTable(f"{what}: {key}", "is not a mapping of lists", _SEE)
-    named = {
-        (str(r), i + 1): _serial(s or None, what) for r, v in serials.items() for i, s in enumerate(v) if r != "columns"
-    }
-    named |= {("", c): _serial(s or None, what) for c, s in enumerate(serials.get("columns", ()))}
+        found = (_entries(cell, f"{what}: row {row}, column {c + 1}") for c, cell in enumerate(cells))
+        entries |= {(row, c): held for c, held in enumerate(found) if held}
+    sizes, serials = data.get("sizes", {}), dict(data.get("serials", {}))
+    of_columns = {("", c): _serial(s) for c, s in enumerate(serials.pop("columns", ()))}
+    named = {(row, i + 1): _serial(s) for row, values in serials.items() for i, s in enumerate(values)}
     return Incidence(
-        columns=tuple(str(c) for c in columns),
-        rows=tuple(str(r) for r in rows),
+        columns=tuple(columns),
+        rows=tuple(data["rows"]),
         entries=entries,
-        sizes={(str(r), i + 1): size for r, v in sizes.items() for i, size in enumerate(v)},
-        serials={key: serial for key, serial in named.items() if serial},
+        sizes={(row, i + 1): size for row, values in sizes.items() for i, size in enumerate(values)},
+        serials={key: serial for key, serial in (named | of_columns).items() if serial},
     )
 
 

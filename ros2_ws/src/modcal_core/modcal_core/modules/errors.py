@@ -55,6 +55,7 @@ from modcal_core.modules.coding import assembly_from_data, assembly_to_data
 from modcal_core.modules.library import Assembly, Library, ModuleTolerance
 from modcal_core.modules.poe import TO_AXIS, Piece, chain_of, pieces
 from modcal_core.robots import Chain
+from modcal_core.schema import NUMBER, SIZE, TEXT, list_of, require, whole
 
 # --- What one recording of an assembly says of the modules in it
 
@@ -163,15 +164,18 @@ class ModuleError:
 class ModuleErrors:
     """What is known of all modules seen so far, by (serial number, part), and what it was learned from.
 
-    keys, mean, covariance: of all together, six numbers for each key, in that order: errors of modules that were seen
-    side by side are not independent.
+    covariance: of all together, six numbers for each key, in their order: errors of modules that were seen side by side
+    are not independent.
     """
 
     parts: Mapping[Key, ModuleError] = field(default_factory=dict)
     recordings: tuple[RecordingEvidence, ...] = ()
-    keys: tuple[Key, ...] = ()
-    mean: Array = field(default_factory=lambda: np.empty(0))
     covariance: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The parts that were seen."""
+        return tuple(self.parts)
 
     @property
     def twists(self) -> dict[Key, Array]:
@@ -216,7 +220,7 @@ def learn(recordings: Sequence[RecordingEvidence], library: Library) -> ModuleEr
         kind, size = kinds[key[0]]
         seen = sum(key in _inner_keys(w.assembly, library) for w in recordings)
         parts[key] = ModuleError(x[at], covariance[at, at], kind, size, seen)
-    return ModuleErrors(parts, tuple(recordings), keys, x, covariance)
+    return ModuleErrors(parts, tuple(recordings), covariance)
 
 
 def surprise(known: ModuleErrors, new: RecordingEvidence, library: Library) -> Surprise:
@@ -325,8 +329,34 @@ def _without(information: Array, C: Array, std: Array) -> Array:
 
 # --- What is known of modules as plain data: for people and for the next assembly, and enough to learn on from
 
-FORMAT = 1  # of the file
+_FORMAT = 1  # of the file
 _FIX = "give a file that modcal modules learn wrote"
+_PART = {"type": "object", "required": ("mean",), "properties": {"mean": list_of(NUMBER, 6, 6)}}
+_KIND = {
+    "type": "object",
+    "required": ("parts",),
+    "properties": {"parts": {"type": "object", "additionalProperties": _PART}},
+}
+_RECORDING = {
+    "type": "object",
+    "required": ("stations", "residual_m", "deviation", "information"),
+    "properties": {
+        "stations": whole(0, 10**9),
+        "residual_m": SIZE,
+        "deviation": list_of(list_of(NUMBER, 6, 6)),
+        "information": list_of(NUMBER),
+    },
+}
+_SCHEMA = {
+    "type": "object",
+    "required": ("modcal_module_store", "library", "modules", "assemblies"),
+    "properties": {
+        "modcal_module_store": {"enum": [_FORMAT]},
+        "library": TEXT,
+        "modules": {"type": "object", "additionalProperties": _KIND},
+        "assemblies": list_of(_RECORDING),
+    },
+}
 
 
 def store_to_data(known: ModuleErrors, library: Library) -> dict[str, Any]:
@@ -341,7 +371,7 @@ def store_to_data(known: ModuleErrors, library: Library) -> dict[str, Any]:
             "covariance": error.covariance.tolist(),
         }
     return {
-        "modcal_module_store": FORMAT,
+        "modcal_module_store": _FORMAT,
         "library": library.name,
         "modules": modules,
         "assemblies": [_recording_to_data(w, library) for w in known.recordings],
@@ -351,32 +381,23 @@ def store_to_data(known: ModuleErrors, library: Library) -> dict[str, Any]:
 @refusing
 def store_from_data(data: Any, library: Library, source: str) -> ModuleErrors:
     """The store, with everything learned again from its assemblies. Raises BadTable for what is no store."""
-    if not isinstance(data, Mapping) or data.get("modcal_module_store") != FORMAT:
-        raise BadTable(source, f"is not a store of modules (modcal_module_store: {FORMAT})", _FIX)
-    if data.get("library") != library.name:
-        said = f"its modules are of the library '{data.get('library')}', not of '{library.name}'"
+    require(data, _SCHEMA, source, _FIX)
+    if data["library"] != library.name:
+        said = f"its modules are of the library '{data['library']}', not of '{library.name}'"
         raise BadTable(source, said, "give --library")
-    stated = data.get("assemblies")
-    if not isinstance(stated, list):
-        raise BadTable(f"{source}: assemblies", "is not a list", _FIX)
-    return learn(
-        [_recording_from_data(w, library, f"{source}: assembly {i + 1}") for i, w in enumerate(stated)], library
-    )
+    recordings = enumerate(data["assemblies"], 1)
+    return learn([_recording_from_data(w, library, f"{source}: assembly {i}") for i, w in recordings], library)
 
 
 @refusing
 def twists_from_data(data: Any, source: str) -> dict[Key, Array]:
     """Means by (serial number, part) as the store states them. Raises BadTable for what is no store."""
-    if not isinstance(data, Mapping) or data.get("modcal_module_store") != FORMAT:
-        raise BadTable(source, f"is not a store of modules (modcal_module_store: {FORMAT})", _FIX)
-    try:
-        return {
-            (str(serial), str(part)): _numbers(error["mean"], (6,), f"{source}: {serial}: {part}: mean")
-            for serial, entry in data["modules"].items()
-            for part, error in entry["parts"].items()
-        }
-    except (KeyError, TypeError, AttributeError) as error:
-        raise BadTable(f"{source}: modules", f"is not a mapping of serial numbers ({error!r})", _FIX) from error
+    require(data, _SCHEMA, source, _FIX)
+    return {
+        (serial, part): np.array(error["mean"], dtype=float)
+        for serial, entry in data["modules"].items()
+        for part, error in entry["parts"].items()
+    }
 
 
 def with_recording(known: ModuleErrors, new: RecordingEvidence, library: Library) -> ModuleErrors:
@@ -407,29 +428,14 @@ def _recording_to_data(w: RecordingEvidence, library: Library) -> dict[str, Any]
     }
 
 
-def _recording_from_data(data: Any, library: Library, source: str) -> RecordingEvidence:
-    if not isinstance(data, Mapping):
-        raise BadTable(source, "is not a mapping", _FIX)
-    own = ("stations", "residual_m", "deviation", "information")
-    missing = [key for key in own if key not in data]
-    if missing:
-        raise BadTable(f"{source}: {missing[0]}", "is missing", _FIX)
+def _recording_from_data(data: Mapping[str, Any], library: Library, source: str) -> RecordingEvidence:
+    own = _RECORDING["required"]
     assembly: Assembly = assembly_from_data({k: v for k, v in data.items() if k not in own}, library, source)
     size = 6 * (assembly.n - 1)
-    deviation = _numbers(data["deviation"], (assembly.n - 1, 6), f"{source}: deviation")
-    lower = np.tril_indices(size)
+    lower, deviation = np.tril_indices(size), np.array(data["deviation"], dtype=float)
+    if len(deviation) != assembly.n - 1 or len(data["information"]) != len(lower[0]):
+        raise BadTable(source, f"is not of {assembly.n} joints", _FIX)
     information = np.zeros((size, size))
-    information[lower] = _numbers(data["information"], (len(lower[0]),), f"{source}: information")
+    information[lower] = data["information"]
     information += np.tril(information, -1).T
-    stations, residual = (_numbers(data[key], (), f"{source}: {key}") for key in ("stations", "residual_m"))
-    return RecordingEvidence(assembly, deviation, information, int(stations), float(residual))
-
-
-def _numbers(stated: Any, shape: tuple[int, ...], what: str) -> Array:
-    try:
-        out = np.asarray(stated, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        out = np.empty(0)
-    if out.shape != shape or not np.isfinite(out).all():
-        raise BadTable(what, f"does not hold {' x '.join(map(str, shape)) or 'one'} finite numbers", _FIX)
-    return out
+    return RecordingEvidence(assembly, deviation, information, data["stations"], data["residual_m"])

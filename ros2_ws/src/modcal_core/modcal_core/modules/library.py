@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable, refusing
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, se3, sealed, so3
+from modcal_core.schema import NUMBER, POSITIVE, SIZE, TEXT, list_of, record, require, stated, whole
 
 BASE, JOINT, LINK, GRIPPER = "base", "joint", "link", "gripper"
 ROLES = (BASE, JOINT, LINK, GRIPPER)
@@ -76,9 +77,7 @@ class ModuleType:
     @cached_property
     def T_in_out(self) -> Array:
         """Output frame in the input frame, the joint at zero, for every code, (sizes, 4, 4) [m]."""
-        T = se3.transform(self.R, np.stack([self.output.at(self.length(n)) for n in range(self.sizes)]))
-        T.flags.writeable = False
-        return T
+        return sealed(se3.transform(self.R, np.stack([self.output.at(self.length(n)) for n in range(self.sizes)])))
 
 
 @dataclass(frozen=True)
@@ -96,8 +95,8 @@ class Library:
 
     name: str
     types: Mapping[str, ModuleType]
-    module: ModuleTolerance = ModuleTolerance(3e-4, 1e-3, 3e-3)
-    interface: ModuleTolerance = ModuleTolerance(3e-5, 2e-4)
+    module: ModuleTolerance
+    interface: ModuleTolerance
 
     def type(self, name: str, what: str = "module") -> ModuleType:
         """The kind with this name. Raises BadTable with the names that come close."""
@@ -227,11 +226,36 @@ class Assembly:
 
 # --- A module library from plain data, as its YAML file holds it, checked at the door
 
-FORMAT = 1
+_FORMAT = 1
 _SEE = "see docs/modules.md"
-_KEYS = {"role", "code", "motion", "length_m", "output", "elbows", "limits", "radius_m", "mass_kg", "mass_kg_per_m"}
-_MOTIONS = {"revolute": True, "prismatic": False}
+_TOLERANCES = {  # where a library states none
+    "module": {"length_m": 3e-4, "angle_rad": 1e-3, "zero_rad": 3e-3},
+    "interface": {"length_m": 3e-5, "angle_rad": 2e-4},
+}
 _LONGEST = 10.0  # m; a module that is longer was written in millimetres
+_PLACE = {"xyz": list_of(NUMBER, 3, 3), "along": list_of(NUMBER, 3, 3)}
+_TYPE = record(
+    ("role", "output"),
+    role={"enum": ROLES},
+    code=whole(0, 3),
+    motion={"enum": ("revolute", "prismatic")},
+    length_m=record((), first=NUMBER, step=NUMBER),
+    output=record((), rpy=list_of(NUMBER, 3, 3), **_PLACE),
+    elbows=list_of(record((), **_PLACE)),
+    limits=record((), lower=NUMBER, upper=NUMBER, velocity=SIZE, effort=SIZE),
+    radius_m=POSITIVE,
+    mass_kg=SIZE,
+    mass_kg_per_m=SIZE,
+)
+_DEVIATION = {**POSITIVE, "maximum": 1}
+_TOLERANCE = record((), length_m=_DEVIATION, angle_rad=_DEVIATION, zero_rad={**SIZE, "maximum": 1})
+_SCHEMA = record(
+    ("modcal_modules", "modules"),
+    modcal_modules={"enum": [_FORMAT]},
+    name=TEXT,
+    tolerances=record((), module=_TOLERANCE, interface=_TOLERANCE),
+    modules={"type": "object", "additionalProperties": _TYPE},
+)
 
 
 def published_text() -> str:
@@ -249,78 +273,53 @@ def published() -> Library:
 @refusing
 def library_from_data(data: Any, source: str) -> Library:
     """The library that nested mappings and lists describe; ``source`` is named in refusals. Raises BadTable."""
-    top = _mapping(data, source, {"modcal_modules", "name", "tolerances", "modules"})
-    if top.get("modcal_modules") != FORMAT:
-        raise BadTable(source, f"is not a module library (modcal_modules: {FORMAT})", _SEE)
-    modules = _mapping(top.get("modules"), f"{source}: modules", None)
-    types = {str(name): _type(str(name), stated, f"{source}: {name}") for name, stated in modules.items()}
+    top = stated(data)
+    require(top, _SCHEMA, source, _SEE)
+    types = {name: _type(name, kind, f"{source}: {name}") for name, kind in top["modules"].items()}
     for role in ROLES:
-        if not any(t.role == role for t in types.values()):
-            raise BadTable(f"{source}: modules", f"there is no {role}", f"add a module with role: {role}")
-    for role in (JOINT, LINK):
         codes = [t.code for t in types.values() if t.role == role]
-        if len(set(codes)) < len(codes):
+        if not codes:
+            raise BadTable(f"{source}: modules", f"there is no {role}", f"add a module with role: {role}")
+        if role in (JOINT, LINK) and len(set(codes)) < len(codes):
             raise BadTable(f"{source}: modules", f"two kinds of {role} have the same code", "give each its own code")
-    tolerances = _mapping(top.get("tolerances") or {}, f"{source}: tolerances", {"module", "interface"})
-    default = Library("", {})
-    return Library(
-        str(top.get("name", source)),
-        types,
-        _tolerance(tolerances.get("module"), default.module, f"{source}: tolerances: module"),
-        _tolerance(tolerances.get("interface"), default.interface, f"{source}: tolerances: interface"),
+    given = top.get("tolerances", {})
+    module, interface = (
+        ModuleTolerance(**{name.partition("_")[0]: value for name, value in {**own, **given.get(key, {})}.items()})
+        for key, own in _TOLERANCES.items()
     )
+    return Library(top.get("name", source), types, module, interface)
 
 
-def _type(name: str, stated: Any, what: str) -> ModuleType:
-    data = _mapping(stated, what, _KEYS)
-    role = data.get("role")
-    if role not in ROLES:
-        raise BadTable(what, f"its role is {role!r}", f"give one of {', '.join(ROLES)}")
-    motion = data.get("motion", "revolute")
-    if motion not in _MOTIONS or (("motion" in data) != (role == JOINT)):
+def _type(name: str, data: Mapping[str, Any], what: str) -> ModuleType:
+    role, motion = data["role"], data.get("motion", "revolute")
+    if ("motion" in data) != (role == JOINT):
         raise BadTable(what, "a joint, and nothing else, has a motion", "give motion: revolute or prismatic")
-    length = _mapping(data.get("length_m") or {"first": 0.0, "step": 0.0}, f"{what}: length_m", {"first", "step"})
-    first, step = (_number(length.get(key, 0.0), f"{what}: length_m: {key}") for key in ("first", "step"))
-    output = _mapping(data.get("output"), f"{what}: output", {"xyz", "along", "rpy"})
-    place = _point(output, f"{what}: output")
-    if role in (BASE, GRIPPER, LINK) and step and not place.along.any():
+    length, output, limits = data.get("length_m", {}), data["output"], data.get("limits", {})
+    place, step = _point(output), float(length.get("step", 0.0))
+    if role != JOINT and step and not place.along.any():
         raise BadTable(f"{what}: output", "has a length without a direction", "give along: [x, y, z]")
-    limits = _mapping(data.get("limits") or {}, f"{what}: limits", {"lower", "upper", "velocity", "effort"})
-    low, high = (
-        _number(limits.get(k, d), f"{what}: limits: {k}", finite=False)
-        for k, d in (("lower", -np.inf), ("upper", np.inf))
-    )
+    low, high = float(limits.get("lower", -np.inf)), float(limits.get("upper", np.inf))
     if not low < high:
         raise BadTable(f"{what}: limits", f"run from {low:g} to {high:g}", "give lower below upper")
-    if motion == "prismatic" and not (np.isfinite(low) and np.isfinite(high)):
+    if motion == "prismatic" and not np.isfinite([low, high]).all():
         raise BadTable(f"{what}: limits", "a sliding joint has an end", "give lower and upper")
-    numbers = {
-        "velocity": limits.get("velocity", 1.0),
-        "effort": limits.get("effort", 100.0),
-        "radius": data.get("radius_m", 0.03),
-        "mass": data.get("mass_kg", 0.0),
-        "mass_per_metre": data.get("mass_kg_per_m", 0.0),
-    }
-    checked = {key: _number(value, f"{what}: {key}") for key, value in numbers.items()}
-    for key, value in checked.items():
-        if value < 0.0 or (value == 0.0 and key == "radius"):
-            raise BadTable(f"{what}: {key}", f"is {value:g}", "give a positive number")
     made = ModuleType(
         name=name,
         role=role,
         output=place,
-        R=so3.from_rpy(_three(output.get("rpy", (0, 0, 0)), f"{what}: output: rpy")),
-        revolute=_MOTIONS[motion],
-        code=_code(data.get("code", 0 if motion == "revolute" else 1), what),
-        first=first,
+        R=so3.from_rpy(output.get("rpy", (0.0, 0.0, 0.0))),
+        revolute=motion == "revolute",
+        code=data.get("code", 0 if motion == "revolute" else 1),
+        first=float(length.get("first", 0.0)),
         step=step,
-        elbows=tuple(
-            _point(_mapping(e, f"{what}: elbows", {"xyz", "along"}), f"{what}: elbows")
-            for e in data.get("elbows") or ()
-        ),
+        elbows=tuple(_point(elbow) for elbow in data.get("elbows", ())),
         lower=low,
         upper=high,
-        **checked,
+        velocity=float(limits.get("velocity", 1.0)),
+        effort=float(limits.get("effort", 100.0)),
+        radius=float(data.get("radius_m", 0.03)),
+        mass=float(data.get("mass_kg", 0.0)),
+        mass_per_metre=float(data.get("mass_kg_per_m", 0.0)),
     )
     longest = max(float(np.linalg.norm(made.output.at(made.length(n)))) for n in (0, SIZES - 1))
     if longest > _LONGEST:
@@ -328,55 +327,5 @@ def _type(name: str, stated: Any, what: str) -> ModuleType:
     return made
 
 
-def _tolerance(stated: Any, default: ModuleTolerance, what: str) -> ModuleTolerance:
-    data = _mapping(stated or {}, what, {"length_m", "angle_rad", "zero_rad"})
-    values = (
-        _number(data.get("length_m", default.length), f"{what}: length_m"),
-        _number(data.get("angle_rad", default.angle), f"{what}: angle_rad"),
-        _number(data.get("zero_rad", default.zero), f"{what}: zero_rad"),
-    )
-    if min(values[:2]) <= 0.0 or values[2] < 0.0 or max(values) > 1.0:
-        raise BadTable(what, "standard deviations are above 0 and below 1 (m, rad)", _SEE)
-    return ModuleTolerance(*values)
-
-
-def _mapping(data: Any, what: str, keys: set[str] | None) -> Mapping[str, Any]:
-    if not isinstance(data, Mapping):
-        raise BadTable(what, "is not a mapping", _SEE)
-    unknown = [str(k) for k in data if keys is not None and k not in keys]
-    if unknown:
-        raise BadTable(what, f"'{unknown[0]}' does not belong there", f"keys are {', '.join(sorted(keys or ()))}")
-    return data
-
-
-def _point(data: Mapping[str, Any], what: str) -> ModulePoint:
-    return ModulePoint(
-        _three(data.get("xyz", (0, 0, 0)), f"{what}: xyz"), _three(data.get("along", (0, 0, 0)), f"{what}: along")
-    )
-
-
-def _three(values: Any, what: str) -> Array:
-    try:
-        out = np.array([float(v) for v in values])
-    except (TypeError, ValueError, OverflowError):
-        out = np.empty(0)
-    if out.shape != (3,) or not np.isfinite(out).all():
-        raise BadTable(what, "needs 3 finite numbers", _SEE)
-    out.flags.writeable = False
-    return out
-
-
-def _number(value: Any, what: str, finite: bool = True) -> float:
-    try:
-        out = float(value)
-    except (TypeError, ValueError, OverflowError):
-        out = np.nan
-    if isinstance(value, bool) or np.isnan(out) or (finite and np.isinf(out)):
-        raise BadTable(what, f"{value!r} is not a number", _SEE)
-    return out
-
-
-def _code(value: Any, what: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 4:
-        raise BadTable(f"{what}: code", f"is {value!r}", "give 0 to 3")
-    return value
+def _point(data: Mapping[str, Any]) -> ModulePoint:
+    return ModulePoint(*(np.array(data.get(key, (0.0, 0.0, 0.0)), dtype=float) for key in _PLACE))

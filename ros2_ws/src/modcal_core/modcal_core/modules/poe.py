@@ -17,27 +17,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.geometry import Array, se3
+from modcal_core.geometry import Array, se3, sealed
 from modcal_core.modules.library import JOINT, Assembly, Library
 from modcal_core.robots import Chain
 
 BASE_LINK, TIP_LINK = "base_link", "tool0"
-_QUARTER = np.array([[1, 0, -1, 0], [0, 1, 0, -1]], dtype=float)  # cos and sin of the quarter turns, exactly
-
 # Which part of an owner a piece is: the way through a module, or, of a joint, the way to its axis and from it on.
 WHOLE, TO_AXIS, FROM_AXIS = "whole", "to_axis", "from_axis"
 
 
-def _quarter_turns() -> Array:
-    R = np.zeros((4, 3, 3))
-    c, s = _QUARTER
-    R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, -s, s, c, 1.0
-    T = se3.transform(R)
-    T.flags.writeable = False
-    return T
-
-
-TURN = _quarter_turns()  # about z by 0, 90, 180, 270 degrees, (4, 4, 4)
+# about z by 0, 90, 180, 270 degrees, exactly, (4, 4, 4)
+TURN = sealed(
+    np.stack([np.linalg.matrix_power(se3.transform([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), k) for k in range(4)])
+)
 
 
 @dataclass(frozen=True)
@@ -105,13 +97,6 @@ def origins(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str
                 T = T @ se3.exp(errors[serial, piece.part])
         M.append(T)
     return np.stack(M)
-
-
-def twists(frames: Array, revolute: np.ndarray) -> Array:
-    """ξ_1 … ξ_n (n, 6) of joints whose axes are z of these frames (n, 4, 4): (p × ω, ω), or (ω, 0) where they slide."""
-    w, p = frames[:, :3, 2], frames[:, :3, 3]
-    turning = np.concatenate([np.cross(p, w), w], axis=1)
-    return np.where(np.asarray(revolute)[:, None], turning, np.concatenate([w, np.zeros_like(w)], axis=1))
 
 
 def module_frames(assembly: Assembly, library: Library, q: Array | None = None) -> Array:

@@ -12,10 +12,10 @@ result on any machine with the same arithmetic.
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
-from types import TracebackType
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from modcal_core.errors import BadTable, NotReachable
 from modcal_core.geometry import Array
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.evaluation import MET, Evaluator, Use, Verdicts
-from modcal_core.modules.genetic import Archive, Generation, SearchSettings, evolve
+from modcal_core.modules.genetic import Archive, Generation, Judge, SearchSettings, evolve
 from modcal_core.modules.library import JOINT, LINK, Assembly, Library
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.requirements import REACH
@@ -75,10 +75,10 @@ class Tally:
     """Counts of the candidates with one number of joints: evaluated, feasible, and by first broken requirement."""
 
     joints: int
-    judged: int
-    met: int
-    rejected: dict[str, int]
     generations: int
+    judged: int
+    met_all: int
+    rejected: dict[str, int]
     descents: int
 
 
@@ -103,7 +103,7 @@ def synthesize(
     coding = Coding(library)
     tallies: list[Tally] = []
     nearest = np.inf, 0
-    with Judges(library, task, seed, workers) as judge:
+    with judges(library, task, seed, workers) as judge:
         for joints in range(task.first, task.last + 1):
             rng = np.random.default_rng([seed, joints])
             count = [0]
@@ -115,7 +115,7 @@ def synthesize(
 
             archive = evolve(coding, joints, judge, rng, task.settings, told)
             tallies.append(_tally(archive, task, joints, count[0]))
-            if tallies[-1].met:
+            if tallies[-1].met_all:
                 return Synthesis(task, _ranking(archive, task, coding), tuple(tallies), seed)
             lead = archive.verdicts.order()[0]
             if archive.verdicts.level[lead] == 2:
@@ -136,40 +136,31 @@ def allowed(library: Library, modules: tuple[str, ...]) -> Library:
     return replace(library, types=types)
 
 
-class Judges:
-    """Processes that judge candidates; with one worker it is done here. A context manager."""
+@contextmanager
+def judges(
+    library: Library, task: SynthesisTask, seed: int, workers: int
+) -> Iterator[Callable[[np.ndarray], Verdicts]]:
+    """What judges genomes (N, n + 1), in batches, in this process or in several."""
+    begun = library, task.targets, task.uses, seed
 
-    def __init__(self, library: Library, task: SynthesisTask, seed: int, workers: int) -> None:
-        self._arguments = library, task.targets, task.uses, seed
-        self._workers = workers
-        self._pool: ProcessPoolExecutor | None = None
-        self._here: Evaluator | None = None
+    def judge(each: Callable[..., Iterable[Verdicts]]) -> Judge:
+        return lambda genomes: Verdicts.joined(
+            list(each(_judged, (genomes[i : i + _BATCH] for i in range(0, len(genomes), _BATCH))))
+        )
 
-    def __enter__(self) -> Judges:
-        if self._workers > 1:
-            # a fresh interpreter each: what forks while threads run, such as those of a progress bar, may hang
-            spawn = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(self._workers, spawn, initializer=_begin, initargs=self._arguments)
-        else:
-            self._here = Evaluator(*self._arguments)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._pool:
-            self._pool.shutdown(cancel_futures=True)
-
-    def __call__(self, genomes: np.ndarray) -> Verdicts:
-        """Verdicts on genomes (N, n + 1), in their order."""
-        batches = [genomes[i : i + _BATCH] for i in range(0, len(genomes), _BATCH)]
-        if self._pool:
-            return Verdicts.joined(list(self._pool.map(_judged, batches)))
-        assert self._here is not None
-        return Verdicts.joined([self._here(batch) for batch in batches])
+    if workers < 2:
+        _begin(*begun)
+        yield judge(map)
+        return
+    # a fresh interpreter each: what forks while threads run, such as those of a progress bar, may hang
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), initializer=_begin, initargs=begun)
+    try:
+        yield judge(pool.map)
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
-_evaluator: Evaluator | None = None  # of a worker process; tables are made once in each
+_evaluator: Evaluator | None = None  # of a process; tables are made once in each
 
 
 def _begin(library: Library, targets: tuple[Target, ...], uses: tuple[Use, ...], seed: int) -> None:
@@ -186,7 +177,7 @@ def _tally(archive: Archive, task: SynthesisTask, joints: int, generations: int)
     broken = archive.verdicts.broken
     rejected = {use.name: int((broken == i).sum()) for i, use in enumerate(task.uses) if use.hard}
     met, descents = int((broken == MET).sum()), int(archive.verdicts.descents.sum())
-    return Tally(joints, archive.judged, met, rejected, generations, descents)
+    return Tally(joints, generations, archive.judged, met, rejected, descents)
 
 
 def _ranking(archive: Archive, task: SynthesisTask, coding: Coding) -> tuple[Candidate, ...]:
@@ -238,20 +229,8 @@ def to_data(result: Synthesis, library: Library) -> dict[str, Any]:
         "library": library.name,
         "seed": result.seed,
         "joints": result.ranking[0].assembly.n,
-        "requirements": [
-            {"name": u.name, "hard": u.hard, "weight": u.weight, "options": dict(u.options)} for u in result.task.uses
-        ],
-        "searched": [
-            {
-                "joints": t.joints,
-                "generations": t.generations,
-                "judged": t.judged,
-                "met_all": t.met,
-                "rejected": t.rejected,
-                "descents": t.descents,
-            }
-            for t in result.tallies
-        ],
+        "requirements": [asdict(u) for u in result.task.uses],
+        "searched": [asdict(t) for t in result.tallies],
         "ranking": [_candidate_row(c, i + 1, result, library) for i, c in enumerate(result.ranking)],
     }
 
@@ -304,13 +283,13 @@ def to_markdown(result: Synthesis, library: Library) -> str:
     lines += ["| joints | judged | met all | " + " | ".join(names) + " |", "|" + "---|" * (len(names) + 3)]
     for t in result.tallies:
         counts = " | ".join(str(t.rejected[name]) for name in names)
-        lines.append(f"| {t.joints} | {t.judged} | {t.met} | {counts} |")
+        lines.append(f"| {t.joints} | {t.judged} | {t.met_all} | {counts} |")
     return "\n".join(lines) + "\n"
 
 
 def sentence(result: Synthesis) -> str:
     """What came of it, in one or two sentences."""
-    judged, met = sum(t.judged for t in result.tallies), result.tallies[-1].met
+    judged, met = sum(t.judged for t in result.tallies), result.tallies[-1].met_all
     said = f"{judged} assemblies were judged, {met} meet every requirement."
     for tally in result.tallies[:-1]:
         name, count = max(tally.rejected.items(), key=lambda item: item[1])

@@ -31,7 +31,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, se3, sealed, so3
 from modcal_core.modules.catalogue import Arms, ModuleBodies
 
 
@@ -50,9 +50,7 @@ class Target:
         T = np.eye(4)
         T[:3, :3] = _orthonormal(np.asarray(R, dtype=float), kept[:3])
         T[:3, 3] = np.asarray(p, dtype=float)
-        for array in (T, kept):
-            array.flags.writeable = False
-        return cls(T, kept, name)
+        return sealed(cls(T, kept, name))
 
     @property
     def constraints(self) -> int:
@@ -338,29 +336,6 @@ def _step(fleet: _Fleet, q: Array, r: Array, J: Array, mu: Array) -> Array:
     H = np.einsum("irn,jrn->ijn", J, J)
     for k in range(len(q)):
         H[k, k] += mu
-    step = -_solve(H, g)
+    step = -np.linalg.solve(np.moveaxis(H, -1, 0), g.T[..., None])[..., 0].T
     step *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=0), 1e-300))
     return np.clip(q + step, fleet.lower, fleet.upper)
-
-
-def _solve(H: Array, g: Array) -> Array:
-    """Solutions (n, N) of positive definite systems (n, n, N), by L D Lᵀ; H is overwritten.
-
-    For n ≤ 7 and thousands of systems ten times as fast as a call for each.
-    """
-    n = len(g)
-    for k in range(n):
-        for i in range(k + 1, n):
-            f = H[i, k] / H[k, k]
-            for j in range(i, n):
-                H[j, i] -= f * H[j, k]
-            H[k, i] = f  # L, kept above the diagonal
-    y = g.copy()
-    for k in range(n):
-        for i in range(k + 1, n):
-            y[i] -= H[k, i] * y[k]
-    for k in range(n - 1, -1, -1):
-        y[k] /= H[k, k]
-        for i in range(k + 1, n):
-            y[k] -= H[k, i] * y[i]
-    return y

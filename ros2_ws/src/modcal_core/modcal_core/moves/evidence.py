@@ -23,7 +23,7 @@ import scipy
 
 from modcal_core.geometry import Array
 from modcal_core.moves.noise import NullModel
-from modcal_core.moves.rows import NOISE, CellChange
+from modcal_core.moves.rows import NOISE, READING, CellChange
 
 SIZES = 2.0 ** np.arange(-1.0, 11.0)  # standard deviations of the noise, RMS over the readings
 _RANK = 1e-10  # of the largest square; directions below it are not seen at these postures
@@ -103,7 +103,7 @@ class ChangeJudge:
     def _directions(self, candidate: ChangeCandidate) -> Array:
         """Its columns in standard deviations of each member, (G, n, k), of whatever length."""
         columns, h = candidate.columns, candidate.hypothesis
-        if h.sample >= 0:  # single rows, each by itself: no product is needed
+        if h.kind == READING:  # single rows, each by itself: no product is needed
             return self._whiten[:, :, np.argmax(columns, axis=0)]
         return self._whiten @ (columns if h.free else columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
 

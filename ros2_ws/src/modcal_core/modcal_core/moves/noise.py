@@ -124,10 +124,18 @@ class NullModel:
     weight: float = 1.0
     widest: int = -1
 
+    def whitened(self, vectors: Array) -> Array:
+        """Vectors (n, …) in standard deviations of the reference."""
+        return np.asarray(np.linalg.solve(np.linalg.cholesky(self.covariances[self.reference]), vectors))
+
     def with_more(self, columns: Array, scale: float) -> NullModel:
         """The same with a size along these columns (n, k) left open."""
         more = (scale * columns) @ (scale * columns).T
         return replace(self, covariances=tuple(V + more for V in self.covariances))
+
+    def only(self, member: int) -> NullModel:
+        """The same with one member of the grid alone."""
+        return replace(self, covariances=(self.covariances[member],), log_prior=np.zeros(1), reference=0, widest=-1)
 
     def with_noise(self, position: float, rotation: float) -> NullModel:
         """The same with a spread that is larger by these factors."""

@@ -12,7 +12,7 @@ that the model's base and tool are those that hold in the end.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
@@ -76,12 +76,11 @@ def find_regimes(
         samples = samples.select(spread_rows(len(samples), _MAX))
     nominal = fit_cell(chain, samples, cell, inertias)
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
-    choice = replace(choice, parameters=free_cell(choice.parameters, cell))
-    geometric = fit_geometry(nominal.model, samples, choice.parameters, cell, tolerance=_TOLERANCE)
-    choice = replace(choice, parameters=geometric.parameters)
+    parameters = free_cell(choice.parameters, cell)
+    geometric = fit_geometry(nominal.model, samples, parameters, cell, tolerance=_TOLERANCE)
     if not stated and not _suspicious(geometric, samples):
         return None
-    search = _RegimeSearch(nominal.model, samples, choice.parameters, cell, places)
+    search = _RegimeSearch(nominal.model, samples, geometric.parameters, cell, places)
     cuts = search.cuts([nominal.model, geometric.model])
     moves = search.decided(cuts, tuple(stated))
     if not moves:
@@ -98,10 +97,13 @@ def is_possible(model: Model) -> bool:
 
 def moves_of(model: Model) -> tuple[Move, ...]:
     """The moves of base and tool that a model knows of, in order of time."""
+    return _moves(effect for effect in model.effects if is_move(effect))
+
+
+def _moves(steps: Iterable[Effect]) -> tuple[Move, ...]:
     at: dict[float, set[str]] = {}
-    for effect in model.effects:
-        if is_move(effect):
-            at.setdefault(effect.shape.settings["at"], set()).add(effect.place)
+    for effect in steps:
+        at.setdefault(effect.shape.settings["at"], set()).add(effect.place)
     return tuple(Move(t, "both" if len(p) == 2 else _place(p.pop())) for t, p in sorted(at.items()))
 
 
@@ -162,7 +164,7 @@ class _RegimeSearch:
         for _ in range(_ROUNDS):
             if not found:
                 return ()
-            fit = self.fit(self.start([Move(at, "both") for at in found]), self.samples)
+            fit = self.fit([Move(at, "both") for at in found])
             sights = SetupReadings.of(fit.model, self.samples)
             again = self._times(stretches(sights), sights)
             if again == found or not again:
@@ -176,10 +178,9 @@ class _RegimeSearch:
         ends = [b for a, b in found if b - a >= _MIN]
         return tuple(float(0.5 * (sights.stamps[b - 1] + sights.stamps[b])) for b in ends if b < len(sights))
 
-    def start(self, moves: Sequence[Move], samples: Samples | None = None) -> Model:
+    def start(self, moves: Sequence[Move]) -> Model:
         """The arm with base, tool and steps as these moves show them, in closed form."""
-        samples = self.samples if samples is None else samples
-        sights = SetupReadings.of(self.arm, samples)
+        sights = SetupReadings.of(self.arm, self.samples)
         at = [move.at for move in moves]
         part = np.searchsorted(at, sights.stamps, side="right")
         base = np.r_[0, np.cumsum([move.what != "tool" for move in moves])].astype(int)
@@ -216,9 +217,9 @@ class _RegimeSearch:
                 effects.append(step.moved("tool", turn, move.at).with_values(change))
         return replace(self.arm, T_frame_base=frames, T_tip_tool=X[-1], effects=tuple(effects))
 
-    def fit(self, start: Model, samples: Samples, tolerance: float = _TOLERANCE) -> Fit:
-        """The fit of arm and moves, or of others' effects, to these samples."""
-        return identify_moved(start, samples, self.parameters, self.cell.distances, tolerance)
+    def fit(self, moves: Sequence[Move]) -> Fit:
+        """The fit of arm and moves."""
+        return identify_moved(self.start(moves), self.samples, self.parameters, self.cell.distances, _TOLERANCE)
 
     def decided(self, cuts: Sequence[float], stated: tuple[Move, ...]) -> list[Move]:
         """What moved at these times, as far as the readings ask for it beside what drifts or settles and joints that
@@ -229,7 +230,7 @@ class _RegimeSearch:
         if not new:
             return list(stated)
         moves = sorted([*stated, *new], key=lambda m: m.at)
-        fit = self.fit(self.start(moves), self.samples)
+        fit = self.fit(moves)
         if usual_miss(fit.model, self.samples) > LIMIT_OF_REACH * fit.model.chain.reach():
             return list(stated)  # whatever moved, these are no readings of this arm
         known = {move.at for move in stated}
@@ -240,10 +241,7 @@ class _RegimeSearch:
         state = self._without(fit, [move.at for move in moves], rows)
         engine = MoveSearch(state, given, [*asked, *self._rivals(sorted(joints))], _PRICE, len(asked))
         found = engine.needed(list(engine.explained(without=(READING,)).picked))
-        out: dict[float, set[str]] = {}
-        for h in (j.hypothesis for j in found if j.hypothesis.kind == STEP):
-            out.setdefault(_at(h), set()).add(h.effect.place)
-        own = [Move(at, "both" if len(places) == 2 else _place(places.pop())) for at, places in out.items()]
+        own = _moves(j.hypothesis.effect for j in found if j.hypothesis.kind == STEP)
         return sorted([*stated, *own], key=lambda m: m.at)
 
     def _without(self, fit: Fit, times: Sequence[float], rows: Sequence[CellChange]) -> CheckState:

@@ -15,8 +15,19 @@ from functools import lru_cache
 import numpy as np
 
 from modcal_core.calibration import Deviations, Model, RowView, apply_deviations
-from modcal_core.effects import ALL, AXIS, SHIFT, Drivers, Effect, both_signs, columns, one_motion
-from modcal_core.effects.families import backlash, compliance, gear_harmonic, gear_ratio, scale, step
+from modcal_core.effects import (
+    ALL,
+    AXIS,
+    SHIFT,
+    Drivers,
+    Effect,
+    Shape,
+    both_signs,
+    carried_signals,
+    columns,
+    one_motion,
+)
+from modcal_core.effects.families import backlash, compliance, drift, gear_harmonic, gear_ratio, scale, step
 from modcal_core.geometry import Array, error_transform, error_values
 from modcal_core.measurements import Samples
 from modcal_core.moves.noise import varying
@@ -25,58 +36,65 @@ from modcal_core.robots import is_serial_arm
 BASE, FRAME, TOOL, ZERO, LENGTH = "base", "frame", "tool", "joint_zero", "heat"
 GEAR, LOAD, SCALE, NOISE, READING = "gear", "load", "tracker_scale", "tracker_noise", "reading"
 LINK, PLAY, STEP, DRIFT, PAYLOAD = "link", "tool_play", "step", "drift", "payload"
+LIMIT, CARRIED = "limit", "carried"
+
+
+Quantity = tuple[str, float, str]  # name, factor and unit of a size
 
 
 @dataclass(frozen=True)
 class ChangeKind:
     """What holds of all rows of a kind. label, said: its name and its sentence, with the row's fields; {size}: of its
-    first size, {moved}: of a shift and a turn. size: name, factor and unit. chance: beside other kinds, shared among
-    its members; rare ones are looked for, not expected. outside: it is put back or measured otherwise, and no change of
-    the arm.
+    first size, {moved}: of a shift and a turn. sizes: that people read. chance: beside other kinds, shared among its
+    members; rare ones are looked for, not expected. outside: it is put back or measured otherwise, and no change of the
+    arm.
     """
 
     label: str
     said: str
-    size: tuple[str, float, str] = ("", 1.0, "")
+    sizes: tuple[Quantity, ...] = ()
     chance: float = 1.0
     outside: bool = False
 
 
 _RARE = 0.25  # chance of what hardly ever changes in a cell, beside 1 for what is moved now and then
 COMPLIANCE = ("compliance", 1e6, "urad/(N m)")
+_SIX = (*((n, 1e3, "mm") for n in ("x", "y", "z")), *((n, 1e3, "mrad") for n in ("rx", "ry", "rz")))
 KINDS = {
-    BASE: ChangeKind("{place}", "The {who} has moved{moved}", outside=True),
-    FRAME: ChangeKind("frame {place}", "Frame {place} has moved{moved}", outside=True),
-    TOOL: ChangeKind("{place}", "The {who} has moved{moved}", outside=True),
-    ZERO: ChangeKind("zero of {place}", "The zero of {place} has changed by {size}", ("zero", 1e3, "mrad")),
+    BASE: ChangeKind("{place}", "The {who} has moved{moved}", _SIX, outside=True),
+    FRAME: ChangeKind("frame {place}", "Frame {place} has moved{moved}", _SIX, outside=True),
+    TOOL: ChangeKind("{place}", "The {who} has moved{moved}", _SIX, outside=True),
+    ZERO: ChangeKind("zero of {place}", "The zero of {place} has changed by {size}", (("zero", 1e3, "mrad"),)),
     LENGTH: ChangeKind(
-        "length of {link}", "The length of {link} has grown by {size}, as heat does", ("growth", 1e3, "mm")
+        "length of {link}", "The length of {link} has grown by {size}, as heat does", (("growth", 1e3, "mm"),)
     ),
-    GEAR: ChangeKind("gear of {place}", "The gear or encoder of {place} has changed: {size}", ("ratio", 1e6, "ppm")),
-    LOAD: ChangeKind("load on {place}", "{place} deflects differently under load: {size}", COMPLIANCE),
+    GEAR: ChangeKind("gear of {place}", "The gear or encoder of {place} has changed: {size}", (("ratio", 1e6, "ppm"),)),
+    LOAD: ChangeKind("load on {place}", "{place} deflects differently under load: {size}", (COMPLIANCE,)),
     PAYLOAD: ChangeKind(
-        "load on all joints",
-        "All joints deflect differently under load, as under another payload",
-        COMPLIANCE,
-        _RARE,
+        "load on all joints", "All joints deflect differently under load, as under another payload", (), _RARE
     ),
     SCALE: ChangeKind(
-        "scale of the tracker", "The tracker's readings are longer by {size}", ("scale", 1e6, "ppm"), outside=True
+        "scale of the tracker", "The tracker's readings are longer by {size}", (("scale", 1e6, "ppm"),), outside=True
     ),
     NOISE: ChangeKind(
         "noise of the tracker", "The readings scatter more than when the calibration was made: {factors}"
     ),
-    READING: ChangeKind("reading {place}", "", chance=_RARE),
-    LINK: ChangeKind("bend of {link}", "The link before {place} is bent{moved}", chance=_RARE),
+    READING: ChangeKind("reading {place}", "", (), _RARE),
+    LIMIT: ChangeKind("{place} at its limit", "", (), _RARE),
+    LINK: ChangeKind("bend of {link}", "The link before {place} is bent{moved}", _SIX, _RARE),
     PLAY: ChangeKind(
         "play of the tool",
         "The tool or the target is loose and stands off to either side by its weight{moved}",
-        chance=_RARE,
+        _SIX,
+        _RARE,
     ),
     STEP: ChangeKind(
-        "{place} during the recording", "The {place} moved between two stations of the recording{moved}", chance=_RARE
+        "{place} during the recording", "The {place} moved between two stations of the recording{moved}", _SIX, _RARE
     ),
     DRIFT: ChangeKind("drift of {place}", "The {place} drifts{moved}"),
+    CARRIED: ChangeKind(
+        "{place} under load", "The {who} moves with the load that is recorded, by each unit of it{moved}", _SIX, _RARE
+    ),
 }
 _MEAN = 0.1  # share of a curve's square that is one number everywhere: few stations see the mean of a wave as well
 _WRIST = 3  # joints whose load turns a tool about
@@ -106,8 +124,8 @@ class CellChange:
 
     motions: of geometry, one for every size, or all of one size (together). effects: with their sizes zero, or one as
     it is where a known one grew (then replaces is its number). curve: index of the joint whose curve may take any
-    course, else -1. sample: index of the reading that is wrong, else -1. names: others of the same thing. growing:
-    whether it grows with time from nothing.
+    course, else -1. wrong: indices of samples that are wrong. names: others of the same thing. growing: whether it
+    grows with time from nothing.
     """
 
     kind: str
@@ -116,7 +134,7 @@ class CellChange:
     effects: tuple[Effect, ...] = ()
     replaces: int = -1
     curve: int = -1
-    sample: int = -1
+    wrong: tuple[int, ...] = ()
     together: bool = False
     names: tuple[str, ...] = ()
     growing: bool = False
@@ -171,10 +189,12 @@ def hypotheses(model: Model, samples: Samples) -> list[CellChange]:
     out += [CellChange(SCALE, "tracker", effects=(_unsized(effect),)) for effect in scale.candidates(drivers)]
     out.append(CellChange(NOISE, "tracker"))
     out += _play(model, drivers, turns)
+    out += _carried(model, drivers, turns)
+    out += _at_limits(model, samples)
     times = np.unique(samples.stamps)
     if is_serial_arm(model.chain) and not several and not samples.sockets and len(times) >= _FEWEST:
         out += steps(0.5 * (times[_PART - 1 : -_PART] + times[_PART : len(times) - _PART + 1]), turns)
-    return out + [CellChange(READING, str(i + 1), sample=i) for i in range(len(samples))]
+    return out + [CellChange(READING, str(i + 1), wrong=(i,)) for i in range(len(samples))]
 
 
 def _play(model: Model, drivers: Drivers, turns: int) -> Iterator[CellChange]:
@@ -184,6 +204,27 @@ def _play(model: Model, drivers: Drivers, turns: int) -> Iterator[CellChange]:
         if both_signs(drivers.values(f"payload:{name}")):
             loose = backlash.of_tool(name, ALL if turns == 6 else SHIFT)
             yield CellChange(PLAY, "tool", effects=(_unsized(loose, turns),))
+
+
+def _carried(model: Model, drivers: Drivers, turns: int) -> Iterator[CellChange]:
+    """What only shows under a load that a recorded number tells: joints that deflect, base or tool that shift."""
+    for signal in carried_signals(drivers):
+        for name in model.chain.names if is_serial_arm(model.chain) else ():
+            sag = replace(compliance.of_joint(name, 0.0), driver=f"payload:{name},{signal}", shape=Shape("product"))
+            yield CellChange(LOAD, name, effects=(_unsized(sag),))
+        for place, count in ((BASE, 6), (TOOL, turns)):
+            gives = drift.drifting(place, ALL if count == 6 else SHIFT, Shape("linear"))
+            of = (_unsized(replace(gives, driver=signal), count),)
+            yield CellChange(CARRIED, place, effects=of, names=one_motion(place))
+
+
+def _at_limits(model: Model, samples: Samples) -> Iterator[CellChange]:
+    """Joints that stop, and coordinates that are clipped, at the same end of their range at several samples."""
+    every = np.concatenate([samples.q, samples.reading], axis=1).T
+    for name, values in zip((*model.chain.names, *"xyz"), every, strict=True):
+        for end in (values.min(), values.max()):
+            if 1 < len(rows := np.flatnonzero(values == end)) <= len(samples) // 2:
+                yield CellChange(LIMIT, name, wrong=tuple(rows.tolist()))
 
 
 def steps(times: Array, turns: int) -> Iterator[CellChange]:
@@ -256,9 +297,15 @@ def hypothesis_columns(h: CellChange, model: Model, view: RowView, drivers: Driv
         course = (t - t.min()) / max(float(np.ptp(t)), 1e-9)
         whole = hypothesis_columns(replace(h, growing=False), model, view, drivers)
         return whole * np.concatenate([np.tile(course, 3), np.tile(course[view.pose], 3)])[:, None]
-    if h.sample >= 0:
-        own = np.concatenate([np.tile(np.arange(N), 3), np.tile(view.pose, 3)]) == h.sample
-        return np.eye(3 * N + 3 * M)[:, own]
+    if h.wrong:
+        own = np.concatenate([np.tile(np.arange(N), 3), np.tile(view.pose, 3)])[:, None] == h.wrong
+        if h.place in model.chain.names:
+            chain, j = model.chain, model.chain.names.index(h.place)
+            return own * view.unit_column(chain.first_place + j, 5 if chain.revolute[j] else 2)[:, None]
+        if h.kind == LIMIT:
+            own[np.arange(len(own)) // N != "xyz".index(h.place)] = False
+            return own.astype(float)
+        return np.eye(3 * N + 3 * M)[:, own[:, 0]]
     if h.motions:
         out = np.empty((len(h.motions), 3 * N + 3 * M))
         for row, motion in zip(out, h.motions, strict=True):

@@ -9,7 +9,7 @@ What explains the readings as well is named with what is named, and what people 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,30 +21,21 @@ from modcal_core.effects import AS_LIKELY, put_back_first
 from modcal_core.effects.families import gear_harmonic
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
-from modcal_core.moves.evidence import (
-    SIZES,
-    ChangeCandidate,
-    ChangeJudge,
-    JudgedChange,
-    by_name,
-    e_value,
-    is_noise,
-    most_probable,
-)
-from modcal_core.moves.noise import FrozenKnowledge, NullModel, parameter_rows
+from modcal_core.moves.evidence import SIZES, ChangeJudge, JudgedChange, by_name, e_value, is_noise, most_probable
+from modcal_core.moves.noise import FrozenKnowledge, NullModel
 from modcal_core.moves.rows import (
     BASE,
     GEAR,
     KINDS,
+    LIMIT,
     NOISE,
     READING,
     TOOL,
     CellChange,
-    curve_root,
     hypotheses,
     log_priors,
 )
-from modcal_core.moves.state import CheckState, TakenUp, along_one
+from modcal_core.moves.state import CheckState, along_one
 
 FALSE_ALARM = 0.01  # chance that something is named while nothing has changed, over all changes together
 _ASKED_FOR = -float(np.log(FALSE_ALARM))
@@ -75,42 +66,37 @@ class FittedChange:
 
 
 @dataclass(frozen=True)
-class SizeCovariance:
-    """What is known of the sizes of all changes together. covariance: (k, k). cross: with what the calibration does not
-    know of itself, (K, k): the error of a size makes up for a part of that.
-    """
-
-    covariance: Array
-    cross: Array
-
-
-@dataclass(frozen=True)
 class FoundChanges:
     """What a search found.
 
-    changes: as named. given: those that were not asked for but given, as fitted. sizes: what is known of the sizes of
-    given and changes. log_e: logarithms of the e-values by which each was asked for, and, last, of what is left. aside:
-    samples that were set aside as wrong. stages: the frozen model beside the others, the same with what was given left
-    open, and with the changes taken up. asked: the changes that were looked for.
+    changes: as named. given: those that were not asked for but given, as fitted. covariance: of the sizes of given and
+    changes together, (k, k). log_e: logarithms of the e-values by which each was asked for, and, last, of what is left.
+    aside: samples that were set aside as wrong, with what stands at its limit there. stages: the frozen model beside
+    the others, the same with what was given left open, and with the changes taken up. asked: what was looked for.
     """
 
     changes: tuple[FittedChange, ...]
     given: tuple[FittedChange, ...]
-    sizes: SizeCovariance
+    covariance: Array
     log_e: tuple[float, ...]
-    aside: tuple[int, ...]
-    stages: tuple[TakenUp, TakenUp, TakenUp]
+    aside: Mapping[int, str]
+    stages: tuple[CheckState, CheckState, CheckState]
     asked: tuple[CellChange, ...]
 
     @property
     def null(self) -> NullModel:
         """What readings scatter by about the frozen model."""
-        return self.stages[0].judge.null
+        return self.stages[0].null
+
+    @property
+    def model(self) -> Model:
+        """The frozen one."""
+        return self.stages[0].model
 
     @property
     def state(self) -> CheckState:
         """The model with the changes, beside the samples that were not set aside."""
-        return self.stages[2].state
+        return self.stages[2]
 
     @property
     def samples(self) -> Samples:
@@ -128,15 +114,16 @@ def search(model: Model, samples: Samples, known: FrozenKnowledge, given: Sequen
     whose sizes alone are asked for.
     """
     rows = np.arange(len(samples))
-    aside: list[int] = []
+    aside: dict[int, str] = {}
     while True:
         engine = MoveSearch(CheckState(model, samples.select(rows), known), tuple(given))
         found = engine.best()
-        wrong = max((c.hypothesis.sample for c in found.picked), default=-1)
-        if wrong < 0 or len(aside) >= max(1, len(samples) // 10) or len(rows) < 4:
-            return engine.told(found, tuple(aside))
-        aside.append(int(rows[wrong]))
-        rows = np.delete(rows, wrong)
+        wrong = next((c.hypothesis for c in found.picked if c.hypothesis.wrong), None)
+        most = max(1, len(samples) // 10) if wrong is None or wrong.kind == READING else len(samples) // 2 + 1
+        if wrong is None or len(aside) >= most or len(rows) < 4:
+            return engine.told(found, aside)
+        aside |= {int(rows[i]): wrong.label if wrong.kind == LIMIT else "" for i in wrong.wrong}
+        rows = np.setdiff1d(np.arange(len(samples)), [*aside])
 
 
 @dataclass(frozen=True)
@@ -170,9 +157,9 @@ class MoveSearch:
         asked_for: float = _ASKED_FOR,
         most: int = 2,
     ) -> None:
-        self.plain = TakenUp(plain, (), ChangeJudge(plain.null))
+        self.plain = plain
         self.given, self.weight, self.asked_for, self.most = given, plain.null.weight, asked_for, most
-        self._taken: dict[tuple[int, ...], tuple[list[JudgedChange], TakenUp]] = {}
+        self._taken: dict[tuple[int, ...], tuple[list[JudgedChange], CheckState]] = {}
         keys = {h.key for h in given}
         table = hypotheses(plain.model, plain.samples) if asked is None else asked
         every = [h for h in table if h.key not in keys]
@@ -184,7 +171,7 @@ class MoveSearch:
         """What is given, of any size."""
         return [replace(one, size=float(SIZES[-1])) for one in self.plain.judge_all(self.given)[0]]
 
-    def beside(self, picked: Sequence[JudgedChange]) -> TakenUp:
+    def beside(self, picked: Sequence[JudgedChange]) -> CheckState:
         """What stands with these changes taken up, on top of what is given."""
         key = tuple(map(id, picked))
         if key not in self._taken:
@@ -198,12 +185,12 @@ class MoveSearch:
 
     def left(self, picked: Sequence[JudgedChange]) -> float:
         """The e-value of what is left beside these changes."""
-        return e_value(*self.beside(picked).judge_all(self.others(picked)), self.weight)
+        return e_value(*self.beside(picked).judge_all(self.others(picked)), weight=self.weight)
 
     def best(self) -> Explanation:
         """The most probable explanation, or the first reading that is wrong."""
         ways = self._weighed()
-        if ways and ways[0].picked and ways[0].picked[0].hypothesis.sample >= 0:  # set aside before anything is blamed
+        if ways and ways[0].picked and ways[0].picked[0].hypothesis.wrong:  # set aside before anything is blamed
             return ways[0]
         if not ways or any(is_noise(c) for c in ways[0].picked):
             ways += self._weighed(without=(NOISE,))
@@ -212,7 +199,7 @@ class MoveSearch:
         if not ways:
             raise np.linalg.LinAlgError("the readings are too far away to weigh what explains them")
         found = max(ways, key=lambda way: (not way.more, way.score))
-        if any(c.hypothesis.sample >= 0 for c in found.picked):
+        if any(c.hypothesis.wrong for c in found.picked):
             return found
         picked = self.needed([self._wave(found.picked, i) for i in range(len(found.picked))])
         outside = list(picked)
@@ -241,7 +228,7 @@ class MoveSearch:
             if log_e[-1] <= self.asked_for or len(picked) >= len(begin) + self.most:
                 return Explanation(tuple(picked), tuple(log_e), self._score(picked))
             one = most_probable(judged, prior, self.weight)
-            if one.hypothesis.kind == READING:  # it is set aside, and the search begins again
+            if one.hypothesis.wrong:  # it is set aside, and the search begins again
                 return Explanation((*picked, one), tuple(log_e), np.inf)
             picked = self._chosen_again([*picked, one], len(begin), without)
 
@@ -251,7 +238,7 @@ class MoveSearch:
             before = list(picked)
             for i in range(fixed, len(picked)):
                 rest = [c for j, c in enumerate(picked) if j != i]
-                judged, prior = self.beside(rest).judge_all(self.others(rest, (READING, *without)), bent=True)
+                judged, prior = self.beside(rest).judge_all(self.others(rest, (READING, LIMIT, *without)), bent=True)
                 best = most_probable(judged, prior, self.weight)
                 if best.hypothesis.key != picked[i].hypothesis.key:
                     picked[i] = best
@@ -284,7 +271,7 @@ class MoveSearch:
     def _outside(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:
         """One of the changes that were picked, or what outside the arm explains the readings as well."""
         hypothesis, rest = picked[i].hypothesis, [c for j, c in enumerate(picked) if j != i]
-        if hypothesis.outside or hypothesis.kind in (NOISE, READING):
+        if hypothesis.outside or hypothesis.kind == NOISE:
             return picked[i]
         asked = [h for h in self.others(rest) if h.outside]
         every = self.beside(rest).judge_all([*asked, hypothesis], bent=True)[0]
@@ -293,7 +280,7 @@ class MoveSearch:
         if first == len(asked):
             return picked[i]
         # beside another change that may only make up for what one size leaves, all sizes are open
-        along = None if rest else along_one(asked[first], hypothesis, self.beside([]).state)
+        along = None if rest else along_one(asked[first], hypothesis, self.beside([]))
         alone = [] if along is None else self.beside(rest).judge_all([along])[0]
         return max([every[first], *alone], key=lambda one: one.log_factor)
 
@@ -306,23 +293,23 @@ class MoveSearch:
         return wave if wave is not None and wave.log_factor > picked[i].log_factor else picked[i]
 
     def nearest(self) -> FittedChange:
-        """The row that explains most by itself, or what outside the arm explains as much, with its rivals."""
-        judged, prior = self.plain.judge_all(self.asked)
-        return self.with_rivals([self._outside([most_probable(judged, prior)], 0)], 0)
+        """The row that explains most by itself, or what outside the arm explains as much, with its size and rivals."""
+        one = self._outside([most_probable(*self.plain.judge_all(self.asked), weight=self.weight)], 0)
+        return with_sizes([self.with_rivals([one], 0)], self.beside([one]), self.plain.null)[0][0]
 
-    def told(self, found: Explanation, aside: tuple[int, ...]) -> FoundChanges:
+    def told(self, found: Explanation, aside: Mapping[int, str]) -> FoundChanges:
         """What was found, with what explains the readings as well, and with sizes."""
         # more readings are wrong than are set aside: the others are not explained
-        picked = [c for c in found.picked if c.hypothesis.sample < 0]
+        picked = [c for c in found.picked if not c.hypothesis.wrong]
         now = self.beside(picked)
         given = [FittedChange(judged, 1.0) for judged in self.fixed]
-        sizes = SizeCovariance(np.empty((0, 0)), np.empty((len(self.plain.state.known.covariance), 0)))
+        covariance = np.empty((0, 0))
         changes = [self.with_rivals(picked, i) for i in range(len(picked))]
         if given or changes:
-            every, sizes = with_sizes([*given, *changes], now, self.plain.judge.null)
+            every, covariance = with_sizes([*given, *changes], now, self.plain.null)
             given, changes = every[: len(given)], every[len(given) :]
         stages = self.plain, self.beside([]), now
-        return FoundChanges(tuple(changes), tuple(given), sizes, found.log_e, aside, stages, tuple(self.asked))
+        return FoundChanges(tuple(changes), tuple(given), covariance, found.log_e, aside, stages, tuple(self.asked))
 
     def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
         """One of the changes that were picked, with what explains the readings as well."""
@@ -338,87 +325,61 @@ class MoveSearch:
             h, common = j.hypothesis, KINDS[best.hypothesis.kind].chance
             contained = bool(h.sizes) and j.likelihood > best.likelihood - AS_LIKELY / self.weight
             contained &= KINDS[h.kind].chance >= common
-            if h.kind != READING and (p > probability * np.exp(-_AS_PROBABLE) or contained):
+            if not h.wrong and (p > probability * np.exp(-_AS_PROBABLE) or contained):
                 rivals.append((p, j))
         rivals.sort(key=lambda pair: -pair[0])
         return FittedChange(replace(best, hypothesis=one.hypothesis), probability, tuple(j for _, j in rivals))
 
 
-def with_sizes(
-    changes: Sequence[FittedChange], now: TakenUp, begin: NullModel
-) -> tuple[list[FittedChange], SizeCovariance]:
-    """The changes with their sizes, and what is known of these beside each other.
+def with_sizes(changes: Sequence[FittedChange], now: CheckState, begin: NullModel) -> tuple[list[FittedChange], Array]:
+    """The changes with their sizes, of a curve its angles at the stations, and the covariance (k, k) of all sizes.
 
     Of the null's grid the member counts that suits the readings best with the changes in; without them it would be a
     wider spread, for it would have to explain them.
     """
-    state, known, member = now.state, now.state.known, now.judge.best
     for change in changes:
         if is_noise(change.judged):
             begin = begin.with_noise(*change.judged.noise)
-    judge, n = ChangeJudge(begin), len(begin.residual)
-    blocks, roots = [], []
-    for change, fit in zip(changes, now.fits, strict=True):
-        A, free = judge.whitened(fit.columns, member), fit.hypothesis.free
-        spread = change.judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300)) if free else 1.0
-        blocks.append(spread * A)
-        own = curve_root(fit.hypothesis.curve, state.model, state.samples) if free else np.eye(A.shape[1])
-        roots.append(spread * own)
-    J, ends = np.concatenate(blocks, axis=1), np.cumsum([block.shape[1] for block in blocks])
-    sized = np.concatenate([np.full(b.shape[1], not f.hypothesis.free) for b, f in zip(blocks, now.fits, strict=True)])
-    covariance = np.linalg.pinv(J.T @ J + np.diag(1.0 - sized), hermitian=True)
-    mean = covariance @ (J.T @ judge.whitened(state.residual, member))  # of curves; of sizes it is the last step
-    rows = parameter_rows(state.model, state.view, state.drivers, known.parameters, known.effects)
-    cross = -known.covariance @ judge.whitened(rows.T, member).T @ J @ covariance
-    out = []
-    for change, fit, root, end in zip(changes, now.fits, roots, ends, strict=True):
-        at = slice(end - root.shape[1], end)
-        found = root @ mean[at] if fit.hypothesis.free else fit.sizes
-        out.append(replace(change, sizes=found, covariance=root @ covariance[at, at] @ root.T))
-    return out, SizeCovariance(covariance[np.ix_(sized, sized)], cross[:, sized])
+    judge, member = ChangeJudge(begin), now.judge.best
+    columns = [now.turned(f.hypothesis.curve) if f.hypothesis.free else f.columns for f in now.fits]
+    J = judge.whitened(np.concatenate(columns, axis=1), member)
+    covariance = np.asarray(np.linalg.pinv(J.T @ J, hermitian=True), dtype=float)
+    last = covariance @ (J.T @ judge.whitened(now.residual, member))  # of curves; of sizes it is none any more
+    owner = np.repeat(np.arange(len(columns)), [c.shape[1] for c in columns])
+    out, sized = [], np.ones(len(owner), bool)
+    for i, (change, fit) in enumerate(zip(changes, now.fits, strict=True)):
+        at = owner == i
+        sized &= ~at | (not fit.hypothesis.free)
+        sizes = last[at] if fit.hypothesis.free else fit.sizes
+        out.append(replace(change, sizes=sizes, covariance=covariance[np.ix_(at, at)]))
+    return out, covariance[np.ix_(sized, sized)]
 
 
-def wave_of(joint: int, beside: TakenUp) -> JudgedChange | None:
-    """The wave that one joint's curve is: how many cycles a turn, found by scanning them all at once; None where the
-    readings do not say which.
+def wave_of(joint: int, beside: CheckState) -> JudgedChange | None:
+    """The wave that one joint's curve is, with how many cycles a turn; None where the readings do not say which.
 
     A few stations show a curve that varies from one to the next, and say little of its course between them. A wave has
     three sizes, or five with the second harmonic that strain wave gears have.
     """
-    state, judge, chain = beside.state, beside.judge, beside.state.model.chain
+    chain, null = beside.model.chain, beside.null
     if not chain.revolute[joint]:
         return None
-    q = state.samples.q[:, joint]
-    unit, angle = state.unit(joint), q[state.row_samples]
-    z = judge.whitened(judge.null.residual, judge.best)
+    # of the noise the member that suits the readings best, or so many waves would take long
+    state = CheckState(beside.model, beside.samples, beside.known, null.only(beside.judge.best))
 
-    def factors(cycles: Array, double: bool) -> Array:
-        phase = cycles[:, None] * angle
-        parts = [np.sin(phase), np.cos(phase)] + ([np.sin(2.0 * phase), np.cos(2.0 * phase)] if double else [])
-        A = np.stack([judge.whitened((unit * part).T, judge.best).T for part in parts], axis=1)  # (C, k, n)
-        gram = A @ np.swapaxes(A, 1, 2) + 1e-9 * np.eye(len(parts)) * np.sum(A**2, axis=(1, 2), keepdims=True)
-        along = A @ z
-        gain = np.sum(along * np.linalg.solve(gram, along[..., None])[..., 0], axis=1)
-        k = len(parts)
-        g = SIZES**2 * len(z) / k
-        logs = -0.5 * k * np.log1p(g) + 0.5 * gain[:, None] * g / (1.0 + g)
-        return np.asarray(scipy.special.logsumexp(logs, axis=1) - np.log(len(SIZES)))
+    def judged(cycles: Array, double: bool) -> list[JudgedChange]:
+        waves = (gear_harmonic.wave(chain.names[joint], float(c), double) for c in cycles)
+        return state.judge_all([CellChange(GEAR, chain.names[joint], effects=(wave,)) for wave in waves])[0]
 
-    grid = gear_harmonic.cycle_grid(max(float(np.ptp(q)), 0.1))
-    found = []  # evidence, cycles or NaN, double
-    for double in (False, True):
-        cycles = grid[grid <= 0.5 * gear_harmonic.MAX_CYCLES] if double else grid
-        logs = factors(cycles, double)
-        total, top, step = float(scipy.special.logsumexp(logs)), int(np.argmax(logs)), float(cycles[1] - cycles[0])
-        peak = np.abs(cycles - cycles[top]) <= _NEAR * step
-        sure = float(scipy.special.logsumexp(logs[peak])) - total > np.log(_SURE)
-        finer = cycles[top] + step * _FINER
-        at = float(finer[np.argmax(factors(finer, double))]) if sure else np.nan
-        found.append((total - float(np.log(len(cycles))), at, double))
-    evidence, at, double = max(found, key=lambda way: way[0])
-    if np.isnan(at):
+    grid = gear_harmonic.cycle_grid(max(float(np.ptp(state.samples.q[:, joint])), 0.1))
+    every = {double: judged(grid[: len(grid) // (1 + double)], double) for double in (False, True)}
+    mass = {double: scipy.special.logsumexp([j.log_factor for j in some]) for double, some in every.items()}
+    evidence, double = max((mass[double] - np.log(len(every[double])), double) for double in every)
+    logs = np.array([j.log_factor for j in every[double]])
+    top, step = int(np.argmax(logs)), grid[1] - grid[0]
+    near = np.abs(grid[: len(logs)] - grid[top]) <= _NEAR * step
+    if scipy.special.logsumexp(logs[near]) - mass[double] <= np.log(_SURE):
         return None
-    change = CellChange(GEAR, chain.names[joint], effects=(gear_harmonic.wave(chain.names[joint], at, double),))
-    judged = judge.judged(ChangeCandidate(change, judge.null.residual, state.columns(change)))
-    own = float(factors(np.array([at]), double)[0])
-    return replace(judged, log_factor=judged.log_factor + evidence - own)
+    finest = max(judged(grid[top] + step * _FINER, double), key=lambda wave: wave.log_factor)
+    (whole,), _ = beside.judge_all([finest.hypothesis])
+    return replace(whole, log_factor=whole.log_factor + evidence - finest.log_factor)

@@ -6,12 +6,11 @@ is asked beside every size that it may have.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-import scipy
 
 from modcal_core.calibration import Model, ModelParameter, RowView
 from modcal_core.geometry import Array, error_values, se3
@@ -43,9 +42,8 @@ _WIDE = 4.0  # times its own size: what a change that was taken up may still be 
 class CheckState:
     """A model beside the samples, what its readings scatter by, and its derivatives.
 
-    of: the null, where it is known already. curves: by joint, angles (S,) at the stations about which a large curve is
-    linearised; it is none of the model's, so the residual is what it would be if readings moved in proportion to it.
-    linear: whether changes are taken up in proportion, since the model has them already and the null's residual not.
+    of: the null, where it is known already. linear: whether changes are taken up in proportion, since the model has
+    them already and the null's residual not. fits: changes that were taken up, as fitted.
     """
 
     def __init__(
@@ -54,24 +52,24 @@ class CheckState:
         samples: Samples,
         known: FrozenKnowledge,
         of: NullModel | None = None,
-        curves: Mapping[int, Array] | None = None,
         linear: bool = False,
     ) -> None:
         self.model, self.samples, self.known, self.linear = model, samples, known, linear
-        self.curves = dict(curves or {})
-        self._station = np.unique(samples.station, return_inverse=True)[1]
-        q = samples.q.copy()
-        for joint, angles in self.curves.items():
-            q[:, joint] += angles[self._station]
-        bent = replace(samples, q=q) if self.curves else samples
-        self.drivers = model.drivers(bent)
-        self.view = RowView.of(model, bent, self.drivers)
+        self.drivers = model.drivers(samples)
+        self.view = RowView.of(model, samples, self.drivers)
         self._of = of
+        self.fits: Sequence[ChangeCandidate] = ()
+        self._judged: dict[tuple[int, bool], tuple[CellChange, JudgedChange]] = {}
 
     @cached_property
     def null(self) -> NullModel:
         """What its readings scatter by while nothing else has changed."""
         return null(self.model, self.samples, self.view, self.drivers, self.known) if self._of is None else self._of
+
+    @cached_property
+    def judge(self) -> ChangeJudge:
+        """What the null says of changes."""
+        return ChangeJudge(self.null)
 
     @cached_property
     def row_samples(self) -> np.ndarray:
@@ -90,22 +88,13 @@ class CheckState:
     @property
     def residual(self) -> Array:
         """Residuals of the readings, (n,), in the rows of the linearisation."""
-        out = np.concatenate([self.view.position.ravel(), self.view.rotation.ravel()])
-        for joint, angles in self.curves.items():
-            out = out + self.turned(joint) @ angles
-        return out
-
-    def unit(self, joint: int) -> Array:
-        """What readings move by per unit of a joint's angle or travel, (n,)."""
-        chain = self.model.chain
-        return self.view.unit_column(chain.first_place + joint, 5 if chain.revolute[joint] else 2)
+        return np.concatenate([self.view.position.ravel(), self.view.rotation.ravel()])
 
     def turned(self, joint: int) -> Array:
-        """The same for each station by itself, (n, S)."""
-        unit = self.unit(joint)
-        out = np.zeros((len(unit), int(self._station.max()) + 1))
-        out[np.arange(len(unit)), self._station[self.row_samples]] = unit
-        return out
+        """What readings move by per unit of a joint's angle or travel at each station, (n, S)."""
+        chain, station = self.model.chain, np.unique(self.samples.station, return_inverse=True)[1]
+        unit = self.view.unit_column(chain.first_place + joint, 5 if chain.revolute[joint] else 2)
+        return unit[:, None] * (station[self.row_samples][:, None] == np.arange(station.max() + 1))
 
     def columns(self, hypothesis: CellChange) -> Array:
         """Columns of a change at this model; none for noise, which has no size."""
@@ -115,55 +104,90 @@ class CheckState:
             return self.turned(hypothesis.curve) @ curve_root(hypothesis.curve, self.model, self.samples)
         return hypothesis_columns(hypothesis, self.model, self.view, self.drivers)
 
+    def judge_all(self, asked: Sequence[CellChange], bent: bool = False) -> tuple[list[JudgedChange], Array]:
+        """What speaks for each, and the logarithms of their prior probabilities. bent: fit each by itself where changes
+        are so large that their motions bend.
+        """
+        large = bent and self._bends
+        return [self._judge_one(h, large and h.sizes > 0) for h in asked], log_priors(asked)
 
-def fitted(
-    asked: Sequence[CellChange], state: CheckState, judge: ChangeJudge, bent: bool = False
-) -> tuple[list[ChangeCandidate], CheckState]:
+    @property
+    def _bends(self) -> bool:
+        """Whether what is missed is so large that the motions by a change are no longer in proportion to it."""
+        return not self.linear and self.judge.square > _LARGE * len(self.null.residual)
+
+    def _judge_one(self, h: CellChange, alone: bool) -> JudgedChange:
+        key = id(h), alone
+        if key not in self._judged:  # kept with its key: the number of an object is another's once it is gone
+            if h.kind == NOISE:
+                judged = self.judge.noisier(h)
+            elif alone:
+                judged = self.judge.judged(fitted([h], self)[0][0])
+            else:
+                judged = self.judge.judged(ChangeCandidate(h, self.null.residual, self.columns(h)))
+            self._judged[key] = h, judged
+        return self._judged[key][1]
+
+    def with_these(self, picked: Sequence[JudgedChange]) -> CheckState:
+        """The state in which these changes have been taken up, their sizes left open."""
+        if not picked:
+            return self
+        fits, now = fitted([p.hypothesis for p in picked], self)
+        opened = replace(self.null, residual=fits[0].residual)
+        for judged, candidate in zip(picked, fits, strict=True):
+            if is_noise(judged):
+                opened = opened.with_noise(*judged.noise)
+                continue
+            columns, n = candidate.columns, len(opened.residual)
+            A = opened.whitened(columns)
+            if judged.hypothesis.free:
+                scale = judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300))
+            else:
+                _, s, Vt = np.linalg.svd(A, full_matrices=False)
+                keep = s > 1e-9 * max(float(s.max(initial=0.0)), 1e-300)
+                columns = columns @ (Vt[keep].T / s[keep])
+                scale = _WIDE * judged.size * np.sqrt(n / max(int(keep.sum()), 1))
+            opened = opened.with_more(columns, scale)
+        state = CheckState(now.model, now.samples, now.known, opened, now.linear)
+        state.fits = fits
+        return state
+
+
+def fitted(asked: Sequence[CellChange], state: CheckState) -> tuple[list[ChangeCandidate], CheckState]:
     """These changes fitted together by Gauss-Newton steps, and the state with them put in.
 
-    Curves that may take any course, noise and wrong readings have no sizes to put in. bent: linearise curves about
-    their angles at the stations.
+    Curves that may take any course, noise and wrong readings have no sizes to put in.
     """
     sized = [h for h in asked if h.sizes]
-    model, now, member = state.model, state, state.null.reference
+    model, now, judge, member = state.model, state, state.judge, state.null.reference
     if state.linear:
-        A, r = np.concatenate([state.columns(h) for h in asked], axis=1), state.null.residual
-        left = r - A @ np.linalg.lstsq(judge.whitened(A, member), judge.whitened(r, member), rcond=1e-8)[0]
-        return [ChangeCandidate(h, left, state.columns(h)) for h in asked], state
-    totals = _set_up(sized, state) if bent else [np.zeros(h.sizes) for h in sized]
+        columns, r = [state.columns(h) for h in asked], state.null.residual
+        A = np.concatenate(columns, axis=1)
+        sizes = np.linalg.lstsq(judge.whitened(A, member), judge.whitened(r, member), rcond=1e-8)[0]
+        each = np.split(sizes, np.cumsum([c.shape[1] for c in columns])[:-1])
+        return [ChangeCandidate(h, r - A @ sizes, *of) for h, *of in zip(asked, columns, each, strict=True)], state
+    totals, before = _set_up(sized, state), np.inf
     for h, total in zip(sized, totals, strict=True):
-        if total.any():
-            model = put_in(h, model, total)
+        model = put_in(h, model, total) if total.any() else model
     if model is not state.model:
-        now = CheckState(model, state.samples, state.known, state.null, state.curves)
-    angles = {h.curve: np.zeros(len(np.unique(state.samples.station))) for h in asked if h.free and bent}
-    before = np.inf
-    for _ in range(_STEPS if sized or angles else 0):
-        turned = {j: now.turned(j) for j in angles}
-        z = judge.whitened(now.residual - sum((turned[j] @ angles[j] for j in angles), np.zeros(1)), member)
+        now = CheckState(model, state.samples, state.known, state.null)
+    for _ in range(_STEPS if sized else 0):
+        z = judge.whitened(now.residual, member)
         square = float(z @ z)
-        A = judge.whitened(np.concatenate([*(now.columns(h) for h in sized), *turned.values()], axis=1), member)
-        if angles:  # of a station at which the joint moves nothing no angle follows
-            so_far = np.concatenate(list(angles.values()))
-            A = np.concatenate([A, np.eye(len(so_far), A.shape[1], A.shape[1] - len(so_far)) / _LONGEST])
-            z = np.r_[z, -so_far / _LONGEST]
+        A = judge.whitened(np.concatenate([now.columns(h) for h in sized], axis=1), member)
         scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         by = np.linalg.lstsq(A / scale, z, rcond=1e-8)[0] / scale
         gain = float(np.linalg.norm(A @ by))
         if gain < max(_END, _SHARE * np.sqrt(square)) or square > 4.0 * before:
             break
         before = square
-        parts = np.split(by, np.cumsum([*map(len, totals), *map(len, angles.values())])[:-1])
-        for j, turn in zip(angles, parts[len(sized) :], strict=True):
-            angles[j] = angles[j] + np.clip(turn, -_LONGEST, _LONGEST)
-        turns = [float(np.linalg.norm(p[3:])) for p in parts[: len(sized)] if len(p) == 6]
-        shorter = _LONGEST / max([_LONGEST, *turns])
+        parts = np.split(by, np.cumsum([*map(len, totals)])[:-1])
+        shorter = _LONGEST / max([_LONGEST, *(float(np.linalg.norm(p[3:])) for p in parts if len(p) == 6)])
         for i, h in enumerate(sized):
             model = put_in(h, model, shorter * parts[i])
             totals[i] = composed(h, totals[i], shorter * parts[i])
-        now = CheckState(model, state.samples, state.known, state.null, {**state.curves, **angles})
-    found, residual = iter(totals), now.residual
-    none = np.empty(0)
+        now = CheckState(model, state.samples, state.known, state.null)
+    found, residual, none = iter(totals), now.residual, np.empty(0)
     return [ChangeCandidate(h, residual, now.columns(h), next(found) if h.sizes else none) for h in asked], now
 
 
@@ -185,66 +209,6 @@ def _set_up(asked: Sequence[CellChange], state: CheckState) -> list[Array]:
     ]
 
 
-@dataclass
-class TakenUp:
-    """What stands once changes are taken up. fits: these as fitted. judge: of what is left."""
-
-    state: CheckState
-    fits: Sequence[ChangeCandidate]
-    judge: ChangeJudge
-    _judged: dict[tuple[int, bool], tuple[CellChange, JudgedChange]] = field(default_factory=dict)
-
-    @property
-    def bends(self) -> bool:
-        """Whether what is missed is so large that the motions by a change are no longer in proportion to it."""
-        return not self.state.linear and self.judge.square > _LARGE * len(self.judge.null.residual)
-
-    def judge_all(self, asked: Sequence[CellChange], bent: bool = False) -> tuple[list[JudgedChange], Array]:
-        """What speaks for each, and the logarithms of their prior probabilities. bent: fit each by itself where changes
-        are so large that their motions bend.
-        """
-        large = bent and self.bends
-        return [self._one(h, large and (h.sizes > 0 or h.free)) for h in asked], log_priors(asked)
-
-    def _one(self, hypothesis: CellChange, alone: bool) -> JudgedChange:
-        key = id(hypothesis), alone
-        if key not in self._judged:  # kept with its key: the number of an object is another's once it is gone
-            if hypothesis.kind == NOISE:
-                judged = self.judge.noisier(hypothesis)
-            elif alone:
-                judged = self.judge.judged(fitted([hypothesis], self.state, self.judge, bent=True)[0][0])
-            else:
-                null = self.state.null.residual
-                judged = self.judge.judged(ChangeCandidate(hypothesis, null, self.state.columns(hypothesis)))
-            self._judged[key] = hypothesis, judged
-        return self._judged[key][1]
-
-    def with_these(self, picked: Sequence[JudgedChange]) -> TakenUp:
-        """The state in which these changes have been taken up, their sizes left open."""
-        if not picked:
-            return self
-        fits, now = fitted([p.hypothesis for p in picked], self.state, self.judge, self.bends)
-        opened = self.state.null
-        for judged, candidate in zip(picked, fits, strict=True):
-            if is_noise(judged):
-                opened = opened.with_noise(*judged.noise)
-                continue
-            columns, n = candidate.columns, len(opened.residual)
-            L = np.linalg.cholesky(opened.covariances[opened.reference])
-            A = scipy.linalg.solve_triangular(L, columns, lower=True)
-            if judged.hypothesis.free:
-                scale = judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300))
-            else:
-                _, s, Vt = np.linalg.svd(A, full_matrices=False)
-                keep = s > 1e-9 * max(float(s.max(initial=0.0)), 1e-300)
-                columns = columns @ (Vt[keep].T / s[keep])
-                scale = _WIDE * judged.size * np.sqrt(n / max(int(keep.sum()), 1))
-            opened = opened.with_more(columns, scale)
-        opened = replace(opened, residual=fits[0].residual)
-        state = CheckState(now.model, now.samples, now.known, opened, now.curves, now.linear)
-        return TakenUp(state, fits, ChangeJudge(opened))
-
-
 def along_one(outside: CellChange, hypothesis: CellChange, state: CheckState) -> CellChange | None:
     """What outside the arm moves, only as a change of one size moves the readings; None where that has more sizes.
 
@@ -252,7 +216,6 @@ def along_one(outside: CellChange, hypothesis: CellChange, state: CheckState) ->
     """
     if hypothesis.sizes != 1 or not outside.motions or outside.together:
         return None
-    L = np.linalg.cholesky(state.null.covariances[state.null.reference])
-    A, y = (scipy.linalg.solve_triangular(L, state.columns(h), lower=True) for h in (outside, hypothesis))
+    A, y = (state.null.whitened(state.columns(h)) for h in (outside, hypothesis))
     twist = np.linalg.lstsq(A, y[:, 0], rcond=1e-9)[0] @ np.array([m.twist for m in outside.motions])
     return replace(outside, motions=(replace(outside.motions[0], twist=tuple(twist.tolist())),))

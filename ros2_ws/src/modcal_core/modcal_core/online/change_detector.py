@@ -29,11 +29,11 @@ from modcal_core.moves import (
     PAYLOAD,
     TOOL,
     ZERO,
-    CellChange,
     CheckState,
     FrozenKnowledge,
     MoveSearch,
     hypotheses,
+    named,
 )
 from modcal_core.online.fixed_linearisation import FixedLinearisation, spread
 
@@ -130,10 +130,8 @@ def all_directions(model: Model) -> tuple[ModelParameter, ...]:
 
 @dataclass(frozen=True)
 class ChangeHypothesis:
-    """place, direction, driver: as in reports. since: [s]. size, turn: RMS of how far the tool is moved [m] and turned
-    [rad], NaN without orientations. same_as: what would explain it as well. gain: of squared standard deviations that
-    it takes away, of ``total``. mistake: what the readings look like instead, and the remedy, where nothing has changed
-    but how they are written.
+    """place, direction, driver: as in reports. since: [s]. size: RMS of how far the tool is moved [m]. same_as: what
+    would explain it as well. sentence: for people. mistake: whether nothing has changed but how readings are written.
     """
 
     place: str
@@ -141,61 +139,30 @@ class ChangeHypothesis:
     driver: str
     since: float
     size: float
-    turn: float
-    gain: float
-    total: float
     same_as: tuple[str, ...]
-    mistake: str = ""
+    sentence: str
+    mistake: bool = False
 
     @property
     def label(self) -> str:
         """Name of the change without its size."""
         return f"{self.place} {self.direction} by {self.driver}"
 
-    @property
-    def sentence(self) -> str:
-        """The finding as a sentence."""
-        if self.mistake:
-            return self.mistake
-        text = f"{self.place} ({self.direction}, by {self.driver}) has changed by {1e3 * self.size:.2f} mm"
-        if np.isfinite(self.turn):
-            text += f" and {np.degrees(self.turn):.3g}°"
-        return text + (f"; it may as well be {', '.join(self.same_as)}" if self.same_as else "")
-
 
 def find_change(detector: ChangeDetector, since: float) -> ChangeHypothesis:
     """The row of the catalogue that explains best what the watch has seen since this stamp [s]."""
     model = detector.model
     samples = reduce(Samples.followed_by, [s.sample for s in detector.seen if s.stamp >= since])
-    engine = MoveSearch(CheckState(model, samples, detector.known), asked=_watched(model, samples))
-    found, state = engine.nearest(), engine.plain.state
-    columns, row = state.columns(found.hypothesis), state.row_samples
-    # of each sample by itself, as it is watched
-    L = np.linalg.cholesky(state.null.covariances[state.null.reference] * (row[:, None] == row))
-    A, z = np.linalg.solve(L, columns), np.linalg.solve(L, state.residual)
-    values = np.linalg.lstsq(A, z, rcond=1e-8)[0]
-    left, total = float(np.sum((z - A @ values) ** 2)), float(z @ z)
-    shift, turn = np.split(columns @ values, [3 * len(samples)])
-    place, direction, driver = _words(found.hypothesis, columns, state)
-    names = (f"{name} {direction} by {driver}" for name in found.hypothesis.names)
-    rivals = (j.hypothesis for j in found.same_as)
-    same = (*names, *(" ".join("{} {} by {}".format(*_words(h, state.columns(h), state)).split()) for h in rivals))
-    size = float(np.sqrt(np.sum(shift**2) / len(samples)))
-    turned = float(np.sqrt(3.0 * np.mean(turn**2))) if len(turn) else np.nan
-    return ChangeHypothesis(place, direction, driver, since, size, turned, total - left, total, same)
-
-
-def _watched(model: Model, samples: Samples) -> list[CellChange]:
-    """What is asked of a stream: at once or growing, where a change may be either."""
+    # in proportion: what grows with time has no size that a model could take
+    state = CheckState(model, samples, detector.known, linear=True)
     rows = [h for h in hypotheses(model, samples) if h.kind in _KINDS]
-    return [*rows, *(replace(h, growing=True) for h in rows if h.motions)]
-
-
-def _words(h: CellChange, columns: Array, state: CheckState) -> tuple[str, str, str]:
-    """Place, direction and driver, as in reports."""
+    growing = [replace(h, growing=True) for h in rows if h.motions]
+    change = MoveSearch(state, asked=[*rows, *growing]).nearest()
+    h, columns = change.hypothesis, state.columns(change.hypothesis)
+    said = named(change, columns, 3 * len(samples))
+    direction, driver = {ZERO: "axis", LENGTH: "length"}.get(h.kind, "all"), "time (at once)"
     if h.kind in (LOAD, PAYLOAD):
-        j = int(np.argmax(np.sum(columns**2, axis=0))) if h.kind == PAYLOAD else state.model.chain.names.index(h.place)
-        name = state.model.chain.names[j]
-        return name, "axis", f"load:{name}" + (" (and all other joints)" if h.kind == PAYLOAD else "")
-    direction = {ZERO: "axis", LENGTH: "length"}.get(h.kind, "all")
-    return h.place, direction, f"time ({'growing' if h.growing else 'at once'})"
+        direction, driver = "axis", f"load:{h.place}"
+    elif h.growing:
+        driver = "time (growing)"
+    return ChangeHypothesis(h.place, direction, driver, since, 1e-3 * said.moved_mm[0], said.same_as, said.sentence)

@@ -31,7 +31,6 @@ from modcal_core.calibration import (
     general_samples,
     linearise,
     model_at,
-    priors,
     robust_weights,
     score_of_one,
 )
@@ -48,11 +47,10 @@ class Information:
     """What is known of x (P,): ``R x = z``.
 
     triangle: (P + 1, P + 1), upper triangular, in Fortran's order: R, z beside it, and in the corner below z what the
-    rows that were added last could not be made to agree with the rest. definite: something is known of all of x.
+    rows that were added last could not be made to agree with the rest.
     """
 
     triangle: Array
-    definite: bool
 
     @classmethod
     def of(cls, R: Array, z: Array) -> Information:
@@ -60,7 +58,7 @@ class Information:
         P = len(z)
         triangle = np.zeros((P + 1, P + 1), order="F")
         triangle[:P, :P], triangle[:P, P] = R, z
-        return cls(triangle, _definite(R))
+        return cls(triangle)
 
     @classmethod
     def of_prior(cls, mean: Array, covariance: Array) -> Information:
@@ -84,8 +82,7 @@ class Information:
         triangle = self.triangle.copy(order="F")
         triangle[-1, -1] = 0.0
         # made for rows beneath a triangle: its zeros are not gone through
-        triangle = lapack.dtpqrt(0, min(_PANEL, len(triangle)), triangle, rows, overwrite_a=1)[0]
-        return Information(triangle, self.definite or _definite(triangle[:-1, :-1]))
+        return Information(lapack.dtpqrt(0, min(_PANEL, len(triangle)), triangle, rows, overwrite_a=1)[0])
 
     @property
     def innovation(self) -> float:
@@ -110,7 +107,7 @@ class Information:
         stacked[m:, :m] = -self.R @ G[:, moving]
         stacked[m:, m : m + P], stacked[m:, m + P] = self.R, self.z
         rest = triangular(stacked)[m : m + P, m:]
-        return replace(Information.of(rest[:, :P], rest[:, P]), definite=self.definite)
+        return Information.of(rest[:, :P], rest[:, P])
 
     @property
     def mean(self) -> Array:
@@ -135,26 +132,11 @@ def triangular(rows: Array) -> Array:
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
-def _definite(R: Array) -> bool:
-    """Whether every column of R (P, P) has something of its own, beyond what is left by rounding."""
-    return bool((np.abs(np.diagonal(R)) > len(R) * np.finfo(float).eps * np.linalg.norm(R, axis=0)).all())
-
-
 KEPT = 512  # samples that can be linearised again
 _MOVED = 0.02  # standard deviations; an estimate that moved further is linearised again
 _FAR = 0.5  # the same, a parameter: before the oldest are let go, whose error goes with the square of it
 _ROUNDS = 20  # iterations
 Rows = Array  # [A b] of A x = b, with noise of unit variance, (m, P + 1)
-
-
-@dataclass(frozen=True)
-class Update:
-    """What one sample did. score: how far it lay from what was expected, as a standard score. weight: 1 taken in full,
-    0 rejected.
-    """
-
-    score: float
-    weight: float
 
 
 @dataclass(frozen=True)
@@ -198,32 +180,23 @@ class Estimator:
         model: Model,
         parameters: Sequence[ModelParameter],
         noise: NoiseModel,
-        covariance: Array | None = None,
+        covariance: Array,
         random_walk: RandomWalk | None = None,
         kind: str = POSE,
         robust: bool = True,
-        kept: int = KEPT,
     ) -> None:
         """Begin at a model.
 
-        noise: what samples scatter beyond their own noise. covariance: of the values, (P, P), as far as they are
-        known; None: the priors of a batch fit. random_walk: what may change with time. kind: of the readings. robust:
-        mistrust samples that do not fit. kept: samples that are linearised again when the estimate moves; none with
-        ``random_walk``, which has an order.
+        noise: what samples scatter beyond their own noise. covariance: of the values, (P, P). random_walk: what may
+        change with time; samples then have an order, and none is linearised again. kind: of the readings. robust:
+        mistrust samples that do not fit.
         """
         self.start, self.parameters, self.noise = model, tuple(parameters), noise
         values = [(e, name) for e in model.effects for name in (*range(1, len(e.amplitudes) + 1), *e.refined)]
         self.names = (*(p.name for p in parameters), *(f"{e.label} / {name}" for e, name in values))
         self._robust = robust
-        self._kept_most = 0 if random_walk else kept
-        effects = np.concatenate([np.zeros(0), *(e.values for e in model.effects)])
-        begin = np.concatenate([np.zeros(len(parameters)), effects])
-        if covariance is None:
-            self._before = Information.of(np.zeros((len(begin), len(begin))), np.zeros(len(begin)))
-        else:
-            self._before = Information.of_prior(begin, covariance)
-        self._unprimed = covariance is None
-        self._now = self._before
+        begin = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
+        self._now = self._before = Information.of_prior(begin, covariance)
         self.values = begin
         self._point = begin  # where samples are linearised
         self._frozen: FixedLinearisation | None = None
@@ -250,12 +223,8 @@ class Estimator:
         """The model with the present values put in."""
         return model_at(self.start, self.parameters, self.values)
 
-    def update(self, sample: Samples) -> Update:
-        """Take in one sample (a row), and say how well it fitted."""
-        if self._unprimed:  # the priors of a batch fit depend on the drivers at hand, for the effects only
-            centre, prior = priors(self.start.effects, self.parameters, self.start.drivers(sample))
-            self._before = self._now = Information.of(np.diag(1.0 / prior), centre / prior)
-            self._unprimed = False
+    def update(self, sample: Samples) -> float:
+        """Take in one sample (a row); returns its weight, 1 for one that is taken in full and 0 for a rejected one."""
         self._grow_covariance(float(sample.stamps[0]))
         if self._frozen is None:
             self._frozen = FixedLinearisation(self.start, self.parameters, self._point)
@@ -263,7 +232,7 @@ class Estimator:
         rows = np.concatenate([J, (residual + J.dot(self._point))[:, None]], axis=1)
         rows /= np.concatenate(spread(self.noise, sample)).repeat([3, len(residual) - 3])[:, None]
         now = self._now.with_rows(rows)
-        score = score_of_one(now.innovation, len(rows)) if self._now.definite else 0.0
+        score = score_of_one(now.innovation, len(rows))
         sure = score <= HUBER_Z or not self._robust
         weight = 1.0 if sure else float(robust_weights(np.asarray(score)))
         self.taken += 1
@@ -272,10 +241,9 @@ class Estimator:
             if weight < 1.0:
                 rows = sqrt(weight) * rows
                 now = self._now.with_rows(rows)
-            self._now = now
-            self.values = now.mean if now.definite else self.values
+            self._now, self.values = now, now.mean
             self._keep(sample, weight, rows)
-        return Update(score, weight)
+        return weight
 
     def relinearise(self) -> int:
         """Linearise the kept samples again until the estimate stands; returns how often that was needed."""
@@ -293,14 +261,14 @@ class Estimator:
             self._now = self._now.grown(directions, rates**2 * passed)
 
     def _keep(self, sample: Samples, weight: float, rows: Rows) -> None:
-        if not self._kept_most:
+        if self._directions is not None:
             if self._apart(self.values - self._point) > _MOVED:
                 self._stand_at(self.values)
             return
         self._kept.append(sample)
         self._weights.append(weight)
         self._rows.append(rows)
-        if len(self._kept) >= self._kept_most:
+        if len(self._kept) >= KEPT:
             if self._apart(self.values - self._point) > _FAR * sqrt(len(self.values)):
                 self._again()
             half = len(self._kept) // 2

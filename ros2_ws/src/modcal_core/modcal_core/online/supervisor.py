@@ -26,6 +26,7 @@ from modcal_core.online.change_detector import ChangeDetector, ChangeHypothesis,
 from modcal_core.online.estimator import Estimator, RandomWalk
 
 _UNTOLD = "readings in another unit or convention"
+_STRANGE = 3  # readings in a row from an unknown frame, after which it stands for a known one
 
 
 def or_misread(change: ChangeHypothesis, model: Model, rows: Sequence[Samples], noise: NoiseModel) -> ChangeHypothesis:
@@ -38,17 +39,23 @@ def or_misread(change: ChangeHypothesis, model: Model, rows: Sequence[Samples], 
     if len(samples) < MIN:
         turned = float(np.median(off.rotation_norm)) if samples.is_pose.all() else 0.0
         near = ArmMiss(float(np.median(off.position_norm)), turned).size(reach) < MISREAD * reach
-        return change if near else replace(change, same_as=(_UNTOLD, *change.same_as))
+        also = f"{change.sentence} It may as well be {_UNTOLD}."
+        return change if near else replace(change, same_as=(_UNTOLD, *change.same_as), sentence=also)
     try:
-        undone = recognised(model, samples, noise).undone
-    except BadRecording as mistake:
-        said = str(mistake)
-    else:
-        if undone is None:
+        if recognised(model, samples, noise).undone is None:
             return change
         said = f"{inverse_pose().what}: {inverse_pose().remedy}"
+    except BadRecording as mistake:
+        said = str(mistake)
     size = float(np.sqrt(np.mean(off.position_norm**2)))
-    return replace(change, place="tracker", direction="convention", size=size, same_as=(), mistake=said)
+    return ChangeHypothesis("tracker", "convention", change.driver, change.since, size, (), said, mistake=True)
+
+
+def renamed(sample: Samples, known: Sequence[str]) -> ChangeHypothesis:
+    """What readings say that come from a frame that the calibration does not know, and no more from those it does."""
+    name = sample.frames[sample.frame[0]]
+    said = f"frame '{name}' is read in place of {', '.join(known)}: give it its name of then, or calibrate again"
+    return ChangeHypothesis(name, "all", "time (at once)", float(sample.stamps[0]), 0.0, (), said, mistake=True)
 
 
 _RIDGE = 1e-12  # of each variance; a covariance that was written down may have lost its last digits
@@ -75,14 +82,19 @@ class Live:
         self.hypothesis: ChangeHypothesis | None = None
         self.changed: float | None = None
         self.since = 0
-        self.strange = 0
+        self.strange = self._in_a_row = 0
 
     def add(self, sample: Samples) -> None:
         """Take in one sample (a row)."""
-        known = int(sample.frame[0]) < len(self.calibration.calibrated.frames)
+        frames = self.calibration.calibrated.frames
+        known = int(sample.frame[0]) < len(frames)
         if not known or not is_direct([str(sample.kind[0])]):
             self.strange += 1
+            self._in_a_row += not known
+            if self._in_a_row >= _STRANGE and self.changed is None:
+                self.since, self.hypothesis = self._in_a_row, self.hypothesis or renamed(sample, frames)
             return
+        self._in_a_row = 0
         self.estimator.update(sample)
         changed = self.detector.add(sample)
         if changed is not None and self.hypothesis is None:
@@ -127,12 +139,16 @@ class Supervisor:
 
     def follow(self, policy: Policy) -> None:
         """Go by another policy from now on; what it counts begins with the last solve, or the last change."""
-        before, self.policy = self.policy, policy
-        learning = self.live is None
-        old, new = (p.first_solve if learning else p.after_change for p in (before, policy))
-        if old != new:
+        old = self._every
+        self.policy = policy
+        if old != self._every:
             since = self._wait - old if old else 0  # stations that had been counted when the wait began
-            self._wait = max(since, 0) + new if new else 0
+            self._wait = max(since, 0) + self._every if self._every else 0
+
+    @property
+    def _every(self) -> int:
+        """Stations after which a solve begins by itself; 0: none does."""
+        return self.policy.first_solve if self.live is None else self.policy.after_change
 
     @property
     def trusted(self) -> Calibration | None:
@@ -182,17 +198,14 @@ class Supervisor:
 
     def failed(self) -> None:
         """A solve brought nothing: wait for as many stations again."""
-        if self.live is None:
-            self._wait = self.stations + self.policy.first_solve if self.policy.first_solve else 0
-        else:
-            self._wait = self.live.since + self.policy.after_change if self.policy.after_change else 0
+        count = self.stations if self.live is None else self.live.since
+        self._wait = count + self._every if self._every else 0
 
     def accept(self) -> bool:
         """Trust the candidate; returns whether there was one."""
-        if self.candidate is None:
-            return False
-        self.trust(self.candidate)
-        return True
+        if (candidate := self.candidate) is not None:
+            self.trust(candidate)
+        return candidate is not None
 
     def trust(self, calibration: Calibration) -> None:
         """Trust this calibration, and watch it from now on."""

@@ -23,7 +23,6 @@ from modcal_core.effects import (
     Sizes,
     curve_sizes,
     family_named,
-    is_large_move,
     unit_of,
     with_companions,
 )
@@ -122,8 +121,8 @@ class Finding:
     def _gain(self) -> str:
         if self.gain_mm2 is None:
             return f"the error is {1e3 * self.after:.3f} mm without, {1e3 * self.before:.3f} mm with"
-        if not self.shown:
-            return "the held-out stations do not show that it helps"
+        if not self.shown or self.gain_mm2 <= 0.0:
+            return "the held-out stations alone do not show that it helps"
         return f"without it the error would be {1e3 * self.before:.3f} instead of {1e3 * self.after:.3f} mm"
 
 
@@ -151,9 +150,7 @@ def findings(
             for name in (*_link_name(e, shipped), *family_named(e.family).same_as(e, samples), *_one_motion(c))
         )
         part, first = of.get(together), effects[0]
-        # large moves were let in by positions and orientations together
-        asked = part is None or part.ci95_mm2[0] > 0.0 or any(map(is_large_move, effects))
-        rivals = proofs.of(together, [rival for c in causes for rival in c.rivals]) if asked else None
+        rivals = proofs.of(together, [rival for c in causes for rival in c.rivals])
         entries.append(
             Finding(
                 *(first.family, first.place, first.direction, first.public_driver),

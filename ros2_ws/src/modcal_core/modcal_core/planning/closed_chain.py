@@ -28,6 +28,7 @@ from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POSE, Samples
 from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.robots import Chain, Mechanism, read_rows, to_dh
+from modcal_core.schema import NUMBER
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def dh_closed_chain(
 
     Raises NotRepresentable where DH cannot hold the arm: take :func:`calibration_chain` then.
     """
-    rows = read_rows(to_dh(chain), "dh", {key for key, _ in _DH})
+    rows = read_rows(to_dh(chain), "dh", {key: NUMBER for key, _ in _DH})
     columns = {key: rows.column(key) for key, _ in _DH}
     base = np.eye(4) if T_measuring_base is None else np.asarray(T_measuring_base, dtype=float)
     named = [(f"base/{_AXES[d]}", d) for d in range(6)]

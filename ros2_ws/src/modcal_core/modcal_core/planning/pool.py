@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Model, joint_ranges
+from modcal_core.calibration import Calibration, Model
 from modcal_core.errors import BadTable, NotPlannable
 from modcal_core.geometry import Array, se3
 from modcal_core.planning.closed_chain import one_frame_model
 from modcal_core.planning.site import Site, Spheres, clearance, spheres_of, view_postures, visible
-from modcal_core.robots import Mechanism, is_serial_arm, random_postures
+from modcal_core.robots import Mechanism, is_serial_arm, joint_ranges, random_postures
 
 CANDIDATES = 1500  # random postures that stations are chosen from, for time
 _WHERE = 400  # postures that stand for where accuracy counts

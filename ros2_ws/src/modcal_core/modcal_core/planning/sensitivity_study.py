@@ -44,11 +44,10 @@ from itertools import product
 import numpy as np
 from scipy.special import ndtri
 
-from modcal_core.calibration import joint_ranges
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.planning.closed_chain import ClosedChain
-from modcal_core.robots import Mechanism, takes
+from modcal_core.robots import Mechanism, joint_ranges, takes
 
 DESIGNS = ("l25", "array", "sobol")
 _MAX_RUNS = 20_000  # for time

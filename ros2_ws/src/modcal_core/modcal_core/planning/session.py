@@ -17,8 +17,9 @@ import numpy as np
 
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, so3
-from modcal_core.measurements import APART, POINT, POSE, TRAVEL, Samples, require
+from modcal_core.measurements import APART, POINT, POSE, TRAVEL, Samples
 from modcal_core.measurements.kinds import KIND_NAMES
+from modcal_core.schema import NUMBER, SIZE, TEXT, list_of, record, require, whole
 from modcal_core.verdict import Floor
 
 MIN_STATIONS = 6  # at random; what is wrong at two fifths of all postures shows at one of six with 95 %
@@ -237,39 +238,30 @@ class Session:
 
 
 FORMAT = 1  # of the file
-_NUMBERS = {"type": ["array", "null"], "items": {"type": "number"}}
+_NUMBERS = {**list_of(NUMBER), "type": ["array", "null"]}
+_STATION = record(
+    ("role", "state", "asked"),
+    role={"enum": (FIT, RETURN, DECIDE, PROOF)},
+    state={"enum": (PLANNED, MEASURED, UNSEEN, SKIPPED)},
+    asked=list_of(NUMBER),
+    stamp={"type": ["number", "null"]},
+    sigma={**SIZE, "type": ["number", "null"]},
+    row={"type": "integer"},
+    **dict.fromkeys(("q", "reading", "approach", "effort"), _NUMBERS),
+)
 _SCHEMA = {
     "type": "object",
-    "required": ["modcal_measure", "robot", "joints", "reading", "goal", "seed", "stations"],
+    "required": ("modcal_measure", "robot", "joints", "reading", "goal", "seed", "stations"),
     "properties": {
         "modcal_measure": {"enum": [FORMAT]},
-        "robot": {"type": "string"},
-        "joints": {"type": "array", "items": {"type": "string"}, "minItems": 1},
-        "reading": {"enum": [POINT, POSE]},
+        "robot": TEXT,
+        "joints": list_of(TEXT, 1),
+        "reading": {"enum": (POINT, POSE)},
         "on_tool": {"type": "boolean"},
-        "seed": {"type": "integer", "minimum": 0},
+        "seed": whole(0, 2**63),
         "began": {"type": ["number", "null"]},
         "goal": {"type": "object"},
-        "stations": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "required": ["role", "state", "asked"],
-                "additionalProperties": False,
-                "properties": {
-                    "role": {"enum": [FIT, RETURN, DECIDE, PROOF]},
-                    "state": {"enum": [PLANNED, MEASURED, UNSEEN, SKIPPED]},
-                    "asked": {"type": "array", "items": {"type": "number"}},
-                    "q": _NUMBERS,
-                    "reading": _NUMBERS,
-                    "approach": _NUMBERS,
-                    "effort": _NUMBERS,
-                    "stamp": {"type": ["number", "null"]},
-                    "sigma": {"type": ["number", "null"], "minimum": 0},
-                    "row": {"type": "integer"},
-                },
-            },
-        },
+        "stations": list_of(_STATION),
     },
 }
 _REMEDY = "give the session.yaml that modcal measure wrote, or another folder"

@@ -23,7 +23,6 @@ import numpy as np
 
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, se3
-from modcal_core.measurements import require
 from modcal_core.robots import (
     Chain,
     Frames,
@@ -35,6 +34,7 @@ from modcal_core.robots import (
     takes,
     tool_frames,
 )
+from modcal_core.schema import NUMBER, POSITIVE, SIZE, TEXT, list_of, record, require, stated
 
 FORMAT = 1  # of the file
 BASE = "base"
@@ -139,30 +139,24 @@ class Site:
         return self.tracker.position if self.tracker is not None and self.tracker.carried else self.target.position
 
 
-def _object(required: Sequence[str] = (), /, **properties: Any) -> dict[str, Any]:
-    return {"type": "object", "required": required, "properties": properties, "additionalProperties": False}
-
-
-def _list(count: int, items: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "array", "minItems": count, "maxItems": count, "items": items}
-
-
-_NUMBER, _SIZE = {"type": "number"}, {"type": "number", "minimum": 0}
-_POINT, _PAIR = _list(3, _NUMBER), _list(2, _NUMBER)  # x y z; two ends
-_CONE = {"axis": _POINT, "half_angle_deg": {"type": "number", "exclusiveMinimum": 0, "maximum": 180}}
-_BALL = {"center_m": _POINT, "radius_m": _SIZE}
-_BALLS = {"type": "array", "items": _object(("center_m",), **_BALL)}
-_LINKED = {"type": "array", "items": _object(("center_m", "link"), link={"type": "string"}, **_BALL)}
+_POINT, _PAIR = list_of(NUMBER, 3, 3), list_of(NUMBER, 2, 2)  # x y z; two ends
+_CONE = {"axis": _POINT, "half_angle_deg": {**POSITIVE, "maximum": 180}}
+_BALL = {"center_m": _POINT, "radius_m": SIZE}
 _NOISE = ("position_m", "position_m_per_m", "rotation_rad", "joint_rad", "joint_m")  # in the order of Noise
-_SCHEMA = _object(
+_SCHEMA = record(
+    (),
     modcal_site={"enum": [FORMAT]},
-    tracker=_object(("position_m",), position_m=_POINT, range_m=_PAIR, on_tool={"type": "boolean"}, **_CONE),
-    target=_object((), position_m=_POINT, radius_m=_SIZE, **_CONE),
-    noise=_object((), **dict.fromkeys(_NOISE, _SIZE)),
-    arm=_object(spheres=_LINKED, link_radius_m=_SIZE, margin_m=_SIZE),
-    surroundings=_object(floor_m=_NUMBER, spheres=_BALLS, boxes={"type": "array", "items": _list(3, _PAIR)}),
+    tracker=record(("position_m",), position_m=_POINT, range_m=_PAIR, on_tool={"type": "boolean"}, **_CONE),
+    target=record((), position_m=_POINT, radius_m=SIZE, **_CONE),
+    noise=record((), **dict.fromkeys(_NOISE, SIZE)),
+    arm=record(
+        (), spheres=list_of(record(("center_m", "link"), link=TEXT, **_BALL)), link_radius_m=SIZE, margin_m=SIZE
+    ),
+    surroundings=record(
+        (), floor_m=NUMBER, spheres=list_of(record(("center_m",), **_BALL)), boxes=list_of(list_of(_PAIR, 3, 3))
+    ),
     limits={"type": "object", "additionalProperties": _PAIR},
-    workspace=_object(box_m=_list(3, _PAIR)),
+    workspace=record((), box_m=list_of(_PAIR, 3, 3)),
 )
 _REMEDY = "correct the file, as docs/planning.md shows one"
 
@@ -170,7 +164,7 @@ _REMEDY = "correct the file, as docs/planning.md shows one"
 @refusing
 def site_from_data(data: Any, source: str) -> Site:
     """The site in nested mappings, such as a YAML file holds. Raises BadTable; docs/planning.md shows one."""
-    top = _stated(data)
+    top = stated(data)
     require(top, _SCHEMA, source, _REMEDY)
     tracker, target, noise, arm, around, limits = (
         top.get(key, {}) for key in ("tracker", "target", "noise", "arm", "surroundings", "limits")
@@ -193,13 +187,6 @@ def site_from_data(data: Any, source: str) -> Site:
         limits={name: _pair(ends, f"{source}: limits: {name}") for name, ends in limits.items()},
         box=None if box is None else _box(box, f"{source}: workspace: box_m"),
     )
-
-
-def _stated(data: Any) -> Any:
-    """The data without keys that say nothing."""
-    if not isinstance(data, Mapping):
-        return data
-    return {key: _stated(value) for key, value in data.items() if value is not None}
 
 
 def _cone(data: Mapping[str, Any], what: str) -> Cone | None:

@@ -10,18 +10,18 @@ import numpy as np
 
 from modcal_core.errors import BadCommand, BadTable
 from modcal_core.geometry import Array
-from modcal_core.measurements import require
 from modcal_core.robots import vector
+from modcal_core.schema import NUMBER, TEXT, list_of, require, stated
 
-_STATIONS = {"type": ["array", "null"], "items": {"type": "object", "required": ["position"]}}
+_STATIONS = list_of({"type": "object", "required": ("position",)})
 _SCHEMA = {
     "type": "object",
-    "required": ["modcal_plan", "joints"],
+    "required": ("modcal_plan", "joints"),
     "properties": {
         "modcal_plan": {"enum": [1]},
-        "joints": {"type": "array", "items": {"type": "string"}},
+        "joints": list_of(TEXT),
         "stations": _STATIONS,
-        "ties": {"type": ["array", "null"], "items": {"type": "object", "properties": {"stations": _STATIONS}}},
+        "ties": list_of({"type": "object", "properties": {"stations": _STATIONS}}),
     },
 }
 _PLAN = "give the plan.yaml that modcal plan wrote"
@@ -29,9 +29,9 @@ _PLAN = "give the plan.yaml that modcal plan wrote"
 
 def stations_from_data(data: Any, names: Sequence[str], source: str) -> Array:
     """Postures (N, n) [rad, m] of these joints in what a plan.yaml holds. Raises BadTable."""
+    data = stated(data)
     require(data, _SCHEMA, source, _PLAN)
-    rows = list(data.get("stations") or ())
-    rows += [station for tie in data.get("ties") or () for station in tie.get("stations") or ()]
+    rows = [*data.get("stations", ()), *(s for tie in data.get("ties", ()) for s in tie.get("stations") or ())]
     found = {f"{source}, station {i + 1}": row["position"] for i, row in enumerate(rows)}
     return _of_joints(data["joints"], found, names, source)
 
@@ -63,6 +63,16 @@ def _of_joints(joints: Sequence[str], rows: Mapping[str, Any], names: Sequence[s
 _RISE = 1.5  # peak of a cubic's speed over its mean
 _MIN_LEAD = 0.5  # s from the start to the first point
 _MAX_POINTS = 100_000  # of a file, for memory
+_TIME = {"type": "object", "required": ("sec", "nanosec"), "properties": {"sec": NUMBER, "nanosec": NUMBER}}
+_PLACED = {"positions": list_of(NUMBER), "time_from_start": _TIME}
+_TRAJECTORY = {
+    "type": "object",
+    "required": ("joint_names", "points"),
+    "properties": {
+        "joint_names": list_of(TEXT, 1),
+        "points": list_of({"type": "object", "required": tuple(_PLACED), "properties": _PLACED}, 1, _MAX_POINTS),
+    },
+}
 _FORM = "give joint_names and points with positions and time_from_start, as modcal plan writes them"
 
 
@@ -91,20 +101,12 @@ class Trajectory:
 
 def trajectory_from_data(data: Any, source: str) -> Trajectory:
     """The trajectory in the content of a YAML file; raises BadTable for anything that is not one."""
-    try:
-        if not isinstance(data, Mapping):
-            raise TypeError(f"{type(data).__name__} at the top")
-        names = tuple(str(name) for name in data["joint_names"])
-        points = list(data["points"])
-        if not points or len(points) > _MAX_POINTS or not names or len(set(names)) != len(names):
-            raise ValueError(f"{len(points)} points for joints {', '.join(names)}")
-        q = np.array([[float(x) for x in point["positions"]] for point in points])
-        after = [point["time_from_start"] for point in points]
-        t = np.array([float(d["sec"]) + 1e-9 * float(d["nanosec"]) for d in after])
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadTable(source, f"is not a trajectory ({error!r})", _FORM) from error
-    if q.shape != (len(points), len(names)) or not (np.isfinite(q).all() and np.isfinite(t).all()):
-        raise BadTable(source, f"its positions are not {len(names)} finite numbers each", _FORM)
+    require(data, _TRAJECTORY, source, _FORM)
+    names, points = tuple(data["joint_names"]), data["points"]
+    if len(set(names)) < len(names) or any(len(point["positions"]) != len(names) for point in points):
+        raise BadTable(source, f"its positions are not one of each joint ({', '.join(names)})", _FORM)
+    q = np.array([point["positions"] for point in points], dtype=float)
+    t = np.array([point["time_from_start"]["sec"] + 1e-9 * point["time_from_start"]["nanosec"] for point in points])
     if t[0] < 0.0 or not (np.diff(t) > 0.0).all():
         raise BadTable(source, "its times do not rise from zero", _FORM)
     return Trajectory(names, t, q)

@@ -5,8 +5,8 @@ Angles are in degrees and lengths in millimetres, for people type them. What a s
 its row, and nothing of that table is taken in.
 
 Base and tool are those on which most of the stations agree (:mod:`modcal_core.hypotheses.hand_eye`), so that a few
-wrong rows do not matter. A nominal arm is a centimetre off at most; metres for millimetres, columns that were swapped,
-another row's reading or a wrong digit are off by more. A fit would leave such a reading out, or be bent by it: whoever
+wrong rows do not matter. A nominal arm is a centimetre off at most; metres for millimetres, another row's reading or a
+wrong digit are off by more. A fit would leave such a reading out, or be bent by it: whoever
 stands beside the arm can still correct it.
 """
 
@@ -16,7 +16,6 @@ import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 
 import numpy as np
 
@@ -219,7 +218,7 @@ def _meant(p: Array, expected: Array, k: int, numbers: Sequence[int], limit: flo
     gap, far = p - expected[k], np.linalg.norm(expected - p, axis=1)
     if far[k] < limit:
         return "", "correct rx, ry and rz (degrees, about fixed axes)"
-    for said, other, remedy in _corrected(p):
+    for said, other, remedy in _of_units(p):
         if float(np.linalg.norm(other - expected[k])) < limit:
             return said, remedy
     nearest, axis = int(np.argmin(far)), int(np.argmax(np.abs(gap)))
@@ -236,16 +235,3 @@ def _of_units(p: Array) -> Iterator[tuple[str, Array, str]]:
     """What positions [m] would be in another unit: words for it, the positions, and what to do."""
     for scale, unit in _UNITS:
         yield f"look{'s' * (p.ndim == 1)} like {unit}", scale * p, "write millimetres"
-
-
-def _corrected(p: Array) -> Iterator[tuple[str, Array, str]]:
-    """What a position (3,) [m] would be without a mistake of typing: words for it, the position, and what to do."""
-    yield from _of_units(p)
-    for order in permutations(range(3)):
-        if order != (0, 1, 2):
-            columns = ", ".join("xyz"[i] for i in order)
-            yield f"looks as if its columns stood in the order {columns}", p[np.argsort(order)], "put them in order"
-    for signs in product((1.0, -1.0), repeat=3):
-        if min(signs) < 0.0:
-            wrong = " and ".join("xyz"[i] for i in range(3) if signs[i] < 0.0)
-            yield f"looks as if the sign of {wrong} were wrong", p * np.array(signs), "correct the sign"

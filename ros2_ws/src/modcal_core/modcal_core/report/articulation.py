@@ -7,16 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.articulation import Choice, JointFit, Track, sound
+from modcal_core.articulation import Choice, JointFit, JointModel, Track, describe, sound
+from modcal_core.files import to_json
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import spread_rows
-from modcal_core.report.blocks import Block, Figures, PageTable, Paragraph, Scene3D, Section, SideBySide
+from modcal_core.report.blocks import Block, Figures, Paragraph, Scene3D, Section, TableBlock, VerbResult
 from modcal_core.report.charts import Axis, Chart
 from modcal_core.report.figures import MAX_POINTS, mark_components, residual_panel
-from modcal_core.report.page import Page, number
+from modcal_core.report.page import Page, Quantity, in_units, quantity_tables
+from modcal_core.report.words import STATISTICS
 
 _MAX_SEEN, _MAX_PLACES = 400, 61  # that a page can show and a person look through
 _BEYOND = 0.15  # of the path's size, by which the axis goes on beyond what turns about it
+URDF = "object.urdf"
 _HAND = 0.06  # m; the strokes of the handle's orientation are half a hand long
 
 
@@ -143,9 +146,30 @@ def _joint_data(fit: JointFit) -> dict[str, Any]:
     return {**data, "std": std, **more}
 
 
-def articulation_html(found: Articulation) -> str:
-    """The page as HTML text."""
-    data = articulation_data(found)
+def articulation_report(found: Articulation) -> VerbResult:
+    """What a verb leaves of an articulated object: data, page, and a URDF where it has a joint that moves so."""
+    data, choice = articulation_data(found), found.choice
+    files = {"articulation.json": to_json(data), "report.html": _page(found, data)}
+    said = [data["verdict"]]
+    if not choice.follows:
+        said.append(
+            "By positions alone: the measured rotations do not follow it (the handle turned in the grasp, or they are "
+            "wrong)."
+        )
+    if choice.misfit.fails:
+        said.append(f"No {URDF}: a URDF has no joint that moves so; articulation.json has the best one and its phases.")
+    elif isinstance(model := choice.fit.model, JointModel):
+        reach = data["configuration"]
+        limits = None if not model.moves else (reach["lower"], max(reach["upper"], reach["lower"] + 1e-6))
+        files[URDF] = describe(model, found.frame or "world", "object_handle", limits)
+    else:
+        said.append(
+            f"No {URDF}: a URDF has no joint that moves like a {choice.kind}; articulation.json says how it moves."
+        )
+    return VerbResult(data, said, files)
+
+
+def _page(found: Articulation, data: dict[str, Any]) -> str:
     fit = found.choice.fit
     good, scale = _trusted(fit), _UNITS[fit.model.unit][1]
     seen = found.track.positions[good]
@@ -162,8 +186,8 @@ def articulation_html(found: Articulation) -> str:
     kind = data["kind"] if data["kind"] == data["best"] else f"{data['kind']}; the best is {data['best']}"
     blocks: list[Block] = [
         Paragraph(said, soft=True),
-        Section("kind", "Joint type", [PageTable("Probabilities", ("kind", "probability"), kinds)]),
-        Section("joint", f"The joint: {kind}", [SideBySide(_tables(data))]),
+        Section("kind", "Joint type", [TableBlock("Probabilities", ("kind", "probability"), kinds)]),
+        Section("joint", f"The joint: {kind}", quantity_tables(_quantities(data))),
         Section("object", "The object in three dimensions", [drawn]),
         Section("path", "Residual along the path", [Figures([_residual(found, data)])]),
     ]
@@ -177,54 +201,35 @@ def _trusted(fit: JointFit) -> np.ndarray:
     return good if good.sum() > 2 else np.ones(len(good), dtype=bool)
 
 
-def _tables(data: dict[str, Any]) -> list[PageTable]:
-    """Place of the joint and residual, as tables of lengths, angles and numbers."""
-    joint, std = data["joint"], data["joint"]["std"]
-    rows: dict[str, list[tuple[str, str, str]]] = {"mm": [], "°": [], "": []}
-
-    def add(name: str, value: float, unit: str, factor: float = 1.0, deviation: float | None = None) -> None:
-        known = deviation is not None and np.isfinite(deviation)
-        rows[unit].append((name, number(factor * value), number(factor * deviation, 2) if known else ""))  # type: ignore[operator]
-
+def _quantities(data: dict[str, Any]) -> list[Quantity]:
+    """Place of the joint, motion and residual, as people read them."""
+    joint, std, seen = data["joint"], data["joint"]["std"], data["configuration"]
+    out: list[Quantity] = []
+    for name, key, unit in (
+        ("point on the axis", "point", "m"),
+        ("origin of the object", "object", "m"),
+        ("direction of the axis", "axis", "1"),
+    ):
+        for k, value in enumerate(joint.get(key) or ()):
+            known = float(std[key][k]) if k < len(std.get(key, ())) else None
+            out.append((f"{name}, {'xyz'[k]}", value, known, unit))
     if joint["point"] is not None:
-        for k, name in enumerate("xyz"):
-            add(f"point on the axis, {name}", joint["point"][k], "mm", 1e3, _component(std, "point", k))
-        add("distance of the handle from the axis", joint["radius"], "mm", 1e3)
+        out.append(("distance of the handle from the axis", joint["radius"], None, "m"))
     if joint["pitch"] is not None:
-        add("rise in a turn", joint["pitch"], "mm", 2e3 * np.pi, _component(std, "pitch", 0))
-    if "object" in joint:
-        for k, name in enumerate("xyz"):
-            add(f"origin of the object, {name}", joint["object"][k], "mm", 1e3)
-    if joint["axis"] is not None:
-        for k, name in enumerate("xyz"):
-            add(f"direction of the axis, {name}", joint["axis"][k], "", 1.0, _component(std, "axis", k))
-        if (size := float(np.linalg.norm(std.get("axis", np.nan)))) and np.isfinite(size):
-            add("the axis is known to (one standard deviation)", size, "°", np.degrees(1.0))
+        turn = 2.0 * np.pi
+        out.append(("rise in a turn", turn * joint["pitch"], turn * std["pitch"][0] if "pitch" in std else None, "m"))
+    if joint["axis"] is not None and "axis" in std:
+        out.append(("the axis is known to (one standard deviation)", float(np.linalg.norm(std["axis"])), None, "rad"))
     for name, known in joint.get("parameters", {}).items():
-        unit, factor = _UNITS.get(known["unit"], (known["unit"], 1.0))
-        rows.setdefault(unit, [])
-        add(name.replace("_", " "), known["value"], unit, factor, known["std"])
-    seen = data["configuration"]
-    unit, factor = _UNITS[seen["unit"]]
-    add("motion that was seen", seen["upper"] - seen["lower"], unit, factor)
-    add("residual, RMS", data["residual_mm"]["rms"], "mm")
-    add("residual, 95th percentile", data["residual_mm"]["p95"], "mm")
+        out.append((name.replace("_", " "), known["value"], known["std"], known["unit"]))
+    out.append(("motion that was seen", seen["upper"] - seen["lower"], None, seen["unit"]))
+    for key in ("rms", "p95"):
+        out.append((f"residual, {STATISTICS[key]}", 1e-3 * data["residual_mm"][key], None, "m"))
     if data["residual_deg"] is not None:
-        add("residual of the rotation, RMS", data["residual_deg"]["rms"], "°")
-    titles = {"mm": "Lengths", "°": "Angles", "": "Numbers without a unit"}
-    out = []
-    for unit, found in rows.items():
-        end = f", {unit}" if unit else ""
-        deviations = any(row[2] for row in found)
-        header = ("quantity", f"value{end}", f"± one standard deviation{end}")[: 3 if deviations else 2]
-        if found:
-            out.append(PageTable(titles.get(unit, f"In {unit}"), header, tuple(row[: len(header)] for row in found)))
-    return out
-
-
-def _component(std: dict[str, Any], name: str, k: int) -> float | None:
-    """The standard deviation of one component of what the fit states; None where it states none."""
-    return float(std[name][k]) if name in std and k < len(std[name]) else None
+        out.append(("residual of the rotation, RMS", np.radians(data["residual_deg"]["rms"]), None, "rad"))
+    degrees = float(np.degrees(1.0))
+    turning = [(n, degrees * v, None if s is None else degrees * s, "°") for n, v, s, unit in out if unit == "rad"]
+    return [*in_units(one for one in out if one[3] != "rad"), *turning]
 
 
 def _residual(found: Articulation, data: dict[str, Any]) -> Chart:

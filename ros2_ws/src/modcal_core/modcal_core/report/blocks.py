@@ -1,7 +1,7 @@
 """What verbs say, as data: sentences, tables, charts, files. Terminals and pages show the same kinds of values.
 
-On a terminal stand :class:`SummaryLine` and :class:`SummaryTable`. A page is a list of the others; the template
-``page.html.j2`` knows how each of them looks.
+On a terminal stand :class:`SummaryLine` and :class:`TableBlock`. A page is a list of tables and the others; the
+template ``page.html.j2`` knows how each of them looks.
 """
 
 from __future__ import annotations
@@ -17,7 +17,14 @@ from modcal_core.geometry import Array
 if TYPE_CHECKING:
     from modcal_core.report.charts import Chart
 
-Tone = Literal["plain", "legend", "doubt", "good", "bad", "undecided", "reason"]
+Tone = Literal["plain", "legend", "doubt", "good", "bad", "warn", "reason"]
+_GOOD = ("at_floor", "PASS", "unchanged", "same", "within tolerance", "apply")
+_BAD = ("open", "FAIL", "unexplained", "beyond tolerance", "do not apply")
+
+
+def tone_of(result: str) -> Tone:
+    """The tone of a status, a result or an advice."""
+    return "good" if result in _GOOD else "bad" if result in _BAD else "warn"
 
 
 @dataclass(frozen=True)
@@ -29,15 +36,39 @@ class SummaryLine:
 
 
 @dataclass(frozen=True)
-class SummaryTable:
-    """A table. words: how many columns, from the left, hold words; the others hold numbers."""
+class TableBlock:
+    """A table. words: how many columns, from the left, hold words; the others hold numbers. below: a sentence under it.
+    strong: a column in bold. heading: whether its title stands over it, on a terminal in the place of the first name.
+    """
 
+    title: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     words: int = 1
+    below: str = ""
+    strong: int = -1
+    heading: bool = False
+
+    @property
+    def top(self) -> tuple[str, ...]:
+        """The names of the columns as a terminal shows them."""
+        return (self.title, *self.header[1:]) if self.heading else self.header
 
 
-Summary = SummaryLine | SummaryTable
+Summary = SummaryLine | TableBlock
+
+
+@dataclass(frozen=True)
+class VerbResult:
+    """What a verb leaves. data: for programs. said: for a terminal. files: contents by name. first: the file to look
+    at; what: a word for it.
+    """
+
+    data: Mapping[str, Any]
+    said: Sequence[str | Summary]
+    files: Mapping[str, str]
+    what: str = "Report"
+    first: str = "report.html"
 
 
 def legend(meanings: Mapping[str, str]) -> SummaryLine:
@@ -48,24 +79,26 @@ def legend(meanings: Mapping[str, str]) -> SummaryLine:
 def explained(columns: Mapping[str, str], rows: Sequence[tuple[str, ...]], words: int = 1) -> list[Summary]:
     """A table, and below it what its headings mean. columns: headings with their meanings, empty where they say it."""
     meanings = [SummaryLine(f"  {name}: {meaning}", "legend") for name, meaning in columns.items() if meaning]
-    return [SummaryTable(tuple(columns), tuple(rows), words), *meanings]
+    return [TableBlock("", tuple(columns), tuple(rows), words), *meanings]
 
 
-def text(blocks: Sequence[Summary]) -> str:
+def text(blocks: Sequence[str | Summary]) -> str:
     """As plain text, a line for each row and sentence."""
-    return "\n".join(
-        line for block in blocks for line in ([block.text] if isinstance(block, SummaryLine) else _laid_out(block))
-    )
+    lines = []
+    for block in blocks:
+        said = block.text if isinstance(block, SummaryLine) else block
+        lines += [said] if isinstance(said, str) else _laid_out(said)
+    return "\n".join(lines)
 
 
-def _laid_out(grid: SummaryTable) -> list[str]:
-    wide = [max(map(len, column)) for column in zip(grid.header, *grid.rows, strict=True)]
+def _laid_out(grid: TableBlock) -> list[str]:
+    wide = [max(map(len, column)) for column in zip(grid.top, *grid.rows, strict=True)]
     return [
         "  ".join(
             cell.ljust(width) if i < grid.words else cell.rjust(width)
             for i, (cell, width) in enumerate(zip(row, wide, strict=True))
         ).rstrip()
-        for row in (grid.header, *grid.rows)
+        for row in (grid.top, *grid.rows)
     ]
 
 
@@ -86,34 +119,6 @@ class Listing:
     lines: Sequence[str]
     tone: str = ""
     label: str = ""
-
-
-@dataclass(frozen=True)
-class PageTable:
-    """A table. words: how many columns, from the left, hold words. below: a sentence under it. strong: a column in
-    bold. heading: whether its title stands over it.
-    """
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    words: int = 1
-    below: str = ""
-    strong: int = -1
-    heading: bool = False
-
-    @property
-    def summary(self) -> SummaryTable:
-        """The same for a terminal, its title in the place of the first name where it stands over the table."""
-        first = self.title if self.heading else self.header[0]
-        return SummaryTable((first, *self.header[1:]), self.rows, self.words)
-
-
-@dataclass(frozen=True)
-class SideBySide:
-    """Small tables side by side."""
-
-    tables: Sequence[PageTable]
 
 
 @dataclass(frozen=True)
@@ -252,6 +257,6 @@ class Section:
 
 
 Block = (
-    Paragraph | Listing | PageTable | SideBySide | HeatTable | Tiles | Facts | Signatures | Figures | FileList | Fold
+    Paragraph | Listing | TableBlock | HeatTable | Tiles | Facts | Signatures | Figures | FileList | Fold
     | Section | Scene3D
 )  # fmt: skip

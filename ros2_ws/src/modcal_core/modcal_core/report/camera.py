@@ -35,7 +35,9 @@ from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.outcome import STAGES, Trace, at_tool, parameters
 from modcal_core.report.as_json import FORMAT, finite, sizes_to_json, tolerance_data, unexplained
-from modcal_core.report.report import arm_files
+from modcal_core.report.blocks import SummaryLine, VerbResult
+from modcal_core.report.camera_page import camera_charts, camera_sentences, to_html
+from modcal_core.report.report import model_files
 from modcal_core.robot import Robot
 from modcal_core.verdict import Tolerance
 
@@ -47,7 +49,7 @@ def moved_data(solution: CameraSolution) -> dict[str, Any] | None:
         return None
     return {
         "what": moved.what,
-        "before_image": solution.fit.table.names[moved.at],
+        "before_image": solution.fit.table.names[int(moved.since)],
         "shift_mm": 1e3 * moved.shift_m,
         "turn_deg": float(np.degrees(moved.turn_rad)),
         "focal_percent": 100.0 * moved.focal,
@@ -196,31 +198,33 @@ def camera_calibration(solution: CameraSolution) -> Calibration:
     )
 
 
-def camera_files(
+def camera_report(
     solution: CameraSolution,
     robot: Robot,
     images: int,
     left_out: Mapping[str, str],
-    page: bool = True,
     met: Tolerance | None = None,
-) -> dict[str, str]:
-    """Names and texts of everything a calibration by camera leaves behind. page: report.html too. met: a tolerance."""
-    from modcal_core.report import camera_page  # templates, which a page alone needs
+    page: bool = True,
+) -> VerbResult:
+    """What a calibration by camera leaves behind. images: how many there were. left_out: those no corners came from.
 
-    assert robot.description is not None
-    report = camera_report(solution, robot, images, left_out, met)
+    met: a tolerance. page: whether report.html is among the files.
+    """
+    data = camera_data(solution, robot, images, left_out, met)
     files = {
-        "report.json": to_json(report),
-        **arm_files(camera_calibration(solution), robot.chain, robot.description),
+        "report.json": to_json(data),
+        **model_files(camera_calibration(solution), robot.chain, robot.description),
         "camera.yaml": to_yaml(camera_info(solution.fit.state.lens)),
     }
     for i, state in enumerate(solution.fit.states[1:], start=2):
         files[f"camera_{i}.yaml"] = to_yaml(camera_info(state.lens, f"camera_{i}"))
-    if not page:
-        return files
-    charts = camera_page.camera_charts(solution.fit)
-    html = camera_page.to_html(report, solution.model, solution.fit.poses.q, files, charts)
-    return {"report.html": html, **files}
+    if page:
+        html = to_html(data, solution.model, solution.fit.poses.q, files, camera_charts(solution.fit))
+        files = {"report.html": html, **files}
+    camera = data["camera"]
+    said = [*camera_sentences(data), f"{camera['decision'].upper()}: {' '.join(camera['because'])}"]
+    said += [] if met is None else [f"{met.result}: {met.because}"]
+    return VerbResult(data, [*map(SummaryLine, said)], files)
 
 
 def camera_info(lens: Lens, name: str = "camera") -> dict[str, Any]:
@@ -241,7 +245,7 @@ def camera_info(lens: Lens, name: str = "camera") -> dict[str, Any]:
     }
 
 
-def camera_report(
+def camera_data(
     solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str], met: Tolerance | None = None
 ) -> dict[str, Any]:
     """The data of ``report.json``: the keys of every report, and ``camera``. left_out: images no corners came from."""
@@ -312,10 +316,6 @@ def camera_report(
                 if name != ALL_BUT_IMAGES
             ],
             "weak": list(solution.evidence.weak),
-            "springs_not_shown": [
-                {"place": one.place, "softer_than": 1.0 / one.least, "at_tool_mm": 1e3 * one.at_tool_m}
-                for one in solution.evidence.hidden
-            ],
             "further": further_data(solution),
         },
         "parameters": [
@@ -336,15 +336,6 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
         said = solution.evidence.left.effect.label
         out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
     out += solution.evidence.weak
-    if solution.evidence.hidden and solution.evidence.hidden[0].at_tool_m > _WORTH * solution.claim.in_view.interval[0]:
-        one = solution.evidence.hidden[0]
-        chain = solution.fit.poses.model.serial
-        per = "N m/rad" if chain.revolute[chain.names.index(one.place)] else "N/m"
-        out.append(
-            f"Springs: these images show one in {one.place} only where it is softer than {1.0 / one.least:.2g} {per}, "
-            f"which moves the tool by {1e3 * one.at_tool_m:.2f} mm RMS; what a stiffer one does is taken up by the "
-            "geometry, which holds where the images are."
-        )
     target = "body" if solution.fit.table.places else "sheet"
     every, without = solution.claim.shares.get(ALL_BUT_IMAGES, (0.0, 0.0))
     if without > _MOSTLY * every:

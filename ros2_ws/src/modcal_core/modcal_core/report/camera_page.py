@@ -19,16 +19,15 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.outcome import Trace, counted
-from modcal_core.report.blocks import Block, Figures, Fold, Listing, PageTable, Section
+from modcal_core.report.blocks import Block, Figures, Fold, Listing, Section, TableBlock, tone_of
 from modcal_core.report.certificates import MAX_REASONS, Certificate, Hashes, box_in_words
 from modcal_core.report.charts import AFTER, Axis, Chart, Panel
-from modcal_core.report.page import Page, files_section, number, parameter_tables, size_tables
+from modcal_core.report.page import Page, files_section, parameter_tables, quantity_tables, size_tables
 from modcal_core.report.particulars import Particulars
 from modcal_core.report.scene import ShownPostures
 from modcal_core.robots import chain_forward
 from modcal_core.verdict import Asked, Tolerance
 
-TONES = {"apply": "good", "do not apply": "bad", "cannot tell": "warn"}
 _PLACES = {
     "in_view": "where the target is in view",
     "arm_alone": "there, the arm by itself",
@@ -52,7 +51,7 @@ def to_html(
         Fold("Expert: all parameters", _parameters(data), "expert"),
         files_section(files),
     ]
-    title, tone = f"{data['trace']['robot'] or 'arm'}: calibration by camera", TONES.get(camera["decision"], "warn")
+    title, tone = f"{data['trace']['robot'] or 'arm'}: calibration by camera", tone_of(camera["decision"])
     return Page(title, " ".join(camera["because"]), blocks, camera["decision"], tone).html()
 
 
@@ -95,7 +94,7 @@ def _tool_errors(data: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]
     return [(words, sizes[place]) for place, words in _PLACES.items() if sizes.get(place)]
 
 
-def _tables(data: Mapping[str, Any]) -> list[PageTable]:
+def _tables(data: Mapping[str, Any]) -> list[TableBlock]:
     """The error at the tool first, then effects, the lens, and the sheet; a table has one unit."""
     camera = data["camera"]
     rows = []
@@ -103,7 +102,7 @@ def _tables(data: Mapping[str, Any]) -> list[PageTable]:
         for arm in ("nominal", "calibrated"):
             size = sizes[arm]
             rows.append((f"{arm} arm, {words}", f"{size['rms']:.2f}", f"{size['low95']:.2f} … {size['high95']:.2f}"))
-    tables = [PageTable("Error at the tool, mm", ("arm", "RMS, mm", "95 % interval, mm"), tuple(rows))]
+    tables = [TableBlock("Error at the tool, mm", ("arm", "RMS, mm", "95 % interval, mm"), tuple(rows))]
     if effects := data["effects"]:
         found = tuple(
             (
@@ -116,23 +115,22 @@ def _tables(data: Mapping[str, Any]) -> list[PageTable]:
         )
         columns = ("effect", "driver", "moves the tool by, mm", "p")
         below = "p is the chance that noise would look as good."
-        tables += [PageTable("Unmodelled effects", columns, found, words=2, below=below), *size_tables(effects)]
+        tables += [TableBlock("Unmodelled effects", columns, found, words=2, below=below), *size_tables(effects)]
     worth = tuple((one["what"], f"{one['value']:.3f}") for one in camera.get("account_mm2", ()))
     if worth:
         below = "By how much the mean square error at the tool would fall, were this known exactly."
-        tables.append(PageTable("What knowing more would be worth, mm²", ("known", "mm²"), worth, below=below))
+        tables.append(TableBlock("What knowing more would be worth, mm²", ("known", "mm²"), worth, below=below))
     if body := camera.get("body"):
         off = tuple(
             (f"{m['id']}", f"{np.linalg.norm(m['offset_mm']):.2f}", f"{m['std_mm']:.2f}") for m in body["markers"]
         )
         header = ("marker", "from its place on the drawing, mm", "± one standard deviation, mm")
-        tables.append(PageTable("Markers on the body, mm", header, off))
-    for pixels, title, end in ((True, "Lens, px", ", px"), (False, "Distortion of the lens", "")):
-        lens = {name: k for name, k in camera["lens"].items() if (name in ("fx", "fy", "cx", "cy")) == pixels}
-        if lens:
-            cells = tuple((name, number(k["value"], 5), number(k["std"], 2)) for name, k in lens.items())
-            header = ("constant", f"value{end}", f"± one standard deviation{end}")
-            tables.append(PageTable(title, header, cells))
+        tables.append(TableBlock("Markers on the body, mm", header, off))
+    pixels = ("fx", "fy", "cx", "cy")
+    lens = [(k, v["value"], v["std"], "px" if k in pixels else "1") for k, v in camera["lens"].items()]
+    titles = {"In px": "Lens, px"}
+    for table in quantity_tables(lens, "constant"):
+        tables.append(replace(table, title=titles.get(table.title, "Distortion of the lens")))
     return [replace(table, heading=True) for table in tables]
 
 
@@ -140,9 +138,8 @@ def _parameters(data: Mapping[str, Any]) -> list[Fold]:
     """All of the arm, the tool and the target, a table for each unit."""
     out = parameter_tables((p["name"], p["value"], p["std"], p["unit"]) for p in data["parameters"])
     if sheet := data["camera"]["sheet"]:
-        cells = tuple((name, number(s["value"]), number(s["std"], 2)) for name, s in sheet.items())
-        table = PageTable("The sheet", ("constant", "value", "± one standard deviation"), cells)
-        out.append(Fold("The sheet, in SI units", [table]))
+        rows = [(name, s["value"], s["std"], "1") for name, s in sheet.items()]
+        out.append(Fold("The sheet, in SI units", quantity_tables(rows, "constant")))
     return out
 
 
@@ -200,6 +197,8 @@ def camera_tolerance(solution: CameraSolution, tolerance_mm: float) -> Tolerance
         against = solution.claim.decision.problems[0]
     elif not solution.claim.metric:
         against = "Nothing in these images has a length that somebody measured."
+    elif solution.claim.decision.doubtful:
+        against = solution.claim.decision.doubtful[0]
     elif high > tolerance_mm:
         against = f"The RMS is {middle:.3f} mm, but may be up to {high:.3f} mm: more and better images would tell."
     if against:

@@ -16,16 +16,16 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, counted
-from modcal_core.report.blocks import Block, Facts, Figures, Listing, Paragraph, Section, Signatures
+from modcal_core.report.blocks import Block, Facts, Figures, Listing, Paragraph, Section, Signatures, tone_of
 from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
 from modcal_core.report.page import Page
 from modcal_core.report.particulars import Particulars
 from modcal_core.report.tables import error_tables
+from modcal_core.report.words import STATISTICS
 from modcal_core.verdict import PoseTest, Tolerance, pose_test
 
 MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
-_NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
 _STAGES = {"nominal": "before: nominal model", "final": "after: calibrated model"}
 OWN_RECORDING = (
     "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
@@ -71,7 +71,7 @@ class Certificate:
     @property
     def tone(self) -> str:
         """The colour of the result."""
-        return {"PASS": "good", "FAIL": "bad"}.get(self.heading, "warn")
+        return tone_of(self.heading)
 
 
 def certificate(
@@ -281,7 +281,7 @@ def _silent_on(report: Outcome, stated: Stated, tests: PoseTest) -> tuple[str, .
     met = report.tolerance
     assert met is not None
     standing = "in motion" if report.samples.moving.all() else "at rest" if not report.samples.moving.any() else "these"
-    of = _NAMES[met.asked.statistic]
+    of = f"{STATISTICS[met.asked.statistic]} error"
     constant = "Errors that are constant in the instrument, such as its scale"
     constant += "." if stated.instrument_mm is not None else "; it is not traced to a standard."
     out = [

@@ -55,7 +55,6 @@ _STEPS: tuple[tuple[float, ...], ...] = (  # of a decade, tried in turn until tw
     (1.0, 1.5, 2.0, 3.0, 5.0, 7.0),
 )
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_ROOM = 1.08  # of the range of the points that are shown to scale
 _FONT = "'DejaVu Sans','Bitstream Vera Sans',Verdana,Geneva,Arial,Helvetica,sans-serif"
 _SHAPES = {  # around a point; all but dot and dash hollow
     "circle": "M-1.4 0a1.4 1.4 0 1 0 2.8 0a1.4 1.4 0 1 0 -2.8 0z",
@@ -149,16 +148,6 @@ class Panel:
     _drawn: list[str | tuple[str, int]] = field(default_factory=list)  # elements, or places of a mark and its number
     _marks: list[str] = field(default_factory=list)
 
-    @classmethod
-    def to_scale(cls, x: tuple[str, Array], y: tuple[str, Array], width: float, height: float) -> Self:
-        """A chart that shows points with both axes to one scale. x, y: words and coordinates (N,)."""
-        wide, high = width - _LEFT - _RIGHT, height - _BELOW - _TOP
-        scale = _ROOM * max(np.ptp(x[1]) / wide, np.ptp(y[1]) / high, 1e-9)  # units of a point of the chart
-        middles = [0.5 * (float(np.min(values)) + float(np.max(values))) for _, values in (x, y)]
-        half = [0.5 * scale * length for length in (wide, high)]
-        across, along = (Axis(words, m - h, m + h) for (words, _), m, h in zip((x, y), middles, half, strict=True))
-        return cls(across, along, width, height)
-
     @property
     def _left(self) -> float:
         if not self.y.names:
@@ -190,12 +179,6 @@ class Panel:
         drawn = "M" + _places(np.c_[self._across(x), self._along(y)], "L")
         more = ";stroke-dasharray:4 2" if dashed else ""
         self._drawn.append(f'<path d="{drawn}" style="fill:none;stroke:var(--{colour});stroke-width:{wide:g}{more}"/>')
-
-    def strokes(self, begin: Array, end: Array, colour: str, wide: float = 0.8) -> None:
-        """Straight lines from points (N, 2) to others (N, 2)."""
-        ends = [np.c_[self._across(p[:, 0]), self._along(p[:, 1])] for p in (begin, end)]
-        drawn = "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for a, b, c, d in np.hstack(ends).tolist())
-        self._drawn.append(f'<path d="{drawn}" style="fill:none;stroke:var(--{colour});stroke-width:{wide:g}"/>')
 
     def band(self, x: Array, low: Array, high: Array, colour: str) -> None:
         """The area between two lines over the same points (N,)."""

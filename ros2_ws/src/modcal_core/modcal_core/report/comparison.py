@@ -12,16 +12,17 @@ from scipy.special import ndtri
 from modcal_core.calibration import Calibration
 from modcal_core.effects import Sizes, claimed
 from modcal_core.errors import BadRobot, NotEnoughData
+from modcal_core.files import to_json
 from modcal_core.outcome import ToolDifference, tool_difference
 from modcal_core.report.as_json import sizes_to_json
-from modcal_core.report.blocks import Summary, SummaryLine, SummaryTable, Tone, legend
+from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, VerbResult, legend, tone_of
+from modcal_core.report.page import scaled
 
 _TAIL = 0.05  # of differences that are taken for real while there is none, all parameters together
 
 
 Result = Literal["same", "differs", "within tolerance", "beyond tolerance", "cannot tell"]
 _NORMAL = 1.96  # deviations of a 95 % interval
-_TONES: dict[str, Tone] = {"same": "good", "within tolerance": "good", "beyond tolerance": "bad"}
 _LARGEST = 12  # parameters on a terminal
 _LEGEND = {
     "±": "one standard deviation",
@@ -29,7 +30,7 @@ _LEGEND = {
     "shown": "whether it is more than the uncertainty of both explains, at 95 % for all parameters together",
     "of base or tool": "base and tool take it up",
 }
-_KINDS = (("m", "mm", 1e3, "Lengths"), ("rad", "mrad", 1e3, "Angles"))
+_SET_UP = ("frame ", "tool/", "instrument ")  # parameters that are not the arm's
 
 
 @dataclass(frozen=True)
@@ -56,58 +57,11 @@ class Side:
         return tuple((str(r["name"]), float(r["value"]), float(r["std"]), str(r["unit"])) for r in rows)
 
 
-@dataclass(frozen=True)
-class ParameterDifference:
-    """A parameter of both: values and standard deviations [unit]; None in one where it was not fitted there.
+def compare(first: Side, second: Side, tolerance_mm: float | None = None) -> VerbResult:
+    """The comparison: the data of comparison.json, and what a terminal shows.
 
-    shown: whether the difference is more than the uncertainty of both, at 95 % for all parameters together; None where
-    that cannot be asked: in one only, or a motion that base or tool can take up.
-    """
-
-    name: str
-    unit: str
-    first: tuple[float, float] | None
-    second: tuple[float, float] | None
-    shown: bool | None
-
-    @property
-    def difference(self) -> float | None:
-        """Second less first; None where one of them has none."""
-        return None if self.first is None or self.second is None else self.second[0] - self.first[0]
-
-    @property
-    def std(self) -> float | None:
-        """Its standard deviation."""
-        return None if self.first is None or self.second is None else float(np.hypot(self.first[1], self.second[1]))
-
-
-@dataclass(frozen=True)
-class EffectDifference:
-    """An effect with its sizes in either, {name: (value, standard deviation, unit)}; None where it is not there."""
-
-    name: str
-    first: Sizes | None
-    second: Sizes | None
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """What differs. result: whether it matters. sentence: the same in words. notes: what to know beside it."""
-
-    sides: tuple[Side, Side]
-    result: Result
-    sentence: str
-    tolerance_mm: float | None
-    parameters: tuple[ParameterDifference, ...]
-    effects: tuple[EffectDifference, ...]
-    tool: ToolDifference | None
-    notes: tuple[str, ...]
-
-
-def compare(first: Side, second: Side, tolerance_mm: float | None = None) -> Comparison:
-    """The comparison. tolerance_mm: what may differ at the tool, 95th percentile; None: not judged.
-
-    Raises BadRobot for arms with other joints, NotEnoughData where there is nothing that both have.
+    tolerance_mm: what may differ at the tool, 95th percentile; None: not judged. Raises BadRobot for arms with other
+    joints, NotEnoughData where there is nothing that both have.
     """
     if first.joints and second.joints and first.joints != second.joints:
         raise BadRobot(
@@ -117,42 +71,70 @@ def compare(first: Side, second: Side, tolerance_mm: float | None = None) -> Com
         )
     one, two = first.calibration, second.calibration
     tool = None if one is None or two is None else tool_difference(one, two)
-    errors = tuple(_final(side) for side in (first, second))
-    if tool is None and None in errors:
-        where = " and ".join(s.name for s, e in zip((first, second), errors, strict=True) if e is None)
-        raise NotEnoughData(where, "holds no error to compare", "give folders of modcal calibrate or modcal evaluate")
+    without = [side.name for side in (first, second) if _final(side) is None]
+    if tool is None and without:
+        remedy = "give folders of modcal calibrate or modcal evaluate"
+        raise NotEnoughData(" and ".join(without), "holds no error to compare", remedy)
     result, sentence = _judged_tool(tool, tolerance_mm) if tool is not None else _judged_errors(first, second)
     in_one, in_two = (_effects_of(side) for side in (first, second))
-    return Comparison(
-        sides=(first, second),
-        result=result,
-        sentence=sentence,
-        tolerance_mm=tolerance_mm,
-        parameters=_parameters(first, second, frozenset() if tool is None else tool.of_base_or_tool),
-        effects=tuple(EffectDifference(name, in_one.get(name), in_two.get(name)) for name in {**in_one, **in_two}),
-        tool=tool,
-        notes=_notes(first, second, tool),
-    )
+    of_base_or_tool = frozenset() if tool is None else tool.of_base_or_tool
+    data = {
+        "modcal_comparison": 1,
+        "result": result,
+        "verdict": sentence,
+        "tolerance_mm": tolerance_mm,
+        "sides": [_side(side) for side in (first, second)],
+        "tool": None
+        if tool is None
+        else {
+            "postures": len(tool.q),
+            "mm": asdict(tool.size_mm),
+            "deg": None if tool.size_deg is None else asdict(tool.size_deg),
+            "expected_rms_mm": tool.expected_mm,
+            "base_to_tip_as_they_are_mm": asdict(tool.as_they_are_mm),
+            "left_out": list(tool.left_out),
+        },
+        "of_base_or_tool": sorted(of_base_or_tool),
+        "parameters": _parameters(first, second, of_base_or_tool),
+        "effects": [
+            {"effect": name, "first": _sizes(in_one.get(name)), "second": _sizes(in_two.get(name))}
+            for name in {**in_one, **in_two}
+        ],
+        "notes": list(_notes(first, second, tool)),
+    }
+    files = {"comparison.json": to_json(data)}
+    return VerbResult(data, _summary(data), files, "Comparison", "comparison.json")
 
 
-def _parameters(first: Side, second: Side, of_base_or_tool: frozenset[str]) -> tuple[ParameterDifference, ...]:
-    """Those of the arm in the order of the chain, then base, tool and instruments."""
+def _parameters(first: Side, second: Side, of_base_or_tool: frozenset[str]) -> list[dict[str, Any]]:
+    """Those of the arm in the order of the chain, then base, tool and instruments.
+
+    shown: whether the difference is more than the uncertainty of both, at 95 % for all parameters together; None where
+    that cannot be asked: in one only, or a motion that base or tool can take up.
+    """
     tables = [{name: (value, std, unit) for name, value, std, unit in side.parameters} for side in (first, second)]
-    names = list(dict.fromkeys([*tables[0], *tables[1]]))
-    names = sorted(names, key=lambda name: name.startswith(("frame ", "tool/", "instrument ")))
-    both = sum(name in tables[0] and name in tables[1] for name in names)
+    names = sorted(dict.fromkeys([*tables[0], *tables[1]]), key=lambda name: name.startswith(_SET_UP))
+    both = len(tables[0].keys() & tables[1].keys())
     limit = float(-ndtri(0.5 * _TAIL / max(both, 1)))  # Bonferroni: all together hold with 95 %
     out = []
     for name in names:
-        rows = [table.get(name) for table in tables]
-        unit = next(row[2] for row in rows if row is not None)
-        one, two = (None if row is None else (row[0], row[1]) for row in rows)
-        shown = None
-        own = name not in of_base_or_tool
-        if own and one is not None and two is not None and (std := np.hypot(one[1], two[1])) > 0.0:
-            shown = bool(abs(two[0] - one[0]) > limit * std)
-        out.append(ParameterDifference(name, unit, one, two, shown))
-    return tuple(out)
+        one, two = (table.get(name) for table in tables)
+        row: dict[str, Any] = {
+            "name": name,
+            "unit": next(found[2] for found in (one, two) if found is not None),
+            "first": None if one is None else {"value": one[0], "std": one[1]},
+            "second": None if two is None else {"value": two[0], "std": two[1]},
+            "difference": None,
+            "difference_ci95": None,
+            "shown": None,
+        }
+        if one is not None and two is not None:
+            apart, std = two[0] - one[0], float(np.hypot(one[1], two[1]))
+            row |= {"difference": apart, "difference_ci95": [apart - _NORMAL * std, apart + _NORMAL * std]}
+            if name not in of_base_or_tool and std > 0.0:
+                row["shown"] = bool(abs(apart) > limit * std)
+        out.append(row)
+    return out
 
 
 def _effects_of(side: Side) -> dict[str, Sizes]:
@@ -246,45 +228,6 @@ def _notes(first: Side, second: Side, tool: ToolDifference | None) -> tuple[str,
     return tuple(out)
 
 
-def comparison_data(found: Comparison) -> dict[str, Any]:
-    """The data of comparison.json: plain dictionaries, None where something does not apply."""
-    tool = found.tool
-    return {
-        "modcal_comparison": 1,
-        "result": found.result,
-        "verdict": found.sentence,
-        "tolerance_mm": found.tolerance_mm,
-        "sides": [_side(side) for side in found.sides],
-        "tool": None
-        if tool is None
-        else {
-            "postures": len(tool.q),
-            "mm": asdict(tool.size_mm),
-            "deg": None if tool.size_deg is None else asdict(tool.size_deg),
-            "expected_rms_mm": tool.expected_mm,
-            "base_to_tip_as_they_are_mm": asdict(tool.as_they_are_mm),
-            "left_out": list(tool.left_out),
-        },
-        "of_base_or_tool": [] if tool is None else sorted(tool.of_base_or_tool),
-        "parameters": [
-            {
-                "name": p.name,
-                "unit": p.unit,
-                "first": None if p.first is None else {"value": p.first[0], "std": p.first[1]},
-                "second": None if p.second is None else {"value": p.second[0], "std": p.second[1]},
-                "difference": p.difference,
-                "difference_ci95": None
-                if p.difference is None or p.std is None
-                else [p.difference - _NORMAL * p.std, p.difference + _NORMAL * p.std],
-                "shown": p.shown,
-            }
-            for p in found.parameters
-        ],
-        "effects": [{"effect": e.name, "first": _sizes(e.first), "second": _sizes(e.second)} for e in found.effects],
-        "notes": list(found.notes),
-    }
-
-
 def _side(side: Side) -> dict[str, Any]:
     report = side.report or {}
     trace = report.get("trace") or {}
@@ -304,58 +247,49 @@ def _sizes(sizes: Sizes | None) -> dict[str, Any] | None:
     return None if sizes is None else sizes_to_json(sizes)
 
 
-def comparison_summary(found: Comparison) -> tuple[Summary, ...]:
-    """What a terminal shows: errors, tool, the parameters that differ most for their uncertainty, effects, result."""
-    names = tuple(side.name for side in found.sides)
-    out: list[Summary] = []
-    data = comparison_data(found)
+def _summary(data: Mapping[str, Any]) -> list[Summary]:
+    """What a terminal shows: errors, the parameters that differ most for their uncertainty, effects, result."""
+    names = tuple(side["name"] for side in data["sides"])
     rows = []
     for side in data["sides"]:
         e = side["error_mm"] or {}
         numbers = [f"{e[k]:.3f}" if k in e else "" for k in ("mean", "rms", "p95", "max")]
         rows.append((side["name"], *numbers, side["status"] or "", side["tolerance"] or ""))
     header = ("error on scored stations", "mean mm", "RMS mm", "95 % mm", "max mm", "status", "tolerance")
-    out.append(SummaryTable(header, tuple(rows)))
-    for title, unit, factor, part in _parts(found):
-        # the largest for its uncertainty before the others
-        ranked = sorted(part, key=lambda p: (p.shown is None, -abs(p.difference or 0.0) / (p.std or np.inf)))[:_LARGEST]
-        head = (f"{title.lower()}, {unit}", *names, "difference", "95 % interval", "shown")
-        out.append(SummaryTable(head, tuple(_cells(p, factor) for p in ranked)))
-        if len(part) > len(ranked):
-            out.append(SummaryLine(f"{len(part) - len(ranked)} more are in comparison.json."))
-    if any(part for *_, part in _parts(found)):
+    out: list[Summary] = [TableBlock("", header, tuple(rows))]
+    units: dict[str, list[dict[str, Any]]] = {"m": [], "rad": []}  # a table never mixes two units
+    for row in data["parameters"]:
+        if not row["name"].startswith(_SET_UP):
+            units.setdefault(row["unit"], []).append(row)
+    for si, part in units.items():
+        unit, factor = scaled(si)
+        head = (f"parameters, {unit}", *names, "difference", "95 % interval", "shown")
+        if part:
+            out.append(TableBlock("", head, tuple(_cells(p, factor) for p in sorted(part, key=_rank)[:_LARGEST])))
+        if len(part) > _LARGEST:
+            out.append(SummaryLine(f"{len(part) - _LARGEST} more are in comparison.json."))
+    if any(units.values()):
         out.append(legend(_LEGEND))
-    if found.effects:
-        rows = [(e.name, *("yes" if s is not None else "no" for s in (e.first, e.second))) for e in found.effects]
-        out.append(SummaryTable(("effect", *names), tuple(rows)))
-    out += [SummaryLine(note, "doubt") for note in found.notes]
-    out.append(SummaryLine(found.sentence, _TONES.get(found.result, "undecided")))
-    return tuple(out)
+    if data["effects"]:
+        rows = [(e["effect"], *("no" if e[s] is None else "yes" for s in ("first", "second"))) for e in data["effects"]]
+        out.append(TableBlock("", ("effect", *names), tuple(rows)))
+    out += [SummaryLine(note, "doubt") for note in data["notes"]]
+    return [*out, SummaryLine(data["verdict"], tone_of(data["result"]))]
 
 
-def _parts(found: Comparison) -> list[tuple[str, str, float, list[ParameterDifference]]]:
-    """Parameters by unit, those of the arm: a table never mixes two units."""
-    arm = [p for p in found.parameters if not p.name.startswith(("frame ", "tool/", "instrument "))]
-    parts = [(title, unit, factor, [p for p in arm if p.unit == si]) for si, unit, factor, title in _KINDS]
-    others = sorted({p.unit for p in arm} - {"m", "rad"})
-    parts += [(f"Others in {unit}", unit, 1.0, [p for p in arm if p.unit == unit]) for unit in others]
-    return [part for part in parts if part[3]]
+def _rank(row: Mapping[str, Any]) -> tuple[bool, float]:
+    """The largest for its uncertainty before the others."""
+    low, high = row["difference_ci95"] or (0.0, np.inf)
+    return row["shown"] is None, -abs(row["difference"] or 0.0) / max(high - low, 1e-300)
 
 
-def _cells(p: ParameterDifference, factor: float) -> tuple[str, ...]:
-    def said(pair: tuple[float, float] | None) -> str:
-        return "not fitted" if pair is None else f"{factor * pair[0]:.4f} ± {factor * pair[1]:.4f}"
-
-    difference = "" if p.difference is None else f"{factor * p.difference:+.4f}"
-    span = ""
-    if p.difference is not None and p.std is not None:
-        low, high = (factor * (p.difference + k * _NORMAL * p.std) for k in (-1.0, 1.0))
-        span = f"{low:.4f} … {high:.4f}"
-    return (
-        p.name,
-        said(p.first),
-        said(p.second),
-        difference,
-        span,
-        {True: "yes", False: "no", None: "" if p.difference is None else "of base or tool"}[p.shown],
-    )
+def _cells(row: Mapping[str, Any], factor: float) -> tuple[str, ...]:
+    sides = [
+        "not fitted" if one is None else f"{factor * one['value']:.4f} ± {factor * one['std']:.4f}"
+        for one in (row["first"], row["second"])
+    ]
+    if row["difference"] is None:
+        return row["name"], *sides, "", "", ""
+    low, high = (factor * end for end in row["difference_ci95"])
+    shown = {True: "yes", False: "no", None: "of base or tool"}[row["shown"]]
+    return row["name"], *sides, f"{factor * row['difference']:+.4f}", f"{low:.4f} … {high:.4f}", shown

@@ -20,11 +20,11 @@ from modcal_core.report.blocks import (
     Fold,
     HeatTable,
     Listing,
-    PageTable,
     Paragraph,
     Section,
-    SideBySide,
+    TableBlock,
     Tiles,
+    tone_of,
 )
 from modcal_core.report.figures import (
     effect_shapes,
@@ -35,13 +35,9 @@ from modcal_core.report.figures import (
 from modcal_core.report.page import Page, files_section, parameter_tables, size_tables
 from modcal_core.report.scene import scene
 from modcal_core.report.tables import account_tables, effects_table, error_tables, span
-from modcal_core.report.words import STATUS_WORDS, sentence
-from modcal_core.verdict import Status
+from modcal_core.report.words import STATISTICS, STATUS_WORDS, sentence
 
-TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}
-OF_RESULT = {"PASS": "good", "FAIL": "bad"}
 _MAX_COLUMNS = 28  # drivers of a map
-STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest"}
 _MAX_LISTED = 30  # stations that were left out
 _DECIDE = File(
     "Which of several explanations is it?",
@@ -66,7 +62,7 @@ def to_html(report: Outcome, files: Iterable[str] = (), calibration: str = "") -
         sentence(report),
         _Sections(report, to_json_data(report), tuple(files)).all(),
         heading=f"Verdict: {STATUS_WORDS[report.status]}",
-        tone=TONES[report.status],
+        tone=tone_of(report.status),
     ).html()
 
 
@@ -109,10 +105,10 @@ class _Sections:
         """What stands above the sections."""
         data, out = self.data, list[Block]()
         if data["open_because"]:
-            out.append(Listing(data["open_because"], TONES[self.report.status], "Open because"))
+            out.append(Listing(data["open_because"], tone_of(self.report.status), "Open because"))
         if met := data["tolerance"]:
             said = f"within {met['asked_mm']:g} mm. {met['because']}"
-            out.append(Paragraph(said, met["result"], OF_RESULT.get(met["result"], "warn")))
+            out.append(Paragraph(said, met["result"], tone_of(met["result"])))
         out.append(Tiles(self._tiles()))
         return [*out, *([Listing(data["story"])] if data["story"] else [])]
 
@@ -152,7 +148,7 @@ class _Sections:
         ]
         out: list[Block] = [
             Paragraph(self.report.claim.sentence),
-            PageTable("The claim", (f"over the {mm['over']}", *STATISTICS.values()), tuple(rows)),
+            TableBlock("The claim", (f"over the {mm['over']}", *STATISTICS.values()), tuple(rows)),
         ]
         if mm["open"]:
             shown, held = f"{mm['shown_mm']:.3f} mm", f"{mm['unshown_mm']:.3f} mm"
@@ -184,7 +180,7 @@ class _Sections:
                 rows += [(o.joint, f"{factor * o.value:+.4f}", ends)] if o.turning == turning else []
             if rows:
                 header = ("joint", f"offset, {unit}", f"95 % interval, {unit}")
-                out.append(PageTable(title, header, tuple(rows), strong=1))
+                out.append(TableBlock(title, header, tuple(rows), strong=1))
         return Section("offsets", "Joint offsets", out, "Joint offsets")
 
     def error(self) -> Section:
@@ -250,7 +246,7 @@ class _Sections:
         out: list[Block] = [effects_table(self.report)]
         if sizes := size_tables(effects):
             words = "Each ± one standard deviation; a table for each unit."
-            out += [Paragraph(words, "Their sizes.", soft=True), SideBySide(sizes)]
+            out += [Paragraph(words, "Their sizes.", soft=True), *sizes]
         for e in effects:
             if e["same_as"]:
                 words = f"cannot be distinguished from: {'; '.join(e['same_as'])}."
@@ -278,7 +274,7 @@ class _Sections:
         more = len(rows) - len(listed)
         below = f"And {more} more; all are in report.json." if more else ""
         header = ("station", "time, s", "error, mm", "times the usual")
-        table = PageTable("Rejected stations", header, tuple(listed), below=below)
+        table = TableBlock("Rejected stations", header, tuple(listed), below=below)
         return Section(
             "stations", "Stations", [*out, Paragraph(f"{said}{usual:.3f} mm.", soft=True), table], "Stations"
         )
@@ -324,7 +320,7 @@ class _Sections:
         for step in self.data["steps"] if before else ():
             rows.append((step["added"].replace(":", " of "), f"{step['rms_mm']:.3f}"))
         header = ("added", "RMS of what is left, mm")
-        return _section("steps", "What each step leaves", [PageTable("Steps", header, tuple(rows))] if rows else [])
+        return _section("steps", "What each step leaves", [TableBlock("Steps", header, tuple(rows))] if rows else [])
 
     def evidence(self) -> Section | None:
         """Maps of the first and the last scan, with the same columns: the drivers that explain most in either."""
@@ -368,7 +364,7 @@ class _Sections:
             for d in self.data["known_distances"]
         )
         header = ("between", "stated, mm", "misfit of the fit, mm", "by the readings alone, mm")
-        return _section("distances", "Known distances", [PageTable("Known distances", header, rows)] if rows else [])
+        return _section("distances", "Known distances", [TableBlock("Known distances", header, rows)] if rows else [])
 
     def identifiability(self) -> Section | None:
         """What the stations determine."""

@@ -2,31 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.outcome import counted
-from modcal_core.report.blocks import Listing, PageTable, Section, Summary, SummaryLine
+from modcal_core.report.blocks import Listing, Section, Summary, SummaryLine, TableBlock, VerbResult
 from modcal_core.report.page import Page, files_section
 from modcal_core.report.scene import ShownPostures
+from modcal_core.report.tables import csv_text
 from modcal_core.report.words import percent
-from modcal_core.robots import LoadedArm, Window, constant_bounds
+from modcal_core.robots import JointPath, LoadedArm, Window, constant_bounds, motion, with_payload, within_torque
 
 _MAX = 200  # postures written one by one
+_STEP = 0.008  # s between rows of a trajectory, as controllers take them
 
 
 @dataclass(frozen=True)
 class LimitsFound:
-    """The bounds of an arm at postures q (N, n) and velocities (N, n). Raises Overloaded where it cannot be held."""
+    """The bounds of an arm at postures q (N, n) and velocities (N, n), and a path through these, where it is to go one.
+
+    Raises Overloaded where it cannot be held.
+    """
 
     arm: LoadedArm
     q: Array
     velocity: Array
     source: str
+    path: JointPath | None = None
+
+    @cached_property
+    def trajectory(self) -> tuple[Array, Array, Array] | None:
+        """Times (m,) [s], positions and velocities (m, n) of the fastest motion along the path; None without one."""
+        if self.path is None:
+            return None
+        arm = self.arm
+        loaded = with_payload(arm.inertias, arm.chain, arm.payload)
+        timing = within_torque(arm.chain, loaded, arm.drives, self.path, arm.share, gravity=arm.gravity)
+        t = np.r_[np.arange(0.0, timing.duration, _STEP), timing.duration]
+        return t, *motion(self.path, timing, t)[:2]
 
     @cached_property
     def window(self) -> Window:
@@ -144,25 +163,27 @@ _MEANINGS = (
 )
 
 
-def limits_summary(found: LimitsFound, notes: tuple[str, ...] = ()) -> list[Summary]:
-    """What a terminal shows: the tables of the page, and sentences. notes: others beside them."""
-    tables = [table.summary for table in _tables(found)]
-    return [*tables, SummaryLine(_MEANINGS, "legend"), *map(SummaryLine, notes), SummaryLine(answer(found))]
+def limits_report(found: LimitsFound, title: str, notes: Sequence[str] = ()) -> VerbResult:
+    """The bounds as a verb leaves them. notes: sentences beside them."""
+    data = {**limits_data(found), "notes": list(notes)}
+    files = {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(found))}
+    tables, said = _tables(found), answer(found)
+    if found.trajectory is not None:
+        t, q, v = found.trajectory
+        data["fastest_s"] = float(t[-1])
+        said += f" The fastest motion along the path takes {t[-1]:.3f} s."
+        names = found.arm.chain.names
+        head = ("time_s", *names, *(f"{name}_velocity" for name in names))
+        files["trajectory.csv"] = csv_text(head, np.column_stack([t, q, v]))
+    lines = [*notes, f"{percent(found.arm.share)} of the torque of each drive may be used.", _MEANINGS]
+    sections = [Section("bounds", "Bounds and loads", tables), _robot(found), files_section(files)]
+    page = Page(f"{title}: limits of acceleration", said, [Listing(lines), *sections]).html()
+    shown: list[Summary] = [table for table in tables]
+    shown += [SummaryLine(_MEANINGS, "legend"), *map(SummaryLine, (*notes, said))]
+    return VerbResult(data, shown, {**files, "report.html": page}, "Limits", "limits.json")
 
 
-def limits_html(found: LimitsFound, title: str, notes: tuple[str, ...] = ()) -> str:
-    """The page. notes: sentences beside it."""
-    lines = [
-        *notes,
-        f"{percent(found.arm.share)} of the torque of each drive may be used.",
-        _MEANINGS,
-    ]
-    sections = [Section("bounds", "Bounds and loads", _tables(found)), _robot(found)]
-    files = files_section(("limits.json", "joint_limits.yaml"))
-    return Page(f"{title}: limits of acceleration", answer(found), [Listing(lines), *sections, files]).html()
-
-
-def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
+def _tables(found: LimitsFound) -> tuple[TableBlock, ...]:
     """Accelerations and holding torques, separate for revolute and prismatic joints."""
     chain, drives = found.arm.chain, found.arm.drives
     bounds = (found.window.equivalent(), found.coupled)
@@ -181,8 +202,8 @@ def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
         if allowed:
             names = ("joint", "alone", "together", "for all postures")
             title = f"Acceleration of {kind} joints, {unit}"
-            out.append(PageTable(title, names, tuple(allowed), heading=True))
-            out.append(PageTable(f"Load of {kind} joints", header, tuple(loads), heading=True))
+            out.append(TableBlock(title, names, tuple(allowed), heading=True))
+            out.append(TableBlock(f"Load of {kind} joints", header, tuple(loads), heading=True))
     return tuple(out)
 
 

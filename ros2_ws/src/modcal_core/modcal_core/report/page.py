@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.report.blocks import Block, File, FileList, Fold, PageTable, Paragraph, Scene3D, Section
+from modcal_core.report.blocks import Block, File, FileList, Fold, Paragraph, Scene3D, Section, TableBlock
 from modcal_core.report.charts import DARK, LIGHT
 
 if TYPE_CHECKING:
@@ -125,11 +125,12 @@ def files_section(names: Iterable[str], *more: File) -> Section | None:
     return Section("files", title, [*said, FileList(files)], short="Files")
 
 
-_FIRST = ("mrad", "mm")  # then the others by name, numbers without a unit last
+_FIRST = ("mrad", "°", "mm")  # then the others by name, numbers without a unit last
+_TITLES = {"mm": "Lengths", "mrad": "Angles", "°": "Angles", "1": "Numbers without a unit"}
 _GROUPED = (1e4, 1e7)  # numbers between are written in full, their thousands apart
 _STAMP = 1e8  # s; larger ones are moments, of which every second counts
 
-Sizes = Mapping[str, Mapping[str, Any]]  # name of a quantity: value, std and unit, as in report.json
+Quantity = tuple[str, float, float | None, str]  # name, value, standard deviation, unit
 
 
 def scaled(unit: str) -> tuple[str, float]:
@@ -151,54 +152,46 @@ def number(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}g}".replace("-", "−")
 
 
-def with_deviation(quantity: Mapping[str, Any]) -> str:
-    """Value and standard deviation in the unit that ``scaled`` gives, without it."""
-    factor = scaled(quantity["unit"])[1]
-    std = quantity["std"]
-    if quantity["unit"] == "s" and abs(quantity["value"]) > _STAMP:
-        return f"{quantity['value']:.1f}" + (f" ± {number(std, 1)}" if std else "")
-    return number(factor * quantity["value"]) + (f" ± {number(factor * std, 1)}" if std else "")
+def quantity_tables(quantities: Iterable[Quantity], what: str = "quantity") -> list[TableBlock]:
+    """Values and standard deviations as they are read, a table for each unit. what: a word for the names."""
+    found: dict[str, list[Quantity]] = {}
+    for one in quantities:
+        found.setdefault(one[3], []).append(one)
+    out = []
+    for unit in sorted(found, key=lambda u: (_FIRST.index(u) if u in _FIRST else len(_FIRST), u == "1", u)):
+        end = "" if unit == "1" else f", {unit}"
+        header, rows = [what, f"value{end}", f"± one standard deviation{end}"], []
+        for name, value, std, _ in found[unit]:
+            said = f"{value:.1f}" if unit == "s" and abs(value) > _STAMP else number(value)
+            rows.append((name, said, number(std, 2) if std and np.isfinite(std) else ""))
+        columns = 3 if any(row[2] for row in rows) else 2
+        cells = tuple(row[:columns] for row in rows)
+        title = f"{_TITLES[unit]}{end}" if unit in _TITLES else f"In {unit}"
+        out.append(TableBlock(title, tuple(header[:columns]), cells))
+    return out
 
 
-def size_tables(effects: Sequence[Mapping[str, Any]]) -> list[PageTable]:
-    """Sizes of effects as ``report.json`` has them, a table for each unit; of effects with one name the later ones are
-    numbered.
-    """
+def in_units(rows: Iterable[Quantity]) -> list[Quantity]:
+    """Quantities in SI as people read them."""
+    out = []
+    for name, value, std, si in rows:
+        unit, factor = scaled(si)
+        out.append((name, factor * value, None if std is None else factor * std, unit))
+    return out
+
+
+def size_tables(effects: Sequence[Mapping[str, Any]]) -> list[TableBlock]:
+    """Sizes of effects as ``report.json`` has them; of effects with one name the later ones are numbered."""
     names = [f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}" for e in effects]
-    found: dict[str, list[tuple[str, ...]]] = {}
+    found = []
     for i, (name, effect) in enumerate(zip(names, effects, strict=True)):
         count = names[:i].count(name) + 1
+        numbered = name if count == 1 else f"{name} ({count})"
         for quantity, size in effect["parameters"].items():
-            cells = (name if count == 1 else f"{name} ({count})", quantity.replace("_", " "), with_deviation(size))
-            found.setdefault(scaled(str(size["unit"]))[0], []).append(cells)
-    ranked = sorted(found, key=lambda unit: (_FIRST.index(unit) if unit in _FIRST else len(_FIRST), unit == "1", unit))
-    return [
-        PageTable(
-            "Sizes without a unit" if unit == "1" else f"Sizes in {unit}",
-            ("effect", "quantity", "value" if unit == "1" else f"value, {unit}"),
-            tuple(found[unit]),
-            words=2,
-        )
-        for unit in ranked
-    ]
+            found.append((f"{numbered}: {quantity.replace('_', ' ')}", size["value"], size["std"], str(size["unit"])))
+    return quantity_tables(in_units(found))
 
 
-Parameter = tuple[str, float, float, str]  # name, value, standard deviation, unit
-_PARTS = {"m": ("mm", 1e3, "Lengths"), "rad": ("mrad", 1e3, "Angles"), "1": ("‰", 1e3, "Ratios")}
-
-
-def parameter_tables(parameters: Iterable[Parameter]) -> list[Fold]:
-    """All parameters, a folded table for each unit."""
-    by_unit: dict[str, list[Parameter]] = {unit: [] for unit in _PARTS}
-    for parameter in parameters:
-        by_unit.setdefault(parameter[3], []).append(parameter)
-    out = []
-    for si, rows in by_unit.items():
-        unit, factor, title = _PARTS.get(si, (si, 1.0, "Others"))
-        header = ("name", f"value, {unit}", f"standard deviation, {unit}", "value ÷ deviation")
-        cells = tuple(
-            (name, f"{factor * v:.4f}", f"{factor * s:.4f}", f"{abs(v / s):.1f}" if s else "") for name, v, s, _ in rows
-        )
-        if rows:
-            out.append(Fold(f"{title}, {unit}: {len(rows)}", [PageTable(title, header, cells)]))
-    return out
+def parameter_tables(parameters: Iterable[Quantity]) -> list[Fold]:
+    """All parameters, in SI, as a folded table for each unit."""
+    return [Fold(f"{t.title}: {len(t.rows)}", [t]) for t in quantity_tables(in_units(parameters), "parameter")]

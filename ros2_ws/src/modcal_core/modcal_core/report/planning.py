@@ -7,20 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from modcal_core.files import to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.planning import Plan
 from modcal_core.report.as_json import claim_data
-from modcal_core.report.blocks import Figures, Listing, Section
-from modcal_core.report.charts import AFTER, BAD, BEFORE, INK, SMALL, Chart, Panel
+from modcal_core.report.blocks import Block, Listing, Section, SummaryLine, VerbResult
 from modcal_core.report.page import Page, files_section
-from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_paths
-from modcal_core.report.words import percent
+from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_lines
+from modcal_core.report.tables import csv_text, stations_table
+from modcal_core.report.words import STATISTICS, percent
 from modcal_core.robots import is_serial_arm, plain
 
-_MEASURES = {"p95": "95th percentile", "rms": "RMS"}
-_VIEWS = (("from above", (0, 1)), ("from the side", (0, 2)))
-_HIGH = 200.0  # points; of a view
 _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
 
@@ -57,7 +55,7 @@ def plan_sentences(plan: Plan) -> list[str]:
     asked = (
         ""
         if request.accuracy is None
-        else f" are needed for {1e3 * request.accuracy:.3g} mm ({_MEASURES[request.measure]})"
+        else f" are needed for {1e3 * request.accuracy:.3g} mm ({STATISTICS[request.measure]})"
     )
     out = [
         f"{k} stations{more}{asked}. To be claimed of a usual arm: 95 % of the errors over the workspace are below "
@@ -92,12 +90,6 @@ def plan_sentences(plan: Plan) -> list[str]:
     return out
 
 
-def to_csv(plan: Plan) -> str:
-    """Joint positions [rad, m], one station a row, under the joints' names."""
-    rows = "".join(",".join(f"{v:.9f}" for v in q) + "\n" for q in plan.q)
-    return ",".join(plan.ground.model.chain.names) + "\n" + rows
-
-
 def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]:
     """The way through the stations as a trajectory_msgs/JointTrajectory: at rest at every posture, still at stations.
 
@@ -127,12 +119,19 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
     return {"joint_names": [name for name, moves in zip(chain.names, own, strict=True) if moves], "points": points}
 
 
-def planning_html(plan: Plan, title: str) -> str:
-    """The plan as a page: sentences, pictures, files."""
-    first, *others = plan_sentences(plan)
-    views = Section("stations", "Stations", [Figures(_charts(plan))])
-    files = files_section(("plan.yaml", "stations.csv", "trajectory.yaml"))
-    return Page(f"{title}: stations to measure", first, [Listing(others), _robot(plan), views, files]).html()
+def plan_report(plan: Plan, title: str, speed: float, dwell: float) -> VerbResult:
+    """The plan as a verb leaves it. speed, dwell: of :func:`to_trajectory_data`."""
+    sentences, data = plan_sentences(plan), to_plan_data(plan)
+    files = {
+        "plan.yaml": to_yaml(data),
+        "stations.csv": csv_text(plan.ground.model.chain.names, plan.q),
+        "trajectory.yaml": to_yaml(to_trajectory_data(plan, speed, dwell)),
+    }
+    table = stations_table("Stations in their order", plan.ground.model.chain.names, plan.q)
+    listed = Section("stations", "Stations", [table])
+    blocks: list[Block | None] = [Listing(sentences[1:]), _robot(plan), listed, files_section(files)]
+    page = Page(f"{title}: stations to measure", sentences[0], blocks).html()
+    return VerbResult(data, [*map(SummaryLine, sentences)], {**files, "report.html": page}, "Stations", "plan.yaml")
 
 
 def _robot(plan: Plan) -> Section:
@@ -140,32 +139,8 @@ def _robot(plan: Plan) -> Section:
     pool, tracker = plan.pool, plan.ground.site.tracker
     shown = ShownPostures(plan.ground.model.chain, plan.q, "Station", plan.ground.model.T_tip_tool)
     some = pool.q[spread_rows(len(pool.q), MAX_POINTS)]
-    way, could = (arm_paths(shown.chain, q, shown.T_tip_tool)[:, -1] for q in (plan.q, some))
+    way, could = (arm_lines(shown.chain, plan.ground.model.T_tip_tool, q)[-1][:, -1] for q in (plan.q, some))
     alt = f"The arm at {len(plan.q)} stations, in order, among the places that could be chosen."
     marks = () if tracker is None else (("tracker", tracker.position),)
     others: dict[str, Any] = {"points": way, "shown": shown.rows, "route": True, "cloud": could, "marks": marks}
     return Section("robot", "Robot", [shown.scene(alt, **others)])
-
-
-def _charts(plan: Plan) -> list[Chart]:
-    """Where the target stands at the stations, seen along two axes of the base, among all that could be chosen."""
-    pool, ground, tracker = plan.pool, plan.ground, plan.ground.site.tracker
-    origin = ground.model.T_frame_base[0][:3, 3]
-    could, chosen = (ground.model.predict(q)[:, :3, 3] - origin for q in (pool.q, plan.q))
-    could = could[spread_rows(len(could), MAX_POINTS)]
-    base = np.zeros((1, 3))
-    sight = base[:0] if tracker is None else np.asarray(tracker.position, dtype=float)[None]
-    every = np.concatenate([could, chosen, base, sight])
-    out = []
-    for seen, (i, j) in _VIEWS:
-        panel = Panel.to_scale((f"{'xyz'[i]}, m", every[:, i]), (f"{'xyz'[j]}, m", every[:, j]), SMALL[0], _HIGH)
-        panel.marks(could[:, i], could[:, j], BEFORE, "dot", 1.2)
-        panel.line(chosen[:, i], chosen[:, j], AFTER, 0.5)
-        panel.marks(chosen[:, i], chosen[:, j], AFTER, "dot", 3.5)
-        panel.marks(base[:, i], base[:, j], INK, "square")
-        panel.marks(sight[:, i], sight[:, j], BAD, "triangle")
-        alt = f"{len(plan.q)} stations among the postures that could be chosen, {seen}."
-        words = f"Stations {seen}: small dots could be chosen, the line connects the stations in their order; the base "
-        words += "is a square." if tracker is None else "is a square, the tracker a triangle."
-        out.append(panel.chart(f"stations-{'xyz'[j]}", alt, words))
-    return out

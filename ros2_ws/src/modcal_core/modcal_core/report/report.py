@@ -18,38 +18,47 @@ from modcal_core.report.as_json import to_json_data
 from modcal_core.report.blocks import text
 from modcal_core.report.terminal import summary
 from modcal_core.report.words import sentence
-from modcal_core.robots import Chain, Delta, delta_to_data
+from modcal_core.robots import Chain, Delta, Mechanism, delta_to_data, is_serial_arm
 
 
 def calibration_files(
     calibration: Calibration,
     report: Outcome,
-    nominal: Chain,
-    urdf: str,
+    nominal: Mechanism | None = None,
+    urdf: str | None = None,
     factory: Mapping[str, Any] | None = None,
     page: bool = True,
 ) -> dict[str, str]:
-    """Names and texts of everything the calibration of a serial arm leaves behind; without report.html if not page.
+    """Names and texts of everything that a calibration leaves behind; without report.html if not page.
+
+    nominal, urdf: the arm as its description has it. factory: as of :func:`model_files`.
+    """
+    return report_files(report, page, others=model_files(calibration, nominal, urdf, factory))
+
+
+def model_files(
+    calibration: Calibration, nominal: Mechanism | None, urdf: str | None, factory: Mapping[str, Any] | None = None
+) -> dict[str, str]:
+    """The same without a report. Of a Delta, into whose file the tool that was found is written, and of an arm without
+    a description there is no URDF.
 
     factory: the kinematics that the manufacturer's tool took from this arm, whose form and hash are kept. The robot
     description and the kinematics hold the geometry that is best alone: their readers know no effects.
     """
-    return _with_report(report, arm_files(calibration, nominal, urdf, factory), page)
-
-
-def arm_files(
-    calibration: Calibration, nominal: Chain, urdf: str, factory: Mapping[str, Any] | None = None
-) -> dict[str, str]:
-    """The same without a report."""
+    files = {"calibration.yaml": to_yaml(to_data(calibration))}
+    calibrated = calibration.geometric.chain
+    if isinstance(calibrated, Delta):
+        T = calibration.geometric.T_tip_tool
+        tool = np.r_[T[:3, 3], so3.log(T[:3, :3])]
+        with_tool = calibrated.with_vector(np.r_[calibrated.constants.ravel(), tool])
+        return {**files, "calibrated_delta.yaml": to_yaml(delta_to_data(with_tool))}
+    if urdf is None or nominal is None or not is_serial_arm(nominal):
+        return files
     from modcal_core.robots import calibrated_urdf, joint_origins  # a parser of URDFs comes with these
 
-    calibrated = calibration.geometric.serial
     corrected = calibrated_urdf(urdf, nominal, calibrated)
-    return {
-        "calibration.yaml": to_yaml(to_data(calibration)),
-        "calibrated.urdf": corrected,
-        "kinematics.yaml": kinematics_text(calibrated, joint_origins(corrected), factory),
-    }
+    kinematics = kinematics_text(calibrated, joint_origins(corrected), factory)
+    return {**files, "calibrated.urdf": corrected, "kinematics.yaml": kinematics}
 
 
 def kinematics_text(chain: Chain, origins: Mapping[str, Array], factory: Mapping[str, Any] | None = None) -> str:
@@ -60,28 +69,14 @@ def kinematics_text(chain: Chain, origins: Mapping[str, Array], factory: Mapping
     return (NO_HASH if lacks_hash(data) else "") + to_yaml(data)
 
 
-def delta_files(calibration: Calibration, report: Outcome, page: bool = True) -> dict[str, str]:
-    """The same for a Delta, into whose file the tool that was found is written as well."""
-    calibrated = calibration.geometric.chain
-    assert isinstance(calibrated, Delta)
-    T = calibration.geometric.T_tip_tool
-    tool = np.r_[T[:3, 3], so3.log(T[:3, :3])]
-    with_tool = calibrated.with_vector(np.r_[calibrated.constants.ravel(), tool])
-    return _with_report(
-        report,
-        {"calibration.yaml": to_yaml(to_data(calibration)), "calibrated_delta.yaml": to_yaml(delta_to_data(with_tool))},
-        page,
-    )
+def report_files(
+    report: Outcome, page: bool = True, calibration: str = "", others: Mapping[str, str] | None = None
+) -> dict[str, str]:
+    """Names and texts of a report, whose page names the other files as well, and of those.
 
-
-def report_files(report: Outcome, page: bool = True, calibration: str = "") -> dict[str, str]:
-    """Names and texts of a report. calibration: of an evaluation, the name of what was evaluated."""
-    return _with_report(report, {}, page, calibration)
-
-
-def _with_report(report: Outcome, others: dict[str, str], page: bool = True, calibration: str = "") -> dict[str, str]:
-    """A report, whose page names the other files as well, before those."""
-    files = {"report.json": to_json(to_json_data(report))}
+    calibration: of an evaluation, the name of what was evaluated.
+    """
+    files, others = {"report.json": to_json(to_json_data(report))}, others or {}
     if page:
         # drawing it takes longer than many a fit, and so does the import of what draws it
         from modcal_core.report.html import to_html

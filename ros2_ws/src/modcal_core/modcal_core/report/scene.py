@@ -2,36 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration import Model
 from modcal_core.effects import motion
 from modcal_core.geometry import Array
-from modcal_core.measurements import Samples, spread_rows
+from modcal_core.measurements import spread_rows
 from modcal_core.measurements.kinds import indirect_rows
 from modcal_core.outcome import Outcome
 from modcal_core.report.blocks import Scene3D
-from modcal_core.robots import ARMS, Delta, Mechanism, is_delta, tool_frames
+from modcal_core.robots import ARMS, Mechanism, is_delta, tool_frames
 
 MAX_POSTURES, MAX_POINTS = 60, 500  # that a page can show and a person look through
 
 
-def arm_paths(chain: Mechanism, q: Array, T_tip_tool: Array | None = None) -> Array:
-    """Polylines from base over every joint to the tool at postures q (N, n), (N, n + 2, 3) [m], in the base."""
-    frames = tool_frames(chain, np.eye(4) if T_tip_tool is None else T_tip_tool, q, {})
-    p = np.moveaxis(frames.p, -1, 0)  # (N, places, 3)
-    if is_delta(chain):  # one line over all three arms
-        shoulders = [p[:, i] for i in range(1, 1 + ARMS)]
-        elbows = [s + frames.loops[i].lever.T for i, s in enumerate(shoulders, 1)]
-        tip = p[:, -2] if chain.has_shaft else p[:, -1]
-        (a, b, c), (e, f, g) = shoulders, elbows
-        return np.stack([p[:, 0], a, e, tip, f, b, c, g, tip, p[:, -1]], axis=1)
+def arm_lines(chain: Mechanism, T_tip_tool: Array, q: Array, twists: Mapping[int, Array] | None = None) -> list[Array]:
+    """The polylines of an arm over its joints at postures q (N, n), (N, k, 3) [m] each, in its base; the last ends at
+    the tool. twists: of its places, as ``tool_frames`` takes them.
+    """
+    frames = tool_frames(chain, T_tip_tool, q, twists)
     T = chain.T_base_root
-    return np.concatenate([np.zeros((len(q), 1, 3)), p @ T[:3, :3].T + T[:3, 3]], axis=1)
+    p = np.moveaxis(frames.p, -1, 0) @ T[:3, :3].T + T[:3, 3]  # (N, places, 3)
+    base = np.zeros((len(q), 1, 3))
+    if not is_delta(chain):
+        return [np.concatenate([base, p], axis=1)]
+    tip = p[:, -2:-1] if chain.has_shaft else p[:, -1:]
+    arms = []
+    for i in range(1, 1 + ARMS):
+        elbow = p[:, i] + frames.loops[i].lever.T @ T[:3, :3].T
+        arms.append(np.concatenate([base, p[:, i : i + 1], elbow[:, None], tip], axis=1))
+    return [*arms, np.concatenate([tip, p[:, -1:]], axis=1)]
 
 
 def joints_in_words(chain: Mechanism, q: Array) -> str:
@@ -61,11 +64,12 @@ class ShownPostures:
 
     def scene(self, alt: str, more: Sequence[str] = (), **others: Any) -> Scene3D:
         """The scene of these postures. more: a sentence for each that is shown. others: fields of the scene."""
-        paths = arm_paths(self.chain, self.q[self.rows], self.T_tip_tool)
+        paths = arm_lines(self.chain, np.eye(4) if self.T_tip_tool is None else self.T_tip_tool, self.q[self.rows])
         said = [self.said(int(row)) for row in self.rows]
         said = [f"{one} {also}" for one, also in zip(said, more, strict=True)] if more else said
-        given: dict[str, Any] = {"points": paths[:, -1], "shown": np.arange(len(paths)), **others}
-        return Scene3D(arms=[[path] for path in paths], said=said, base=self.chain.base, alt=alt, **given)
+        given: dict[str, Any] = {"points": paths[-1][:, -1], "shown": np.arange(len(said)), **others}
+        arms = [[path[k] for path in paths] for k in range(len(said))]
+        return Scene3D(arms=arms, said=said, base=self.chain.base, alt=alt, **given)
 
 
 MAX_ARROWS = 300
@@ -89,7 +93,8 @@ def scene(report: Outcome) -> Scene3D | None:
         miss = errors.position[rows]
         of_root = miss @ model.chain.T_base_root[:3, :3].T
         stages.append((name, np.where(indirect[:, None], of_root, np.einsum("nji,nj->ni", R_frame_base, miss))))
-    places = _arms(model, samples)
+    twists = motion(model.effects, model.drivers(samples))[0] if model.effects else None
+    places = arm_lines(model.chain, model.T_tip_tool, samples.q, twists)
     shown = spread_rows(len(samples), MAX_POSTURES)
     return Scene3D(
         points=places[-1][:, -1],
@@ -101,18 +106,3 @@ def scene(report: Outcome) -> Scene3D | None:
         stages=tuple(stages),
         names=tuple(f"station {int(s)}" for s in samples.station),
     )
-
-
-def _arms(model: Model, samples: Samples) -> list[Array]:
-    """The polylines of the robot, (N, k, 3) each, in its base; the last ends at the tool."""
-    twists = motion(model.effects, model.drivers(samples))[0] if model.effects else {}
-    f = tool_frames(model.chain, model.T_tip_tool, samples.q, twists)
-    T = model.chain.T_base_root
-    p = np.moveaxis(f.p, -1, 0) @ T[:3, :3].T + T[:3, 3]  # (N, places, 3)
-    base = np.zeros((len(samples), 1, 3))
-    if not isinstance(model.chain, Delta):
-        return [np.concatenate([base, p], axis=1)]
-    tip = p[:, -2:-1] if model.chain.has_shaft else p[:, -1:]
-    elbows = [p[:, i] + (f.loops[i].lever.T @ T[:3, :3].T) for i in range(1, 1 + ARMS)]
-    arms = [np.concatenate([base, p[:, i : i + 1], elbows[i - 1][:, None], tip], axis=1) for i in range(1, 1 + ARMS)]
-    return [*arms, np.concatenate([tip, p[:, -1:]], axis=1)]

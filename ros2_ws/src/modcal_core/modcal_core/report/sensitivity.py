@@ -6,23 +6,25 @@ from typing import Any
 
 import numpy as np
 
+from modcal_core.files import to_json
 from modcal_core.planning import NAMED, Study
 from modcal_core.report.blocks import (
     Block,
     Figures,
     Fold,
     Listing,
-    PageTable,
     Scene3D,
     Section,
-    Summary,
     SummaryLine,
+    TableBlock,
+    VerbResult,
     explained,
     legend,
 )
-from modcal_core.report.charts import AFTER, GOOD, INK, LARGE, WARN, Axis, Chart, Panel
+from modcal_core.report.charts import AFTER, GOOD, LARGE, Axis, Chart, Panel
 from modcal_core.report.page import Page, files_section
 from modcal_core.report.scene import ShownPostures
+from modcal_core.report.tables import csv_text
 from modcal_core.report.words import percent
 
 COLUMNS = {
@@ -146,12 +148,6 @@ def _about_lengths(study: Study, lengths: np.ndarray, constant: np.ndarray) -> s
     return f"{int((lengths & constant).sum())} of {count} translation parameters have the same influence at every pose."
 
 
-def sensitivity_summary(study: Study) -> list[Summary]:
-    """What a terminal shows: the strongest parameters, and sentences."""
-    said = map(SummaryLine, sensitivity_sentences(study))
-    return [*explained(COLUMNS, _rows(study)[:_SHOWN]), *said]
-
-
 def _rows(study: Study) -> list[tuple[str, ...]]:
     """Every parameter under ``COLUMNS``, the strongest first."""
     joint, at, vector = study.joint, study.indices, study.variance["vector"]
@@ -171,34 +167,30 @@ def _rows(study: Study) -> list[tuple[str, ...]]:
     ]
 
 
-def single_csv(study: Study) -> str:
-    """Single-point indices [mm] as CSV: joints, then parameters; one row a posture."""
-    head = ",".join([*study.closed.chain.names, *study.indices.names])
-    rows = np.c_[study.of.q, 1e3 * study.indices.single]
-    return head + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
-
-
-def sensitivity_html(study: Study, title: str) -> str:
-    """The study as a page: the answer, sentences, the strongest parameters, the robot, and pictures."""
-    first, *others = sensitivity_sentences(study)
+def sensitivity_report(study: Study, title: str) -> VerbResult:
+    """The study as a verb leaves it: the answer, the strongest parameters, the robot, and pictures."""
+    sentences, rows, data = sensitivity_sentences(study), _rows(study), sensitivity_data(study)
+    single = np.c_[study.of.q, 1e3 * study.indices.single]
+    files = {
+        "sensitivity.json": to_json(data),
+        "single_point.csv": csv_text([*study.closed.chain.names, *study.indices.names], single, ".9g"),
+    }
+    meanings = legend({name: meaning for name, meaning in COLUMNS.items() if meaning}).text.strip()
+    every = TableBlock("All parameters", tuple(COLUMNS), tuple(rows), below=meanings)
+    strongest: list[Block] = [*_tables(study), Figures([_gain(study)])]
     blocks: list[Block | None] = [
-        Listing(others),
-        Section("strongest", "Parameters that matter most", [*_tables(study), Figures([_gain(study)])]),
+        Listing(sentences[1:]),
+        Section("strongest", "Parameters that matter most", strongest),
         Section("robot", "Robot", [_robot(study)]),
-        Fold("Expert: all parameters; indices; by pose", _expert(study), "expert"),
-        files_section(("sensitivity.json", "single_point.csv")),
+        Fold("Expert: all parameters; by pose", [every, Figures([_by_pose(study)])], "expert"),
+        files_section(files),
     ]
-    return Page(f"{title}: sensitivity", first, blocks).html()
+    page = Page(f"{title}: sensitivity", sentences[0], blocks).html()
+    said = [*explained(COLUMNS, rows[:_SHOWN]), *map(SummaryLine, sentences)]
+    return VerbResult(data, said, {**files, "report.html": page})
 
 
-def _expert(study: Study) -> list[Block]:
-    """Every parameter with all its indices, as a table and as charts."""
-    said = legend({name: meaning for name, meaning in COLUMNS.items() if meaning}).text.strip()
-    table = PageTable("All parameters", tuple(COLUMNS), tuple(_rows(study)), below=said)
-    return [table, Figures([*_indices(study), _by_pose(study)])]
-
-
-def _tables(study: Study) -> tuple[PageTable, ...]:
+def _tables(study: Study) -> tuple[TableBlock, ...]:
     """Strongest parameters, lengths and angles separate, with what each adds to the error."""
     joint, out = study.joint, []
     order = [int(k) for k in np.argsort(-joint.before.share, kind="stable")]
@@ -216,7 +208,7 @@ def _tables(study: Study) -> tuple[PageTable, ...]:
         header = ("parameter", "share of the squared error", "observed by the stations", f"assumed error, {unit}")
         below = "" if len(rows) <= _LISTED else f"{len(rows) - _LISTED} weaker ones are in the part for experts."
         if rows:
-            out.append(PageTable(title, header, tuple(rows[:_LISTED]), below=below, heading=True))
+            out.append(TableBlock(title, header, tuple(rows[:_LISTED]), below=below, heading=True))
     return tuple(out)
 
 
@@ -235,16 +227,13 @@ def _robot(study: Study) -> Scene3D:
     return shown.scene(alt, more, weights=() if chain.closed else of_joint)  # a Delta's line skips joints
 
 
-def _high(study: Study) -> float:
-    return 60.0 + _ROW * len(study.indices.names)
-
-
 def _by_pose(study: Study) -> Chart:
     """Relative single-point indices as a map, parameters down and postures across."""
     relative = study.indices.relative_single.T
     count = relative.shape[1]
     x = Axis(f"posture of the design {study.of.design}", -0.5, count - 0.5)
-    panel = Panel(x, Axis.rows(study.indices.names), 150.0 + min(12.0 * count, 380.0), _high(study))
+    high = 60.0 + _ROW * len(study.indices.names)
+    panel = Panel(x, Axis.rows(study.indices.names), 150.0 + min(12.0 * count, 380.0), high)
     level = np.ceil(_LEVELS * relative / max(float(relative.max()), 1e-300))
     for k in range(1, _LEVELS + 1):
         down, across = (axis.astype(float) for axis in np.nonzero(level == k))
@@ -255,34 +244,6 @@ def _by_pose(study: Study) -> Chart:
         f"multiple of the base factor's ({base}); the fullest cell is {relative.max():.3g}."
     )
     return panel.chart("by_pose", words, words)
-
-
-def _indices(study: Study) -> tuple[Chart, Chart]:
-    """The multi-point indices and the Sobol indices, a bar a parameter, with ranges."""
-    at, row = study.indices, np.arange(float(len(study.indices.names)))
-    zero = np.zeros(len(row))
-    spans = np.c_[at.relative_single.min(axis=0), at.relative_single.max(axis=0)]
-    x = Axis("RSFCDPE", 0.0, 1.05 * max(float(spans.max()), float(at.relative_multi.max()), 1e-300))
-    left = Panel(x, Axis.rows(at.names), LARGE[0], _high(study))
-    left.bars((zero, at.relative_multi), (row - 0.35, row + 0.35), AFTER)
-    left.strokes(np.c_[spans[:, 0], row], np.c_[spans[:, 1], row], INK)
-    words = (
-        "The multi-point index RSFCDPE, the influence of a parameter over all postures as a multiple of the base "
-        "factor's, with a line from its smallest to its largest at one posture."
-    )
-    ends = {k: np.c_[v.total - 2.0 * v.std_total, v.total + 2.0 * v.std_total] for k, v in study.variance.items()}
-    x = Axis("S_T of the error", 0.0, 1.05 * max(float(end.max()) for end in ends.values()))
-    keys = (("vector", AFTER, "bar"), ("distance", WARN, "bar"))
-    right = Panel(x, Axis.rows(at.names), LARGE[0], _high(study) + 13.0, keys)
-    for (output, colour, _), shift in zip(keys, (-0.2, 0.2), strict=True):
-        rows = row + shift
-        right.bars((zero, study.variance[output].total), (rows - 0.19, rows + 0.19), colour)
-        right.strokes(np.c_[ends[output][:, 0], rows], np.c_[ends[output][:, 1], rows], INK, 0.6)
-    more = (
-        "The total Sobol index S_T, a parameter's share of the variance of the error with all that it does together "
-        "with others, with two standard errors."
-    )
-    return left.chart("indices", words, words), right.chart("sobol", more, more)
 
 
 def _gain(study: Study) -> Chart:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 
+from modcal_core.geometry import Array
 from modcal_core.outcome import STAGES, Outcome
-from modcal_core.report.blocks import PageTable, legend
+from modcal_core.report.blocks import TableBlock, legend
+from modcal_core.report.words import STATISTICS
 from modcal_core.verdict import Row, Verdict
 
-ERRORS = ("mean", "RMS", "95th percentile", "largest")
 _EFFECT_COLUMNS = {
     "place": "where the error arises",
     "direction": "the way it moves the arm there",
@@ -30,7 +31,7 @@ _ROUNDING = 1e-9  # of the whole; the rows sum to it within as much
 _SMALL, _MANY = 0.01, 3  # effects with less than this share stand in one row where there are so many; all are in files
 
 
-def error_tables(report: Outcome, stages: Mapping[str, str] | None = None) -> list[PageTable]:
+def error_tables(report: Outcome, stages: Mapping[str, str] | None = None) -> list[TableBlock]:
     """Sizes of the held-out errors, positions and orientations apart. stages: those that are shown, and their names."""
     stages = stages or {stage: stage for stage in STAGES}
     position, orientation = [], []
@@ -40,15 +41,15 @@ def error_tables(report: Outcome, stages: Mapping[str, str] | None = None) -> li
             position.append((name, *(f"{x:.3f}" for x in astuple(size)), ends))
         if (angle := report.size_deg(stage)) is not None:
             orientation.append((name, *(f"{x:.4f}" for x in astuple(angle))))
-    header = ("position error, mm", *ERRORS, "95 % interval of the RMS")
-    out = [PageTable("Position errors before and after", header, tuple(position), strong=2)] if position else []
+    header = ("position error, mm", *STATISTICS.values(), "95 % interval of the RMS")
+    out = [TableBlock("Position errors before and after", header, tuple(position), strong=2)] if position else []
     if orientation:
-        turned = ("orientation error, °", *ERRORS)
-        out.append(PageTable("Orientation errors before and after", turned, tuple(orientation), strong=2))
+        turned = ("orientation error, °", *STATISTICS.values())
+        out.append(TableBlock("Orientation errors before and after", turned, tuple(orientation), strong=2))
     return out
 
 
-def effects_table(report: Outcome) -> PageTable:
+def effects_table(report: Outcome) -> TableBlock:
     """What was added to the geometry."""
     header = ("effect", "place", "direction", "driver", "moves the tool by, mm", "error without it, mm", "with it, mm")
     rows = tuple(
@@ -59,10 +60,10 @@ def effects_table(report: Outcome) -> PageTable:
         )
         for f in report.effects
     )
-    return PageTable("Effects", (*header, "p"), rows, words=4, below=legend(_EFFECT_COLUMNS).text.strip())
+    return TableBlock("Effects", (*header, "p"), rows, words=4, below=legend(_EFFECT_COLUMNS).text.strip())
 
 
-def account_tables(verdict: Verdict | None, fold: bool = False) -> list[PageTable]:
+def account_tables(verdict: Verdict | None, fold: bool = False) -> list[TableBlock]:
     """Where the squared error of the nominal model went, of positions and orientations, where that is known.
 
     fold: small rows of effects as one row.
@@ -73,7 +74,7 @@ def account_tables(verdict: Verdict | None, fold: bool = False) -> list[PageTabl
     return [_account(unit, rows, floor is not None, fold) for unit, rows, floor in both if rows]
 
 
-def _account(unit: str, rows: Sequence[Row], floor_known: bool, fold: bool) -> PageTable:
+def _account(unit: str, rows: Sequence[Row], floor_known: bool, fold: bool) -> TableBlock:
     total = sum(row.value for row in rows)
     small = [row for row in rows if row.what.startswith(_EFFECT) and abs(row.value) < _SMALL * total]
     small = small if fold and len(small) >= _MANY else []
@@ -88,7 +89,7 @@ def _account(unit: str, rows: Sequence[Row], floor_known: bool, fold: bool) -> P
             cells.append((words, *_sizes(sum(one.value for one in small), total), ""))
     cells.append(("nominal model", *_sizes(total, total), ""))
     header = ("account of the squared error", f"{unit}²", "of the nominal", f"root, {unit}", f"95 % interval, {unit}²")
-    return PageTable(f"Account in {unit}²", header, tuple(cells))
+    return TableBlock(f"Account in {unit}²", header, tuple(cells))
 
 
 def _sizes(value: float, total: float) -> tuple[str, str, str]:
@@ -107,3 +108,14 @@ def span(ends: Sequence[float] | None, digits: int | None = None) -> str:
     """Both ends of an interval, with three significant digits or so many behind the point; nothing for None."""
     form = ".3g" if digits is None else f".{digits}f"
     return "" if ends is None else " … ".join(f"{end:{form}}" for end in ends)
+
+
+def csv_text(names: Sequence[str], rows: Array, digits: str = ".9f") -> str:
+    """Numbers (N, n) as CSV under their names."""
+    return ",".join(names) + "\n" + "".join(",".join(f"{x:{digits}}" for x in row) + "\n" for row in rows)
+
+
+def stations_table(title: str, joints: Sequence[str], q: Array) -> TableBlock:
+    """Postures (N, n) in their order."""
+    rows = tuple((str(i), *(f"{x:.4f}" for x in row)) for i, row in enumerate(q, 1))
+    return TableBlock(f"{title}, rad or m", ("station", *joints), rows, heading=True)

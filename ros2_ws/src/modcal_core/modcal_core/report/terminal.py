@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from modcal_core.outcome import Outcome
-from modcal_core.report.blocks import Summary, SummaryLine, Tone, legend
+from modcal_core.report.blocks import Summary, SummaryLine, legend, tone_of
 from modcal_core.report.tables import account_tables, effects_table, error_tables
 from modcal_core.report.words import MAX_REASONS, sentence
-from modcal_core.verdict import Status
 
-TONES: dict[Status, Tone] = {"at_floor": "good", "open": "bad", "cannot_tell": "undecided"}
 # What stands in the tables, below them
 _STAGES = {
     "nominal": "the robot description, base and tool fitted",
     "geometric": "lengths, angles and joint zeros corrected",
     "final": "the effects below as well",
 }
-_RESULTS: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
 
 
 def summary(report: Outcome) -> tuple[Summary, ...]:
@@ -26,8 +23,7 @@ def summary(report: Outcome) -> tuple[Summary, ...]:
 
 
 def _blocks(report: Outcome) -> Iterator[Summary]:
-    for table in error_tables(report):
-        yield table.summary
+    yield from error_tables(report)
     yield legend({stage: said for stage, said in _STAGES.items() if report.size_mm(stage) is not None})
     seen = report.identifiability
     if seen is not None:
@@ -37,18 +33,17 @@ def _blocks(report: Outcome) -> Iterator[Summary]:
             yield SummaryLine(f"not determined by these stations: {name}", "doubt")
     if report.effects:
         effects = effects_table(report)
-        yield effects.summary
+        yield effects
         yield SummaryLine(f"  {effects.below}", "legend")
         yield from map(SummaryLine, report.story)
     for note in report.notes:
         yield SummaryLine(note, "doubt")
-    for account in account_tables(report.judged, fold=True):
-        yield account.summary
-    yield SummaryLine(sentence(report), TONES[report.status])
+    yield from account_tables(report.judged, fold=True)
+    yield SummaryLine(sentence(report), tone_of(report.status))
     for reason in report.open_because[MAX_REASONS:]:
         yield SummaryLine(f"Open: {reason}", "reason")
     if report.claim is not None:
         yield SummaryLine(report.claim.sentence, "plain" if report.claim.apply else "doubt")
     if report.tolerance is not None:
         met = report.tolerance
-        yield SummaryLine(f"{met.result}: {met.because}", _RESULTS.get(met.result, "undecided"))
+        yield SummaryLine(f"{met.result}: {met.because}", tone_of(met.result))

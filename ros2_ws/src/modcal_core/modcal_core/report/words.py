@@ -14,6 +14,7 @@ def percent(share: float, digits: int = 0) -> str:
     return f"{round(100.0 * share, digits) + 0.0:.{digits}f}\u00a0%"
 
 
+STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest"}
 REMEDY = (
     "Return to six postures, each left in between and approached from another side, or state --repeatability-mm and "
     "--instrument-mm."

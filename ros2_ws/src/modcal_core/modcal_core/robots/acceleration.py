@@ -48,12 +48,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot, Overloaded
-from modcal_core.geometry import Array, so3
+from modcal_core.geometry import Array, sealed, so3
 from modcal_core.robots.bodies import STANDARD_GRAVITY, Bodies, Payload, beyond, with_payload
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
-from modcal_core.robots.urdf_tree import document
+from modcal_core.robots.urdf_tree import parse
 
 # --- The torques that a motion takes: M(q) q̈ + C(q, q̇) q̇ + g(q), without friction
 
@@ -107,12 +107,12 @@ def _bracket(V: Array) -> Array:
 
 # --- What the drives of a chain can do, as a URDF states it: effort, velocity, friction
 
-# field: the element and its attribute, and what is written where nothing is stated
+# field: its attribute, and what is written where nothing is stated
 _STATED = {
-    "torque": ("limit", "effort", np.nan),
-    "speed": ("limit", "velocity", np.inf),
-    "coulomb": ("dynamics", "friction", 0.0),
-    "viscous": ("dynamics", "damping", 0.0),
+    "torque": ("effort", np.nan),
+    "speed": ("velocity", np.inf),
+    "coulomb": ("friction", 0.0),
+    "viscous": ("damping", 0.0),
 }
 
 
@@ -144,9 +144,8 @@ class Drives:
             if not np.isfinite(value) or value < 0.0 or (value == 0.0 and least == "above 0"):
                 raise BadRobot(f"{what} of joint {name}", f"is {value:g}, not a number {least}", "correct it")
             new[self.names.index(name)] = value
-        new.flags.writeable = False
         changed: dict[str, Any] = {what: new}
-        return replace(self, **changed)
+        return sealed(replace(self, **changed))
 
     def require_torque(self) -> None:
         """Raises BadRobot for a joint whose largest torque nobody says."""
@@ -161,17 +160,13 @@ def read_drives(urdf_xml: str, chain: Chain) -> Drives:
 
     Raises BadRobot for a number that is none, or is negative, and for a joint that the URDF does not have.
     """
-    joints = {e.get("name"): e for e in document(urdf_xml).iterchildren("joint")}
-    columns = {what: np.empty(chain.n) for what in _STATED}
-    for k, name in enumerate(chain.names):
-        if name not in joints:
-            raise BadRobot(f"joint {name}", "is not in the robot description", "give the URDF the chain came from")
-        for what, (tag, attribute, none) in _STATED.items():
-            element = joints[name].find(tag)
-            columns[what][k] = _number(None if element is None else element.get(attribute), none, name, attribute)
-    for array in (*columns.values(), rotor := np.zeros(chain.n)):
-        array.flags.writeable = False
-    return Drives(chain.names, **columns, rotor=rotor)
+    tree = parse(urdf_xml)
+    stated = {name: tree.joint(name).drive for name in chain.names}
+    columns = {
+        what: np.array([_number(drive.get(key), none, name, key) for name, drive in stated.items()])
+        for what, (key, none) in _STATED.items()
+    }
+    return sealed(Drives(chain.names, **columns, rotor=np.zeros(chain.n)))
 
 
 def _number(text: str | None, none: float, joint: str, attribute: str) -> float:

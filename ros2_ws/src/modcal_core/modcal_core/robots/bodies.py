@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry import Array, crossed_rows, se3, so3
+from modcal_core.geometry import Array, se3, sealed, so3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import Frames, frames, link_frames, posture_frames, spatial_jacobian
+from modcal_core.robots.kinematics import Frames, frames, link_frames, spatial_jacobian
 from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 STANDARD_GRAVITY = 9.80665  # m/s²
@@ -41,45 +41,22 @@ def chain_gravity_wrench(chain: Chain, inertias: Inertias, q: Array, moved: Arra
 
 
 class HeldWeight:
-    """What joints give at rest for the weight of their bodies, of one posture at a time, for where a clock runs.
-
-    Of an arm that is held at its base.
-    """
+    """What joints give at rest for the weight of their bodies, of one posture at a time, of an arm held at its base."""
 
     def __init__(self, chain: Chain, inertias: Inertias) -> None:
-        """Prepare the bodies of a chain."""
-        self._chain, self._down = chain, inertias.down
-        self._local = np.einsum("ki,kij->kj", inertias.com, chain.joint_basis)  # with the joints' axes as z [m]
-        self._weight = (STANDARD_GRAVITY * inertias.mass)[:, None]
-        self._beyond = np.cumsum(self._weight[::-1], axis=0)[::-1]  # of all bodies that a joint carries [N]
+        """The bodies of a chain."""
+        self._chain, self._inertias = chain, inertias
 
     def efforts(self, q: Array) -> Array:
         """Torques (n,) [N m; N] that hold the arm at a posture q (n,)."""
-        before, _ = posture_frames(self._chain, q)
-        p = before[:, :3, 3]
-        x, y, z = self._local.T
-        c, s = np.cos(q), np.sin(q)
-        local = np.stack([c * x - s * y, s * x + c * y, z], axis=1)
-        if not self._chain.revolute.all():
-            slides = np.stack([x, y, z + q], axis=1)
-            local = np.where(self._chain.revolute[:, None], local, slides)
-        centres = p + (before[:, :3, :3] @ local[:, :, None])[:, :, 0]
-        moments = np.cumsum((self._weight * centres)[::-1], axis=0)[::-1] - self._beyond * p
-        return self._about(before, moments, self._beyond)
+        return self._against(chain_gravity_wrench(self._chain, self._inertias, q[None]))
 
     def of_load(self, q: Array) -> Array:
         """The same (n,) for 1 kg at the tip."""
-        before, tip = posture_frames(self._chain, q)
-        weight = np.full((len(q), 1), STANDARD_GRAVITY)
-        return self._about(before, weight * (tip[:3, 3] - before[:, :3, 3]), weight)
+        return self._against(payload_wrench(self._chain, q[None], self._inertias.down))
 
-    def _about(self, before: Array, moments: Array, weight: Array) -> Array:
-        """Efforts against weights (n, 1) [N] that have moments (n, 3) [N m] about the joints."""
-        axes = before[:, :3, 2]
-        turning = -(moments * crossed_rows(np.broadcast_to(self._down, axes.shape), axes)).sum(axis=1)
-        if self._chain.revolute.all():
-            return np.asarray(turning)
-        return np.where(self._chain.revolute, turning, -weight[:, 0] * (axes @ self._down))
+    def _against(self, wrench: Array) -> Array:
+        return np.asarray(-np.where(self._chain.revolute, wrench[:, 5, 0], wrench[:, 2, 0]))
 
 
 def payload_wrench(chain: Chain, q: Array, down: Array = DOWN, held: HeldBehind | None = None) -> Array:
@@ -204,9 +181,7 @@ def with_payload(inertias: Inertias, chain: Chain, payload: Payload) -> Inertias
         inertia[-1] += reduced * (between @ between * np.eye(3) - np.outer(between, between))
     inertia[-1] += R @ payload.inertia @ R.T
     mass[-1] = total
-    for array in (mass, com, inertia):
-        array.flags.writeable = False
-    return Inertias(mass, com, inertia)
+    return sealed(Inertias(mass, com, inertia))
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array, se3
 
+FREE_TURN, FREE_SLIDE = np.pi, 0.5  # rad, m; how far from zero a joint without limits is taken to go
+
 
 def read_only(a: ArrayLike, dtype: type = float) -> np.ndarray:
     """A copy as an array that cannot be written to."""
@@ -252,6 +254,13 @@ class Chain:
         """The same robot with other limits of its joints [rad or m], (n,) each."""
         return replace(self, lower=read_only(lower), upper=read_only(upper))
 
+    def drawn(self, count: int, rng: np.random.Generator) -> Array:
+        """Random postures (count, n) [rad, m] within the limits, each joint within one turn, or 1 m, near zero."""
+        low, high = ranges(self.revolute, self.lower, self.upper)
+        turn = 2.0 * np.where(self.revolute, FREE_TURN, FREE_SLIDE)
+        first = np.where(high - low > turn, np.clip(-0.5 * turn, low, high - turn), low)
+        return self.followed(rng.uniform(first, np.minimum(high, first + turn), (count, self.n)))
+
     def with_errors(self, E: Array, constants: Array) -> Chain:
         """The same robot with small motions E of its places behind the first, the tool's last, (n, 4, 4).
 
@@ -278,6 +287,13 @@ class Chain:
         """An upper bound on the distance from the first joint to the tip [m], used to recognise wrong units."""
         slides = np.where(self.revolute, 0.0, np.where(np.isfinite(self.upper), np.abs(self.upper), 0.0))
         return float(np.linalg.norm(self.origins[1:, :3, 3], axis=1).sum() + slides.sum())
+
+
+def ranges(revolute: np.ndarray, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Least and largest joint positions (n,) [rad, m]: the limits; a full turn, or ±0.5 m, where there is none."""
+    span = np.where(revolute, FREE_TURN, FREE_SLIDE)
+    low = np.where(np.isfinite(lower), lower, np.where(upper > -span, -span, upper - 2.0 * span))
+    return low, np.where(np.isfinite(upper), upper, np.where(lower < span, span, lower + 2.0 * span))
 
 
 def rotation_to_axis(axis: ArrayLike) -> Array:

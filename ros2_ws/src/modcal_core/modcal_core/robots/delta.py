@@ -28,7 +28,7 @@ diagnosis names it (a gear ratio at the shaft).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -39,8 +39,8 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRobot, BadTable, refusing
 from modcal_core.geometry import Array, cross, se3, so3
 from modcal_core.robots.chain import read_only
-from modcal_core.robots.dh import require_keys, vector
 from modcal_core.robots.kinematics import LoopShare, Tilt
+from modcal_core.schema import NUMBER, TEXT, Schema, list_of, record, require, stated
 
 ARMS = 3
 CONSTANTS = ("zero", "ratio", "azimuth", "offset", "proximal", "distal")
@@ -359,14 +359,22 @@ def tilted_shares(
 
 # --- A Delta as plain data, the way its YAML file holds it: docs/delta.md describes every key
 
-FORMAT = 1
-_ROWS = {
-    "zero_rad": ZERO, "ratio": RATIO, "azimuth_rad": AZIMUTH, "offset_m": OFFSET, "proximal_m": PROXIMAL,
-    "distal_m": DISTAL,
-}  # fmt: skip
+_FORMAT = 1
+_ROWS = ("zero_rad", "ratio", "azimuth_rad", "offset_m", "proximal_m", "distal_m")  # in the order of CONSTANTS
 _RADII = ("fixed_radius_m", "platform_radius_m")
-_KEYS = {"modcal_delta", "joints", "arms", "shaft_ratio", "limits_rad", "tool", "base", "tip"}
-_REMEDY = "see docs/delta.md"
+_EACH: Schema = {"type": ["number", "array"], "items": NUMBER, "minItems": ARMS, "maxItems": ARMS}
+_SCHEMA = record(
+    ("modcal_delta", "joints", "arms"),
+    modcal_delta={"enum": [_FORMAT]},
+    joints=list_of(TEXT, ARMS, ARMS + 1),
+    arms=record(("proximal_m", "distal_m"), **dict.fromkeys((*_ROWS, *_RADII), _EACH)),
+    shaft_ratio=NUMBER,
+    limits_rad={"type": "object", "additionalProperties": list_of(NUMBER, 2, 2)},
+    tool=record((), position_m=list_of(NUMBER, 3, 3), rotation_rad=list_of(NUMBER, 3, 3)),
+    base=TEXT,
+    tip=TEXT,
+)
+_SEE = "see docs/delta.md"
 
 
 @refusing
@@ -375,48 +383,32 @@ def delta_from_data(data: Any, source: str) -> Delta:
 
     Raises BadRobot for constants that no Delta has.
     """
-    if not isinstance(data, Mapping) or "modcal_delta" not in data:
-        raise BadTable(source, "is not a description of a Delta: it lacks modcal_delta: 1", _REMEDY)
-    if data["modcal_delta"] != FORMAT:
-        raise BadTable(source, f"modcal_delta {data['modcal_delta']}, {FORMAT} is read", _REMEDY)
-    require_keys(data, _KEYS, source)
-    names = data.get("joints")
-    if not isinstance(names, Sequence) or isinstance(names, str) or len(names) not in (ARMS, ARMS + 1):
-        raise BadTable(f"{source}: joints", "must name three arms, and the shaft where there is one", _REMEDY)
-    names = [str(name) for name in names]
-    arms = data.get("arms")
-    if not isinstance(arms, Mapping):
-        raise BadTable(f"{source}: arms", f"must have {', '.join(_ROWS)}", _REMEDY)
-    require_keys(arms, {*_ROWS, *_RADII}, f"{source}: arms")
-    given = {
-        key: vector([value] * ARMS if isinstance(value, int | float) else value, ARMS, f"{source}: arms: {key}")
-        for key, value in arms.items()
-    }
-    if all(key in given for key in _RADII) and "offset_m" not in given:
-        given["offset_m"] = given[_RADII[0]] - given[_RADII[1]]
-    elif any(key in given for key in _RADII) and not ("offset_m" in given and "fixed_radius_m" not in given):
-        said = f"needs either offset_m, or both {' and '.join(_RADII)}"
-        raise BadTable(f"{source}: arms", said, _REMEDY)
-    missing = [key for key in ("offset_m", "proximal_m", "distal_m") if key not in given]
-    if missing:
-        raise BadTable(f"{source}: arms", f"lacks {', '.join(missing)}", _REMEDY)
-    optional = {name: given[key] for name, key in
-                (("zero", "zero_rad"), ("ratio", "ratio"), ("azimuth", "azimuth_rad")) if key in given}  # fmt: skip
-    limits = _limits(data.get("limits_rad"), names, source)
-    return Delta.build(
+    top = stated(data)
+    require(top, _SCHEMA, source, _SEE)
+    names, limits, tool = top["joints"], top.get("limits_rad", {}), top.get("tool", {})
+    arms = {key: np.broadcast_to(np.array(value, dtype=float), ARMS) for key, value in top["arms"].items()}
+    if all(key in arms for key in _RADII) and "offset_m" not in arms:
+        arms["offset_m"] = arms[_RADII[0]] - arms[_RADII[1]]
+    elif "offset_m" not in arms or _RADII[0] in arms:
+        raise BadTable(f"{source}: arms", f"needs either offset_m, or both {' and '.join(_RADII)}", _SEE)
+    if strangers := [name for name in limits if name not in names]:
+        raise BadTable(f"{source}: limits_rad", f"{strangers[0]} is no joint of it", f"name {', '.join(names)}")
+    radius = arms.pop("platform_radius_m", np.zeros(ARMS)).mean().round(12)
+    constants = {key.partition("_")[0]: arms[key] for key in _ROWS if key in arms}
+    made = Delta.build(
         names,
-        given["offset_m"],
-        given["proximal_m"],
-        given["distal_m"],
-        **optional,
-        lower=limits[:, 0],
-        upper=limits[:, 1],
-        tool=_tool(data.get("tool"), source),
-        shaft_ratio=float(vector([data.get("shaft_ratio", 1.0)], 1, f"{source}: shaft_ratio")[0]),
-        base=str(data.get("base", "base")),
-        tip=str(data.get("tip", "tip")),
-        platform_radius=float(given["platform_radius_m"].mean().round(12)) if "platform_radius_m" in given else 0.0,
+        **constants,
+        tool=[*tool.get("position_m", (0.0,) * 3), *tool.get("rotation_rad", (0.0,) * 3)],
+        shaft_ratio=float(top.get("shaft_ratio", 1.0)),
+        base=top.get("base", "base"),
+        tip=top.get("tip", "tip"),
+        platform_radius=float(radius),
     )
+    usual = zip(made.lower, made.upper, strict=True)
+    ends = np.array([limits.get(name, pair) for name, pair in zip(names, usual, strict=True)], dtype=float)
+    limited = made.with_limits(*ends.T)
+    _require_sound(limited)
+    return limited
 
 
 def delta_to_data(delta: Delta) -> dict[str, Any]:
@@ -424,11 +416,11 @@ def delta_to_data(delta: Delta) -> dict[str, Any]:
     shaft = {"shaft_ratio": delta.shaft_ratio} if delta.has_shaft else {}
     radius = {"platform_radius_m": delta.platform_radius} if delta.platform_radius else {}
     return {
-        "modcal_delta": FORMAT,
+        "modcal_delta": _FORMAT,
         "base": delta.base,
         "tip": delta.tip,
         "joints": list(delta.names),
-        "arms": {**{key: delta.constants[row].tolist() for key, row in _ROWS.items()}, **radius},
+        "arms": {**{key: row.tolist() for key, row in zip(_ROWS, delta.constants, strict=True)}, **radius},
         **shaft,
         "limits_rad": {
             name: [float(low), float(high)]
@@ -436,27 +428,3 @@ def delta_to_data(delta: Delta) -> dict[str, Any]:
         },
         "tool": {"position_m": delta.tool[:3].tolist(), "rotation_rad": delta.tool[3:].tolist()},
     }
-
-
-def _limits(given: Any, names: Sequence[str], source: str) -> Array:
-    """Limits (n, 2) [rad] by name; the usual ones of a Delta where none are stated."""
-    plain = Delta.build(names, 0.1, 0.3, 0.8)
-    out = np.c_[plain.lower, plain.upper]
-    if given is None:
-        return out
-    if not isinstance(given, Mapping):
-        raise BadTable(f"{source}: limits_rad", "must have a pair of numbers by joint", _REMEDY)
-    require_keys(given, set(names), f"{source}: limits_rad")
-    for name, pair in given.items():
-        out[list(names).index(name)] = vector(pair, 2, f"{source}: limits_rad: {name}")
-    return out
-
-
-def _tool(given: Any, source: str) -> Array:
-    if given is None:
-        return np.zeros(6)
-    if not isinstance(given, Mapping):
-        raise BadTable(f"{source}: tool", "must have position_m and rotation_rad", _REMEDY)
-    require_keys(given, {"position_m", "rotation_rad"}, f"{source}: tool")
-    parts = [vector(given.get(key, [0.0] * 3), 3, f"{source}: tool: {key}") for key in ("position_m", "rotation_rad")]
-    return np.concatenate(parts)

@@ -37,21 +37,20 @@ import numpy as np
 from modcal_core.errors import BadTable, NotRepresentable
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
+from modcal_core.schema import NUMBER, TEXT, Schema, list_of, record, require, stated
 
 # --- What the kinematic tables have in common: plain data with one row a joint, between a base and a tool pose
 
-_TABLE = {"convention", "base_link", "tip_link", "base", "tool", "joints"}
-_ROW = {"name", "type", "lower", "upper"}
+SEE = "correct the table, as docs/robots.md shows one"
+_POSE = record((), xyz=list_of(NUMBER, 3, 3), rpy=list_of(NUMBER, 3, 3))
+_COMMON = {"name": TEXT, "type": {"enum": ("revolute", "prismatic")}, "lower": NUMBER, "upper": NUMBER}
 
 
 @dataclass(frozen=True)
 class TableRows:
-    """A table that was read. rows: the mappings of the joints, checked for names that do not belong."""
+    """A table that was read. rows: the mappings of the joints, as checked."""
 
     names: list[str]
-    revolute: list[bool]
-    lower: list[float]
-    upper: list[float]
     base_link: str
     tip_link: str
     T_base: Array
@@ -59,50 +58,48 @@ class TableRows:
     rows: list[Mapping[str, Any]]
 
     def column(self, key: str) -> Array:
-        """One number of every joint, (n,); 0 where it is left out. Raises BadTable."""
-        return np.array([number(row, key, name) for row, name in zip(self.rows, self.names, strict=True)])
+        """One number of every joint, (n,); 0 where it is left out."""
+        return np.array([row.get(key, 0.0) for row in self.rows], dtype=float)
 
     def chain(self, origins: Array, axes: Array | None = None) -> Chain:
         """The chain of these joints with constants M_0 … M_n between which base and tool are not yet."""
         origins = np.array(origins)
         origins[0] = self.T_base @ origins[0]
         origins[-1] = origins[-1] @ self.T_tool
-        return Chain.build(
-            self.names, origins, axes, self.revolute, self.lower, self.upper, self.base_link, self.tip_link
+        revolute = [row.get("type", "revolute") == "revolute" for row in self.rows]
+        lower, upper = (
+            [row.get(key, end) for row in self.rows] for key, end in (("lower", -np.inf), ("upper", np.inf))
         )
+        return Chain.build(self.names, origins, axes, revolute, lower, upper, self.base_link, self.tip_link)
 
 
-def read_rows(table: Mapping[str, Any], convention: str, keys: set[str]) -> TableRows:
+def table_schema(keys: Mapping[str, Schema]) -> Schema:
+    """Of a table whose rows have these keys beside the common ones."""
+    joints = list_of(record((), **_COMMON, **keys), 1)
+    return record(("joints",), convention={}, base=_POSE, tool=_POSE, joints=joints, base_link=TEXT, tip_link=TEXT)
+
+
+def read_rows(table: Mapping[str, Any], convention: str, keys: Mapping[str, Schema]) -> TableRows:
     """The joints of a table of this convention, whose rows have these keys beside the common ones. Raises BadTable."""
     what = f"{convention} table"
-    if not isinstance(table, Mapping):
-        raise BadTable(what, "is not a mapping", "give one with a list 'joints'")
-    require_keys(table, _TABLE, what)
-    if table.get("convention", convention) != convention:
-        raise BadTable(what, f"its convention is '{table['convention']}'", f"read it as {table['convention']}")
-    rows = table.get("joints")
-    if not isinstance(rows, Sequence) or isinstance(rows, str) or not rows:
-        raise BadTable(what, "holds no list 'joints'", "give one row a joint, base to tip")
-    names: list[str] = []
-    unnamed = all(isinstance(row, Mapping) and "name" not in row for row in rows)
-    for i, row in enumerate(rows):
-        name = row.get("name", f"joint_{i + 1}" if unnamed else None) if isinstance(row, Mapping) else None
-        if not isinstance(name, str) or not name or name in names:
+    top = stated(table)
+    other = top.get("convention", convention) if isinstance(top, Mapping) else convention
+    if other != convention:
+        raise BadTable(what, f"its convention is '{other}'", f"read it as {other}")
+    require(top, table_schema(keys), what, SEE)
+    rows = [stated(row) for row in top["joints"]]
+    unnamed = not any("name" in row for row in rows)
+    names = [row.get("name", f"joint_{i + 1}" if unnamed else "") for i, row in enumerate(rows)]
+    for i, name in enumerate(names):
+        if not name or name in names[:i]:
             raise BadTable(f"{what}, row {i + 1}", "needs a name of its own", "name the joint as its messages do")
-        require_keys(row, _ROW | keys, f"{what}, joint {name}")
-        if row.get("type", "revolute") not in ("revolute", "prismatic"):
-            raise BadTable(f"{what}, joint {name}", f"is of type {row['type']}", "make it revolute or prismatic")
-        names.append(name)
     return TableRows(
         names=names,
-        revolute=[row.get("type", "revolute") == "revolute" for row in rows],
-        lower=[number(row, "lower", name, -np.inf) for row, name in zip(rows, names, strict=True)],
-        upper=[number(row, "upper", name, np.inf) for row, name in zip(rows, names, strict=True)],
-        base_link=str(table.get("base_link", "base")),
-        tip_link=str(table.get("tip_link", "tip")),
-        T_base=_pose(table, "base", what),
-        T_tool=_pose(table, "tool", what),
-        rows=list(rows),
+        base_link=top.get("base_link", "base"),
+        tip_link=top.get("tip_link", "tip"),
+        T_base=_pose(top.get("base", {})),
+        T_tool=_pose(top.get("tool", {})),
+        rows=rows,
     )
 
 
@@ -127,12 +124,6 @@ def write_rows(
     }
 
 
-def number(row: Mapping[str, Any], key: str, joint: str, default: float = 0.0) -> float:
-    """A finite number of a joint's row, or what stands for one that is left out. Raises BadTable."""
-    value = row.get(key)
-    return default if value is None else float(vector([value], 1, f"joint {joint}: {key}")[0])
-
-
 def vector(values: object, count: int, what: str) -> Array:
     """So many finite numbers, (count,). Raises BadTable."""
     try:
@@ -144,20 +135,8 @@ def vector(values: object, count: int, what: str) -> Array:
     return out
 
 
-def require_keys(mapping: Mapping[str, Any], keys: set[str], what: str) -> None:
-    """Raises BadTable for a key that is none of these."""
-    unknown = sorted(str(key) for key in set(mapping) - keys)
-    if unknown:
-        raise BadTable(what, f"'{unknown[0]}' is not one of its keys", f"choose from {', '.join(sorted(keys))}")
-
-
-def _pose(table: Mapping[str, Any], key: str, what: str) -> Array:
-    pose = table.get(key) or {}
-    if not isinstance(pose, Mapping):
-        raise BadTable(f"{what}, {key}", "is not a pose", "give {xyz: [...], rpy: [...]}")
-    require_keys(pose, {"xyz", "rpy"}, f"{what}, {key}")
-    xyz = vector(pose.get("xyz", (0, 0, 0)), 3, f"{what}, {key}: xyz")
-    return se3.transform(so3.from_rpy(vector(pose.get("rpy", (0, 0, 0)), 3, f"{what}, {key}: rpy")), xyz)
+def _pose(pose: Mapping[str, Any]) -> Array:
+    return se3.transform(so3.from_rpy(pose.get("rpy", (0.0,) * 3)), pose.get("xyz", (0.0,) * 3))
 
 
 def _pose_data(T: Array) -> dict[str, list[float]]:
@@ -169,22 +148,23 @@ def plain(values: Array) -> list[float]:
     return [float(v) + 0.0 for v in values]
 
 
-_KEYS = {"theta", "d", "a", "alpha"}
+DH = ("theta", "d", "a", "alpha")
+KEYS = dict.fromkeys(DH, NUMBER)
 _PARALLEL = 1e-11  # sine of the angle below which axes count as parallel; FK is then off by that times the reach
 _NEARLY = 0.1  # sine of the angle below which a slide is moved, for its line may lie anywhere
 
 
 def from_dh(table: Mapping[str, Any]) -> Chain:
     """The chain of a classical DH table. Raises BadTable."""
-    rows = read_rows(table, "dh", _KEYS)
-    theta, d, a, alpha = (rows.column(key) for key in ("theta", "d", "a", "alpha"))
+    rows = read_rows(table, "dh", KEYS)
+    theta, d, a, alpha = (rows.column(key) for key in DH)
     return rows.chain(np.concatenate([np.eye(4)[None], _about_z(theta, d) @ _about_x(alpha, a)]))
 
 
 def from_mdh(table: Mapping[str, Any]) -> Chain:
     """The chain of a modified (Craig) DH table. Raises BadTable."""
-    rows = read_rows(table, "mdh", _KEYS)
-    theta, d, a, alpha = (rows.column(key) for key in ("theta", "d", "a", "alpha"))
+    rows = read_rows(table, "mdh", KEYS)
+    theta, d, a, alpha = (rows.column(key) for key in DH)
     return rows.chain(np.concatenate([_about_x(alpha, a) @ _about_z(theta, d), np.eye(4)[None]]))
 
 
@@ -242,7 +222,7 @@ class _Link:
         return _Link(_wrap(theta + np.pi), d, -self.a, -self.alpha, _wrap(self.phi - np.pi), self.c)
 
     def data(self) -> dict[str, float]:
-        return {key: float(getattr(self, key)) + 0.0 for key in ("theta", "d", "a", "alpha")}
+        return {key: float(getattr(self, key)) + 0.0 for key in DH}
 
 
 @dataclass(frozen=True)

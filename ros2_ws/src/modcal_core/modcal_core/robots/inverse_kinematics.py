@@ -27,12 +27,12 @@ from modcal_core.robots.kinematics import frames, tip_motions
 
 ALL_SIX = (True, True, True, True, True, True)
 TOLERANCE = 1e-10  # m and rad
+RESTARTS = 1000  # a start in a hundred leads to a pose that only a corner of the limits reaches
+_FIRST_RESTARTS = 30  # at once; then as many again as before, until one arrives
 _MAX_STEPS = 100  # accepted or not
 _MAX_REFUSED = 6  # steps in a row that made it worse
 LONGEST = 0.6  # rad or m, of one joint in one step
 DAMPING = 1e-3  # times the squared error
-_FREE_TURN = np.pi  # rad; where a joint has no limits, others are tried this far about zero
-_FREE_SLIDE = 0.5  # m
 
 
 def inverse(
@@ -41,7 +41,7 @@ def inverse(
     seed: ArrayLike,
     mask: ArrayLike = ALL_SIX,
     rng: np.random.Generator | None = None,
-    restarts: int = 30,
+    restarts: int = RESTARTS,
     tolerance: float = TOLERANCE,
 ) -> Array:
     """Joint positions (n,) [rad, m] within the limits that put the tip at a pose (4, 4) of the base.
@@ -55,10 +55,12 @@ def inverse(
     assert goal.shape == (4, 4), goal.shape
     assert start.shape == (chain.n,), start.shape
     found = inverse_batch(chain, goal, start[None], mask, tolerance).best()
-    if not found.met and rng is not None:
-        others = inverse_batch(chain, goal, _anywhere(chain, restarts, rng), mask, tolerance)
+    tried = 0
+    while not found.met and rng is not None and tried < restarts:
+        count = min(max(_FIRST_RESTARTS, tried), restarts - tried)
+        others = inverse_batch(chain, goal, chain.drawn(count, rng), mask, tolerance)
         both = (np.concatenate([a[None], b]) for a, b in zip(found, others, strict=True))
-        found = InverseResult(*both).best()
+        found, tried = InverseResult(*both).best(), tried + count
     if found.met:
         return _unwound(chain, found.q, start)
     position, rotation = float(np.linalg.norm(found.error[:3])), float(np.linalg.norm(found.error[3:]))
@@ -71,16 +73,6 @@ def inverse(
         rotation,
         found.q,
     )
-
-
-def _anywhere(chain: Chain, count: int, rng: np.random.Generator) -> Array:
-    """Random postures (count, n) within the limits."""
-    span = np.where(chain.revolute, _FREE_TURN, _FREE_SLIDE)
-    low = np.maximum(chain.lower, np.where(np.isfinite(chain.upper), chain.upper - 2.0 * span, -span))
-    high = np.minimum(chain.upper, np.where(np.isfinite(chain.lower), chain.lower + 2.0 * span, span))
-    middle = 0.5 * (np.maximum(chain.lower, -span) + np.minimum(chain.upper, span))
-    low, high = np.where(low < high, low, middle), np.where(low < high, high, middle)
-    return rng.uniform(low, high, (count, chain.n))
 
 
 def _unwound(chain: Chain, q: Array, seed: Array) -> Array:

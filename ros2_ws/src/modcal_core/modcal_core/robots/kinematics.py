@@ -4,10 +4,9 @@
 (where a link error sits) and, after the last joint, the tip. Jacobian columns follow from them: a twist e at a frame T
 moves the tip by ``Ad(T) e`` seen from the base.
 
-``posture_frames`` is the same of one posture, without what a batch costs. Everything else that needs a chain's
-kinematics asks here, but for what is written for its speed: the sweeps of a fit
-(:mod:`modcal_core.calibration.kernels`) and the descents of many different arms (:mod:`modcal_core.modules.targets`).
-Tests hold them to this, to twelve digits.
+One posture goes without what a batch costs. Everything else that needs a chain's kinematics asks here, but for what is
+written for its speed: the sweeps of a fit (:mod:`modcal_core.calibration.kernels`) and the descents of many different
+arms (:mod:`modcal_core.modules.targets`). Tests hold them to this, to twelve digits.
 """
 
 from __future__ import annotations
@@ -161,12 +160,6 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
     return Frames(axes, p)
 
 
-def _frames_of_one(chain: Chain, q: Array, twists: Mapping[int, Array]) -> Frames:
-    """Frames of one posture (n,), in a third of the time."""
-    out = _places(chain, q, twists)
-    return Frames(out[:, :3, :3].transpose(0, 2, 1).copy()[..., None], out[:, :3, 3, None].copy())
-
-
 def _cos_sin(q: Array) -> tuple[Array, Array]:
     """Cosines and sines of joint positions (n, N), a third of the time of their frames: those that were asked for last
     are kept, for a fit asks for the same ones at each step.
@@ -241,51 +234,24 @@ def link_frames(chain: Chain, f: Frames) -> Array:
     return se3.transform(R, p) @ se3.inverse(T_joint_next)
 
 
-def posture_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
-    """Frames before each joint, its axis as z, (n, 4, 4), and the tip (4, 4), in the base; q: (n,) [rad, m]."""
-    out = _places(chain, q, {})
-    return out[:-1], out[-1]
+def pose_and_jacobian(chain: Chain, q: Array) -> tuple[Array, Array]:
+    """The tip in the base (4, 4) and its body Jacobian (6, n), for joints q (n,) [rad, m]."""
+    f = frames(chain, q[None])
+    return f.transform(-1)[0], np.concatenate(tip_motions(chain, f), axis=2)[0].T
 
 
-def _places(chain: Chain, q: Array, twists: Mapping[int, Array]) -> Array:
-    """The same frames, the tip last, (n + 1, 4, 4); twists: as of :func:`frames`, of one posture."""
-    out = np.empty((chain.n + 1, 4, 4))
-    T = chain.along_z[0]
-    links = _links(chain, q)
-    for k in range(chain.n + 1):
-        out[k] = tool_from(T, twists[k][:6, 0]) if k in twists else T
-        T = out[k] @ links[k] if k < chain.n else T
-    return out
-
-
-def _links(chain: Chain, q: Array) -> Array:
-    """From before each joint to before the next, or to the tip, (n, 4, 4); q: (n,) [rad, m]."""
-    motion = np.zeros((chain.n, 4, 4))
+def _frames_of_one(chain: Chain, q: Array, twists: Mapping[int, Array]) -> Frames:
+    """Frames of one posture (n,), in a third of the time."""
     angle = q * chain.revolute
+    motion = np.zeros((chain.n, 4, 4))
     motion[:, 0, 0] = motion[:, 1, 1] = np.cos(angle)
     motion[:, 1, 0] = np.sin(angle)
     motion[:, 0, 1] = -motion[:, 1, 0]
     motion[:, 2, 2] = motion[:, 3, 3] = 1.0
     motion[:, 2, 3] = q - angle
-    return motion @ chain.along_z[1:]
-
-
-def joint_motions(chain: Chain, before: Array, tip: Array) -> tuple[Array, Array]:
-    """Velocities (n, 3) and turns (n, 3) of the tip per unit of each joint, seen from the tip: its body Jacobian.
-
-    before, tip: as :func:`posture_frames` gives them.
-    """
-    R, p = tip[:3, :3], tip[:3, 3]
-    axis, arm = before[:, :3, 2], p - before[:, :3, 3]
-    v, w = crossed_rows(axis, arm), axis
-    if not chain.revolute.all():
-        turn = chain.revolute[:, None]
-        v, w = np.where(turn, v, axis), np.where(turn, axis, 0.0)
-    return v @ R, w @ R
-
-
-def pose_and_jacobian(chain: Chain, q: Array) -> tuple[Array, Array]:
-    """The tip in the base (4, 4) and its body Jacobian (6, n), for joints q (n,) [rad, m]."""
-    before, tip = posture_frames(chain, q)
-    v, w = joint_motions(chain, before, tip)
-    return tip, np.concatenate([v, w], axis=1).T
+    links = motion @ chain.along_z[1:]
+    out, T = np.empty((chain.n + 1, 4, 4)), chain.along_z[0]
+    for k in range(chain.n + 1):
+        out[k] = tool_from(T, twists[k][:6, 0]) if k in twists else T
+        T = out[k] @ links[k] if k < chain.n else T
+    return Frames(out[:, :3, :3].transpose(0, 2, 1).copy()[..., None], out[:, :3, 3, None].copy())

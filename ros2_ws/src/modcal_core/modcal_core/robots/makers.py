@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ import numpy as np
 from modcal_core.errors import BadTable, NotRepresentable, refusing
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.dh import from_dh, vector
+from modcal_core.robots.dh import DH, from_dh, vector
 from modcal_core.robots.kinematics import chain_forward
 
 _UR = {
@@ -96,17 +95,14 @@ def from_ur_kinematics(data: Mapping[str, Any]) -> Chain:
     return Chain.build(tuple(_UR), origins, lower=-most, upper=most, base="base_link", tip="tool0")
 
 
-_DH = ("theta", "d", "a", "alpha")
-
-
 @refusing
 def ur_conf_table(text: str, nominal: Chain) -> dict[str, Any]:
     """The DH table of a UR controller's calibration.conf, which holds differences from its model's DH numbers.
 
     nominal: that model as UR's description lays it out, from base_link to tool0. Raises BadTable for anything else.
     """
-    found = [re.search(rf"^\s*delta_{key}\s*=\s*\[([^\]]*)\]", text, re.MULTILINE) for key in _DH]
-    rows = zip(_DH, found, strict=True)
+    found = [re.search(rf"^\s*delta_{key}\s*=\s*\[([^\]]*)\]", text, re.MULTILINE) for key in DH]
+    rows = zip(DH, found, strict=True)
     deltas = np.array([vector(row[1].split(",") if row else [], len(_UR), f"delta_{key}") for key, row in rows])
     if _ur_prefix(nominal.names) is None:
         raise BadTable(
@@ -119,7 +115,7 @@ def ur_conf_table(text: str, nominal: Chain) -> dict[str, Any]:
 
     def table(values: Array) -> dict[str, Any]:
         joints = [
-            {"name": name, **dict(zip(_DH, map(float, of), strict=True))}
+            {"name": name, **dict(zip(DH, map(float, of), strict=True))}
             for name, of in zip(nominal.names, values.T, strict=True)
         ]
         ends = {"base_link": nominal.base, "tip_link": nominal.tip, "base": {"xyz": [0, 0, 0], "rpy": [0, 0, np.pi]}}
@@ -145,7 +141,7 @@ def _as_laid_out(chain: Chain, made: Chain) -> dict[str, Array]:
 
     The axes at zero are compared as lines, and the frames of made are put onto those of the chain.
     """
-    at_zero, frames = _at_zero(chain), _at_zero(made)
+    at_zero, frames = chain.T_base_joint_home, made.T_base_joint_home
     axes = np.einsum("kij,kj->ki", at_zero[:-1, :3, :3], chain.axes)
     R = np.rint(so3.nearest_rotation(frames[:-1, :3, 2].T @ axes))  # layouts differ by right angles
     axes, points, tip = axes @ R.T, at_zero[:-1, :3, 3] @ R.T, se3.transform(R) @ at_zero[-1]
@@ -181,11 +177,6 @@ def _behind_the_half_turn(origins: Mapping[str, Array]) -> dict[str, Array]:
 def _near(F: Array, T: Array) -> bool:
     gap = se3.log(se3.inverse(F) @ T)
     return bool(1e3 * np.linalg.norm(gap[:3]) <= _FAR_MM and np.degrees(np.linalg.norm(gap[3:])) <= _FAR_DEG)
-
-
-def _at_zero(chain: Chain) -> Array:
-    """The joints' frames and the tip's in the base while all joints stand at zero, (n + 1, 4, 4)."""
-    return np.stack(list(accumulate(chain.origins, np.matmul)))
 
 
 def _filled_in(factory: Any, found: Mapping[str, Any], where: str) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from modcal_core.geometry import Array
 from modcal_core.robots import bodies, delta_kinematics, kinematics
-from modcal_core.robots.chain import Chain, Follower
+from modcal_core.robots.chain import Chain, Follower, ranges
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.kinematics import Frames
 from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
@@ -96,14 +96,17 @@ def passable(robot: Mechanism, start: Array, end: Array) -> bool:
     return bool(takes(robot, between).all())
 
 
+def joint_ranges(robot: Mechanism) -> tuple[Array, Array]:
+    """Least and largest joint positions (n,) [rad, m]: the limits; a full turn, or ±0.5 m, where there is none."""
+    return ranges(robot.revolute, robot.lower, robot.upper)
+
+
 def random_postures(robot: Mechanism, count: int, rng: np.random.Generator) -> Array:
     """Joint positions (count, n), uniform within the limits; a full turn, or ±0.5 m, where there is none.
 
     Of a Delta, only postures that its platform can take.
     """
-    span = np.where(robot.revolute, np.pi, 0.5)
-    low = np.where(np.isfinite(robot.lower), robot.lower, -span)
-    high = np.where(np.isfinite(robot.upper), robot.upper, span)
+    low, high = joint_ranges(robot)
     if is_serial_arm(robot):
         return robot.followed(rng.uniform(low, high, (count, robot.n)))
     found = np.empty((0, robot.n))

@@ -56,13 +56,31 @@ import numpy as np
 from modcal_core.errors import BadTable, NotRepresentable, refusing
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.dh import from_dh, from_mdh, plain, read_rows, to_dh, to_mdh, vector, write_rows
+from modcal_core.robots.dh import (
+    DH,
+    KEYS,
+    SEE,
+    from_dh,
+    from_mdh,
+    plain,
+    read_rows,
+    table_schema,
+    to_dh,
+    to_mdh,
+    write_rows,
+)
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.makers import from_ur_kinematics, laid_out_as, ur_conf_table
+from modcal_core.schema import NUMBER, Schema, list_of, require
 
 # --- Complete and parametrically continuous (CPC) tables, to and from chains
 
-_KEYS = {"b", "l", "beta", "reversed"}
+_KEYS: dict[str, Schema] = {
+    "b": list_of(NUMBER, 2, 3),
+    "l": list_of(NUMBER, 3, 3),
+    "beta": NUMBER,
+    "reversed": {"type": "boolean"},
+}
 _FLIP_BELOW = -0.5  # an axis that points more than 120° away is followed backwards
 _HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])  # about x: takes z to -z
 
@@ -73,11 +91,8 @@ def from_cpc(table: Mapping[str, Any]) -> Chain:
     beta = rows.column("beta")
     steps = [np.eye(4)]
     for name, row, turn in zip(rows.names, rows.rows, beta, strict=True):
-        b = _direction(row.get("b", (0.0, 0.0, 1.0)), f"cpc table, joint {name}: b")
-        shift = vector(row.get("l", (0.0, 0.0, 0.0)), 3, f"cpc table, joint {name}: l")
-        steps.append(_tilt(b) @ se3.exp([0, 0, 0, 0, 0, turn]) @ se3.transform(p=shift))
-        if not isinstance(row.get("reversed", False), bool):
-            raise BadTable(f"cpc table, joint {name}: reversed", f"is {row['reversed']!r}", "give true or false")
+        b = _direction(np.array(row.get("b", (0.0, 0.0, 1.0)), dtype=float), f"cpc table, joint {name}: b")
+        steps.append(_tilt(b) @ se3.exp([0, 0, 0, 0, 0, turn]) @ se3.transform(p=row.get("l", (0.0, 0.0, 0.0))))
     side = np.array([-1.0 if row.get("reversed", False) else 1.0 for row in rows.rows])
     return rows.chain(np.stack(steps), side[:, None] * [0.0, 0.0, 1.0])
 
@@ -107,9 +122,7 @@ def to_cpc(chain: Chain) -> dict[str, Any]:
     return write_rows("cpc", chain, columns, constants[0], rest @ flip @ constants[-1])
 
 
-def _direction(values: object, what: str) -> Array:
-    count = len(values) if isinstance(values, list | tuple) else 3
-    b = vector(values, 2 if count == 2 else 3, what)
+def _direction(b: Array, what: str) -> Array:
     if len(b) == 2:
         if b @ b > 1.0:
             raise BadTable(what, f"is longer than 1 ({np.sqrt(b @ b):.6g})", "give a direction")
@@ -168,8 +181,6 @@ def _longest(chain: Chain) -> float:
 CONVENTIONS = ("cpc", "dh", "mdh")
 EXACT = 1e-10  # m, and entries of rotations, by which an exported table may be off
 _POSTURES = 64
-_SPAN = 3.0  # rad
-_SLIDE = 0.5  # m
 
 
 def to_table(chain: Chain, convention: str, largest_offset: float = 10.0) -> dict[str, Any]:
@@ -189,7 +200,7 @@ def to_table(chain: Chain, convention: str, largest_offset: float = 10.0) -> dic
 
 def loss(chain: Chain, table: dict[str, Any]) -> float:
     """The largest difference [m, and of rotations] of the tip's pose between a chain and its table, over postures."""
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, (_POSTURES, chain.n)) * np.where(chain.revolute, _SPAN, _SLIDE)
+    q = chain.drawn(_POSTURES, np.random.default_rng(0))
     again = _READERS[table["convention"]](table)
     return float(np.abs(chain_forward(again, q) - chain_forward(chain, q)).max())
 
@@ -197,8 +208,7 @@ def loss(chain: Chain, table: dict[str, Any]) -> float:
 # --- Kinematic tables as CSV, one row a joint; what is not of a joint stands in comment lines before them
 
 _VECTORS = {"b": ("bx", "by", "bz"), "l": ("lx", "ly", "lz")}
-_DH = ("theta", "d", "a", "alpha")
-_COLUMNS = {"dh": _DH, "mdh": _DH, "cpc": ("bx", "by", "bz", "lx", "ly", "lz", "beta", "reversed")}
+_COLUMNS = {"dh": DH, "mdh": DH, "cpc": ("bx", "by", "bz", "lx", "ly", "lz", "beta", "reversed")}
 _TEXTS = ("convention", "base_link", "tip_link")
 _POSES = ("base", "tool")
 _NOTE, _UNIT = "note", "unit"
@@ -248,7 +258,7 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
         if key in _TEXTS:
             table[key] = value
         elif key in _POSES:
-            numbers = _numbers(value, 6, f"{source}, {key}")
+            numbers = [_value(word) for word in value.split()]
             table[key] = {"xyz": numbers[:3], "rpy": numbers[3:]}
         elif key == _UNIT:
             if value not in UNITS:
@@ -263,16 +273,13 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
         raise BadTable(source, said, f"begin with a line such as '# convention: dh' ({', '.join(_COLUMNS)})")
     rows = csv.reader(lines, delimiter=";" if lines and ";" in lines[0] and "," not in lines[0] else ",")
     header = [_ALSO_CALLED.get(cell.strip(), cell.strip()) for cell in next(rows, [])]
-    allowed = {"name", "type", *_COLUMNS[convention], "lower", "upper"}
-    if not header or not set(header) <= allowed or len(set(header)) < len(header):
-        odd = next((c for c in header if c not in allowed), next((c for c in header if header.count(c) > 1), ""))
-        said = f"column '{odd}' is not one of a {convention} table" if odd not in allowed else f"has '{odd}' twice"
-        said = said if header else "has no columns"
-        raise BadTable(source, said, f"write {','.join(('name', 'type', *_COLUMNS[convention], 'lower', 'upper'))}")
+    if len(set(header)) < len(header):
+        raise BadTable(source, f"has a column twice: {', '.join(header)}", "leave one of them out")
     table["joints"] = [_joint(row, header, f"{source}, joint {i + 1}") for i, row in enumerate(rows) if any(row)]
     for joint in table["joints"]:
         if joint.get("name", "").isdigit():
             joint["name"] = f"joint_{joint['name']}"
+    require(table, table_schema(_KEYS if convention == "cpc" else KEYS), source, SEE)
     found = _scaled(table, *(1.0 / factor for factor in UNITS[unit]))
     _require_units(table["joints"], _READERS[convention](found), unit, source)
     return found
@@ -318,27 +325,18 @@ def _joint(row: list[str], header: list[str], where: str) -> dict[str, Any]:
     if len(row) != len(header):
         raise BadTable(where, f"has {len(row)} cells, the header {len(header)}", "correct the line")
     cells = {key: cell.strip() for key, cell in zip(header, row, strict=True) if cell.strip()}
-    out: dict[str, Any] = {key: cells.pop(key) for key in ("name", "type") if key in cells}
-    if "reversed" in cells:
-        said = cells.pop("reversed").lower()
-        if said not in ("true", "false"):
-            raise BadTable(f"{where}: reversed", f"is '{said}'", "write true or false")
-        out["reversed"] = said == "true"
+    out: dict[str, Any] = {key: cell if key in ("name", "type") else _value(cell) for key, cell in cells.items()}
     for key, names in _VECTORS.items():
-        if any(name in cells for name in names):
-            out[key] = _numbers(" ".join(cells.pop(name, "?") for name in names), 3, f"{where}: {key}")
-    out.update({key: _numbers(cell, 1, f"{where}: {key}")[0] for key, cell in cells.items()})
+        if any(name in out for name in names):
+            out[key] = [out.pop(name, "") for name in names]
     return out
 
 
-def _numbers(text: str, count: int, where: str) -> list[float]:
+def _value(cell: str) -> float | bool | str:
     try:
-        out = [float(word) for word in text.split()]
+        return float(cell)
     except ValueError:
-        out = []
-    if len(out) != count:
-        raise BadTable(where, f"needs {count} number{'s' * (count > 1)}, has '{text}'", "correct the table")
-    return out
+        return {"true": True, "false": False}.get(cell.lower(), cell)
 
 
 def _cell(value: Any) -> str:
@@ -360,7 +358,6 @@ _ITERATIONS = 10
 # Combinations of numbers that move the tip less than this, relative to the strongest, stay: the offsets along two axes
 # that are a few mrad from parallel differ by that much only, and would be moved by metres to gain nothing.
 _WEAKEST = 0.01
-_TURN = np.pi  # rad; range of a joint without limits
 
 
 @dataclass(frozen=True)
@@ -390,7 +387,7 @@ def nearest_dh(chain: Chain, convention: str = "dh", largest_offset: float = 10.
     snapped = replace(chain, origins=constants, axes=np.tile([0.0, 0.0, 1.0], (chain.n, 1)))
     table = (to_dh if convention == "dh" else to_mdh)(snapped, largest_offset)
     rng = np.random.default_rng(0)
-    fitted, checked = _postures(chain, _FITTED, rng), _postures(chain, _CHECKED, rng)
+    fitted, checked = chain.drawn(_FITTED, rng), chain.drawn(_CHECKED, rng)
     table = _fit(table, fitted, chain_forward(chain, fitted))
     off = _off(table, checked, chain_forward(chain, checked))
     distance, angle = np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1) / _LEVER
@@ -419,17 +416,9 @@ def _made_parallel(chain: Chain) -> tuple[Array, list[int]]:
     return constants, pairs
 
 
-def _postures(chain: Chain, count: int, rng: np.random.Generator) -> Array:
-    """Postures (count, n) within the limits, and within a turn where there are none."""
-    span = np.where(chain.revolute, _TURN, _SLIDE)
-    lower, upper = np.maximum(chain.lower, -span), np.minimum(chain.upper, span)
-    out: Array = rng.uniform(np.minimum(lower, upper), np.maximum(lower, upper), (count, chain.n))
-    return out
-
-
 def _fit(table: Mapping[str, Any], q: Array, T: Array) -> dict[str, Any]:
     """The table whose numbers bring its poses nearest to T (N, 4, 4) at q (N, n): Gauss-Newton, shortest steps."""
-    places = [(i, key) for i in range(len(table["joints"])) for key in _DH]
+    places = [(i, key) for i in range(len(table["joints"])) for key in DH]
     best, off = copy.deepcopy(dict(table)), _off(table, q, T)
     for _ in range(_ITERATIONS):
         steps = _STEP * np.eye(len(places) + 12)

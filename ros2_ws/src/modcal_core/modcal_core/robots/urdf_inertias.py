@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.errors import BadRobot
-from modcal_core.geometry import Array, se3
+from modcal_core.geometry import Array, se3, sealed
 from modcal_core.robots.chain import Chain
 
 if TYPE_CHECKING:
@@ -151,20 +150,14 @@ def read_inertias(urdf_xml: str, chain: Chain) -> Inertias:
     from modcal_core.robots.urdf_tree import parse  # few need what reads XML; a table or a Delta does not
 
     tree = parse(urdf_xml)
-    joints = {joint.name: joint for joint in tree.joints}
-    missing = [name for name in chain.names if name not in joints]
-    if missing:
-        raise BadRobot(f"joint {missing[0]}", f"is not in robot '{tree.name}'", "give the URDF the chain came from")
     mass, com, inertia = np.zeros(chain.n), np.zeros((chain.n, 3)), np.zeros((chain.n, 3, 3))
     hanging: list[Hanging] = []
     for k, name in enumerate(chain.names):
-        bodies = list(_bodies(tree, joints[name].child, (), set(chain.names[k + 1 :])))
+        bodies = list(_bodies(tree, tree.joint(name).child, (), set(chain.names[k + 1 :])))
         mass[k], com[k], inertia[k] = _lumped(bodies)
         moved = [(steps, own) for steps, own in bodies if own.mass > 0.0 and any(step.joint for step in steps)]
         hanging += [Hanging(k, steps, own.mass, own.centre) for steps, own in moved]
-    for array in (mass, com, inertia):
-        array.flags.writeable = False
-    return Inertias(mass, com, inertia, tuple(hanging), _down(tree, chain.base))
+    return sealed(Inertias(mass, com, inertia, tuple(hanging), _down(tree, chain.base)))
 
 
 _Body = tuple[tuple[CarryingJoint, ...], "Inertial"]  # the joints on the way to it, and what it weighs
@@ -210,6 +203,4 @@ def _down(tree: Tree, base: str) -> Array:
         joint = tree.above[link]
         R = _step(joint).motion(np.zeros(1))[0, :3, :3] @ R
         link = joint.parent
-    down = -R[2]
-    down.flags.writeable = False
-    return np.asarray(down)
+    return np.asarray(-R[2])

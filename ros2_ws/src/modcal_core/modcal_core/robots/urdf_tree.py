@@ -14,7 +14,7 @@ import difflib
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -22,7 +22,7 @@ import numpy as np
 from lxml import etree
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, se3, sealed, so3
 
 # Moving joints that a chain may hold: True where the joint turns.
 TURNS = {"revolute": True, "continuous": True, "prismatic": False}
@@ -42,7 +42,8 @@ _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 @dataclass(frozen=True)
 class Joint:
     """One joint. T_parent_joint (4, 4) [m]; axis (3,) as written; limits [rad or m]; ``mimic_offset`` is its position
-    while the joint that it mimics stands at zero, ``mimic_factor`` what it moves by per unit of that.
+    while the joint that it mimics stands at zero, ``mimic_factor`` what it moves by per unit of that. drive: what is
+    written of effort, velocity, friction and damping, which only those read who need it.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Joint:
     mimics: str | None
     mimic_offset: float
     mimic_factor: float = 1.0
+    drive: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def moves(self) -> bool:
@@ -99,6 +101,13 @@ class Tree:
             said = f"has {len(roots)} root links" + (f" ({', '.join(roots[:4])})" if roots else "")
             raise BadRobot("robot description", said, "connect its links to one tree, or give --base")
         return roots[0]
+
+    def joint(self, name: str) -> Joint:
+        """The joint of this name. Raises BadRobot."""
+        found = next((joint for joint in self.joints if joint.name == name), None)
+        if found is None:
+            raise BadRobot(f"joint {name}", f"is not in robot '{self.name}'", "give the URDF the chain came from")
+        return found
 
     def link(self, name: str) -> str:
         """The name, if there is such a link. Raises BadRobot, with the names that come closest."""
@@ -145,12 +154,8 @@ def parse(urdf_xml: str) -> Tree:
         ),
         *(f"Joint {j.name} has limits from {j.lower:g} to {j.upper:g}." for j in joints if not j.lower <= j.upper),
     )
-    tree = Tree(name, tuple(link for link, _ in links), joints, inertials, notes)
+    tree = sealed(Tree(name, tuple(link for link, _ in links), joints, inertials, notes))
     _check(tree)
-    for array in (a for joint in joints for a in (joint.T_parent_joint, joint.axis)):
-        array.flags.writeable = False
-    for array in (a for inertial in inertials.values() for a in (inertial.centre, inertial.inertia)):
-        array.flags.writeable = False
     return tree
 
 
@@ -248,6 +253,9 @@ def _joint(element: Any) -> Joint:
             raise BadRobot(what, f"has no <{tag}>", FIX)
         ends.append(_required(end, "link", what))
     limit, mimic = _child(element, "limit"), _child(element, "mimic")
+    drive = {
+        key: text for part in (limit, _child(element, "dynamics")) if part is not None for key, text in part.items()
+    }
     lower, upper = -np.inf, np.inf
     if kind != "continuous" and limit is not None and (limit.get("lower") or limit.get("upper")):
         lower, upper = (float(_numbers(limit, key, [0.0], f"{what}:", False)[0]) for key in ("lower", "upper"))
@@ -266,6 +274,7 @@ def _joint(element: Any) -> Joint:
         mimics=None if mimic is None else _required(mimic, "joint", what),
         mimic_offset=float(_numbers(mimic, "offset", [0.0], f"{what}:")[0]),
         mimic_factor=float(_numbers(mimic, "multiplier", [1.0], f"{what}:")[0]),
+        drive=drive,
     )
 
 
@@ -284,6 +293,28 @@ def _inertial(element: Any, link: str) -> Inertial | None:
     xx, xy, xz, yy, yz, zz = (float(_numbers(inertia, key, [0.0], what)[0]) for key in _INERTIA)
     R = T[:3, :3]
     return Inertial(weight, T[:3, 3], R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T)
+
+
+@dataclass(frozen=True)
+class CollisionShape:
+    """A shape of a link. kind: box, sphere, cylinder, mesh, as written. T_link_shape: (4, 4) [m]. sizes: as written."""
+
+    kind: str
+    T_link_shape: Array
+    sizes: Mapping[str, str]
+
+
+def collision_shapes(urdf_xml: str) -> dict[str, list[CollisionShape]]:
+    """The collision shapes of every link that has any. Raises BadRobot."""
+    found: dict[str, list[CollisionShape]] = {}
+    for link in (e for e in document(urdf_xml) if _local(e) == "link"):
+        name = str(link.get("name"))
+        for collision in (e for e in link if _local(e) == "collision"):
+            geometry = _child(collision, "geometry")
+            if geometry is not None and len(geometry):
+                T = _origin(_child(collision, "origin"), f"link {name}: <collision>")
+                found.setdefault(name, []).append(CollisionShape(_local(geometry[0]), T, dict(geometry[0].attrib)))
+    return found
 
 
 def _origin(element: Any, what: str) -> Array:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, combinations_with_replacement, pairwise
 from typing import cast
 
 import numpy as np
@@ -100,6 +100,9 @@ class PlaceDrivers:
         self.rank = station_numbers(rest.samples) / max(rest.samples.stations - 1, 1)
         self.axes = [rest.axis(j) for j in range(self.chain.n)]
         self.base, self.tool = rest.body(0), rest.body(self.chain.tool_place)
+        self.turn = np.moveaxis(rest.view.f.rotation(-1), 0, -1)  # orientations of the tip, (3, 3, N)
+        self.flat = self.turn.reshape(9, self.N)
+        self.sight = np.einsum("jin,jn->in", self.turn, _unit(rest.view.expected))  # the beam along the tip's axes
         self.ends = ("the tool", self.tool), ("the base", self.base)
         step, approach = last_moves(self.samples), self.samples.approach
         self.came = np.where(approach.any(axis=1, keepdims=True), approach, np.sign(step)).T
@@ -135,21 +138,13 @@ class PlaceDrivers:
             yield _part("", who, CONSTANT, body, self.one)
         moved = np.stack([u * x for j, u in enumerate(self.axes) for x in (self.came[j], self.step[j])])
         yield Part("", "all joints, or the readings' time (a filter, an average, a late clock)", "the last move", moved)
-        R = np.moveaxis(self.rest.view.f.rotation(-1), 0, -1)  # (3, 3, N)
-        down = np.einsum("jin,j->in", R, self.chain.T_base_root[:3, :3].T @ [0.0, 0.0, -1.0])
-        sight = np.einsum("jin,jn->in", R, _unit(self.rest.view.expected))
-        yield _part("", "the tool", "how it is turned against gravity", self.tool, down)
-        yield _part("", "the tool", "how it is turned against gravity", self.tool, np.sign(down))
-        yield _part("", "the tool", "the side from which the tracker looks at it", self.tool, _curves(sight))
+        down = np.einsum("jin,j->in", self.turn, self.chain.T_base_root[:3, :3].T @ [0.0, 0.0, -1.0])
+        yield _part("", "the tool", "how it is turned against gravity", self.tool, np.r_[down, np.sign(down)])
+        yield _part("", "the tool", "the side from which the tracker looks at it", self.tool, _curves(self.sight))
         yield _part("", "the base", "the moment of the arm's weight on it", self.base, moments_on_base(self.at))
-        flat = R.reshape(9, self.N)
-        where = np.concatenate([_standard(np.asarray(self.rest.view.f.p[-1])), flat, flat**3])
+        where = np.concatenate([_standard(np.asarray(self.rest.view.f.p[-1])), self.flat, self.flat**3])
         who = "the tool (or the target on it)"
         yield _part("", who, "where it is and how it is turned in the cell", self.tool, where)
-        along = self.rest.read(np.eye(3)[..., None] * self.one)
-        if not self.samples.sockets:
-            turns = np.concatenate([flat, flat**3])
-            yield _part("", "the tracker's readings", "how the target is turned", along, turns)
 
     def beside(self) -> Iterator[Part]:
         """Joints with the position of a neighbour, whose cables and links run through both."""
@@ -304,7 +299,7 @@ class PlaceDrivers:
             here, name = frame == f, self.samples.frames[f]
             way, group = self.rest.read(_unit(x) * here)[None], f"what '{name}' reads and where it points"
             z = _standard(np.where(here, x, x[:, here].mean(axis=1, keepdims=True)))
-            two = np.concatenate([self.one, z, *(z[i : i + 1] * z[: i + 1] for i in range(3))])
+            two = np.concatenate([self.one, _monomials(z, 2)])
             length = np.concatenate([self.one, _hats(np.where(here, r, r[here].mean()))])
             yield _part(group, f"'{name}'", "its own length", way, length)
             yield _part(group, f"'{name}'", "where it points", way, two)
@@ -314,10 +309,12 @@ class PlaceDrivers:
         z, along, unit = _standard(x), self.rest.read(np.eye(3)[..., None] * self.one), r.mean()
         powers = np.stack([np.ones_like(r), r / unit, (r / unit) ** 2, (r / unit) ** 3])
         yield _part(group, who, "the distance from the tracker", self.rest.read(_unit(x))[None], powers)
-        pairs = [z[i] * z[j] for i in range(3) for j in range(i + 1)]
-        three = [z[i] * z[j] * z[k] for i in range(3) for j in range(i + 1) for k in range(j + 1)]
-        yield _part(group, who, place, along, np.stack([*z, *pairs, *three]))
+        yield _part(group, who, place, along, _monomials(z, 3))
         yield _part("", who, place, along, z)
+        yield _part("", who, "how the target is turned", along, np.concatenate([self.flat, self.flat**3]))
+        group = "the side from which the tracker sees the target (the angle of the beam, or the target's roll)"
+        yield _part(group, who, group, self.rest.read(_unit(x))[None], _monomials(self.sight, 3))
+        yield _part(group, "", "", along, _monomials(self.sight, 2))
         T = (self.rest.model.T_frame_base @ self.chain.T_base_root)[self.samples.frame, :3, :3]
         seen = np.einsum("nij,jn->in", T, x)
         angles = [np.arctan2(seen[1], seen[0]), np.arcsin(np.clip(seen[2] / np.maximum(r, 1e-9), -1.0, 1.0))]
@@ -380,6 +377,12 @@ def _pairs(turns: Sequence[Array]) -> Array:
     """Products (k, N) of the waves (2, N) of every two."""
     both = [a * b for i, x in enumerate(turns) for y in turns[:i] for a in x for b in y]
     return np.stack(both) if both else np.empty((0, 0))
+
+
+def _monomials(z: Array, degree: int) -> Array:
+    """Products (k, N) of one to so many of the rows of z (c, N)."""
+    some = chain.from_iterable(combinations_with_replacement(z, d) for d in range(1, degree + 1))
+    return np.stack([np.prod(factors, axis=0) for factors in some])
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -29,6 +29,7 @@ _SURE = 0.9  # correlation of speeds with slopes
 _SLOPE = 1.25  # factor by which the scale of speeds may be off: filters of controllers and coarse stamps
 _HOLDS = 0.8  # correlation of efforts with what gravity asks, from which their sign is told
 _FOLLOWS = 0.1  # rad or m; commanded joints are this near
+_WEIGHTS = ("kg", "n", "newton")  # units
 _NOT_A_SIGNAL = words(
     "frame index id nr no number count sample row station sub residual rms error err std sigma stdev deviation "
     "uncertainty quality intensity confidence status valid time timestamp stamp date flag markers covariance"
@@ -315,6 +316,8 @@ def _signals(out: OtherColumns, around: Surroundings, families: Sequence[Labelle
         if is_counter(values) and bool((values == np.round(values)).all()):
             continue
         if name := _topic(label.words):
+            weight = "_" + label.told if label.told in _WEIGHTS else ""  # by which what is carried is known
+            name += "" if name.endswith(weight) else weight
             out.signals[name if name not in out.signals else f"{name}_{k}"] = numbers.key(k)
             out.used.add(k)
     if out.signals:

@@ -120,10 +120,6 @@ def require_mapping(stated: Any, source: str) -> Mapping[str, Any]:
     for i, table in enumerate(stated["tables"]):
         for part, what, remedy in (*_faulty(table), *_faulty_form(table, "")):
             raise BadTable(f"{source}: tables, entry {i + 1}{part}", what, remedy)
-    kinds = ", ".join(READINGS)
-    if not any(key in table for table in stated["tables"] for key in READINGS):
-        what = "0 of pose, point and same_point, or of other readings, are stated"
-        raise BadTable(source, what, f"state one of {kinds}")
     if not any("joints" in table for table in stated["tables"]):
         raise BadTable(source, "no table has joints", "state joints: {unit, columns} of one of them")
     return stated

@@ -47,6 +47,7 @@ from modcal_msgs_py.tables.fits import (
     MAX_RAD,
     Fitted,
     JointChoice,
+    JointsAlone,
     choices_of,
     decided,
     differences,
@@ -145,15 +146,20 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     questions: tuple[str, ...] = ()
     assumed: list[str] = []
     if isinstance(fits, Sighted):
-        read: Fitted | Sighted = fits
+        read: Fitted | Sighted | JointsAlone = fits
         questions = fits.questions
     else:
         fits = search.otherwise(fits)
-        if not any(f.best.near for f in fits):
+        if not fits and search.measured:
+            read = JointsAlone.of(numbers, chain, search.measured[0])
+            questions = read.questions
+            assumed = ["no column holds a reading: joints alone, for `modcal articulate`, `payload` and `limits`"]
+        elif not any(f.best.near for f in fits):
             raise BadTable(way.sheet.path.name, *search.no_arm(fits))
-        fits, questions = decided(numbers, fits)
-        read, asked, assumed = _decided(numbers, chain, fits, labelled)
-        questions = (*questions, *asked)
+        else:
+            fits, questions = decided(numbers, fits)
+            read, asked, assumed = _decided(numbers, chain, fits, labelled)
+            questions = (*questions, *asked)
     whole = read if isinstance(read, Fitted) else None
     used = {*read.choice.joints.columns, *read.columns, *time.columns}
     stamps = stamps_of(Table.of(numbers.sheet), time.stated, 0.0)[0] if time.columns else None
@@ -169,7 +175,7 @@ class _Search:
     def __init__(
         self, numbers: Numbers, chain: Chain, measured: Sequence[LabelledJoints], time: set[int], watch: Watch
     ) -> None:
-        self._numbers, self._chain, self._measured = numbers, chain, measured
+        self._numbers, self._chain, self.measured = numbers, chain, measured
         self._time, self._watch = time, watch
 
     def every_fit(self, places: Sequence[Body], instruments: Sequence[SightColumns]) -> list[Fitted] | Sighted:
@@ -177,7 +183,7 @@ class _Search:
 
         Targets of one body come before any of them alone, distances, directions and heights behind labelled positions.
         """
-        measured, numbers = self._measured, self._numbers
+        measured, numbers = self.measured, self._numbers
         posed = [b for b in places if b.named and b.turned]
         named = posed or [b for b in places if b.named]
         points = [b for b in places if b.turned is None]
@@ -271,16 +277,16 @@ class _Search:
         """The same, where the arm misses by more than usual with several targets, or with joints that are counted
         otherwise, where that explains it.
         """
-        if not fits or not self._measured or any(f.best.explained(self._chain) for f in fits):
+        if not fits or not self.measured or any(f.best.explained(self._chain) for f in fits):
             return fits
         self._watch("comparing how joints may be counted")
-        labelled = [f for f in fits if f.choice.joints in self._measured and not f.body.points and not f.body.away]
+        labelled = [f for f in fits if f.choice.joints in self.measured and not f.body.points and not f.body.away]
         plain = [f for f in labelled if f.body.named] or labelled
         if not plain:
             return fits
         first = max(plain, key=lambda f: (f.best.near, f.best.match.score))
         point = next((f for f in fits if f.body == replace(first.body, turned=None)), None)
-        point = point or self._fitted(replace(first.body, turned=None), self._measured) or first
+        point = point or self._fitted(replace(first.body, turned=None), self.measured) or first
         if (told := self._of_targets(point)) is not None:
             return [told]
         position = _columns_read(point.body, self._numbers.values[point.rows])[0]
@@ -422,7 +428,7 @@ class _Findings:
 
     numbers: Numbers
     time: RowTimes
-    read: Fitted | Sighted
+    read: Fitted | Sighted | JointsAlone
     beside: OtherColumns
     way: Together
     questions: tuple[str, ...]

@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
-from rclpy.node import Node
-from rclpy.task import Future
+from rclpy.callback_groups import ReentrantCallbackGroup
+from std_srvs.srv import Trigger
 
 from modcal_core.calibration import Calibration
 from modcal_core.errors import NotEnoughData
-from modcal_core.files import to_json
 from modcal_core.measurements import Samples
 from modcal_core.public import check
 from modcal_core.recalibrate import SampleMemory
 from modcal_core.report import checkup_data
 from modcal_core.robots import Mechanism
+from modcal_nodes.calibrating.publishers import Publishers
 from modcal_nodes.calibrating.worker import SolveWorker
+from modcal_nodes.ros import DONE, FAILED, Action, GuardedNode
 
 
 @dataclass(frozen=True)
 class LiveCheck:
-    """sentence: for a person. data: text of check.json. changed: whether anything is named or left unexplained."""
+    """sentence: for a person. data: of check.json. changed: whether anything is named or left unexplained."""
 
     sentence: str
-    data: str
+    data: dict[str, Any]
     changed: bool
 
 
@@ -46,7 +48,7 @@ def live_check(
     samples, _, _ = heard.prepared(chain, clock_limit)
     found = check(calibration, newest_of(samples, newest, since))
     said = f"{found.sentence} {found.advice.sentence}"
-    return LiveCheck(said, to_json(checkup_data(found)), found.status != "unchanged")
+    return LiveCheck(said, checkup_data(found), found.status != "unchanged")
 
 
 def newest_of(samples: Samples, count: int, since: float | None) -> Samples:
@@ -66,35 +68,45 @@ _CHECK = "check"
 
 
 class CheckService:
-    """Checks of the trusted model. publish: takes the text of check.json."""
+    """Checks of the trusted model, as the action and the Trigger ~/check."""
 
-    def __init__(self, node: Node, worker: SolveWorker, publish: Callable[[str], None]) -> None:
-        self._node, self._worker, self._publish = node, worker, publish
-        self._waiting: Future | None = None
+    def __init__(self, node: GuardedNode, worker: SolveWorker, outputs: Publishers, begin: Callable[[], str]) -> None:
+        """begin: calls :meth:`begin` with what is to be checked; returns why it cannot, or nothing."""
+        self._node, self._worker, self._outputs, self._begun = node, worker, outputs, 0.0
+        self._action = Action(node, "Check", begin, self._cancel, self._progress)
+        self._ask = begin
+        node.create_service(Trigger, "~/check", self._on_check, callback_group=ReentrantCallbackGroup())
 
-    @property
-    def busy(self) -> str:
-        """What the worker is doing; empty: nothing."""
-        return self._worker.doing or (_CHECK if self._waiting is not None else "")
+    async def _on_check(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Say what has changed since the trusted model was made, by the newest stations; answer when known."""
+        if refusal := self._ask():
+            response.success, response.message = False, refusal
+            return response
+        result = await self._action.ended()
+        response.success, response.message = result.outcome == DONE, result.message
+        return response
 
-    async def answered(self, *work: Any) -> tuple[bool, str]:
-        """Whether the check was done, and its sentence. work: the arguments of :func:`live_check`."""
-        self._waiting = Future(executor=self._node.executor)
-        self._worker.give(_CHECK, live_check, *work, finish=self._found, fail=partial(self._answer, False))
-        success, message = await self._waiting
-        return success, message
+    def begin(self, *work: Any) -> str:
+        """Have it done; returns why not, or nothing. work: the arguments of :func:`live_check`."""
+        if self._worker.doing:
+            return f"busy with {self._worker.doing}: ask again"
+        self._begun = time.monotonic()
+        self._worker.give(_CHECK, live_check, *work, finish=self._found, fail=partial(self._action.end, FAILED))
+        return ""
+
+    def _cancel(self) -> None:
+        self._worker.drop()
+        self._action.end(FAILED, "cancelled")
+
+    def _progress(self, feedback: Any) -> None:
+        feedback.phase, feedback.elapsed_s = "checking", time.monotonic() - self._begun
 
     def _found(self, check: LiveCheck) -> None:
-        self._publish(check.data)
+        message = self._outputs.check(check.data)
         log = self._node.get_logger()
         said = f"check: {check.sentence}"
         if check.changed:  # a place that logs keeps its severity
             log.warning(said)
         else:
             log.info(said)
-        self._answer(True, check.sentence)
-
-    def _answer(self, success: bool, message: str) -> None:
-        if self._waiting is not None:
-            waiting, self._waiting = self._waiting, None
-            waiting.set_result((success, message))
+        self._action.end(DONE, check.sentence, checked=message)

@@ -32,7 +32,7 @@ from modcal_core.camera import (
 from modcal_core.errors import BadRecording, ModcalError
 from modcal_core.geometry import Array
 from modcal_core.recalibrate import SampleMemory
-from modcal_core.report import camera_files, camera_report
+from modcal_core.report import camera_report
 from modcal_core.robot import Robot
 from modcal_msgs_py import read_corners
 from modcal_nodes.ros import OK, WARN, Status
@@ -98,11 +98,11 @@ def solve_corners(job: CornerJob) -> CameraSolved:
         ),
         np.random.default_rng(job.seed),
     )
-    report = camera_report(solution, robot, len(job.views), {})
+    report = camera_report(solution, robot, len(job.views), {}, page=job.page)
     middle, _, high = solution.claim.in_view.interval
     return CameraSolved(
-        camera_files(solution, robot, len(job.views), {}, page=job.page),
-        str(report["verdict"]),
+        dict(report.files),
+        str(report.data["verdict"]),
         solution.claim.decision.word == APPLY,
         solution.fit,
         (1e3 * middle, 1e3 * high),

@@ -4,44 +4,60 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from rclpy.node import Node
-from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension, String
+from rcl_interfaces.msg import Parameter
+from std_msgs.msg import Bool, Float64, String
 
 from modcal_core.camera import Moved
+from modcal_core.files import parse_yaml
 from modcal_core.online import ChangeHypothesis, Estimator
 from modcal_core.recalibrate import ModelComparison
-from modcal_nodes.ros import LATCHED
-
-_OF_THE_MODEL = {
-    "~/robot_description": "calibrated.urdf",
-    "~/calibration": "calibration.yaml",
-    "~/report": "report.json",
-}
+from modcal_msgs_py import fill_calibration, fill_change, fill_checked, fill_estimate, fill_verdict
+from modcal_nodes.ros import LATCHED, GuardedNode, interface
 
 
 class Publishers:
-    """The calibrator's publishers. All are latched but the running estimate."""
+    """The calibrator's publishers. All are latched but the running estimate. base: link that headers name."""
 
-    def __init__(self, node: Node) -> None:
-        self._texts = {
-            topic: node.create_publisher(String, topic, LATCHED) for topic in (*_OF_THE_MODEL, "~/change", "~/checked")
-        }
-        self._names = node.create_publisher(String, "~/estimate_names", LATCHED)
-        self._estimate = node.create_publisher(Float64MultiArray, "~/estimate", 10)
+    def __init__(self, node: GuardedNode) -> None:
+        self._node, self.base = node, ""
+        self._types = {name: interface(name) for name in ("Calibration", "Change", "Checked", "Estimate", "Verdict")}
+        self._model, self._report, self._change, self._checked = (
+            node.create_publisher(self._types[name], topic, LATCHED)
+            for name, topic in (
+                ("Calibration", "~/calibration"), ("Verdict", "~/report"), ("Change", "~/change"),
+                ("Checked", "~/checked"),
+            )
+        )  # fmt: skip
+        self._description = node.create_publisher(String, "~/robot_description", LATCHED)
+        self._estimate = node.create_publisher(self._types["Estimate"], "~/estimate", 10)
         self._residual = node.create_publisher(Float64, "~/residual", LATCHED)
         self._before = node.create_publisher(Float64, "~/residual_before", LATCHED)
         self._trusted = node.create_publisher(Bool, "~/trusted", LATCHED)
-        self._last_names: tuple[str, ...] = ()
         self._trusted.publish(Bool(data=False))  # until there is a model: who asks is not left waiting
 
-    def model(self, files: Mapping[str, str]) -> None:
-        """Publish a model that is trusted from now on."""
-        for topic, name in _OF_THE_MODEL.items():
-            if name in files:
-                self._texts[topic].publish(String(data=files[name]))
+    def _message(self, name: str) -> Any:
+        message = self._types[name]()
+        message.header.frame_id, message.header.stamp = self.base, self._node.get_clock().now().to_msg()
+        return message
+
+    def model(self, files: Mapping[str, str], calibration: Mapping[str, Any] | None = None) -> None:
+        """Publish a model that is trusted from now on. calibration: data of calibration.yaml; None: it is read."""
+        if "calibrated.urdf" in files:
+            self._description.publish(String(data=files["calibrated.urdf"]))
+        if calibration is None and (text := files.get("calibration.yaml")):
+            calibration = parse_yaml(text, "calibration.yaml")
+        if calibration is not None:
+            self._model.publish(fill_calibration(self._message("Calibration"), Parameter, calibration))
+        if "report.json" in files:
+            self._report.publish(self.verdict(files["report.json"]))
         self._trusted.publish(Bool(data=True))
+
+    def verdict(self, report: str) -> Any:
+        """What the text of a report.json says of its model, as a Verdict."""
+        return fill_verdict(self._message("Verdict"), json.loads(report))
 
     def result(self, rms: float | None, comparison: ModelComparison) -> None:
         """Publish how large the error is on stations that the fit has not seen, and was before [m]."""
@@ -52,54 +68,44 @@ class Publishers:
 
     def change(self, hypothesis: ChangeHypothesis) -> None:
         """Publish that something has changed, and what it may be; the model is not to be trusted blindly."""
-        data = {
-            "place": hypothesis.place,
-            "direction": hypothesis.direction,
-            "driver": hypothesis.driver,
-            "since_s": hypothesis.since,
-            "size_mm": 1e3 * hypothesis.size,
-            "same_as": list(hypothesis.same_as),
-            "sentence": hypothesis.sentence,
-        }
-        self._suspect(data)
+        self._suspect(
+            place=hypothesis.place,
+            direction=hypothesis.direction,
+            driver=hypothesis.driver,
+            since_s=hypothesis.since,
+            size_mm=1e3 * hypothesis.size,
+            same_as=hypothesis.same_as,
+            sentence=hypothesis.sentence,
+        )
 
-    def check(self, data: str) -> None:
-        """Publish what a check has found: the text of check.json."""
-        self._texts["~/checked"].publish(String(data=data))
+    def check(self, found: Mapping[str, Any]) -> Any:
+        """Publish what a check has found, the data of check.json; returns the message."""
+        message = fill_checked(self._message("Checked"), self._types["Change"], found)
+        self._checked.publish(message)
+        return message
 
     def moved(self, moved: Moved) -> None:
         """Publish that images show something to have been moved."""
-        data = {
-            "place": moved.what,
-            "direction": "all",
-            "driver": "time",
-            "since_s": moved.since,
-            "size_mm": 1e3 * moved.shift_m,
-            "size_deg": float(np.degrees(moved.turn_rad)),
-            "same_as": [],
-            "sentence": moved.sentence,
-        }
-        self._suspect(data)
+        self._suspect(
+            place=moved.what,
+            direction="all",
+            driver="time",
+            since_s=moved.since,
+            size_mm=1e3 * moved.shift_m,
+            size_deg=float(np.degrees(moved.turn_rad)),
+            sentence=moved.sentence,
+        )
 
-    def _suspect(self, change: dict[str, object]) -> None:
-        self._texts["~/change"].publish(String(data=json.dumps(change, allow_nan=False)))
+    def _suspect(self, **change: Any) -> None:
+        self._change.publish(fill_change(self._message("Change"), change))
         self._trusted.publish(Bool(data=False))
 
     def no_change(self) -> None:
         """Publish that nothing is suspected any more."""
-        self._texts["~/change"].publish(String(data="{}"))
+        self._change.publish(self._message("Change"))
 
     def estimate(self, estimator: Estimator) -> None:
         """Publish the values as they stand, and their standard deviations."""
-        values = np.stack([estimator.values, estimator.std])
-        if not np.isfinite(values).all():
-            return
-        if estimator.names != self._last_names:
-            self._last_names = estimator.names
-            self._names.publish(String(data="\n".join(estimator.names)))
-        message = Float64MultiArray(data=[float(v) for v in values.ravel()])
-        message.layout.dim = [
-            MultiArrayDimension(label="value, standard deviation", size=2, stride=values.size),
-            MultiArrayDimension(label="parameter", size=values.shape[1], stride=values.shape[1]),
-        ]
-        self._estimate.publish(message)
+        if np.isfinite(estimator.values).all() and np.isfinite(estimator.std).all():
+            message = self._message("Estimate")
+            self._estimate.publish(fill_estimate(message, estimator.names, estimator.values, estimator.std))

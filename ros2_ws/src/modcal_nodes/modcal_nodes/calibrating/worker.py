@@ -16,8 +16,8 @@ from modcal_core.calibration import Calibration
 from modcal_core.errors import ModcalError
 from modcal_core.measurements import Dropped, Samples
 from modcal_core.recalibrate import Job, ModelComparison, Recalibration, SampleMemory, recalibrate
-from modcal_core.report import calibration_files, delta_files, sentence
-from modcal_core.robots import Mechanism, is_serial_arm
+from modcal_core.report import calibration_files, sentence
+from modcal_core.robots import Mechanism
 from modcal_nodes.calibrating.diagnostics import Standing, standing_of
 from modcal_nodes.ros import settle_in
 
@@ -58,9 +58,7 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
 
 def _files(resolved: Recalibration, job: Job, urdf: str, page: bool) -> dict[str, str]:
     calibration = resolved.result.calibration
-    if is_serial_arm(job.chain):
-        return calibration_files(calibration, resolved.report, job.chain, urdf, page=page)
-    return delta_files(calibration, resolved.report, page)
+    return calibration_files(calibration, resolved.report, job.chain, urdf, page=page)
 
 
 def condense(heard: SampleMemory, chain: Mechanism, clock_limit: float, most: int) -> tuple[Samples, Dropped]:
@@ -140,6 +138,12 @@ class SolveWorker:
             work.fail(f"internal error: {error!r}")
             if isinstance(error, BrokenProcessPool):
                 self._start()
+
+    def drop(self) -> None:
+        """End what is being worked on without a result; neither finish nor fail is called."""
+        self._work = None
+        self.close()
+        self._start()
 
     def close(self) -> None:
         """Drop what is waiting, and end what is being worked on."""

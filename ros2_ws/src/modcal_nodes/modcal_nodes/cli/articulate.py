@@ -11,15 +11,15 @@ import numpy as np
 from modcal_core.articulation import Track, choose, require_convention
 from modcal_core.errors import BadRecording, about
 from modcal_core.geometry import Array, se3
-from modcal_core.measurements import POINT, POSE, ReadingTrack, Recording, cleaned, joint_stamps_and_positions
-from modcal_core.report import Articulation, SummaryLine
+from modcal_core.measurements import POINT, POSE, ReadingTrack, Recording, cleaned, joints_by_time
+from modcal_core.report import URDF, Articulation, articulation_report
 from modcal_core.robots import chain_forward
 from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
 from modcal_msgs_py.tables import read_track
-from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.console import Output, saving
 from modcal_nodes.cli.inputs import arm_line, chain_line, described, whole_rows
-from modcal_nodes.cli.options import EXISTING, WRITTEN, given
-from modcal_nodes.io import ChainOptions, option, read_calibration, repeated, write_articulation
+from modcal_nodes.cli.options import EXISTING, given
+from modcal_nodes.io import ChainOptions, option, read_calibration, repeated
 
 _MAX = 2000  # samples; of more, evenly chosen ones say the same
 
@@ -58,9 +58,8 @@ class ArticulateOptions(ChainOptions):
 @click.command("articulate")
 @click.argument("bag", type=EXISTING)
 @given(ArticulateOptions)
-@click.option("--out", type=WRITTEN, help="Folder of the results.")
-@speaking
-def articulate_command(bag: Path, out: Path | None, output: Output, options: ArticulateOptions) -> None:
+@saving()
+def articulate_command(bag: Path, output: Output, options: ArticulateOptions) -> None:
     """Identify how the handle in BAG moves: fixed, sliding, turning, a screw, or none of these; and write it as a URDF.
 
     Models of installed packages are compared too; they have no URDF.
@@ -87,14 +86,16 @@ def articulate_command(bag: Path, out: Path | None, output: Output, options: Art
             with about(str(bag)):
                 require_convention(track, choice, rng)
     found = Articulation(bag.name, read.frame, track, choice)
-    out = out or Path(f"{bag.resolve().stem}_articulation")
-    data, files, said = write_articulation(found, out)
-    if read.unread:
-        said.insert(0, f"Columns {read.unread} are not read, only positions: give quaternions for rotations.")
+    before = [read.arm] if read.arm else []
     if read.left_out:
-        said.insert(0, f"{read.left_out} of {len(read.values) + read.left_out} rows hold no reading and are left out.")
-    said = [read.arm] * bool(read.arm) + said
-    output.result(data, map(SummaryLine, said), written(out, files))
+        before.append(f"{read.left_out} of {len(read.values) + read.left_out} rows hold no reading and are left out.")
+    if read.unread:
+        before.append(f"Columns {read.unread} are not read, only positions: give quaternions for rotations.")
+    report = articulation_report(found)
+    out = output.out or Path(f"{bag.resolve().stem}_articulation")
+    output.saved(report, out, *before)
+    if URDF not in report.files:  # one of an earlier call would tell of another joint
+        (out / URDF).unlink(missing_ok=True)
 
 
 def _with_handle(bag: Path, topics: Topics, handle: str | None) -> Topics:
@@ -132,7 +133,7 @@ def _of_bag(recording: Recording, topic: str | None, options: ArticulateOptions)
     else:
         robot = described(recording, None, urdf, options.base, options.tip)
         chain, arm = robot.chain, arm_line(robot)
-    stamps, q = joint_stamps_and_positions(recording, chain.names)
+    stamps, q = joints_by_time(recording, chain.names)
     good = whole_rows(recording, chain.names, q)
     return _Read(se3.to_pose(chain_forward(chain, q[good])), stamps[good], chain.base, arm)
 

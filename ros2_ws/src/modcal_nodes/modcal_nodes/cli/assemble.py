@@ -31,10 +31,10 @@ from modcal_core.modules import (
     with_recording,
 )
 from modcal_core.preprocess import prepare
-from modcal_core.report import Summary, SummaryLine, explained
+from modcal_core.report import Summary, SummaryLine, VerbResult, explained
 from modcal_msgs_py import read_recording
-from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.cli.console import Output, saving, speaking
+from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import TopicOptions, read_assembly
 
 _LIBRARY = click.option(
@@ -71,17 +71,14 @@ _PARTS = {
     "--modules", "store", type=EXISTING, metavar="STORE",
     help="File written by modcal modules learn: the URDF includes the known errors of these physical modules.",
 )  # fmt: skip
-@click.option("--out", type=WRITTEN, help="Folder of the results.")
-@speaking
-def assemble_command(
-    spec: Path, library_file: Path | None, store: Path | None, out: Path | None, output: Output
-) -> None:
-    """Build a robot from SPEC, a YAML list of modules or an assembly incidence matrix: robot.urdf, matrix, picture."""
+@saving()
+def assemble_command(spec: Path, library_file: Path | None, store: Path | None, output: Output) -> None:
+    """Build a robot from SPEC, a YAML list of modules, an incidence matrix or a code: robot.urdf, matrix, picture."""
     assembly, library = read_assembly(spec, library_file)
     errors = twists_from_data(read_yaml(store), str(store)) if store else None
     named = [m.serial for m in assembly.modules if m.serial]
     known = set() if errors is None else {serial for serial, _ in errors}
-    out = out or Path(assembly.name)
+    out = output.out or Path(assembly.name)
     stated = assembly_to_data(assembly, library)
     files = {
         "robot.urdf": urdf_of(assembly, library, errors),
@@ -98,11 +95,12 @@ def assemble_command(
         "strangers": strangers,
     }
     shown: list[str | Summary] = [*_table(assembly, library), "assembly incidence matrix:", str(matrix)]
+    shown.append(f"code: {stated['code']}")
     if errors is not None:
         shown.append(f"{len(data['known'])} of {len(assembly.modules)} modules are known from {store}")
     if strangers:
         shown.append(SummaryLine(f"not known: {', '.join(strangers)}", "doubt"))
-    output.saved(data, shown, out, files, "Robot", "robot.urdf")
+    output.saved(VerbResult(data, shown, files, "Robot", "robot.urdf"), out)
 
 
 @click.group("modules")

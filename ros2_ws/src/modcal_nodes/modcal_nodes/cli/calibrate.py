@@ -12,13 +12,13 @@ from modcal_core.calibration import Calibration, Cell, Stated
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome
 from modcal_core.public import evaluate
-from modcal_core.report import Hashes, Particulars, report_files, summary, to_json_data
+from modcal_core.report import Hashes, Particulars, VerbResult, report_files, summary, to_json_data
 from modcal_nodes.cli.camera import by_camera, calibrate_images
 from modcal_nodes.cli.camera_input import CameraOptions
 from modcal_nodes.cli.certificate import certified_hashes, exit_code, particulars
-from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.console import Output, saving
 from modcal_nodes.cli.inputs import arm_line, chain_line
-from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import (
     FrozenOptions,
     Options,
@@ -63,9 +63,6 @@ class EvaluateOptions(CertifiedOptions, SplitOptions):
     refit_tool: bool = option("Fit the tool again: it was changed.", default=False)
 
 
-OUT = click.option("--out", type=WRITTEN, help="Folder of the results.")
-
-
 @click.command("calibrate")
 @click.argument("bag", type=EXISTING, required=False)
 @click.option(
@@ -74,15 +71,13 @@ OUT = click.option("--out", type=WRITTEN, help="Folder of the results.")
 )  # fmt: skip
 @given(CalibrateOptions)
 @given(CameraOptions, "camera")
-@OUT
-@speaking
+@saving()
 @click.pass_context
 def calibrate_command(
     ctx: click.Context,
     /,
     bag: Path | None,
     more: tuple[Path, ...],
-    out: Path | None,
     output: Output,
     options: CalibrateOptions,
     camera: CameraOptions,
@@ -95,7 +90,7 @@ def calibrate_command(
     images = by_camera(ctx, bag, camera)
     said = particulars(options)
     if images or bag is None:
-        return calibrate_images(camera, options, bag, out, output, said)
+        return calibrate_images(camera, options, bag, output, said)
     with output.working() as watch:
         done = calibrate_bag(bag, options, more, watch)
         files = dict(done.files)
@@ -104,17 +99,16 @@ def calibrate_command(
             described = options.delta or options.urdf or done.result.robot.description
             hashes = certified_hashes(described, done.files["calibration.yaml"])
             files |= certified(done.result.report, done.result.samples, options, said, hashes)
-    out = out or Path(f"{bag.resolve().stem}_calibration")
-    return _say(done.result.report, arm_line(done.result.robot), out, files, output)
+    arm = arm_line(done.result.robot)
+    return _say(done.result.report, arm, f"{bag.resolve().stem}_calibration", files, output)
 
 
 @click.command("evaluate")
 @click.argument("calibration", type=EXISTING)
 @click.argument("bag", type=EXISTING)
 @given(EvaluateOptions)
-@OUT
-@speaking
-def evaluate_command(calibration: Path, bag: Path, out: Path | None, output: Output, options: EvaluateOptions) -> int:
+@saving()
+def evaluate_command(calibration: Path, bag: Path, output: Output, options: EvaluateOptions) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
     said = particulars(options)
     frozen = Calibration.load(calibration)
@@ -130,9 +124,8 @@ def evaluate_command(calibration: Path, bag: Path, out: Path | None, output: Out
             watch("writing the certificate")
             hashes = certified_hashes(samples.origin.description, calibration)
             files |= certified(report, samples, options, said, hashes, frozen)
-    out = out or Path(f"{bag.resolve().stem}_evaluation")
     arm = chain_line(frozen.nominal.chain.base, frozen.nominal.chain.tip, frozen.nominal.chain.n)
-    return _say(report, arm, out, files, output)
+    return _say(report, arm, f"{bag.resolve().stem}_evaluation", files, output)
 
 
 def frozen_samples(frozen: Calibration, bag: Path, options: FrozenOptions, watch: Watch) -> Samples:
@@ -165,7 +158,7 @@ def certified(
     return {"certificate.html": certificate_html(certificate(report, stated, said, hashes, made_from))}
 
 
-def _say(report: Outcome, arm: str, out: Path, files: Mapping[str, str], output: Output) -> int:
+def _say(report: Outcome, arm: str, folder: str, files: Mapping[str, str], output: Output) -> int:
     """Write the files and show the report; returns the exit code."""
-    output.saved(to_json_data(report), [arm, *summary(report)], out, files)
+    output.saved(VerbResult(to_json_data(report), summary(report), files), folder, arm)
     return exit_code(report.tolerance)

@@ -63,7 +63,6 @@ def calibrate_images(
     camera: CameraOptions,
     options: Options,
     bag: Path | None,
-    out: Path | None,
     output: Output,
     said: Particulars | None = None,
 ) -> int:
@@ -74,9 +73,7 @@ def calibrate_images(
     # OpenCV, which other verbs can do without
     from modcal_core.report import (
         camera_certificate,
-        camera_files,
         camera_report,
-        camera_sentences,
         camera_tolerance,
         certificate_html,
     )
@@ -87,26 +84,21 @@ def calibrate_images(
         source = camera.images or bag
         assert source is not None
         met = None if options.tolerance_mm is None else camera_tolerance(solution, options.tolerance_mm)
-        files: dict[str, str] = {**camera_files(solution, robot, images, found.left_out, met=met)}
+        report = camera_report(solution, robot, images, found.left_out, met)
         if said is not None:
             watch("writing the certificate")
-            calibration = str(files["calibration.yaml"])
+            calibration = report.files["calibration.yaml"]
             hashes = certified_hashes(options.urdf or robot.description, calibration, [source, camera.joints])
             page = camera_certificate(solution, robot.name or "", met, said, hashes, images)
-            files["certificate.html"] = certificate_html(page)
-    out = out or Path(f"{source.resolve().stem}_calibration")
-    data = camera_report(solution, robot, images, found.left_out, met)
-    decision = data["camera"]
-    told = [arm_line(robot), *camera_sentences(data)]
-    told.append(f"{decision['decision'].upper()}: {' '.join(decision['because'])}")
-    told += [] if met is None else [f"{met.result}: {met.because}"]
-    output.saved(data, told, out, files)
+            report = replace(report, files={**report.files, "certificate.html": certificate_html(page)})
+    output.saved(report, f"{source.resolve().stem}_calibration", arm_line(robot))
     return exit_code(met)
 
 
-def plan_next_images(camera: CameraOptions, options: Options, count: int, out: Path | None, output: Output) -> None:
+def plan_next_images(camera: CameraOptions, options: Options, count: int, output: Output) -> None:
     """Choose the images to take after those that there are, from a folder or a bag, write them, and say them."""
     from modcal_core.camera import plan_images
+    from modcal_core.report import VerbResult, csv_text
 
     source = camera.images
     assert source is not None
@@ -117,19 +109,13 @@ def plan_next_images(camera: CameraOptions, options: Options, count: int, out: P
         robot, _, solution = _solved(camera, options, bag, watch)
         watch("choosing images")
         found = plan_images(solution.fit, solution.camera.given.target, count, np.random.default_rng(options.seed))
-    rows = "".join(",".join(f"{v:.9f}" for v in q) + "\n" for q in found.q)
-    files = {"stations.csv": ",".join(robot.names) + "\n" + rows}
-    out = out or Path(f"{source.resolve().stem}_plan")
     tilts, away = np.degrees(found.tilt), found.distance
     reach = f"from {away.min():.2f} to {away.max():.2f} m"
-    if found.markers is not None:
-        over = "of the arm by itself wherever the camera stands"
-        shown = f"{found.markers.min()} to {found.markers.max()} markers of the body {reach}"
-    else:
-        over = "where the target is in view"
-        shown = f"the whole target {reach}, tilted by {tilts.min():.0f}° to {tilts.max():.0f}°"
+    shown = f"the target {reach}, tilted by {tilts.min():.0f}° to {tilts.max():.0f}°"
+    over = "where the target is in view"
+    if solution.fit.table.places:
+        over, shown = "of the arm by itself wherever the camera stands", f"the body {reach}"
     said = [
-        arm_line(robot),
         f"{count} images more: the expected error at the tool, {over}, falls from "
         f"{1e3 * found.expected_m[0]:.2f} to {1e3 * found.expected_m[-1]:.2f} mm RMS.",
         f"They show {shown}. Nothing was checked for collisions.",
@@ -140,9 +126,10 @@ def plan_next_images(camera: CameraOptions, options: Options, count: int, out: P
         "expected_mm": (1e3 * found.expected_m).tolist(),
         "tilt_deg": tilts.tolist(),
         "distance_m": away.tolist(),
-        **({} if found.markers is None else {"markers": found.markers.tolist()}),
     }
-    output.saved(data, said, out, files, "Images to take", "stations.csv")
+    files = {"stations.csv": csv_text(robot.names, found.q)}
+    result = VerbResult(data, said, files, "Images to take", "stations.csv")
+    output.saved(result, f"{source.resolve().stem}_plan", arm_line(robot))
 
 
 def _solved(

@@ -22,25 +22,19 @@ if TYPE_CHECKING:
     from modcal_nodes.vision import ImageFolder
 
 
-def arm_of_file(
-    urdf: Path, base: str | None, tip: str | None, recorded: Collection[str]
+def described_arm(
+    urdf: Path | None, base: str | None, tip: str | None, recorded: Collection[str], recording: Recording | None = None
 ) -> tuple[Robot, tuple[str, ...]]:
-    """As arm_between, of a file."""
-    with about(str(urdf)):
-        return arm_between(urdf.read_text(encoding="utf-8", errors="replace"), base, tip, recorded)
-
-
-def arm_recorded(
-    recording: Recording, urdf: Path | None, base: str | None, tip: str | None
-) -> tuple[Robot, tuple[str, ...]]:
-    """As arm_between, of a recording, which holds the description where no file is given."""
-    recorded = frozenset(name for track in recording.joints for name in track.names)
+    """As :func:`arm_between`, of a file, or of the description in a recording where no file is given."""
     if urdf is not None:
-        return arm_of_file(urdf, base, tip, recorded)
-    if recording.robot_description is None:
-        raise BadRobot(recording.source, "holds no robot_description", "give --urdf, or record the topic")
-    with about(f"{recording.source}, robot_description"):
-        return arm_between(recording.robot_description, base, tip, recorded)
+        text, where = urdf.read_text(encoding="utf-8", errors="replace"), str(urdf)
+    elif recording is None or recording.robot_description is None:
+        source = "images" if recording is None else recording.source
+        raise BadRobot(source, "holds no robot_description", "give --urdf, or record the topic")
+    else:
+        text, where = recording.robot_description, f"{recording.source}, robot_description"
+    with about(where):
+        return arm_between(text, base, tip, recorded)
 
 
 def arm_between(
@@ -208,7 +202,7 @@ class CameraSource:
         joints, options = self.camera.joints, self.options
         assert joints is not None
         assert options.urdf is not None
-        robot, notes = arm_of_file(camera_urdf(options.urdf), options.base, options.tip, _columns(joints))
+        robot, notes = described_arm(camera_urdf(options.urdf), options.base, options.tip, _columns(joints))
         if images.is_dir():
             return robot, notes, {"": read_images(images, joints, robot.names, self.target, self.watch)}
         sizes = {name: lens.size for name, (lens, _) in self.lenses.items()}
@@ -222,7 +216,8 @@ class CameraSource:
         assert self.bag is not None
         assert self.recording is not None
         urdf = None if options.urdf is None else camera_urdf(options.urdf)
-        robot, notes = arm_recorded(self.recording, urdf, options.base, options.tip)
+        recorded = frozenset(name for track in self.recording.joints for name in track.names)
+        robot, notes = described_arm(urdf, options.base, options.tip, recorded, self.recording)
         size = self.lenses[""][0].size if "" in self.lenses else None
         topic = self.camera.image_topic
         found = read_bag_images(self.bag, self.recording, robot.names, self.target, topic, self.watch, size)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,12 @@ from typing import Any
 import click
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
-from rich.table import Table
+from rich.table import Table as RichTable
 from rich.text import Text
 
 from modcal_core.errors import plain
-from modcal_core.report import Summary, SummaryLine, Tone
+from modcal_core.report import Summary, SummaryLine, Tone, VerbResult
+from modcal_nodes.cli.options import WRITTEN
 from modcal_nodes.io import Watch, silent
 
 _WIDE = 160
@@ -54,7 +55,7 @@ STYLES: dict[Tone, str] = {
     "doubt": "yellow",
     "good": "bold green",
     "bad": "bold red",
-    "undecided": "bold yellow",
+    "warn": "bold yellow",
     "reason": "red",
 }
 
@@ -67,8 +68,8 @@ def show(blocks: Iterable[str | Summary], console: Console) -> None:
         elif isinstance(block, SummaryLine):
             console.print(block.text, style=STYLES[block.tone])
         else:
-            table = Table(box=None, header_style="bold", pad_edge=False)
-            for i, name in enumerate(block.header):
+            table = RichTable(box=None, header_style="bold", pad_edge=False)
+            for i, name in enumerate(block.top):
                 # a name stays whole, and no digit is left out, however narrow the terminal
                 table.add_column(name, justify="left" if i < block.words else "right", overflow="fold", no_wrap=i == 0)
             for row in block.rows:
@@ -83,10 +84,10 @@ def written(folder: Path, names: Iterable[str], what: str = "Report", first: str
 
 
 class Output:
-    """How one call of a verb speaks."""
+    """How one call of a verb speaks. out: where its results go, as it was given."""
 
-    def __init__(self, as_json: bool = False, verbose: bool = False) -> None:
-        self._as_json, self.verbose = as_json, verbose
+    def __init__(self, as_json: bool = False, verbose: bool = False, out: Path | None = None) -> None:
+        self._as_json, self.verbose, self.out = as_json, verbose, out
         self._out = console()
 
     def result(self, data: Any, blocks: Iterable[str | Summary], where: str = "") -> None:
@@ -100,20 +101,16 @@ class Output:
         if where:
             click.echo(plain(where))
 
-    def saved(
-        self,
-        data: Any,
-        blocks: Iterable[str | Summary],
-        folder: Path,
-        files: Mapping[str, str | bytes],
-        what: str = "Report",
-        first: str = "report.html",
-    ) -> None:
-        """Write files into a folder, and say the result and where it is. what, first: as ``written`` has them."""
+    def saved(self, result: VerbResult, folder: str | Path, *before: str) -> None:
+        """Write the files of a result, whole or not at all, and say it and where it is.
+
+        folder: where, unless ``--out`` names another. before: lines above the result.
+        """
         from modcal_core.files import write_folder
 
-        write_folder(folder, files)
-        self.result(data, blocks, written(folder, files, what, first))
+        out = self.out or Path(folder)
+        write_folder(out, result.files)
+        self.result(result.data, [*before, *result.said], written(out, result.files, result.what, result.first))
 
     @contextmanager
     def working(self) -> Iterator[Watch]:
@@ -174,3 +171,19 @@ def speaking(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(*arguments, output=Output(as_json, verbose), **options)
 
     return spoken
+
+
+def saving(text: str = "Folder of the results.") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """A decorator: as ``speaking``, and with ``--out``. text: its help."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @click.option("--out", type=WRITTEN, help=text)
+        @speaking
+        @functools.wraps(command)
+        def saved(*arguments: Any, out: Path | None, output: Output, **options: Any) -> Any:
+            output.out = out
+            return command(*arguments, output=output, **options)
+
+        return saved
+
+    return decorate

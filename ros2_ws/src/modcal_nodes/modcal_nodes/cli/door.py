@@ -52,9 +52,12 @@ def door_command(kind: str, seed: int, patience: float, domain: int | None, out:
 
 
 def _program() -> Path:
-    """The executable of the demonstration. Raises BadCommand where it is not installed."""
+    """The executable of the demonstration. Raises ModcalError where it, or what it speaks, is not installed."""
     from ament_index_python.packages import get_package_prefix  # only where ROS is
 
+    from modcal_nodes.ros import interface
+
+    interface("Pull")
     try:
         return Path(get_package_prefix("modcal_nodes"), "lib", "modcal_nodes", _NODE)
     except (LookupError, OSError) as error:

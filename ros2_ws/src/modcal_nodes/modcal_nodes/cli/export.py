@@ -51,6 +51,19 @@ _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can h
 
 
 @dataclass(frozen=True)
+class _Export:
+    """A text of an arm's kinematics. ending: of its file's name. left_out: what it cannot hold. off: how far poses are
+    off when it is read back [m].
+    """
+
+    chain: Chain
+    text: str
+    ending: str
+    left_out: Sequence[str] = ()
+    off: float | None = None
+
+
+@dataclass(frozen=True)
 class ExportOptions(ChainOptions):
     """What is asked of an export. to: one of the formats. which: model of a calibration."""
 
@@ -83,41 +96,45 @@ def export_command(source: Path, out: Path | None, output: Output, options: Expo
     <ros2_control> block of an arm whose controller can take nothing else. mount writes, as xacro does, the origin of
     the joint by which a camera is mounted, so that its --link is where the calibration found the camera.
     """
-    form, largest_offset, nearest, unit = options.to, options.largest_offset, options.nearest, options.unit
-    if not (0.0 < largest_offset < 1e9):
-        raise BadTable("--largest-offset", f"{largest_offset:g} m is not a valid distance", "give metres, such as 10")
-    if form in _OF_URDF:
-        output.result(*_written_origins(source, options, out))
-        return
-    if form == _OFFSETS:
-        output.result(*_written_offsets(source, out))
-        return
-    if form == _MOUNT:
-        output.result(*_written_mount(source, options.link, out))
-        return
+    if not (0.0 < options.largest_offset < 1e9):
+        said = f"{options.largest_offset:g} m is not a valid distance"
+        raise BadTable("--largest-offset", said, "give metres, such as 10")
+    if options.to in _OF_URDF:
+        made = _origins(source, options)
+    elif options.to == _OFFSETS:
+        made = _offsets(source)
+    elif options.to == _MOUNT:
+        made = _mount(source, options.link)
+    else:
+        made = _table(source, options, out)
+    out = out or Path(f"{source.resolve().stem}{made.ending}")
+    write_file(out, made.text)
+    output.result(*told(out, made.chain, made.off, made.left_out))
+
+
+def _table(source: Path, options: ExportOptions, out: Path | None) -> _Export:
+    """The arm as a table, or as a URDF without bodies. out: the file, where it is named."""
+    form, unit = options.to, options.unit
     chain, left_out = _read(source, options)
     if form == "urdf":
-        out = out or Path(f"{source.resolve().stem}_chain.urdf")
-        text, off = chain_urdf(chain), None
+        return _Export(chain, chain_urdf(chain), "_chain.urdf", left_out)
+    near = options.nearest and form != "cpc"
+    if near:
+        found = nearest_dh(chain, form, options.largest_offset)
+        table, left_out = found.table, (*left_out, _lost(found))
     else:
-        if nearest and form != "cpc":
-            found = nearest_dh(chain, form, largest_offset)
-            table, left_out = found.table, (*left_out, _lost(found))
-        else:
-            table = to_table(chain, form, largest_offset)
-        out = out or Path(f"{source.resolve().stem}_{form}.{'yaml' if unit == 'm rad' else 'csv'}")
-        notes = [f"left out: {note}" for note in left_out]
-        if out.suffix.lower() == ".csv":
-            text = to_csv(table, notes, unit)
-            again = from_csv(text, out.name)
-        elif unit != "m rad":
-            raise BadTable(f"--unit '{unit}'", "a YAML table is in m and rad", "give --out FILE.csv")
-        else:
-            text = "".join(f"# {note}\n" for note in notes) + to_yaml(table)
-            again = yaml.safe_load(text)
-        off = float(loss(chain if not nearest else from_table(table), again))
-    write_file(out, text)
-    output.result(*told(out, chain, off, left_out))
+        table = to_table(chain, form, options.largest_offset)
+    ending = ".yaml" if unit == "m rad" else ".csv"
+    notes = [f"left out: {note}" for note in left_out]
+    if (ending if out is None else out.suffix.lower()) == ".csv":
+        text = to_csv(table, notes, unit)
+        again = from_csv(text, "the table")
+    elif unit != "m rad":
+        raise BadTable(f"--unit '{unit}'", "a YAML table is in m and rad", "give --out FILE.csv")
+    else:
+        text = "".join(f"# {note}\n" for note in notes) + to_yaml(table)
+        again = yaml.safe_load(text)
+    return _Export(chain, text, f"_{form}{ending}", left_out, float(loss(from_table(table) if near else chain, again)))
 
 
 def told(out: Path, chain: Chain, off: float | None = None, left_out: Sequence[str] = ()) -> _Told:
@@ -158,8 +175,8 @@ def _lost(found: NearestTable) -> str:
     )
 
 
-def _written_origins(source: Path, options: ExportOptions, out: Path | None) -> _Told:
-    """Write the origins of a URDF's joints between base and tip, and say so."""
+def _origins(source: Path, options: ExportOptions) -> _Export:
+    """The origins of a URDF's joints between base and tip."""
     form, base, tip, factory = options.to, options.base, options.tip, options.factory_kinematics
     left_out: tuple[str, ...] = ()
     if source.is_dir():
@@ -181,19 +198,14 @@ def _written_origins(source: Path, options: ExportOptions, out: Path | None) -> 
     chain, origins = read_chain(text, base, tip), joint_origins(text)
     if form == "kinematics":
         written = kinematics_text(chain, origins, None if factory is None else read_yaml(factory))
-    else:
-        way = [name for segment in read_path(text, chain.base, chain.tip) for name in segment]
-        notes = [f"left out: {note}" for note in left_out]
-        written = xacro_origins({name: origins[name] for name in way}, notes)
-    out = out or Path(
-        f"{source.resolve().stem}_kinematics.yaml" if form == "kinematics" else f"{source.resolve().stem}.xacro"
-    )
-    write_file(out, written)
-    return told(out, chain, None, left_out)
+        return _Export(chain, written, "_kinematics.yaml", left_out)
+    way = [name for segment in read_path(text, chain.base, chain.tip) for name in segment]
+    notes = [f"left out: {note}" for note in left_out]
+    return _Export(chain, xacro_origins({name: origins[name] for name in way}, notes), ".xacro", left_out)
 
 
-def _written_offsets(source: Path, out: Path | None) -> _Told:
-    """Write the joint offsets of a calibration for ros2_control, and say so."""
+def _offsets(source: Path) -> _Export:
+    """The joint offsets of a calibration for ros2_control."""
     from modcal_core.outcome import offsets_of  # the fit's parameters, which tables do without
 
     calibration = read_calibration(source)
@@ -207,13 +219,11 @@ def _written_offsets(source: Path, out: Path | None) -> _Told:
     if open_ones := [name for name in chain.names if name not in offsets]:
         notes.append(f"offsets that base or tool take up: {', '.join(open_ones)}")
     said = ["Add these to offsets that are there already.", *(f"left out: {note}" for note in notes)]
-    out = out or Path(f"{source.resolve().stem}_{_OFFSETS}.xml")
-    write_file(out, ros2_control_offsets(offsets, said))
-    return told(out, chain, None, notes)
+    return _Export(chain, ros2_control_offsets(offsets, said), f"_{_OFFSETS}.xml", notes)
 
 
-def _written_mount(source: Path, link: str | None, out: Path | None) -> _Told:
-    """Write the origin of the joint by which a camera is mounted on the tip, or beside the arm, and say so."""
+def _mount(source: Path, link: str | None) -> _Export:
+    """The origin of the joint by which a camera is mounted on the tip, or beside the arm."""
     if link is None or not source.is_dir():
         raise BadTable(f"--to {_MOUNT}", "needs the folder of a calibration and the camera's link", "give --link LINK")
     model = read_calibration(source).calibrated
@@ -229,9 +239,7 @@ def _written_mount(source: Path, link: str | None, out: Path | None) -> _Told:
     T = model.T_tip_tool if above == chain.tip else se3.inverse(model.T_frame_base[0])
     for joint in reversed(behind):
         T = T @ se3.inverse(joint.T_parent_joint)
-    out = out or Path(f"{source.resolve().stem}_{_MOUNT}.xacro")
-    write_file(out, xacro_origins({mount.name: T}))
-    return told(out, chain)
+    return _Export(chain, xacro_origins({mount.name: T}), f"_{_MOUNT}.xacro")
 
 
 def _read(source: Path, options: ExportOptions) -> _Source:

@@ -14,22 +14,13 @@ import click
 from modcal_core.calibration import Calibration, fingerprint
 from modcal_core.checking import Values, series_of, values_of
 from modcal_core.errors import BadTable
-from modcal_core.files import read_json, to_json
+from modcal_core.files import read_json
 from modcal_core.measurements import require
 from modcal_core.outcome import offsets_of
-from modcal_core.report import (
-    History,
-    HistoryEntry,
-    Side,
-    compare,
-    comparison_data,
-    comparison_summary,
-    history_data,
-    history_summary,
-)
+from modcal_core.report import History, HistoryEntry, Side, compare, history_report
 from modcal_nodes.cli.certificate import UNMET
-from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.options import EXISTING, WRITTEN, Decimal
+from modcal_nodes.cli.console import Output, saving
+from modcal_nodes.cli.options import EXISTING, Decimal
 from modcal_nodes.io import SCHEMA
 
 _DATED = re.compile(r"(\d{4}-\d{2}-\d{2})")
@@ -38,9 +29,8 @@ _DEPTH = 3  # folders below the one that is given
 
 @click.command("history")
 @click.argument("folder", type=EXISTING)
-@click.option("--out", type=WRITTEN, help="Folder of history.json. Default: FOLDER.")
-@speaking
-def history_command(folder: Path, out: Path | None, output: Output) -> None:
+@saving("Folder of history.json. Default: FOLDER.")
+def history_command(folder: Path, output: Output) -> None:
     """Show how a robot changes over time, by all calibrations and checks below FOLDER.
 
     FOLDER holds what modcal calibrate and modcal check wrote, for each robot in a folder of its own. Joint zeros,
@@ -49,9 +39,7 @@ def history_command(folder: Path, out: Path | None, output: Output) -> None:
     with output.working() as watch:
         watch("reading")
         found = read_history(folder)
-    data = history_data(found)
-    files = {"history.json": to_json(data)}
-    output.saved(data, history_summary(found), out or folder, files, "History", "history.json")
+    output.saved(history_report(found), folder)
 
 
 def read_history(folder: Path) -> tuple[History, ...]:
@@ -150,9 +138,8 @@ def _json(path: Path) -> dict[str, Any] | None:
     "--tolerance-mm", type=Decimal(min=0.0, min_open=True), metavar="MM",
     help="How far the two may differ at the tool, 95th percentile; exit code 3 if it is more, or cannot be told.",
 )  # fmt: skip
-@click.option("--out", type=WRITTEN, help="Folder of comparison.json.")
-@speaking
-def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: Path | None, output: Output) -> int:
+@saving("Folder of comparison.json.")
+def compare_command(first: Path, second: Path, tolerance_mm: float | None, output: Output) -> int:
     """Compare two calibrations, or two reports: what differs between A and B, and whether it matters.
 
     A and B are folders of modcal calibrate or modcal evaluate, calibration.yaml files, or report.json files.
@@ -162,11 +149,8 @@ def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: 
         watch("comparing")
         sides = [_side(path, name) for path, name in zip((first, second), names, strict=True)]
         found = compare(sides[0], sides[1], tolerance_mm)
-    data = comparison_data(found)
-    out = out or Path(f"{first.resolve().stem}_{second.resolve().stem}_comparison")
-    files = {"comparison.json": to_json(data)}
-    output.saved(data, comparison_summary(found), out, files, "Comparison", "comparison.json")
-    judged = tolerance_mm is not None and found.result in ("beyond tolerance", "cannot tell")
+    output.saved(found, f"{first.resolve().stem}_{second.resolve().stem}_comparison")
+    judged = tolerance_mm is not None and found.data["result"] in ("beyond tolerance", "cannot tell")
     return UNMET if judged else 0
 
 

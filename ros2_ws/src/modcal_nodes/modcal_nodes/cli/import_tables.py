@@ -15,7 +15,7 @@ from modcal_core.errors import BadTable, ModcalError, about
 from modcal_core.files import read_yaml, to_json, write_file
 from modcal_core.measurements import IMPORTED, Recording, remedies_of
 from modcal_core.robot import Robot
-from modcal_core.robots import Chain, chain_urdf, document, from_table, from_ur_conf
+from modcal_core.robots import Chain, chain_urdf, from_table, from_ur_conf, parse
 from modcal_msgs_py import write_recording
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, json_schema, read_tables
 from modcal_nodes.cli.console import Output, speaking
@@ -73,9 +73,9 @@ def proposed(tables: Sequence[Path], urdf: Path, options: ImportOptions, output:
 def _bystanders(robot: Robot) -> dict[str, bool]:
     """Joints of the robot description that are not the arm's, each with whether it turns."""
     kinds = {"revolute": True, "continuous": True, "prismatic": False}
-    joints = document(robot.description or "").iter("joint")
-    found = {str(joint.get("name")): kinds[kind] for joint in joints if (kind := joint.get("type")) in kinds}
-    return {name: turns for name, turns in found.items() if name not in robot.chain.own_names}
+    joints = parse(robot.description or "").joints
+    own = robot.chain.own_names
+    return {joint.name: kinds[joint.kind] for joint in joints if joint.kind in kinds and joint.name not in own}
 
 
 _YAML = (".yaml", ".yml")
@@ -188,6 +188,8 @@ def _import(mapping: Path, options: ImportOptions, out: Path, output: Output) ->
     left_out = [note for note in recording.warnings if "left out" in note]
     found = {"bag": str(out), "stations": stations, "frames": frames, "left_out": left_out}
     line = f"{out}: {stations} stations, {len(frames)} frame{'s' * (len(frames) != 1)}; next: modcal calibrate {out}"
+    if not stations:
+        line = f"{out}: {sum(len(t.stamps) for t in recording.joints)} joint states; next: modcal articulate {out}"
     output.result(found, [*left_out, line])
 
 

@@ -11,7 +11,7 @@ import click
 
 from modcal_core.errors import ModcalError
 from modcal_core.measurements import Recording, inspect
-from modcal_core.report import Summary, SummaryLine, SummaryTable
+from modcal_core.report import Summary, SummaryLine, TableBlock
 from modcal_core.robot import Robot
 from modcal_msgs_py import Repair, read_recording, repair_bag
 from modcal_nodes.cli.console import Output, speaking
@@ -99,7 +99,7 @@ def _shown(data: dict[str, Any], most: int) -> list[str | Summary]:
     for track in data["topics"] if few else (track for track in data["topics"] if track not in signals):
         rate, gap = f"{track['rate']:.4g}", f"{track['largest_gap']:.3g} s"
         rows.append((track["topic"], track["what"], str(track["count"]), rate, gap))
-    out.append(SummaryTable(("topic", "what", "messages", "Hz", "largest gap"), tuple(rows), words=2))
+    out.append(TableBlock("", ("topic", "what", "messages", "Hz", "largest gap"), tuple(rows), words=2))
     if not few:
         topics = len({track["topic"] for track in signals})
         said = f"{len(signals)} numbers of {topics} other topics, on which errors may depend: all with --verbose"
@@ -143,6 +143,6 @@ def _saved(bag: Path, done: Repair) -> list[Summary]:
     count = sum(done.saved.values())
     if done.folder is None:
         return [SummaryLine(f"{bag} is whole ({count} messages): nothing to repair")]
-    table = SummaryTable(("topic", "messages saved"), tuple((topic, str(n)) for topic, n in done.saved.items()))
+    table = TableBlock("", ("topic", "messages saved"), tuple((topic, str(n)) for topic, n in done.saved.items()))
     reasons = [SummaryLine(reason, "doubt") for reason in done.reasons]
     return [*reasons, table, SummaryLine(f"{done.folder}: {count} messages saved", "good")]

@@ -13,7 +13,7 @@ from modcal_core.files import read_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
-from modcal_core.robots import Mechanism, delta_from_data, other_tips, read_chain
+from modcal_core.robots import Mechanism
 
 _OTHERS = 3  # tips that are named
 
@@ -33,27 +33,17 @@ def arm_line(robot: Robot) -> str:
     return chain_line(robot.base, robot.tip, robot.n, robot.other_tips)
 
 
-def file_line(path: Path, chain: Mechanism, tip: str | None = None) -> str:
-    """The same of an arm that was read from a file. tip: as it was given."""
-    of_urdf = tip is None and path.suffix not in (".yaml", ".yml")
-    others = other_tips(path.read_text(encoding="utf-8", errors="replace"), chain.base) if of_urdf else ()
-    return chain_line(chain.base, chain.tip, chain.n, others)
-
-
-def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> Mechanism:
+def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> Robot:
     """The robot in a file: a kinematic table or a Delta where its name ends in .yaml or .yml, else a URDF's arm."""
-    if path.suffix in (".yaml", ".yml"):
+    with about(str(path)):
+        if path.suffix not in (".yaml", ".yml"):
+            return Robot.from_urdf(path, base, tip)
         if base is not None or tip is not None:
             raise BadRobot(str(path), "is a table, which describes one whole arm", "leave out --base and --tip")
-        from modcal_core.robots import from_table  # few arms come as tables
-
         data = read_yaml(path)
-        if isinstance(data, Mapping) and "modcal_delta" in data:
-            return delta_from_data(data, str(path))
-        with about(str(path)):
-            return from_table(data)
-    with about(str(path)):
-        return read_chain(path.read_text(encoding="utf-8", errors="replace"), base, tip)
+        return (
+            Robot.from_delta(path) if isinstance(data, Mapping) and "modcal_delta" in data else Robot.from_table(data)
+        )
 
 
 def described(recording: Recording, delta: Path | None, urdf: Path | None, base: str | None, tip: str | None) -> Robot:

@@ -10,15 +10,15 @@ import click
 import numpy as np
 
 from modcal_core.errors import BadRecording, BadTable, about
-from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
-from modcal_core.measurements import Recording, joint_stamps_and, spread_rows
-from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_html, limits_summary
-from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
+from modcal_core.measurements import Recording, joints_by_time, spread_rows
+from modcal_core.report import LimitsFound, limits_report
+from modcal_core.robot import Robot
+from modcal_core.robots import Chain, JointPath, LoadedArm, Payload, random_postures
 from modcal_msgs_py import SUFFIXES, read_recording
-from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.inputs import arm_line, described, file_line, numbers_by_joint, whole_rows
-from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.cli.console import Output, saving
+from modcal_nodes.cli.inputs import arm_line, described, numbers_by_joint, read_stations, whole_rows
+from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, TopicOptions, option, repeated
 
 _MAX = 2000  # postures of a bag; of more, evenly chosen ones say the same
@@ -45,6 +45,7 @@ class LimitsOptions(ChainOptions, TopicOptions):
     )
     at: tuple[str, ...] = repeated("Position of a joint [rad; m]. Default: 0.", "JOINT=VALUE")
     velocity: tuple[str, ...] = repeated("Velocity of a joint [rad/s; m/s]. Default: 0.", "JOINT=VALUE")
+    path: Path | None = option("Postures to pass in their order (CSV, or plan.yaml): the fastest motion through them.")
     workspace: int | None = option("Number of random postures within the limits.", low=1)
     seed: int = option("Seed of those postures.", default=0, low=0)
     thorough: bool = option("Of a bag up to 20 000 postures, not 2 000.", default=False)
@@ -69,9 +70,8 @@ class LimitsOptions(ChainOptions, TopicOptions):
 @click.command("limits")
 @click.argument("source", type=EXISTING)
 @given(LimitsOptions)
-@click.option("--out", type=WRITTEN, help="Folder of limits.json, joint_limits.yaml and report.html.")
-@speaking
-def limits_command(source: Path, out: Path | None, output: Output, options: LimitsOptions) -> None:
+@saving("Folder of limits.json, joint_limits.yaml and report.html.")
+def limits_command(source: Path, output: Output, options: LimitsOptions) -> None:
     """Compute how fast each joint may accelerate within the torque of its drive.
 
     SOURCE is a URDF, for one posture (--at) or many (--workspace), or a bag, whose joint states are used.
@@ -82,41 +82,39 @@ def limits_command(source: Path, out: Path | None, output: Output, options: Limi
     """
     base, tip, topics = options.base, options.tip, options.topics
     recording = read_recording(source, topics=topics) if source.is_dir() or source.name.endswith(SUFFIXES) else None
-    if recording is not None and (options.at or options.velocity or options.workspace):
-        raise BadTable("--at, --velocity, --workspace", f"and the postures of {source}", "give a URDF with them")
+    if recording is not None and (options.at or options.velocity or options.workspace or options.path):
+        raise BadTable(
+            "--at, --velocity, --workspace, --path", f"and the postures of {source}", "give a URDF with them"
+        )
     if recording is not None:
         robot = described(recording, None, options.urdf, base, tip)
-        arm = LoadedArm.read(robot.description or "", robot.base, robot.tip)
-        said = arm_line(robot)
     else:
         with about(str(source)):
-            arm = LoadedArm.read(source.read_text(encoding="utf-8", errors="replace"), base, tip)
-        said = file_line(source, arm.chain, tip)
-    arm = options.loaded(arm)
+            robot = Robot.from_urdf(source, base, tip)
+    arm = options.loaded(LoadedArm.read(robot.description or "", robot.base, robot.tip))
     if recording is not None:
         q, v, notes = _recorded(arm, recording, _THOROUGH if options.thorough else _MAX)
     else:
         q, v = _motion(arm.chain, options)
         notes = ()
-    found = LimitsFound(arm, q, v, source.name)
+    found = LimitsFound(arm, q, v, source.name, None if options.path is None else JointPath.through(q))
     with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
-        data = {**limits_data(found), "notes": list(notes)}
-    show = [said, *limits_summary(found, tuple(notes))]
-    if out is None:
-        output.result(data, show)
+        report = limits_report(found, source.stem, notes)
+    if output.out is None:
+        output.result(report.data, [arm_line(robot), *report.said])
     else:
-        files = {
-            "limits.json": to_json(data),
-            "joint_limits.yaml": to_yaml(joint_limits(found)),
-            "report.html": limits_html(found, source.stem, tuple(notes)),
-        }
-        output.saved(data, show, out, files, "Limits", "limits.json")
+        output.saved(report, output.out, arm_line(robot))
 
 
 def _motion(chain: Chain, options: LimitsOptions) -> tuple[Array, Array]:
     """Positions and velocities (N, n) that are asked for."""
     at, workspace = options.at, options.workspace
+    if options.path is not None:
+        if at or workspace is not None:
+            raise BadTable("--path", "and --at or --workspace are ways to choose postures", "give one of them")
+        q = read_stations(options.path, chain)
+        return q, np.zeros_like(q)
     speeds = _column(chain, options.velocity, "--velocity", np.zeros(chain.n))
     if workspace is not None:
         if at:
@@ -135,8 +133,7 @@ def _motion(chain: Chain, options: LimitsOptions) -> tuple[Array, Array]:
 
 def _recorded(arm: LoadedArm, recording: Recording, most: int) -> tuple[Array, Array, tuple[str, ...]]:
     chain = arm.chain
-    _, q = joint_stamps_and(recording, chain.names, "position")
-    _, v = joint_stamps_and(recording, chain.names, "velocity")
+    _, q, v = joints_by_time(recording, chain.names, "velocity")
     whole = whole_rows(recording, chain.names, q)
     notes = list(recording.warnings)
     if not whole.all():

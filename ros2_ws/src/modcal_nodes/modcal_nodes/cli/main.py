@@ -19,46 +19,48 @@ import modcal_core
 from modcal_core.errors import ModcalError, plain
 from modcal_nodes.one_thread import limit_blas
 
-# Verb: (module, its command, what stands in the list). Only the verb that is asked for is imported: NumPy, SciPy and
-# the readers of bags take a second or two, which a request for help should not.
-VERBS = {
-    "calibrate": ("calibrate", "calibrate_command", "Identify the arm from BAG, and find what its model lacks."),
-    "fleet": ("fleet", "fleet_command", "Calibrate many recordings, and put the results in one table."),
-    "evaluate": ("calibrate", "evaluate_command", "Score a frozen CALIBRATION on another BAG."),
-    "check": ("check", "check_command", "Tell what has changed since CALIBRATION, from ten new stations."),
-    "history": ("history", "history_command", "Show what grows over a robot's calibrations and checks."),
-    "compare": ("history", "compare_command", "Compare two calibrations or reports: what differs, does it matter?"),
-    "sensitivity": ("sensitivity", "sensitivity_command", "Report which parameters of an arm matter most."),
-    "plan": ("plan", "plan_command", "Choose stations: for an accuracy, or to tell explanations apart."),
-    "measure": ("measure", "measure_command", "Measure station after station until an accuracy is proven."),
-    "simulate": ("simulate", "simulate_command", "Record a simulated cell with errors that its model lacks."),
-    "info": ("info", "info_command", "Show what is in BAG, what it can be used for, and what looks wrong."),
-    "limits": ("limits", "limits_command", "Compute how fast each joint may accelerate with this payload."),
-    "target": ("target", "target_command", "Write a board to print for calibrating with a camera."),
-    "import": ("import_tables", "import_command", "Convert CSV tables into a bag, or a kinematic table into a URDF."),
-    "export": ("export", "export_command", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
-    "repair": ("info", "repair_command", "Repair a truncated bag."),
-    "assemble": ("assemble", "assemble_command", "Build a robot description from a list of modules."),
-    "modules": ("assemble", "modules_command", "Learn the errors of physical modules over several assemblies."),
-    "synthesize": ("synthesize", "synthesize_command", "Find an assembly of modules for a task."),
-    "watch": ("watch", "watch_command", "Show the status of all nodes of a cell, live."),
-    "articulate": ("articulate", "articulate_command", "Identify how the handle in BAG moves, and write it as a URDF."),
-    "door": ("door", "door_command", "Open a simulated door or drawer with the nodes, and report."),
-    "examples": ("examples", "examples_command", "Copy the examples that the documentation uses into a folder."),
-    "completion": ("examples", "completion_command", "Print the script for completion in bash, zsh or fish."),
-}
-# The same in the order of work, as the list shows them
+# Verbs in the order of work: the module in which VERB_command is, and what stands in the list. Only the verb that is
+# asked for is imported: NumPy, SciPy and the readers of bags take a second or two, which a request for help should not.
 GROUPS = {
-    "Begin": ("examples",),
-    "Prepare a measurement": ("sensitivity", "plan", "target", "limits", "simulate"),
-    "Measure": ("measure",),
-    "Get and look at a recording": ("import", "info", "repair"),
-    "Calibrate": ("calibrate", "evaluate", "check", "history", "compare", "fleet"),
-    "Use the result": ("export", "watch"),
-    "Doors and drawers": ("articulate", "door"),
-    "Arms made of modules": ("synthesize", "assemble", "modules"),
-    "Shell": ("completion",),
+    "Begin": {"examples": ("examples", "Copy the examples that the documentation uses into a folder.")},
+    "Prepare a measurement": {
+        "sensitivity": ("sensitivity", "Report which parameters of an arm matter most."),
+        "plan": ("plan", "Choose stations: for an accuracy, or to tell explanations apart."),
+        "target": ("target", "Write a board to print for calibrating with a camera."),
+        "payload": ("payload", "Weigh what the arm carries by the torques of its joints at rest."),
+        "limits": ("limits", "Compute how fast each joint may accelerate with this payload."),
+        "simulate": ("simulate", "Record a simulated cell with errors that its model lacks."),
+    },
+    "Measure": {"measure": ("measure", "Measure station after station until an accuracy is proven.")},
+    "Get and look at a recording": {
+        "import": ("import_tables", "Convert CSV tables into a bag, or a kinematic table into a URDF."),
+        "info": ("info", "Show what is in BAG, what it can be used for, and what looks wrong."),
+        "repair": ("info", "Repair a truncated bag."),
+    },
+    "Calibrate": {
+        "calibrate": ("calibrate", "Identify the arm from BAG, and find what its model lacks."),
+        "evaluate": ("calibrate", "Score a frozen CALIBRATION on another BAG."),
+        "check": ("check", "Tell what has changed since CALIBRATION, from ten new stations."),
+        "history": ("history", "Show what grows over a robot's calibrations and checks."),
+        "compare": ("history", "Compare two calibrations or reports: what differs, does it matter?"),
+        "fleet": ("fleet", "Calibrate many recordings, and put the results in one table."),
+    },
+    "Use the result": {
+        "export": ("export", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
+        "watch": ("watch", "Show the status of all nodes of a cell, live."),
+    },
+    "Doors and drawers": {
+        "articulate": ("articulate", "Identify how the handle in BAG moves, and write it as a URDF."),
+        "door": ("door", "Open a simulated door or drawer with the nodes, and report."),
+    },
+    "Arms made of modules": {
+        "synthesize": ("synthesize", "Find an assembly of modules for a task."),
+        "assemble": ("assemble", "Build a robot description from a list of modules."),
+        "modules": ("assemble", "Learn the errors of physical modules over several assemblies."),
+    },
+    "Shell": {"completion": ("examples", "Print the script for completion in bash, zsh or fish.")},
 }
+VERBS = {verb: found for verbs in GROUPS.values() for verb, found in verbs.items()}
 
 
 class _Verbs(click.Group):
@@ -66,7 +68,7 @@ class _Verbs(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of the verbs, in the order of work."""
-        return [verb for verbs in GROUPS.values() for verb in verbs]
+        return list(VERBS)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -82,8 +84,7 @@ class _Verbs(click.Group):
         """The command of a verb, or None."""
         if cmd_name not in VERBS:
             return None
-        module, command, _ = VERBS[cmd_name]
-        found = getattr(import_module(f"modcal_nodes.cli.{module}"), command)
+        found = getattr(import_module(f"modcal_nodes.cli.{VERBS[cmd_name][0]}"), f"{cmd_name}_command")
         assert isinstance(found, click.Command)
         return found
 
@@ -92,13 +93,13 @@ class _Verbs(click.Group):
         wide = max(map(len, VERBS))
         for group, verbs in GROUPS.items():
             with formatter.section(group):
-                formatter.write_dl([(verb.ljust(wide), VERBS[verb][2]) for verb in verbs])
+                formatter.write_dl([(verb.ljust(wide), said) for verb, (_, said) in verbs.items()])
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """The verbs that begin so, and the options of ``modcal`` itself, none of them being imported."""
         verbs = [v for v in self.list_commands(ctx) if v.startswith(incomplete)]
         own = click.Command.shell_complete(self, ctx, incomplete)
-        return [*(CompletionItem(verb, help=VERBS[verb][2]) for verb in verbs), *own]
+        return [*(CompletionItem(verb, help=VERBS[verb][1]) for verb in verbs), *own]
 
 
 @click.group(

@@ -32,10 +32,9 @@ from modcal_core.planning import (
     text_of,
     with_table,
 )
-from modcal_core.robot import Robot
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, written
-from modcal_nodes.cli.inputs import arm_line
+from modcal_nodes.cli.inputs import arm_line, read_robot
 from modcal_nodes.cli.options import EXISTING, WRITTEN, given
 from modcal_nodes.cli.simulate import parameter
 from modcal_nodes.io import ChainOptions, Watch, opened, option, read_cell, repeated
@@ -122,7 +121,7 @@ def measure_command(robot: Path, output: Output, options: MeasureOptions) -> int
     if sum((folder is not None, options.simulated, replay is not None)) != 1:
         raise BadTable("modcal measure", "needs one of --by-hand, --simulated and --replay", "say who measures")
     goal = options.goal
-    arm = _read(robot, options.base, options.tip)
+    arm = read_robot(robot, options.base, options.tip)
     site = Site() if options.site is None else site_from_data(read_yaml(options.site), str(options.site))
     if site.carried and folder is None:
         raise BadTable(str(options.site), "has a camera on the tool", "measure by hand, or with station_runner")
@@ -160,15 +159,6 @@ def measure_command(robot: Path, output: Output, options: MeasureOptions) -> int
     where = written(place.path, files, "Result", "measure.json")
     output.result(data, [arm_line(arm), *_ended(advice)], where)
     return 0 if advice.outcome.ending == "proven" or goal.accuracy is None else UNMET
-
-
-def _read(robot: Path, base: str | None, tip: str | None) -> Robot:
-    if robot.suffix in (".yaml", ".yml"):
-        data = read_yaml(robot)
-        with about(str(robot)):
-            return Robot.from_delta(robot) if "modcal_delta" in data else Robot.from_table(robot)
-    with about(str(robot)):
-        return Robot.from_urdf(robot, base, tip)
 
 
 def _whole(place: Folder, kept: StoredSession, advisor: Advisor, measurer: Measurer, watch: Watch) -> Advice:

@@ -26,22 +26,15 @@ from modcal_core.planning import (
     site_from_data,
     undecided_by_posture,
 )
-from modcal_core.report import (
-    SummaryLine,
-    plan_sentences,
-    planning_html,
-    to_csv,
-    to_plan_data,
-    to_trajectory_data,
-)
+from modcal_core.report import VerbResult, plan_report
 from modcal_core.robots import Mechanism
-from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.inputs import file_line, read_robot, read_stations
-from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.cli.console import Output, saving
+from modcal_nodes.cli.inputs import arm_line, read_robot, read_stations
+from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, Options, option, read_calibration, repeated
 
 
-def decide(options: PlanOptions, report: Path, out: Path | None, site: Site | None, output: Output) -> None:
+def decide(options: PlanOptions, report: Path, site: Site | None, output: Output) -> None:
     """Propose the stations that tell explanations apart, say what they are worth, and write plan.yaml."""
     folder = report if report.is_dir() else report.parent
     calibration = read_calibration(folder)
@@ -61,12 +54,12 @@ def decide(options: PlanOptions, report: Path, out: Path | None, site: Site | No
         proposal = propose(calibration, i, j, share, rng, may)
         said.append(f"  {_worth(proposal)}")
         deciding += [proposal] if proposal.decides else []
-    data, show = _data(calibration, deciding), map(SummaryLine, said)
+    data = _data(calibration, deciding)
     if deciding:
-        out = out or folder.with_name(f"{folder.name}_plan")
-        output.saved(data, show, out, {"plan.yaml": to_yaml(data)}, "Stations", "plan.yaml")
+        result = VerbResult(data, said, {"plan.yaml": to_yaml(data)}, "Stations", "plan.yaml")
+        output.saved(result, folder.with_name(f"{folder.name}_plan"))
     else:
-        output.result(data, show)
+        output.result(data, said)
 
 
 def _worth(proposal: DecidingStations) -> str:
@@ -176,12 +169,11 @@ class PlanOptions(ChainOptions):
 @click.command("plan")
 @click.argument("robot", type=EXISTING, required=False)
 @given(PlanOptions)
-@click.option("--out", type=WRITTEN, help="Folder of plan.yaml.")
-@speaking
-def plan_command(robot: Path | None, out: Path | None, output: Output, options: PlanOptions) -> None:
+@saving("Folder of plan.yaml.")
+def plan_command(robot: Path | None, output: Output, options: PlanOptions) -> None:
     """Choose the best stations to calibrate ROBOT (a URDF, or a YAML table), or stations that separate explanations."""
     if any(one is not None for one in (options.camera, options.joints, options.target)):
-        _by_camera(robot, options, out, output)
+        _by_camera(robot, options, output)
         return
     site = None if options.site is None else site_from_data(read_yaml(options.site), str(options.site))
     if options.report is not None:
@@ -189,31 +181,23 @@ def plan_command(robot: Path | None, out: Path | None, output: Output, options: 
             raise BadTable(
                 "--decide", "cannot be combined with ROBOT or --accuracy-mm", "give REPORT alone: it holds the robot"
             )
-        decide(options, options.report, out, site, output)
+        decide(options, options.report, site, output)
         return
     if robot is None:
         raise BadTable("modcal plan", "is given neither a ROBOT nor --decide REPORT", "give one of them")
     if options.stations is not None and options.accuracy_mm is not None:
         raise BadTable("--stations", "cannot be combined with --accuracy-mm", "give one of them")
-    chain = read_robot(robot, options.base, options.tip)
-    request = options.request(chain)
+    arm = read_robot(robot, options.base, options.tip)
+    request = options.request(arm.mechanism)
     with output.working() as watch:
         watch("choosing stations")
-        found = plan(chain, site or Site(), request, np.random.default_rng(options.seed))
+        found = plan(arm.mechanism, site or Site(), request, np.random.default_rng(options.seed))
         watch("writing the plan")
-        data = to_plan_data(found)
-        files = {
-            "plan.yaml": to_yaml(data),
-            "stations.csv": to_csv(found),
-            "trajectory.yaml": to_yaml(to_trajectory_data(found, options.speed, options.dwell)),
-            "report.html": planning_html(found, robot.stem),
-        }
-    said = [file_line(robot, chain, options.tip), *plan_sentences(found)]
-    out = out or Path(f"{robot.stem}_plan")
-    output.saved(data, map(SummaryLine, said), out, files, "Stations", "plan.yaml")
+        report = plan_report(found, robot.stem, options.speed, options.dwell)
+    output.saved(report, f"{robot.stem}_plan", arm_line(arm))
 
 
-def _by_camera(robot: Path | None, asked: PlanOptions, out: Path | None, output: Output) -> None:
+def _by_camera(robot: Path | None, asked: PlanOptions, output: Output) -> None:
     from modcal_nodes.cli.camera import plan_next_images
     from modcal_nodes.cli.camera_input import CameraOptions
 
@@ -225,4 +209,4 @@ def _by_camera(robot: Path | None, asked: PlanOptions, out: Path | None, output:
         raise BadTable("--joints", "needs ROBOT", "give the URDF: a folder of images has none")
     images = CameraOptions(asked.camera, asked.joints, asked.target)
     arm = Options(robot, base=asked.base, tip=asked.tip, fixed=asked.fixed, geometry_only=True, seed=asked.seed)
-    plan_next_images(images, arm, asked.stations or _NEXT, out, output)
+    plan_next_images(images, arm, asked.stations or _NEXT, output)

@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from modcal_core.errors import BadTable, NotRepresentable
-from modcal_core.files import read_yaml, to_json
+from modcal_core.files import read_yaml
 from modcal_core.geometry import se3
 from modcal_core.planning import (
     ARMS,
@@ -24,11 +24,11 @@ from modcal_core.planning import (
     sizes_of,
     study,
 )
-from modcal_core.report import sensitivity_data, sensitivity_html, sensitivity_summary, single_csv
+from modcal_core.report import sensitivity_report
 from modcal_core.robots import Mechanism, is_serial_arm, vector
-from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.inputs import file_line, read_robot, read_stations
-from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.cli.console import Output, saving
+from modcal_nodes.cli.inputs import arm_line, read_robot, read_stations
+from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, option
 
 
@@ -86,26 +86,19 @@ class SensitivityOptions(ChainOptions):
 @click.command("sensitivity")
 @click.argument("robot", type=EXISTING)
 @given(SensitivityOptions)
-@click.option("--out", type=WRITTEN, help="Folder of the results.")
-@speaking
-def sensitivity_command(robot: Path, out: Path | None, output: Output, options: SensitivityOptions) -> None:
+@saving()
+def sensitivity_command(robot: Path, output: Output, options: SensitivityOptions) -> None:
     """Report which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
-    chain = read_robot(robot, options.base, options.tip)
-    closed = _closed_chain(chain, options.parameters, options.tool, options.reading)
+    arm = read_robot(robot, options.base, options.tip)
+    closed = _closed_chain(arm.mechanism, options.parameters, options.tool, options.reading)
     rng = np.random.default_rng(options.seed)
     studied = options.studied(closed, rng)
-    out = out or Path(f"{robot.stem}_sensitivity")
     with output.working() as watch:
         watch("moving each parameter")
         result = study(closed, studied, rng)
         watch("writing the report")
-        data = sensitivity_data(result)
-        files = {
-            "sensitivity.json": to_json(data),
-            "single_point.csv": single_csv(result),
-            "report.html": sensitivity_html(result, robot.stem),
-        }
-    output.saved(data, [file_line(robot, chain, options.tip), *sensitivity_summary(result)], out, files)
+        report = sensitivity_report(result, robot.stem)
+    output.saved(report, f"{robot.stem}_sensitivity", arm_line(arm))
 
 
 def _closed_chain(chain: Mechanism, parameters: str, tool: tuple[float, float, float], reading: str) -> ClosedChain:

@@ -22,9 +22,9 @@ from modcal_core.modules import (
     to_data,
     to_markdown,
 )
-from modcal_core.report import Summary, explained
-from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.options import EXISTING, WRITTEN, Whole
+from modcal_core.report import Summary, VerbResult, explained
+from modcal_nodes.cli.console import Output, saving
+from modcal_nodes.cli.options import EXISTING, Whole
 from modcal_nodes.io import read_library
 
 _COLUMNS = {
@@ -45,15 +45,13 @@ _PICTURES = 5  # of the ranking; the best gets one at each target
 @click.option("--seed", type=Whole(min=0), default=0, help="Seed of the search.")
 @click.option("--workers", type=Whole(min=1, max=256), help="Processes. Default: one per processor.")
 @click.option("--thorough", is_flag=True, help="Search longer for an assembly of lower cost.")
-@click.option("--out", type=WRITTEN, help="Folder of the results.")
-@speaking
+@saving()
 def synthesize_command(
     task_file: Path,
     library_file: Path | None,
     seed: int,
     workers: int | None,
     thorough: bool,
-    out: Path | None,
     output: Output,
 ) -> None:
     """Find the assembly of modules with the fewest joints that reaches the poses of TASK and meets its requirements."""
@@ -69,7 +67,7 @@ def synthesize_command(
         result = synthesize(task, library, seed, workers or len(os.sched_getaffinity(0)), heard)
     files = synthesis_files(result, library, library_file)
     shown = [sentence(result), *_table(result, library)]
-    output.saved(to_data(result, library), shown, out or Path(f"{task.name}_synthesis"), files, "Best", "best.yaml")
+    output.saved(VerbResult(to_data(result, library), shown, files, "Best", "best.yaml"), f"{task.name}_synthesis")
 
 
 def synthesis_files(result: Synthesis, library: Library, library_file: Path | None = None) -> dict[str, str]:

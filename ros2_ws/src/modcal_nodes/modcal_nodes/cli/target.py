@@ -146,10 +146,6 @@ def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, out
     write_file(path, to_yaml(data))
     x, y = (100.0 * (of - 1.0) for of in (scale.x, scale.y))
     said = [f"The sheet came out {x:+.2f} % along x and {y:+.2f} % along y."]
-    if scale.nominal:
-        said.append(
-            "These are the nominal lengths, which are also stated without a measurement: give --measured-to-mm, too."
-        )
-    elif scale.unsaid:
+    if scale.unsaid:
         said.append("Read both once more, and say how well with --measured-to-mm: all lengths rest on them.")
     output.result(data, said, f"Target: {path}")

@@ -5,9 +5,8 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.io.articulated import write_articulation
     from modcal_nodes.io.inputs import read_assembly, read_library
-    from modcal_nodes.io.inputs import of_cell, parse_calibration, read_calibration, read_cell, read_delta
+    from modcal_nodes.io.inputs import calibration_of, of_cell, read_calibration, read_cell, read_delta
     from modcal_nodes.io.inputs import read_particulars, read_topics, stated_from
     from modcal_nodes.io.options import ChainOptions, FrozenOptions, Options, SplitOptions, TopicOptions
     from modcal_nodes.io.options import Watch, option, repeated, silent
@@ -19,6 +18,6 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["SCHEMA", "ChainOptions", "FrozenOptions", "Options", "SplitOptions", "TopicOptions", "Watch"]
-__all__ += ["calibrate_bag", "of_calibrated", "of_cell", "opened", "option", "parse_calibration", "read_assembly"]
+__all__ += ["calibrate_bag", "calibration_of", "of_calibrated", "of_cell", "opened", "option", "read_assembly"]
 __all__ += ["read_calibration", "read_cell", "read_delta", "read_library", "read_particulars", "read_topics"]
-__all__ += ["repeated", "silent", "stated_from", "write_articulation"]
+__all__ += ["repeated", "silent", "stated_from"]

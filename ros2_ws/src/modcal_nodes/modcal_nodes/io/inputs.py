@@ -27,13 +27,13 @@ from modcal_core.calibration import (
     from_data,
 )
 from modcal_core.errors import BadTable
-from modcal_core.files import parse_yaml, read_yaml
+from modcal_core.files import read_yaml
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import Schema, require, shown, told
 from modcal_core.measurements.kinds import frame_on_plane
 from modcal_core.report import Particulars
 from modcal_core.robots import Delta, delta_from_data
-from modcal_msgs_py import Topics
+from modcal_msgs_py import Topics, calibration_data
 
 if TYPE_CHECKING:
     from modcal_core.modules import Assembly, Library
@@ -112,7 +112,6 @@ STATEMENTS = {
 }
 _MIN_STD = 1e-7  # m, deg; what is stated better is stated as fixed
 _MAX_KG, _FARTHEST_M = 5000.0, 10.0  # the heaviest arms carry less than they weigh, which is three tonnes
-_MAX_TEXT = 5_000_000  # characters of a calibration that is published
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
 _OF_CELL = re.compile("cell file|known distance|frame '.*', known in")  # what a cell file alone can state
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
@@ -129,11 +128,9 @@ def read_calibration(path: Path) -> Calibration:
     return Calibration.load(path)
 
 
-def parse_calibration(text: str, source: str) -> Calibration:
-    """The calibration in a text as calibration.yaml holds it; raises BadTable, naming the source."""
-    if len(text) > _MAX_TEXT:  # it is read in a callback
-        raise BadTable(source, f"has {len(text)} characters, {_MAX_TEXT} is the limit", "publish a calibration.yaml")
-    return from_data(parse_yaml(text, source), source)
+def calibration_of(message: Any, source: str) -> Calibration:
+    """The calibration in a message of modcal_interfaces; raises BadTable or BadCommand, naming the source."""
+    return from_data(calibration_data(message), source)
 
 
 def read_delta(path: Path) -> Delta:

@@ -66,7 +66,7 @@ class FrozenOptions(TopicOptions):
     repeatability_deg: float | None = option("Repeatability of the orientation, RMS.", above=0.0, metavar="DEG")
     instrument_mm: float | None = option("Error of the instrument, RMS over space.", above=0.0, metavar="MM")
     instrument_deg: float | None = option("Orientation error of the instrument, RMS.", above=0.0, metavar="DEG")
-    seed: int = option("Seed of the split.", default=0, low=0)
+    seed: int = option("Seed of the draw of stations that score.", default=0, low=0)
     clock_limit: float = option(
         "Largest offset between tracker and joint clocks that is corrected.", default=0.5, low=0.0, metavar="S"
     )

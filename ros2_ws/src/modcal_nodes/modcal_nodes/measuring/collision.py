@@ -11,21 +11,20 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
+from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry import Array
+from modcal_core.geometry import Array, so3
 from modcal_core.planning import Site
-from modcal_core.robots import document
+from modcal_core.robots import CollisionShape, Tree, collision_shapes, parse
 
 _ALWAYS = 0.9  # share of random postures from which a pair that touches is drawn touching
 _DRAWN = 200  # random postures for that
 _FAR = 50.0  # m; half of the floor's and larger than any arm
-_TURNING, _SLIDING = ("revolute", "continuous"), ("prismatic",)
+_KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,7 @@ class CollisionModel:
         files are not there.
         """
         self.names, self._margin = tuple(names), site.margin
-        tree = document(urdf)
-        self._xml = _mjcf(tree, site, folder)
+        self._xml = _mjcf(urdf, site, folder)
         self._load([])
         joints = [self._model.joint(name) for name in self.names]
         self._at = np.array([j.qposadr[0] for j in joints])
@@ -99,108 +97,74 @@ class CollisionModel:
 
 def has_shapes(urdf: str) -> bool:
     """Whether any link of a description has a collision shape."""
-    return any(link.find("collision/geometry") is not None for link in document(urdf).iter("link"))
+    return bool(collision_shapes(urdf))
 
 
-def _mjcf(tree: ET.Element, site: Site, folder: Path | None) -> str:
-    links = {str(e.get("name")): e for e in tree.findall("link")}
-    if not any(link.find("collision/geometry") is not None for link in links.values()):
-        raise BadRobot(
-            "robot_description", "has no collision shapes", "give one that has, or allow no_self_collision at your risk"
-        )
-    joints = tree.findall("joint")
-    children: dict[str, list[ET.Element]] = {}
-    for joint in joints:
-        children.setdefault(_link(joint, "parent"), []).append(joint)
-    below = {_link(joint, "child") for joint in joints}
-    root = next(name for name in links if name not in below)
+def _mjcf(urdf: str, site: Site, folder: Path | None) -> str:
+    tree, shapes = parse(urdf), collision_shapes(urdf)
+    if not shapes:
+        said = "has no collision shapes"
+        raise BadRobot("robot_description", said, "give one that has, or allow no_self_collision at your risk")
     xml = ET.Element("mujoco")
     ET.SubElement(xml, "compiler", angle="radian", autolimits="false")
-    assets = ET.SubElement(xml, "asset")
-    world = ET.SubElement(xml, "worldbody")
+    assets, world = ET.SubElement(xml, "asset"), ET.SubElement(xml, "worldbody")
     _surroundings(world, site)
-    meshes: dict[str, str] = {}
-    body = _body(world, root, np.zeros(3), Rotation.identity())
-    waiting = [(root, body)]
+    waiting = [(tree.root(), _body(world, tree.root(), np.eye(4)))]
     while waiting:
         name, body = waiting.pop()
-        for collision in links[name].findall("collision"):
-            _shape(body, collision, site.margin, assets, meshes, folder)
-        for joint in children.get(name, ()):
-            xyz, turn = _origin(joint)
-            child = _link(joint, "child")
-            inner = _body(body, child, xyz, turn)
-            kind = str(joint.get("type"))
-            if kind in _TURNING or kind in _SLIDING:
-                axis = _numbers(joint.find("axis"), "xyz", "1 0 0")
-                limit = joint.find("limit")
-                low, high = (float(limit.get(k, 0.0)) if limit is not None else 0.0 for k in ("lower", "upper"))
+        for shape in shapes.get(name, ()):
+            _geom(body, shape, site.margin, assets, folder)
+        for joint in tree.below[name]:
+            inner = _body(body, joint.child, joint.T_parent_joint)
+            if joint.kind in _KINDS:
+                low, high = np.nan_to_num([joint.lower, joint.upper], posinf=0.0, neginf=0.0)
                 ET.SubElement(
-                    inner, "joint", name=str(joint.get("name")), axis=_text(axis), limited="false",
-                    type="hinge" if kind in _TURNING else "slide", range=f"{low} {high}",
+                    inner, "joint", name=joint.name, axis=_text(joint.axis), limited="false", type=_KINDS[joint.kind],
+                    range=f"{low} {high}",
                 )  # fmt: skip
-            waiting.append((child, inner))
-    _leave_out_neighbours(xml, joints, links, root)
+            waiting.append((joint.child, inner))
+    _leave_out_neighbours(ET.SubElement(xml, "contact"), tree, shapes)
     return ET.tostring(xml, encoding="unicode")
 
 
-def _leave_out_neighbours(
-    xml: ET.Element, joints: Sequence[ET.Element], links: Mapping[str, object], root: str
-) -> None:
+def _leave_out_neighbours(contact: ET.Element, tree: Tree, shapes: Mapping[str, object]) -> None:
     """Links that meet at a joint, also over links that carry no shape of their own."""
-    contact = ET.SubElement(xml, "contact")
-    above = {_link(j, "child"): (_link(j, "parent"), str(j.get("type"))) for j in joints}
-    pairs = set()
-    for name in links:
-        parent, fixed = name, True
-        while parent in above and fixed:
-            parent, kind = above[parent]
-            fixed = kind == "fixed" or not _has_shape(links[parent])  # type: ignore[arg-type]
+    pairs = {("world", tree.root())}
+    for name in tree.links:
+        parent, near = name, True
+        while near and parent in tree.above:
+            joint = tree.above[parent]
+            parent = joint.parent
+            near = not joint.moves or parent not in shapes
             pairs.add((parent, name))
     for one, other in sorted(pairs):
         ET.SubElement(contact, "exclude", body1=one, body2=other)
-    ET.SubElement(contact, "exclude", body1="world", body2=root)
 
 
-def _has_shape(link: ET.Element) -> bool:
-    return link.find("collision/geometry") is not None
-
-
-def _body(parent: ET.Element, name: str, xyz: Array, turn: Rotation) -> ET.Element:
-    body = ET.SubElement(parent, "body", name=name, pos=_text(xyz), quat=_text(np.roll(turn.as_quat(), 1)))
+def _body(parent: ET.Element, name: str, T: Array) -> ET.Element:
+    body = ET.SubElement(parent, "body", {"name": name, **_place(T)})
     # MuJoCo wants a mass of whatever moves; nothing is made of it
     ET.SubElement(body, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
     return body
 
 
-def _shape(
-    body: ET.Element,
-    collision: ET.Element,
-    margin: float,
-    assets: ET.Element,
-    meshes: dict[str, str],
-    folder: Path | None,
-) -> None:
-    xyz, turn = _origin(collision)
-    geometry = collision.find("geometry")
-    if geometry is None or not len(geometry):
+def _geom(body: ET.Element, shape: CollisionShape, margin: float, assets: ET.Element, folder: Path | None) -> None:
+    sizes, kind, more = shape.sizes, shape.kind, dict[str, str]()
+    if kind == "box":
+        more["size"] = _text([0.5 * float(v) for v in sizes.get("size", "0 0 0").split()])
+    elif kind == "sphere":
+        more["size"] = sizes.get("radius", "0")
+    elif kind in ("cylinder", "capsule"):
+        more["size"] = f"{sizes.get('radius', 0)} {0.5 * float(sizes.get('length', 0.0))}"
+    elif kind == "mesh":
+        file, scale = str(_file(sizes.get("filename", ""), folder)), sizes.get("scale", "1 1 1")
+        known = next((a for a in assets if (a.get("file"), a.get("scale")) == (file, scale)), None)
+        if known is None:
+            known = ET.SubElement(assets, "mesh", name=f"mesh_{len(assets)}", file=file, scale=scale)
+        more["mesh"] = str(known.get("name"))
+    else:
         return
-    shape = geometry[0]
-    quat = _text(np.roll(turn.as_quat(), 1))
-    place: dict[str, Any] = {"pos": _text(xyz), "quat": quat, "margin": _text(np.array([margin]))}
-    if shape.tag == "box":
-        ET.SubElement(body, "geom", type="box", size=_text(0.5 * _numbers(shape, "size", "0 0 0")), attrib=place)
-    elif shape.tag == "sphere":
-        ET.SubElement(body, "geom", type="sphere", size=str(shape.get("radius")), attrib=place)
-    elif shape.tag in ("cylinder", "capsule"):
-        size = f"{shape.get('radius')} {0.5 * float(shape.get('length', 0.0))}"
-        ET.SubElement(body, "geom", type=shape.tag, size=size, attrib=place)
-    elif shape.tag == "mesh":
-        file = _file(str(shape.get("filename")), folder)
-        name = meshes.setdefault(f"{file} {shape.get('scale', '1 1 1')}", f"mesh_{len(meshes)}")
-        if assets.find(f"mesh[@name='{name}']") is None:
-            ET.SubElement(assets, "mesh", name=name, file=str(file), scale=str(shape.get("scale", "1 1 1")))
-        ET.SubElement(body, "geom", type="mesh", mesh=name, attrib=place)
+    ET.SubElement(body, "geom", {"type": kind, "margin": _text([margin]), **_place(shape.T_link_shape), **more})
 
 
 def _file(name: str, folder: Path | None) -> Path:
@@ -215,7 +179,7 @@ def _file(name: str, folder: Path | None) -> Path:
 
 
 def _surroundings(world: ET.Element, site: Site) -> None:
-    margin = _text(np.array([site.margin]))
+    margin = _text([site.margin])
     if site.floor is not None:
         ET.SubElement(world, "geom", type="plane", size=f"{_FAR} {_FAR} 1", pos=f"0 0 {site.floor}", margin=margin)
     for ball in site.obstacles:
@@ -225,19 +189,9 @@ def _surroundings(world: ET.Element, site: Site) -> None:
         ET.SubElement(world, "geom", type="box", size=_text(half), pos=_text(middle), margin=margin)
 
 
-def _origin(element: ET.Element) -> tuple[Array, Rotation]:
-    origin = element.find("origin")
-    return _numbers(origin, "xyz", "0 0 0"), Rotation.from_euler("xyz", _numbers(origin, "rpy", "0 0 0"))
+def _place(T: Array) -> dict[str, str]:
+    return {"pos": _text(T[:3, 3]), "quat": _text(np.roll(so3.to_quaternion(T[:3, :3]), 1))}
 
 
-def _numbers(element: ET.Element | None, key: str, default: str) -> Array:
-    return np.array([float(v) for v in (default if element is None else element.get(key, default)).split()])
-
-
-def _text(values: Array) -> str:
-    return " ".join(f"{v:.12g}" for v in np.atleast_1d(values))
-
-
-def _link(joint: ET.Element, which: str) -> str:
-    found = joint.find(which)
-    return "" if found is None else str(found.get("link"))
+def _text(values: ArrayLike) -> str:
+    return " ".join(f"{v:.12g}" for v in np.asarray(values))

@@ -16,7 +16,7 @@ from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POINT, POSE, Origin, Samples
 from modcal_core.outcome import readmitted_note
 from modcal_core.planning import PROOF, Advice, Goal, Session, Station, from_data, from_side, to_data, to_table
-from modcal_core.report import calibration_files, delta_files
+from modcal_core.report import calibration_files
 from modcal_core.robot import Robot
 from modcal_nodes.simulation import Plant
 
@@ -106,9 +106,7 @@ class Folder:
         made = refitted.calibration
         if report.claim is not None:
             made = replace(made, claim_mm=report.claim.mm["p95"].ci95[1])
-        if self.robot.description is None:
-            return delta_files(made, report)
-        return calibration_files(made, report, self.robot.chain, self.robot.description)
+        return calibration_files(made, report, self.robot.mechanism, self.robot.description)
 
 
 def outcome_data(advice: Advice, goal: Goal) -> dict[str, Any]:

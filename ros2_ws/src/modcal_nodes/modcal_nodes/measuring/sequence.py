@@ -434,6 +434,21 @@ class StationSequence:
     # what it knows
 
     @property
+    def running(self) -> bool:
+        """Whether it goes from station to station."""
+        return self._running
+
+    @property
+    def advice(self) -> Advice | None:
+        """What was chosen last, and how far the accuracy is proven."""
+        return self._advice
+
+    @property
+    def measured(self) -> int:
+        """Stations so far."""
+        return len(self._place.session.rows()) if self._place is not None else 0
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the joints, in the order of all postures; empty while the description is not known."""
         return () if self._place is None else tuple(self._place.robot.names)
@@ -445,7 +460,7 @@ class StationSequence:
         if self._advice is not None:
             status = self._advice.status
             facts |= {
-                "stations measured": len(self._place.session.rows()) if self._place is not None else 0,
+                "stations measured": self.measured,
                 "expected mm": "" if status.expected is None else f"{1e3 * status.expected:.4f}",
                 "proven mm": "" if status.bound is None else f"{1e3 * status.bound:.4f}",
                 "stations needed": "" if status.needed is None else status.needed,

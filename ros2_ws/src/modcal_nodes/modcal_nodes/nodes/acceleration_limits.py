@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -35,7 +34,7 @@ class AccelerationLimits(ros.GuardedNode):
         self._joints: JointInput | None = None
         self._names: frozenset[str] = frozenset()
         self._urdf, self._refusal = self._chosen["robot_description"], _NO_ROBOT_YET
-        self._last, self._count = -np.inf, 0  # stamp of the last bounds, and how many there were
+        self._last, self._count = 0, 0  # stamp [ns] of the last bounds, and how many there were
         self._refusals = ros.Refusals(self, lambda: self._health.publish_if_changed())
 
         self._upper = self.create_publisher(JointTrajectory, "~/upper", 10)
@@ -99,7 +98,7 @@ class AccelerationLimits(ros.GuardedNode):
 
     def _tick(self, _: object = None) -> None:
         arm, joints = self._arm, self._joints
-        if arm is None or joints is None or not joints.complete or (stamp := float(joints.stamps.min())) == self._last:
+        if arm is None or joints is None or not joints.complete or (stamp := joints.stamp) == self._last:
             return
         joints.require_fresh(self._now(), self._chosen["timeout_s"])
         lower, upper = arm.bounds(joints.position, joints.velocity, self._chosen["method"])

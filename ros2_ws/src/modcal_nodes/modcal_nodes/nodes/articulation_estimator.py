@@ -6,7 +6,6 @@ import time
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -23,9 +22,10 @@ from modcal_msgs_py import (
     fill_expected,
     fill_markers,
     fill_object_state,
+    fill_object_status,
+    nanoseconds,
     seconds,
     seen,
-    set_seconds,
     status_values,
     wrench_numbers,
 )
@@ -74,7 +74,8 @@ class ArticulationEstimator(ros.GuardedNode):
 
         self._description = self.create_publisher(String, "~/object_description", ros.LATCHED)
         self._object = self.create_publisher(JointState, "~/object_state", 10)
-        self._status = self.create_publisher(DiagnosticArray, "~/object_status", 10)
+        self._status_type = ros.interface("ObjectState")
+        self._status = self.create_publisher(self._status_type, "~/object_status", 10)
         self._expected = self.create_publisher(PoseStamped, "~/expected_pose", 10)
         self._axis = self.create_publisher(MarkerArray, "~/object_axis", 10)
         topic = chosen["input"]
@@ -108,6 +109,7 @@ class ArticulationEstimator(ros.GuardedNode):
         self._state: TrackerState | None = None
         self._told: JointModel | None = None
         self._told_at = self._last = -np.inf
+        self._exact = 0  # stamp of the pose that is followed [ns]
         self._order, self._heard = StampOrder(), time.monotonic()
         self._frame = ""
         self._turned: Array | None = None  # the gripper, when it was seen last
@@ -150,14 +152,15 @@ class ArticulationEstimator(ros.GuardedNode):
         if not self._joints.complete:
             return
         self._joints.require_fresh(now, self._chosen["timeout_s"])
-        stamp = float(self._joints.stamps.min())
-        if self._due(stamp, self._chain.base):
+        if self._due(float(self._joints.stamps.min()), self._chain.base):
             T = chain_forward(self._chain, self._joints.position)
-            self._follow(T[:3, 3], T[:3, :3], stamp, self._chain.base)
+            self._exact = self._joints.stamp
+            self._follow(T[:3, 3], T[:3, :3], float(self._joints.stamps.min()), self._chain.base)
 
     def _take_pose(self, message: Any) -> None:
         p, R, stamp = seen(message, self._chosen["input"])
         if self._due(stamp, message.header.frame_id):
+            self._exact = nanoseconds(message.header.stamp)
             self._follow(p, R, stamp, message.header.frame_id)
 
     def _take_wrench(self, message: WrenchStamped) -> None:
@@ -210,7 +213,7 @@ class ArticulationEstimator(ros.GuardedNode):
             self.get_logger().warning(f"{self._chosen['input']}, {state.written}")
         if state.event is not None or state.written != before:
             self._health.publish_if_changed()
-        self._publish_status(state, stamp)
+        self._status.publish(fill_object_status(self._status_type(), frame, self._exact, state))
         if state.model is None:
             return
         T = se3.transform(R if state.follows else None, p)
@@ -218,7 +221,7 @@ class ArticulationEstimator(ros.GuardedNode):
         assert self._told is not None
         a = float(self._told.configuration(T if R is not None and state.follows else p))
         self._ends = (min(self._ends[0], a), max(self._ends[1], a))
-        self._publish_state(self._told, a, stamp)
+        self._publish_state(self._told, a)
 
     def _tell_model(self, state: TrackerState, stamp: float) -> None:
         """Publish the model, when it says something else than the last one that was published."""
@@ -232,32 +235,19 @@ class ArticulationEstimator(ros.GuardedNode):
         text = describe(state.model, self._frame or "world", _HANDLE)
         self._description.publish(String(data=text))
 
-    def _publish_state(self, model: JointModel, a: float, stamp: float) -> None:
-        self._object.publish(fill_object_state(JointState(), self._frame, stamp, a))
+    def _publish_state(self, model: JointModel, a: float) -> None:
+        self._object.publish(fill_object_state(JointState(), self._frame, self._exact, a))
         length = max(model.length_per_unit, 1e-3)
         if abs(a - self._before) * length > 1e-3:  # which way the handle goes
             self._way, self._before = float(np.sign(a - self._before)), a
         ahead = self._chosen["lookahead_m"] / length
         T = model.pose(a + self._way * ahead) if model.moves else model.start
-        self._expected.publish(fill_expected(PoseStamped(), self._frame, stamp, T))
+        self._expected.publish(fill_expected(PoseStamped(), self._frame, self._exact, T))
         assert self._state is not None
         reach = (self._ends[0] - ahead, self._ends[1] + ahead)
         if self._axis.get_subscription_count():  # a picture that nobody looks at is not drawn
-            marks = fill_markers(MarkerArray(), Marker, self._frame, stamp, model, reach, self._state.trusted)
+            marks = fill_markers(MarkerArray(), Marker, self._frame, self._exact, model, reach, self._state.trusted)
             self._axis.publish(marks)
-
-    def _publish_status(self, state: TrackerState, stamp: float) -> None:
-        told = [KeyValue(key=key, value=value) for key, value in status_values(state).items()]
-        status = DiagnosticStatus(
-            level=ros.WARN if state.event or state.written else ros.OK,
-            name=f"{self.get_fully_qualified_name()}: object",
-            hardware_id="modcal",
-            message=_said(state),
-            values=told,
-        )
-        message = DiagnosticArray(status=[status])
-        set_seconds(message.header.stamp, stamp)
-        self._status.publish(message)
 
     def _report(self) -> list[ros.Status]:
         refused = self._refusals.recent()

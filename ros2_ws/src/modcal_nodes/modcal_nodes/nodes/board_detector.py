@@ -13,7 +13,7 @@ from std_msgs.msg import String
 
 from modcal_core.camera import BoardView, Lens, read_target
 from modcal_core.errors import BadTable, ModcalError
-from modcal_msgs_py import fill_corners, fill_pose, lens_data, raw_image
+from modcal_msgs_py import fill_corners, fill_pose, lens_data, nanoseconds, raw_image
 from modcal_nodes import ros
 from modcal_nodes.vision import Coach, annotated, board_pose, detect, grey_of, lens_from_data
 
@@ -82,7 +82,10 @@ class BoardDetector(ros.GuardedNode):
         if view is not None:
             view = BoardView(view.name, view.ids, view.pixels, view.cov, view.sharpness, image.stamp)
             self._found += 1
-            self._corners.publish(fill_corners(PointCloud2(), PointField, view, size, image.frame))
+            corners = fill_corners(PointCloud2(), PointField, view, size, image.frame)
+            if nanoseconds(message.header.stamp):
+                corners.header.stamp = message.header.stamp
+            self._corners.publish(corners)
             if lens is not None:
                 self._publish_pose(view, lens, message)
         said = self._coach.image(view, f"{found.reason}: {found.remedy}")

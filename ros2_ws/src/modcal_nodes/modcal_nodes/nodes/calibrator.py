@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from modcal_core.calibration import to_data
 from modcal_core.errors import BadRobot, ModcalError
 from modcal_core.files import write_folder
 from modcal_core.measurements import Dropped, Samples
@@ -71,12 +73,11 @@ class Calibrator(ros.GuardedNode):
         self._commands = calibrating.CommandSubscription(self, self._intake.command)
         self._health = ros.Health(self, self._statuses)
         self._worker = calibrating.SolveWorker(self.get_logger().error)
-        self._check = calibrating.CheckService(self, self._worker, self._outputs.check)
-        self._waiting: Future | None = None
-        self._solve_next = False
+        self._check = calibrating.CheckService(self, self._worker, self._outputs, self._begin_check)
+        self._solve = ros.Action(self, "Solve", self._begin_solve, self._cancel_solve, self._progress)
+        self._solve_next, self._begun = False, 0.0
         # a group of its own: while a solve is awaited, its group takes no other callback
         self.create_service(Trigger, "~/solve", self._on_solve, callback_group=ReentrantCallbackGroup())
-        self.create_service(Trigger, "~/check", self._on_check, callback_group=ReentrantCallbackGroup())
         self.create_service(Trigger, "~/accept", self._on_accept)
         self.create_service(Trigger, "~/save", self._on_save)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -97,6 +98,7 @@ class Calibrator(ros.GuardedNode):
         """Go on with the model that was saved, once it is known that this is its arm."""
         if not self._arm.recognise(self._buffer.joint_names()) or self._arm.chain is None:
             return
+        self._outputs.base = self._arm.chain.base
         if self._camera is not None:
             self._camera.restore(self._arm, self._buffer, self._worker)
         restored, self._restored = self._restored, None
@@ -119,7 +121,7 @@ class Calibrator(ros.GuardedNode):
         if is_serial_arm(chain):
             corrected = calibrated_urdf(self._arm.description, chain, restored.calibration.geometric.serial)
             self._files = {**self._files, "calibrated.urdf": corrected}
-        self._outputs.model(self._files)
+        self._outputs.model(self._files, to_data(restored.calibration))
         self._broadcast()
         self._verdict = "continuing with the saved model"
         self._standing = calibrating.standing_of_json(self._files.get("report.json"))
@@ -151,9 +153,19 @@ class Calibrator(ros.GuardedNode):
         if refusal:
             response.success, response.message = False, refusal
             return response
-        self._waiting = Future(executor=self.executor)
-        response.success, response.message = await self._waiting
+        result = await self._solve.ended()
+        response.success, response.message = result.outcome == ros.DONE, result.message
         return response
+
+    def _cancel_solve(self) -> None:
+        if self._worker.doing == _SOLVE:
+            self._worker.drop()
+        self._solve_next = False
+        self._answer(False, "cancelled")
+
+    def _progress(self, feedback: Any) -> None:
+        feedback.phase = "waiting" if self._solve_next else "solving"
+        feedback.elapsed_s = time.monotonic() - self._begun
 
     def _begin_solve(self) -> str:
         if self._solve_next or self._worker.doing == _SOLVE:
@@ -161,6 +173,8 @@ class Calibrator(ros.GuardedNode):
         self._recognise()
         if self._arm.chain is None:
             return self._lacks()
+        if not self._solve_next:
+            self._begun = time.monotonic()
         if self._worker.doing:  # something else is in the worker, which takes a moment
             self._solve_next = True
             return ""
@@ -182,23 +196,16 @@ class Calibrator(ros.GuardedNode):
         self._worker.give(_SOLVE, calibrating.solve, job, self._arm.description, page, finish=done, fail=fail)
         return ""
 
-    async def _on_check(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Say what has changed since the trusted model was made, by the newest stations; answer when known."""
-        trusted, chain = self._supervisor.trusted, self._arm.chain
-        refusal = "no model is trusted yet: solve and accept one, or set the parameter state" if trusted is None else ""
-        refusal = refusal or ("" if chain is not None else self._lacks())
-        if refusal or self._check.busy:
-            response.success, response.message = False, refusal or f"busy with {self._check.busy}: ask again"
-            return response
-        response.success, response.message = await self._check.answered(
-            self._buffer.collected(),
-            chain,
-            trusted,
-            self._chosen["clock_limit_s"],
-            self._chosen["check_stations"],
-            self._supervisor.changed,
-        )
-        return response
+    def _begin_check(self) -> str:
+        """Ask the worker what has changed since the trusted model was made; returns why it cannot, or nothing."""
+        trusted, chain, chosen = self._supervisor.trusted, self._arm.chain, self._chosen
+        if trusted is None:
+            return "no model is trusted yet: solve and accept one, or set the parameter state"
+        if chain is None:
+            return self._lacks()
+        since = self._supervisor.changed
+        heard = self._buffer.collected()
+        return self._check.begin(heard, chain, trusted, chosen["clock_limit_s"], chosen["check_stations"], since)
 
     def _answer_camera(self, success: bool, message: str) -> None:
         self._verdict = message
@@ -256,15 +263,14 @@ class Calibrator(ros.GuardedNode):
         self.get_logger().info(self._verdict)
         if self._chosen["out"]:
             self.get_logger().info(f"written to {self._chosen['out']}: {', '.join(sorted(solved.files))}")
-        self._answer(True, self._verdict)
+        self._answer(True, self._verdict, solved.files["report.json"])
 
-    def _answer(self, success: bool, message: str) -> None:
+    def _answer(self, success: bool, message: str, report: str = "") -> None:
         if not success:
             self._verdict = message
             self._supervisor.failed()
-        if self._waiting is not None:
-            waiting, self._waiting = self._waiting, None
-            waiting.set_result((success, message))
+        found = {"verdict": self._outputs.verdict(report)} if report else {}
+        self._solve.end(ros.DONE if success else ros.FAILED, message, **found)
         self._health.publish()
 
     def _on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -282,7 +288,7 @@ class Calibrator(ros.GuardedNode):
         self._files, self._candidate, self._standing = solved.files, None, solved.standing
         self._said = None
         self._expect_frames()
-        self._outputs.model(solved.files)
+        self._outputs.model(solved.files, to_data(solved.calibration))
         self._broadcast()
         self._outputs.no_change()
         self._folder.keep(solved.calibration, solved.files)

@@ -26,9 +26,9 @@ from modcal_core.correction import (
 from modcal_core.errors import BadCommand, BadTable, ModcalError
 from modcal_core.measurements import Approach
 from modcal_core.robots import followers_of
-from modcal_msgs_py import JointInput, SignalsHeard, desired_pose, fill_pose, require_new, set_seconds
+from modcal_msgs_py import JointInput, SignalsHeard, desired_pose, fill_pose, require_new, set_nanoseconds, set_seconds
 from modcal_nodes import ros
-from modcal_nodes.io import parse_calibration, read_calibration, read_delta
+from modcal_nodes.io import calibration_of, read_calibration, read_delta
 
 # The newest is all that counts: a queue would only make it old.
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
@@ -46,7 +46,7 @@ class Corrector(ros.GuardedNode):
         self._commander = Commander(_settings(self._chosen))
         ros.follow(self, ros.CORRECTOR, self._chosen, _settings, self._take_parameters)
         self._calibration: Calibration | None = None
-        self._text = ""
+        self._heard: Any = None  # the last message of a calibration
         self._refusal = _NOTHING_YET
         self._urdf = self._chosen["robot_description"]
         self._delta = read_delta(Path(self._chosen["delta"])) if self._chosen["delta"] else None
@@ -80,7 +80,9 @@ class Corrector(ros.GuardedNode):
                 self, PoseStamped, "desired_pose", guarded("desired_pose", self._take_desired), _NEWEST, single=True
             ),
             ros.MonitoredSubscription(self, String, "robot_description", self._take_description, ros.LATCHED),
-            ros.MonitoredSubscription(self, String, "calibration", self._take_calibration, ros.LATCHED),
+            ros.MonitoredSubscription(
+                self, ros.interface("Calibration"), "calibration", self._take_calibration, ros.LATCHED
+            ),
         ]
         if self._chosen["calibration"]:
             self._calibration = read_calibration(Path(self._chosen["calibration"]))
@@ -96,12 +98,12 @@ class Corrector(ros.GuardedNode):
             self._urdf = message.data
             self._meet()
 
-    def _take_calibration(self, message: String) -> None:
-        if self._chosen["calibration"] or message.data == self._text:
+    def _take_calibration(self, message: Any) -> None:
+        if self._chosen["calibration"] or message == self._heard:
             return
-        self._text = message.data
+        self._heard = message
         try:
-            self._calibration = parse_calibration(message.data, "topic calibration")
+            self._calibration = calibration_of(message, "topic calibration")
         except ModcalError as error:
             # the one in use was made for this robot, and stays
             self._refusals.refuse("calibration", str(error))
@@ -111,7 +113,7 @@ class Corrector(ros.GuardedNode):
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Forget the calibration and the stream; read the file again, if one was named."""
-        self._calibration, self._text = None, ""
+        self._calibration, self._heard = None, None
         self._drop("reset, and no calibration since")
         try:
             if self._chosen["calibration"]:
@@ -188,13 +190,12 @@ class Corrector(ros.GuardedNode):
         correction.require(at)
         T, C, q = correction.corrected(at, target)
         finite(T, C, q)
-        stamp = float(joints.stamps.min())
         pose = PoseWithCovarianceStamped()
         pose.header.frame_id = correction.chain.base
-        set_seconds(pose.header.stamp, stamp)
+        set_nanoseconds(pose.header.stamp, joints.stamp)
         fill_pose(pose.pose, T, C)
         states = JointState(name=list(joints.names), position=q.tolist(), velocity=at.velocity.tolist())
-        set_seconds(states.header.stamp, stamp)
+        states.header.stamp = pose.header.stamp
         self._pose.publish(pose)
         if self._tf is not None:
             tip = T if target == "tip" else correction.pose(at.q, at, "tip")

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 from ament_index_python.packages import get_package_share_directory
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
+from rclpy.action import ActionClient
 from rclpy.clock import Clock, ClockType
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadCommand, BadTable
 from modcal_nodes import ros
@@ -38,14 +38,12 @@ class DoorDemo(ros.GuardedNode):
         self._opened, self._pulls, self._over = 0.0, False, False
         self._record = PullRecord()
         self._begun = self._asked = time.monotonic()
-        self._answer = None
-        self._pull = self.create_client(Trigger, "impedance_setpoint/pull")
+        self._type = ros.interface("Pull")
+        self._pull = ActionClient(self, self._type, "impedance_setpoint/pull")
         self.create_subscription(JointState, "simulated_furniture/object_truth", self._hear_truth, 10)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
         self.create_subscription(WrenchStamped, "simulated_furniture/contact_force", self._hear_force, 10)
         self.create_subscription(String, "robot_description", lambda m: self._record.describe(m.data), ros.LATCHED)
         self.create_subscription(JointState, "joint_states", self._hear_joints, ros.FRESH)
-        self._setpoint = f"{self.get_namespace().rstrip('/')}/impedance_setpoint: pull"
         self._children = self._start() if self._chosen["start"] else []
         ros.Health(
             self, lambda: [ros.Status("demo", ros.OK, "pulls" if self._pulls else "waiting for the pull to begin")]
@@ -86,18 +84,9 @@ class DoorDemo(ros.GuardedNode):
         self._record.feel(np.array([force.x, force.y, force.z]))
 
     def _hear_joints(self, message: JointState) -> None:
-        if not self._over:  # before the pull is heard of as well: diagnostics come once a second
+        if not self._over:
             stamp = message.header.stamp
             self._record.take(list(message.name), list(message.position), stamp.sec + 1e-9 * stamp.nanosec)
-
-    def _hear_health(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name == self._setpoint:
-                phase = next((pair.value for pair in status.values if pair.key == "phase"), "")
-                if self._pulls and not phase and status.message not in ("ready", "tare"):
-                    self._over = True
-                    self._said, self._went_well = status.message, status.level == DiagnosticStatus.OK
-                self._pulls = self._pulls or bool(phase)
 
     def _look(self) -> None:
         if self._over:
@@ -119,10 +108,20 @@ class DoorDemo(ros.GuardedNode):
             )
         if any(child.poll() is not None for child in self._children):
             raise ros.NodeEnds(BadCommand("door_demo", "one of its nodes has ended", "check its output"))
-        ready = self._record.begun and self._pull.service_is_ready()
+        ready = self._record.begun and self._pull.server_is_ready()
         if ready and not self._pulls and now - self._asked > _AGAIN:
-            self._asked = now
-            self._pull.call_async(Trigger.Request())  # refused until everything has been heard
+            self._asked, self._pulls = now, True
+            self._pull.send_goal_async(self._type.Goal()).add_done_callback(self._sent)
+
+    def _sent(self, sent: Future) -> None:
+        sent.result().get_result_async().add_done_callback(self._ended)
+
+    def _ended(self, got: Future) -> None:
+        result = got.result().result
+        if result.outcome == ros.REFUSED:  # until everything has been heard
+            self._pulls = False
+        else:
+            self._over, self._said, self._went_well = True, result.message, result.outcome == ros.DONE
 
     def _learned(self, outcome: str) -> tuple[str, ...]:
         """How it ended, and what was learned of the object, which a folder is left with where one is named."""

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from lifecycle_msgs.srv import ChangeState
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -56,7 +55,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         self._operation: Operation | None = None
         self._said = "nothing was pulled yet"
         self._level = ros.OK
-        self._judged_by, self._efforts = "", JointEfforts(None)
+        self._judged_by, self._largest, self._efforts = "", 0.0, JointEfforts(None)
         self._inputs: list[ros.MonitoredSubscription] = []
         self._outputs: SetpointPublishers | None = None
         self._timer: Timer | None = None
@@ -69,6 +68,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         changes = self._service_change_state
         self._change_state = changes.callback.callback  # without its guard: what is illegal is no fault
         changes.callback = self.guarded_service("change_state", self._transit)
+        self._action = ros.Action(self, "Pull", self._begin_pull, partial(self._let_go, "cancelled"), self._progress)
         self.create_service(Trigger, "~/pull", self._pull)
         self.create_service(Trigger, "~/stop", self._stop)
         self._auto: Timer | None = self.create_timer(0.0, self._start_itself) if self._chosen["autostart"] else None
@@ -133,7 +133,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
             (WrenchStamped, "wrench", self._take_wrench, ros.FRESH, True),
             (String, "robot_description", self._take_description, ros.LATCHED, not self._chosen["robot_description"]),
             (String, "object_description", self._object.hear_description, ros.LATCHED, False),
-            (DiagnosticArray, "object_status", lambda m: self._object.hear_status(m, self._now()), ros.FRESH, False),
+            (ros.interface("ObjectState"), "object_status", self._take_object, ros.FRESH, False),
             (PoseWithCovarianceStamped, "tool_pose", self._take_tool, ros.FRESH, self._chosen["calibrated"]),
         ]
         hear, guarded = partial(ros.MonitoredSubscription, self, replaced=ros.always), self._refusals.guarded
@@ -222,15 +222,26 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         self._arm = None
 
     def _pull(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        refusal = self._begin_pull()
+        response.success, response.message = not refusal, refusal or "weighing the tool, then pulling"
+        return response
+
+    def _begin_pull(self) -> str:
+        """Begin to pull; returns why not, or nothing."""
+        refusal = ""
         try:
             self._begin()
-            response.success, response.message = True, "weighing the tool, then pulling"
         except ModcalError as error:
             # what is refused message by message counts as silence; the refusal says why
-            said = self._refusals.standing(error.offender)
-            response.success, response.message = False, said or str(error)
+            refusal = self._refusals.standing(error.offender) or str(error)
         self._health.publish()
-        return response
+        return refusal
+
+    def _progress(self, feedback: Any) -> None:
+        if self._operation is not None:
+            feedback.phase, feedback.message = self._operation.phase, self._said
+            feedback.force_n = float(np.linalg.norm(self._operation.force[:3]))
+            feedback.trusted = self._object.at(self._now()).trusted
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Let go of what is pulled, and pull no more; answered when that is done."""
@@ -254,7 +265,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         self._efforts = JointEfforts.of(arm.arm.urdf, arm.chain)
         known = limits(arm.chain, self._chosen), softness.least, self._efforts.arm
         self._operation = Operation(arm.chain, task(self._chosen), *known)
-        self._judged_by = softness.said
+        self._judged_by, self._largest = softness.said, 0.0
         if softness.unknown:
             self.get_logger().warning(f"a force that the sensor does not tell is judged by {softness.said}")
         self._tell(ros.OK, "tare")
@@ -289,6 +300,9 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         if self._arm is not None:
             self._arm.take_wrench(message, self._now())
 
+    def _take_object(self, message: Any) -> None:
+        self._object.hear_status(message, self._now())
+
     def _take_tool(self, message: PoseWithCovarianceStamped) -> None:
         if self._arm is not None:
             self._arm.take_tool(message)
@@ -314,6 +328,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         except ModcalError as error:
             stamp, T = -np.inf, np.eye(4)  # too old for anything, which the operation waits for
             self._refusals.refuse("tool_pose", str(error))
+        self._largest = max(self._largest, float(np.linalg.norm(operation.force[:3])))
         answer = operation.tick(now, T, arm.sensor, arm.positions(stamp), self._object.at(now))
         if isinstance(answer, ArmSetpoint):
             self._send(answer, arm.chain.tip, now)
@@ -332,6 +347,8 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
     def _finish(self, stop: Stop) -> None:
         self._operation = None
         self._tell(ros.OK if stop.done else ros.ERROR, stop.why)
+        ended = ros.DONE if stop.done else ros.FAILED
+        self._action.end(ended, stop.why, opened=float(stop.opened), largest_force_n=self._largest)
         self._health.publish()
 
     def _tell(self, level: bytes, said: str) -> None:

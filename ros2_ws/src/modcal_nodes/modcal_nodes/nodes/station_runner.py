@@ -21,6 +21,7 @@ from modcal_msgs_py import seconds, set_seconds
 from modcal_nodes import ros
 from modcal_nodes.measuring import StationSequence
 
+_NOT_REACHED = 5  # outcome of Measure: it has ended, and the accuracy is not proven
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)  # a simulated time that stands must not keep an arm from being held
 
 
@@ -39,6 +40,7 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
         self._health = ros.Health(self, self._report)
         ros.follow(self, ros.STATION_RUNNER, self._chosen)
         self.create_service(Trigger, "~/dry_run", self._show_dry_run)
+        self._action = ros.Action(self, "Measure", self._begin, self._cancel, self._progress)
         self.create_service(Trigger, "~/start", self._start)
         self.create_service(Trigger, "~/stop", self._stop)
         self._auto: Timer | None = self.create_timer(0.0, self._begin_itself, clock=_STEADY)
@@ -101,6 +103,7 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
 
     def _rest(self, why: str) -> None:
         self._sequence.rest(why)
+        self._see_end()
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
@@ -111,12 +114,37 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
         return response
 
     def _start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        refusal = self._begin()
+        response.success, response.message = not refusal, refusal or "measuring"
+        return response
+
+    def _begin(self) -> str:
+        """Begin, or go on; returns why not, or nothing."""
         try:
             self._sequence.start(self._said)
-            response.success, response.message = True, "measuring"
         except ModcalError as error:
-            response.message = str(error)
-        return response
+            return str(error)
+        return ""
+
+    def _cancel(self) -> None:
+        self._sequence.stop()
+        self._see_end()
+
+    def _progress(self, feedback: Any) -> None:
+        feedback.phase, feedback.message = str(self._sequence.facts["phase"]), self._said
+        feedback.stations = self._sequence.measured
+        if (advice := self._sequence.advice) is not None:
+            feedback.expected_m, feedback.proven_m = _known(advice.status.expected), _known(advice.status.bound)
+
+    def _see_end(self) -> None:
+        """Say how it has ended, once it goes to stations no more."""
+        if self._sequence.running:
+            return
+        advice, ended = self._sequence.advice, ros.FAILED
+        if advice is not None and advice.outcome is not None:
+            ended = ros.DONE if advice.outcome.ending == "proven" or self._chosen["goal_mm"] == 0.0 else _NOT_REACHED
+        proven = _known(None if advice is None else advice.status.bound)
+        self._action.end(ended, self._said, stations=self._sequence.measured, proven_m=proven)
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = True, "held" if self._sequence.stop() else "nothing moved"
@@ -141,6 +169,8 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
             said = self.faults.note("tick", error)
             self._sequence.halt(said)
             self._tell(ros.ERROR, said)
+        if self._action.active:
+            self._see_end()
 
     def _send(self, motion: TimedMotion) -> None:
         message = JointTrajectory(joint_names=list(self._sequence.names))  # without a stamp: from now on
@@ -168,6 +198,10 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
             ros.Status("measuring", self._level, self._said, self._sequence.facts),
             ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "nothing was refused"),
         ]
+
+
+def _known(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
 
 
 def main() -> None:

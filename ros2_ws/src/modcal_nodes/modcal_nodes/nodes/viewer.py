@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from typing import Any
 
@@ -20,10 +19,10 @@ from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import Array
 from modcal_core.measurements import POINT, POSE, Approach
 from modcal_core.robots import followers_of
-from modcal_msgs_py import JointInput, SignalsHeard
+from modcal_msgs_py import JointInput, SignalsHeard, require_version
 from modcal_nodes import ros
 from modcal_nodes.calibrating import KnownArm
-from modcal_nodes.io import parse_calibration
+from modcal_nodes.io import calibration_of
 from modcal_nodes.viewing import JudgedStations, Stations, drawing
 
 _REST = 0.003  # s
@@ -40,7 +39,8 @@ class Viewer(ros.GuardedNode):
         self._chosen = chosen = ros.declare(self, ros.VIEWER)
         self._urdf, self._names = chosen["robot_description"], frozenset[str]()
         self._calibration: Calibration | None = None
-        self._text = self._change = self._missing = self._unseen = self._frame = ""
+        self._heard: Any = None  # the last message of a calibration
+        self._change = self._missing = self._unseen = self._frame = ""
         self._refusal = _NOTHING_YET
         self._robot: CalibratedRobot | None = None
         self._signals = SignalsHeard()
@@ -79,12 +79,17 @@ class Viewer(ros.GuardedNode):
         inputs.append(ros.MonitoredSubscription(self, Temperature, "temperature", heat, ros.SENSOR))
         inputs.append(
             ros.MonitoredSubscription(
-                self, String, "calibrator/calibration", self._take_calibration, ros.LATCHED, single=True
+                self,
+                ros.interface("Calibration"),
+                "calibrator/calibration",
+                self._take_calibration,
+                ros.LATCHED,
+                single=True,
             )
         )
         inputs.append(
             ros.MonitoredSubscription(
-                self, String, "calibrator/change", guarded("change", self._take_change), ros.LATCHED
+                self, ros.interface("Change"), "calibrator/change", guarded("change", self._take_change), ros.LATCHED
             )
         )
         needed = not self._chosen["robot_description"]
@@ -120,12 +125,12 @@ class Viewer(ros.GuardedNode):
             self._urdf = message.data
             self._meet()
 
-    def _take_calibration(self, message: String) -> None:
-        if message.data == self._text:
+    def _take_calibration(self, message: Any) -> None:
+        if message == self._heard:
             return
-        self._text = message.data
+        self._heard = message
         try:
-            self._calibration = parse_calibration(message.data, "topic calibrator/calibration")
+            self._calibration = calibration_of(message, "topic calibrator/calibration")
         except ModcalError as error:
             self._refusals.refuse("calibration", str(error))  # the one in use was made for this robot, and stays
             return
@@ -149,13 +154,10 @@ class Viewer(ros.GuardedNode):
             self._look_at(base, tip)
         self._health.publish()
 
-    def _take_change(self, message: String) -> None:
-        """Remember the sentence that says what has changed since the calibration; none for what is no such JSON."""
-        try:
-            said = json.loads(message.data).get("sentence", "")
-        except (ValueError, AttributeError):
-            said = ""
-        self._change, self._dirty = said if isinstance(said, str) else "", True
+    def _take_change(self, message: Any) -> None:
+        """Remember the sentence that says what has changed since the calibration."""
+        require_version(message, "change")
+        self._change, self._dirty = message.sentence, True
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._stations.clear()

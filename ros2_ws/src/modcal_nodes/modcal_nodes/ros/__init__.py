@@ -5,6 +5,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from modcal_nodes.ros.actions import DONE, FAILED, REFUSED, Action, interface
     from modcal_nodes.ros.declaring import declare, follow
     from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, Refusals, noted
     from modcal_nodes.ros.launch_files import LAUNCHES
@@ -21,9 +22,10 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["ACCELERATION_LIMITS", "ARTICULATION_ESTIMATOR", "BOARD_DETECTOR", "CALIBRATOR", "CORRECTOR", "DOOR_DEMO"]
-__all__ += ["ERROR", "FRESH", "IMPEDANCE_SETPOINT", "LATCHED", "LAUNCHES", "OK", "RECORDER", "SENSOR"]
-__all__ += ["SIMULATED_CELL", "SIMULATED_FURNITURE", "STATION_RUNNER", "TRAJECTORY_SENDER", "UNHEARD", "VIEWER"]
-__all__ += ["WARN", "Broadcaster", "Complaint", "GuardedNode", "Health", "MonitoredSubscription", "NodeEnds"]
-__all__ += ["Parameter", "Refusals", "Status", "Taken", "TopicRecorder", "always", "corrected_frame", "declare"]
-__all__ += ["follow", "noted", "run", "settle_in", "static_frames", "subscription_status", "tracker_status"]
+__all__ = ["ACCELERATION_LIMITS", "ARTICULATION_ESTIMATOR", "BOARD_DETECTOR", "CALIBRATOR", "CORRECTOR", "DONE"]
+__all__ += ["DOOR_DEMO", "ERROR", "FAILED", "FRESH", "IMPEDANCE_SETPOINT", "LATCHED", "LAUNCHES", "OK", "RECORDER"]
+__all__ += ["REFUSED", "SENSOR", "SIMULATED_CELL", "SIMULATED_FURNITURE", "STATION_RUNNER", "TRAJECTORY_SENDER"]
+__all__ += ["UNHEARD", "VIEWER", "WARN", "Action", "Broadcaster", "Complaint", "GuardedNode", "Health"]
+__all__ += ["MonitoredSubscription", "NodeEnds", "Parameter", "Refusals", "Status", "Taken", "TopicRecorder", "always"]
+__all__ += ["corrected_frame", "declare", "follow", "interface", "noted", "run", "settle_in", "static_frames"]
+__all__ += ["subscription_status", "tracker_status"]

@@ -8,6 +8,7 @@ from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter as Given
 
 from modcal_core.errors import ModcalError
 from modcal_nodes.ros.guarded import GuardedNode
@@ -25,9 +26,18 @@ def declare(node: Node, parameters: dict[str, Parameter]) -> dict[str, Any]:
             else:
                 span = FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high), step=0.0)
                 descriptor.floating_point_range = [span]
+        _widen(node, name, parameter)
         node.declare_parameter(name, parameter.default, descriptor)
     _warn_of_unknown(node, parameters)
     return {name: node.get_parameter(name).value for name in parameters}
+
+
+def _widen(node: Node, name: str, parameter: Parameter) -> None:
+    """Take what is given as 50 for the 50.0 that it means; rclpy refuses a whole number for one with a point."""
+    given = node._parameter_overrides.get(name)
+    whole = isinstance(given.value, int) and not isinstance(given.value, bool) if given is not None else False
+    if given is not None and whole and isinstance(parameter.default, float):
+        node._parameter_overrides[name] = Given(name, value=float(given.value))
 
 
 def _warn_of_unknown(node: Node, parameters: dict[str, Parameter]) -> None:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.action import ActionClient, ActionServer
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -173,6 +174,13 @@ class GuardedNode(Node):
 
     def _now(self) -> float:
         return 1e-9 * self.get_clock().now().nanoseconds
+
+    def destroy_node(self) -> None:
+        """Same as in Node, with the actions, which Node forgets."""
+        for waitable in list(self.waitables):
+            if isinstance(waitable, ActionServer | ActionClient):
+                waitable.destroy()
+        super().destroy_node()
 
     def take_time(self) -> None:
         """Take the simulated time that has arrived, if there is one."""

@@ -26,7 +26,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from modcal_core.errors import ModcalError
+from modcal_core.errors import BadTable, ModcalError
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, described
 from modcal_nodes.ros.parameters import NODES
 from modcal_nodes.ros.resting import RestingExecutor
@@ -132,8 +132,8 @@ def run(make: Callable[[], Node], rest: float = 0.0) -> None:
     rest: seconds between two looks for messages, of a node that need not answer within a millisecond. A look of the
     executor costs as much as handling ten messages, so while messages come they are taken past it (see resting.py).
 
-    ``--help`` is answered in place of starting. A ModcalError while it starts or closes, NodeEnds, or a parameter
-    outside its bounds, ends the process with exit code 2 and one line on stderr.
+    ``--help`` is answered in place of starting. A ModcalError while it starts or closes, NodeEnds, a parameter outside
+    its bounds, or a file that is not there, ends the process with exit code 2 and one line on stderr.
     """
     if (code := answered(make)) is not None:
         sys.exit(code)
@@ -157,6 +157,10 @@ def run(make: Callable[[], Node], rest: float = 0.0) -> None:
     except (ModcalError, ParameterException, RCLError) as error:
         # RCLError: arguments that rcl cannot read, or the context has ended between two looks at it
         code = _refused(error) if node is None or rclpy.ok() else 0
+    except OSError as error:  # of a file that a parameter names
+        if node is not None or not error.filename:
+            raise
+        code = _refused(BadTable(str(error.filename), error.strerror or "cannot be read", "correct the parameter"))
     finally:
         code = max(code, _close(node))
         rclpy.try_shutdown()

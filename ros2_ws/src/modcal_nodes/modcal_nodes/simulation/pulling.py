@@ -18,9 +18,8 @@ from modcal_core.articulation import FEWEST, Track, choose
 from modcal_core.errors import BadCommand, BadRobot
 from modcal_core.files import to_json, write_folder
 from modcal_core.geometry import Array, se3
-from modcal_core.report import Articulation
+from modcal_core.report import URDF, Articulation, VerbResult, articulation_report
 from modcal_core.robots import Chain, Inertias, chain_forward, read_chain, read_inertias
-from modcal_nodes.io import write_articulation
 from modcal_nodes.simulation.furniture import Furniture
 from modcal_nodes.simulation.mjcf import OBJECT, SECOND, TIMESTEP, Servo, furniture_mjcf
 
@@ -266,23 +265,29 @@ class PullRecord:
 
         outcome: how the pull ended. Too short a way leaves pull.json alone.
         """
-        sentences, names = self._articulation(source, out)
+        learned = self._articulation(source)
+        sentences = ["Too few joint states were received during the pull: nothing was learned."]
+        files: dict[str, str] = {}
+        if learned is not None:
+            sentences, files = [str(one) for one in learned.said], dict(learned.files)
         data = {
             "modcal_pull": 1,
             "object": source,
             "sentences": [outcome, *sentences],
             "largest_force_n": self.force,
             "seconds": self._stamps[-1] - self._stamps[0] if self._stamps else 0.0,
-            "files": list(names),
+            "files": list(files),
         }
-        write_folder(out, {"pull.json": to_json(data)})
+        write_folder(out, {**files, "pull.json": to_json(data)})
+        if URDF not in files:  # one of an earlier pull would tell of another joint
+            (out / URDF).unlink(missing_ok=True)
         return (outcome, *sentences)
 
-    def _articulation(self, source: str, out: Path) -> tuple[list[str], tuple[str, ...]]:
+    def _articulation(self, source: str) -> VerbResult | None:
+        """What was learned of the object, None of too short a way."""
         if self._chain is None or len(self._stamps) < FEWEST:
-            return ["Too few joint states were received during the pull: nothing was learned."], ()
+            return None
         poses = se3.to_pose(chain_forward(self._chain, np.array(self._postures)))
         track = Track.of_poses(poses, np.array(self._stamps))
         choice = choose(track, np.random.default_rng(0))
-        _, names, said = write_articulation(Articulation(source, self._chain.base, track, choice), out)
-        return said, names
+        return articulation_report(Articulation(source, self._chain.base, track, choice))

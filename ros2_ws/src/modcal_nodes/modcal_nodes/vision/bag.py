@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from modcal_core.camera import (
-    APRIL_GRID,
     CHARUCO,
     CHESSBOARD,
+    MARKER_CORNERS,
     TAG,
     BoardView,
     ImageMoments,
@@ -30,7 +30,7 @@ from modcal_core.camera import (
 )
 from modcal_core.errors import BadRecording, BadTable
 from modcal_core.geometry import Array
-from modcal_core.measurements import Approach, Listed, Recording, joint_stamps_and, spread_rows
+from modcal_core.measurements import Approach, Listed, Recording, joints_by_time, spread_rows
 from modcal_msgs_py import (
     CLOUD,
     TAGS,
@@ -47,7 +47,7 @@ from modcal_msgs_py import (
     stamps_of,
     tag_topics,
 )
-from modcal_nodes.vision.detection import Detection, body_corners, detect, in_order, off_flat, too_few
+from modcal_nodes.vision.detection import Detection, body_corners, detect, off_flat, sheet_corners, too_few
 from modcal_nodes.vision.grey import grey_of
 from modcal_nodes.vision.images import FoundTargets, ImageFolder, lens_from_data
 
@@ -100,7 +100,7 @@ def read_bag_images(
     elif topic.type_name == CLOUD:
         looked_at = _messages(bag, topic, partial(_corners, target))
     else:
-        looked_at = _boards(bag, topic, target)
+        looked_at = boards(bag, topic, target)
     for stamp, look in looked_at:
         if stamp not in keep:
             continue
@@ -135,8 +135,7 @@ class JointLog:
     @classmethod
     def of(cls, recording: Recording, names: Sequence[str]) -> JointLog:
         """Those of these joints in a recording. Raises BadRecording where one was not recorded."""
-        stamps, q = joint_stamps_and(recording, tuple(names), "position")
-        _, efforts = joint_stamps_and(recording, tuple(names), "effort")
+        stamps, q, efforts = joints_by_time(recording, tuple(names), "effort")
         for name, column in zip(names, q.T, strict=True):
             if np.isnan(column).all():
                 raise BadRecording(recording.source, f"holds no joint {name}", "record its joint states, or give --tip")
@@ -189,7 +188,7 @@ def chosen_stamps(stamps: Array, log: JointLog) -> tuple[Array, bool]:
     return stamps[spread_rows(len(stamps), _MAX)], moving
 
 
-def _boards(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> Iterator[tuple[float, _Look]]:
+def boards(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> Iterator[tuple[float, _Look]]:
     """(stamp, what looks for the target) of each image."""
 
     def look(image: RawImage, name: str) -> _Found:
@@ -248,56 +247,32 @@ def require_tags(target: PrintedTarget | MarkerBundle) -> None:
 def tag_view(message: Any, target: PrintedTarget | MarkerBundle, name: str) -> Detection:
     """The corners of the target's tags in a message of detections."""
     try:
-        if isinstance(target, MarkerBundle):
-            return _body_view(message, target, name)
-        return _tag_view(message, target, name)
+        seen = [one for one in list(message.detections)[:_MAX_TAGS] if int(one.hamming) <= _MENDED]
+        families = [str(one.family).lower().removeprefix("tag") for one in seen]
+        numbers = np.array([int(one.id) for one in seen], dtype=int)
+        quads = np.array([[[float(p.x), float(p.y)] for p in one.corners] for one in seen]).reshape(-1, 4, 2)
     except (AttributeError, TypeError, ValueError, OverflowError):  # the definition is the bag's own
         return Detection(None, "holds no detections as apriltag_msgs defines them", "record its own messages")
-
-
-def _body_view(message: Any, body: MarkerBundle, name: str) -> Detection:
-    seen = [one for one in list(message.detections)[:_MAX_TAGS] if int(one.hamming) <= _MENDED]
-    quads = [np.array([[float(p.x), float(p.y)] for p in one.corners]).reshape(4, 2) for one in seen]
-    found = body_corners(body, [int(one.id) for one in seen], quads)
-    if isinstance(found, Detection):
-        return found
-    return _of_tags(name, *found)
+    family = target.dictionary.partition("APRILTAG_")[2].lower()
+    own = np.array([not one or not family or one == family for one in families], dtype=bool)
+    if len(own) and not own.any():
+        return Detection(None, f"shows tags of family {min(families)[:20]}, the target has {family}", "check both")
+    if isinstance(target, MarkerBundle):
+        found = body_corners(target, numbers[own].tolist(), quads[own])
+        return found if isinstance(found, Detection) else _of_tags(name, *found)
+    # from a tag's lower left corner counter-clockwise, as its detector has it
+    corners = sheet_corners(target, numbers[own], quads[own, ::-1], either_way=True)
+    if corners is None:
+        return Detection(
+            None, "shows no tag of the target, or one twice", "check its numbers, and show one target only"
+        )
+    if len(corners[0]) == MARKER_CORNERS and target.kind != TAG:
+        return Detection(None, "shows one tag of the grid", "show two or more: they tell which corner is which")
+    return too_few(target, corners[0]) or off_flat(target, *corners) or _of_tags(name, *corners)
 
 
 def _of_tags(name: str, ids: np.ndarray, pixels: Array) -> Detection:
     return Detection(BoardView(name, ids, pixels, np.tile(_SIGMA_PX**2 * np.eye(2), (len(ids), 1, 1))))
-
-
-def _tag_view(message: Any, target: PrintedTarget, name: str) -> Detection:
-    family = target.dictionary.rpartition("_")[2].lower()
-    found, strange = {}, set()
-    for one in list(message.detections)[:_MAX_TAGS]:
-        own = str(one.family).lower().removeprefix("tag")
-        if own and family and own != family:
-            strange.add(own)
-            continue
-        number = int(one.id) - target.first_id
-        quad = np.array([[float(p.x), float(p.y)] for p in one.corners])
-        if 0 <= number < target.columns * target.rows and quad.shape == (4, 2) and int(one.hamming) <= _MENDED:
-            if number in found:
-                return Detection(None, f"shows tag {int(one.id)} twice", "show one target only")
-            if np.isfinite(quad).all():
-                found[number] = quad
-    if not found:
-        if strange:
-            return Detection(None, f"shows tags of family {min(strange)[:20]}, the target has {family}", "check both")
-        return Detection(None, "shows no tag of the target", "check the target's numbers")
-    numbers = np.array(sorted(found))
-    quads = np.stack([found[n] for n in numbers])
-    if len(numbers) == 1 and target.kind != TAG:
-        return Detection(None, "shows one tag of the grid", "show two or more: they tell which corner is which")
-    # from a tag's lower left corner counter-clockwise, as its detector has it; all but an AprilGrid go the other way
-    ids, pixels = in_order(target, numbers, quads if target.kind == APRIL_GRID else quads[:, ::-1], either_way=True)
-    if (few := too_few(target, ids)) is not None:
-        return few
-    if (bent := off_flat(target, ids, pixels)) is not None:
-        return bent
-    return _of_tags(name, ids, pixels)
 
 
 def _lens(bag: Path, recording: Recording, topic: Listed) -> tuple[Lens | None, str]:

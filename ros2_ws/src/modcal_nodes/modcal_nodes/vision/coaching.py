@@ -30,10 +30,9 @@ from modcal_core.camera import (
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import Recording, spread_rows
-from modcal_msgs_py import chosen_topic, raw_image, read_messages, stamps_of
-from modcal_nodes.vision.bag import JointLog, chosen_stamps
-from modcal_nodes.vision.detection import detect
-from modcal_nodes.vision.grey import grey_of
+from modcal_msgs_py import chosen_topic, stamps_of
+from modcal_nodes.vision.bag import JointLog, boards, chosen_stamps
+from modcal_nodes.vision.images import FoundTargets
 
 ENOUGH = 25  # views that a calibration wants
 _STILL_PX = 0.7  # motion between two images, in the median: less than a corner is blurred by
@@ -162,23 +161,14 @@ def images_worth(
         with suppress(ModcalError):
             wanted, _ = chosen_stamps(stamps, JointLog.of(recording, names))
     wanted = wanted[spread_rows(len(wanted), _LOOKED_AT)]
-    keep, views, reasons = set(wanted.tolist()), [], Counter[str]()
-    size: tuple[int, int] | None = None
-    for received, message in read_messages(bag, topic.topic):
-        image = raw_image(message, received)
-        if image is None or image.stamp not in keep:
-            continue
-        keep.discard(image.stamp)
-        grey, why = grey_of(image)
-        if grey is None:
-            reasons[why] += 1
-            continue
-        size = (grey.shape[1], grey.shape[0])
-        found = detect(grey, target, f"{image.stamp:.6f}")
-        if found.view is None:
-            reasons[f"{found.reason}: {found.remedy}"] += 1
-        else:
-            views.append(found.view)
+    keep, targets = set(wanted.tolist()), FoundTargets()
+    for stamp, look in boards(bag, topic, target):
+        if stamp in keep:
+            keep.discard(stamp)
+            found, own_size, _ = look(f"{stamp:.6f}")
+            targets.take(found, f"{stamp:.6f}", own_size)
+    views, reasons = targets.views, Counter(targets.left_out.values())
+    size = targets.sizes[-1] if views else None
     looked_at = len(wanted)
     findings = [f"{n} of {looked_at} images: {why}." for why, n in sorted(reasons.items(), key=lambda r: -r[1])]
     if len(stamps) and not looked_at:

@@ -55,6 +55,13 @@ def grey_noise(grey: np.ndarray) -> float:
     return max(float(_TO_SIGMA * np.median(np.abs(d)) / 6.0), _QUANTISED)
 
 
+def _around(grey: np.ndarray, x: float, y: float, half: int) -> tuple[Array, Array]:
+    """(the grey values about a pixel, one more to each side; their gradients (2, K))."""
+    patch = cv2.getRectSubPix(grey, (2 * half + 3, 2 * half + 3), (float(x), float(y))).astype(float)
+    gx, gy = patch[1:-1, 2:] - patch[1:-1, :-2], patch[2:, 1:-1] - patch[:-2, 1:-1]
+    return patch, 0.5 * np.stack([gx.ravel(), gy.ravel()])
+
+
 def corner_covariance(grey: np.ndarray, pixels: Array, half: int, sigma: float) -> Array:
     """Covariance of corners at pixels (m, 2) refined in windows of this half side, (m, 2, 2) [px²]."""
     offsets = np.arange(-half, half + 1, dtype=float)
@@ -63,10 +70,7 @@ def corner_covariance(grey: np.ndarray, pixels: Array, half: int, sigma: float) 
     square = (dx**2 + dy**2).ravel()
     out = np.empty((len(pixels), 2, 2))
     for i, (x, y) in enumerate(pixels):
-        patch = cv2.getRectSubPix(grey, (2 * half + 3, 2 * half + 3), (float(x), float(y))).astype(float)
-        gx = 0.5 * (patch[1:-1, 2:] - patch[1:-1, :-2]).ravel()
-        gy = 0.5 * (patch[2:, 1:-1] - patch[:-2, 1:-1]).ravel()
-        g = np.stack([gx, gy])
+        g = _around(grey, x, y, half)[1]
         H = (weight * g) @ g.T
         M = (weight**2 * square * g) @ g.T
         values, vectors = np.linalg.eigh(H)
@@ -80,12 +84,9 @@ def corner_covariance(grey: np.ndarray, pixels: Array, half: int, sigma: float) 
 def edge_width(grey: np.ndarray, pixels: Array, half: int) -> float:
     """Median width of the edges at these corners [px]: contrast over the steepest gradient."""
     widths = []
-    reach = max(half, 4)
     for x, y in pixels[:: max(1, len(pixels) // 20)]:
-        patch = cv2.getRectSubPix(grey, (2 * reach + 3, 2 * reach + 3), (float(x), float(y))).astype(float)
-        gx = 0.5 * (patch[1:-1, 2:] - patch[1:-1, :-2])
-        gy = 0.5 * (patch[2:, 1:-1] - patch[:-2, 1:-1])
-        steepest = float(np.percentile(np.hypot(gx, gy), 98))
+        patch, g = _around(grey, x, y, max(half, 4))
+        steepest = float(np.percentile(np.hypot(*g), 98))
         contrast = float(np.percentile(patch, 95) - np.percentile(patch, 5))
         widths.append(contrast / max(steepest, 1e-6))
     return float(np.median(widths))
@@ -216,36 +217,39 @@ def _markers(grey: np.ndarray, target: PrintedTarget) -> _Corners | None:
     corners, ids, _ = marker_detector(target.dictionary).detectMarkers(grey)
     if ids is None:
         return None
-    number = np.asarray(ids).ravel() - target.first_id
-    good = np.flatnonzero((number >= 0) & (number < target.columns * target.rows))
-    if len(good) == 0 or len(np.unique(number[good])) < len(good):
-        return None  # a number that stands twice is of two boards
-    order = good[np.argsort(number[good])]
-    quads = np.stack([np.asarray(corners[i], dtype=float).reshape(4, 2) for i in order])
-    every, pixels = in_order(target, number[order], quads[:, ::-1] if target.kind == APRIL_GRID else quads)
-    side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=2)))
-    return every, pixels, window_of_side(side)
+    quads = np.asarray(corners, dtype=float).reshape(-1, 4, 2)
+    found = sheet_corners(target, np.asarray(ids).ravel(), quads)
+    if found is None:
+        return None
+    side = float(np.median(np.linalg.norm(np.diff(found[1].reshape(-1, 4, 2), axis=1), axis=2)))
+    return (*found, window_of_side(side))
 
 
-def window_of_side(side: float) -> int:
-    """Half side of the window [px] in which a corner of a marker of this side [px] is looked at."""
-    return int(np.clip(0.1 * side, _MIN_WINDOW, _MAX_WINDOW))
-
-
-def in_order(
+def sheet_corners(
     target: PrintedTarget, numbers: np.ndarray, quads: Array, either_way: bool = False
-) -> tuple[np.ndarray, Array]:
-    """(ids (4 m,), pixels (4 m, 2)) of the corners of markers with these numbers (m,), as their finder has them
-    (m, 4, 2): counter-clockwise of an AprilGrid, clockwise of others, from whichever corner.
+) -> tuple[np.ndarray, Array] | None:
+    """(ids (4 k,), pixels (4 k, 2)) of those of m markers that are the target's, by their numbers (m,) and corners
+    clockwise (m, 4, 2), from whichever corner; None where none is, or a number stands twice, as of two boards.
 
     A marker's own first corner is a convention of its maker: a grid shows which it is. either_way: also the way round.
     """
-    ids = (4 * numbers[:, None] + np.arange(4)).ravel()
+    number = numbers - target.first_id
+    good = (number >= 0) & (number < target.columns * target.rows) & np.isfinite(quads).all(axis=(1, 2))
+    order = np.flatnonzero(good)[np.argsort(number[good])]
+    number, quads = number[order], quads[order, ::-1] if target.kind == APRIL_GRID else quads[order]
+    if len(order) == 0 or len(np.unique(number)) < len(order):
+        return None
+    ids = (4 * number[:, None] + np.arange(4)).ravel()
     if target.kind == TAG or len(quads) == 1:
         return ids, quads.reshape(-1, 2)
     turns = [np.roll(q, k, axis=1) for q in ((quads, quads[:, ::-1]) if either_way else (quads,)) for k in range(4)]
     best = min(turns, key=lambda q: _misfit(target, ids, q.reshape(-1, 2)))
     return ids, best.reshape(-1, 2)
+
+
+def window_of_side(side: float) -> int:
+    """Half side of the window [px] in which a corner of a marker of this side [px] is looked at."""
+    return int(np.clip(0.1 * side, _MIN_WINDOW, _MAX_WINDOW))
 
 
 def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> _Corners:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import time
@@ -21,10 +20,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
-from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_msgs.msg import Bool, Float64
 
 from modcal_msgs_py import seconds
-from modcal_nodes.ros import FRESH, LATCHED
+from modcal_nodes.ros import FRESH, LATCHED, interface
 
 LEVELS = ("ok", "warn", "error", "silent")
 OURS = "modcal"  # the hardware id of every status of ours
@@ -34,8 +33,7 @@ _DELAYS = 200  # poses whose delay is remembered
 
 # What nodes publish beside /diagnostics, below their own name, and what a snapshot calls it
 NUMBERS = {"residual": "residual_m", "residual_before": "residual_before_m", "trusted": "trusted"}
-TEXTS = {"change": "change", "estimate_names": "names"}
-ESTIMATE, POSE = "estimate", "pose"
+CHANGE, ESTIMATE, POSE = "change", "estimate", "pose"
 
 
 @dataclass
@@ -74,7 +72,7 @@ class Heard:
             self._nodes.setdefault(node, _Node()).parts[part] = said
 
     def value(self, node: str, what: str, value: Any) -> None:
-        """Take what a node has published under its own name: of NUMBERS, TEXTS, or the numbers of its estimate."""
+        """Take what a node has published under its own name: a number of NUMBERS, a Change, or an Estimate."""
         if node in self._nodes:
             self._nodes[node].values[what] = value
 
@@ -103,9 +101,9 @@ def _node_data(name: str, node: _Node, now: float) -> dict[str, Any]:
     for what in NUMBERS.values():
         if what in values and math.isfinite(values[what]):
             out[what] = values[what]
-    if "change" in values:
-        out["change"] = _change(values["change"])
-    if estimate := _estimate(values.get("names"), values.get(ESTIMATE)):
+    if CHANGE in values:
+        out["change"] = _change(values[CHANGE])
+    if ESTIMATE in values and (estimate := _estimate(values[ESTIMATE])):
         out["estimate"] = estimate
     if node.delays:
         out["delay_ms"] = {
@@ -116,26 +114,23 @@ def _node_data(name: str, node: _Node, now: float) -> dict[str, Any]:
     return out
 
 
-def _change(text: str) -> dict[str, Any] | None:
-    """What has changed since the model was trusted; None for nothing, and for what cannot be read."""
-    try:
-        data = json.loads(text, parse_constant=lambda _: None)
-    except ValueError:
+def _change(message: Any) -> dict[str, Any] | None:
+    """What has changed since the model was trusted; None for nothing."""
+    if not message.changed:
         return None
-    return data if isinstance(data, dict) and data else None
+    words = {name: getattr(message, name) for name in ("place", "direction", "driver", "sentence")}
+    size = 1e3 * message.size_m if math.isfinite(message.size_m) else None
+    return {**words, "since_s": seconds(message.since), "size_mm": size, "same_as": list(message.same_as)}
 
 
-def _estimate(names: str | None, numbers: Any) -> list[dict[str, Any]]:
+def _estimate(message: Any) -> list[dict[str, Any]]:
     """The parameters that stand off the trusted model by most of their standard deviations, those first."""
-    if names is None or numbers is None:
+    names, value, std = message.names, np.asarray(message.values), np.asarray(message.stds)
+    if not len(names) == len(value) == len(std):
         return []
-    known = names.split("\n")
-    if len(numbers) != 2 * len(known):  # the names of another model are on their way
-        return []
-    value, std = np.asarray(numbers, dtype=float).reshape(2, -1)
     use = np.isfinite(value) & np.isfinite(std) & (std > 0.0)
     order = np.argsort(-np.abs(np.where(use, value, 0.0)) / np.where(use, std, 1.0), kind="stable")
-    return [{"name": known[i], "value": float(value[i]), "std": float(std[i])} for i in order[:_SHOWN] if use[i]]
+    return [{"name": names[i], "value": float(value[i]), "std": float(std[i])} for i in order[:_SHOWN] if use[i]]
 
 
 # --- A snapshot for a person: a table of what every node says, and a line for a log when that gets better or worse
@@ -220,9 +215,7 @@ class Changes:
 _QUEUE = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
 _TYPES: dict[str, tuple[type, QoSProfile]] = {
     **{topic: (Float64, LATCHED) for topic in NUMBERS},
-    **{topic: (String, LATCHED) for topic in TEXTS},
     "trusted": (Bool, LATCHED),
-    ESTIMATE: (Float64MultiArray, _QUEUE),
     POSE: (PoseWithCovarianceStamped, FRESH),
 }
 
@@ -235,6 +228,7 @@ class Listener(Node):
             f"modcal_watch_{os.getpid()}", context=context, enable_rosout=False, start_parameter_services=False
         )
         self.heard = heard
+        self._types = {**_TYPES, CHANGE: (interface("Change"), LATCHED), ESTIMATE: (interface("Estimate"), _QUEUE)}
         self._followed: set[str] = set()
         self.create_subscription(DiagnosticArray, "/diagnostics", self._take, _QUEUE)
 
@@ -247,7 +241,7 @@ class Listener(Node):
     def follow(self) -> None:
         """Subscribe to what the nodes that were received publish beside /diagnostics, as soon as they do."""
         for node in self.heard.names:
-            for what, (kind, qos) in _TYPES.items():
+            for what, (kind, qos) in self._types.items():
                 topic = f"{node}/{what}"
                 if topic not in self._followed and self.count_publishers(topic):
                     self._followed.add(topic)
@@ -259,6 +253,7 @@ class Listener(Node):
             now = 1e-9 * self.get_clock().now().nanoseconds
             deviation = float(np.sqrt(max(variances.max(), 0.0)))
             self.heard.pose(node, now - seconds(message.header.stamp), deviation)
+        elif what in (CHANGE, ESTIMATE):
+            self.heard.value(node, what, message)
         else:
-            name = NUMBERS.get(what) or TEXTS.get(what) or what
-            self.heard.value(node, name, message.data)
+            self.heard.value(node, NUMBERS[what], message.data)

@@ -14,6 +14,7 @@ import numpy as np
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import ACROSS, AXIS, Effect
 from modcal_core.effects.family import Family, ReportEntry, complexity_of_joint, in_words
+from modcal_core.effects.registry import KILOGRAMS as KILOGRAMS
 from modcal_core.effects.registry import carried_signals, loads, varies
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, unit_of, value
@@ -24,7 +25,6 @@ _NO_SPRING = (
     "no spring does that: a controller that compensates too much does, or weight that pulls another way, or loads or "
     "readings of the opposite sign"
 )
-KILOGRAMS = ("_kg", "/kg")  # ends of names of numbers that say their unit
 HARDENINGS = (0.3, 1.0, 3.0, 10.0)  # share of the cubic term at the usual load
 
 

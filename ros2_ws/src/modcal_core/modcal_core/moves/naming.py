@@ -1,27 +1,24 @@
-"""What a check says: what changed, in words and numbers that people read, what may as well be the case, what to do."""
+"""What changed, in words and numbers for people, of a check and of a stream alike, and what it may as well be."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from modcal_core.checking.known import UNTRIED, BeyondRanges
 from modcal_core.geometry import Array
-from modcal_core.moves import BASE, COMPLIANCE, FRAME, GEAR, KINDS, LINK, NOISE, PAYLOAD, PLAY, STEP, TOOL, FittedChange
+from modcal_core.moves.rows import COMPLIANCE, GEAR, KINDS, NOISE, PAYLOAD, ZERO
+from modcal_core.moves.searching import FittedChange
 
-Status = Literal["unchanged", "changed", "ambiguous", "unexplained"]
 # how alike two changes are at every recorded posture: not, in the positions that are read, or in poses
 Alike = Literal["", "positions", "poses"]
-Action = Literal["nothing", "use_repaired", "refit_base", "add_stations", "calibrate_again", "check_instrument"]
+UNTRIED = "the calibration, beyond the joint ranges that it was made from"
 # RMS, rad: six degrees, some teeth of a gear at an arm's joint. Angles that differ by more, by another amount at every
 # station, are another joint's or no angles of the arm, and a model with them repaired would be nobody's
 OF_A_GEAR = 0.1
 _95 = 1.959964  # standard deviations
 _LISTED = 3  # others that a sentence has room for; check.json and the page have them all
-_PLACED = (BASE, FRAME, TOOL, LINK, PLAY, STEP)  # of up to six sizes
-_DIRECTIONS = [*((n, 1e3, "mm") for n in ("x", "y", "z")), *((n, 1e3, "mrad") for n in ("rx", "ry", "rz"))]
 _WHY = {
     "poses": "the same motion at every posture, so the repaired poses are the same",
     "positions": "the same positions at every posture, so these are repaired, but not the same orientations, which "
@@ -73,35 +70,14 @@ class NamedChange:
         return all(s.name != "rms_over_stations" or s.value < 1e3 * OF_A_GEAR for s in self.sizes)
 
 
-@dataclass(frozen=True)
-class Noticed:
-    """The smallest change of a kind that these stations show in 95 of 100 cases: RMS at the tool [mm], inf for none.
-
-    unseen: changes of this kind that they do not show, such as the zero of a joint that turns as the base does.
-    """
-
-    label: str
-    mm: float
-    unseen: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Recommendation:
-    """action, and what it means here. stations: to be measured next (k, n); empty where none are needed."""
-
-    action: Action
-    sentence: str
-    stations: Array = field(default_factory=lambda: np.empty((0, 0)))
-
-
 def named(
-    change: FittedChange, columns: Array, positions: int, alike: Alike, beyond: BeyondRanges | None = None
+    change: FittedChange, columns: Array, positions: int, alike: Alike = "", untried_mm: float = 0.0
 ) -> NamedChange:
     """The change for people.
 
     columns: motions of the readings per unit of each size (n, k), whose first ``positions`` rows are positions,
-    component by component; of a curve the motion of each station's angle (n, S). beyond: how many of the stations stand
-    where the calibration was not made.
+    component by component; of a curve the motion of each station's angle (n, S). untried_mm: what the calibration
+    corrects where most stations stand beyond its ranges, so that as much may be missing there.
     """
     h, noise = change.hypothesis, change.hypothesis.kind == NOISE
     sizes = _sizes(change)
@@ -111,66 +87,49 @@ def named(
         turned = float(np.degrees(np.sqrt(3.0 * np.mean((columns[positions:] @ change.sizes) ** 2))))
     rivals = tuple(dict.fromkeys(j.hypothesis.label for j in change.same_as))
     # scatter and a curve of any course look like any error; a move that leaves noise is a move
-    if (noise or h.free) and beyond is not None and beyond.doubts(moved[0]):
+    if (noise or h.free) and moved[0] < untried_mm:
         rivals, alike = (UNTRIED, *rivals), ""
     said = _sentence(change, sizes)
     if not noise:
         turn = "" if turned is None else f" and {turned:.3f}°"
         said += f", {moved[0]:.3f} mm ({moved[1]:.3f} … {moved[2]:.3f}){turn} RMS at the tool"
     if rivals:
-        others = " or ".join(rivals[:_LISTED])
-        if len(rivals) > _LISTED:
-            others += f" or one of {len(rivals) - _LISTED} other changes"
+        more = len(rivals) - _LISTED
+        others = " or ".join(rivals[:_LISTED]) + (f" or one of {more} other changes" if more > 0 else "")
         said += f". It may as well be {others}: {_WHY[alike]}"
-    return NamedChange(
-        h.kind,
-        h.place,
-        h.label,
-        f"{said}.",
-        sizes,
-        moved,
-        turned,
-        change.probability,
-        (*h.names, *rivals),
-        alike,
-        noise or bool(h.sizes),
-    )
+    same, repairable = (*h.names, *rivals), noise or bool(h.sizes)
+    of = (sizes, moved, turned, change.probability, same, alike, repairable)
+    return NamedChange(h.kind, h.place, h.label, f"{said}.", *of)
 
 
 def _sizes(change: FittedChange) -> tuple[SizeFound, ...]:
-    h, values = change.hypothesis, change.sizes
+    h, values, names = change.hypothesis, change.sizes, KINDS[change.hypothesis.kind].sizes
     std = np.sqrt(np.maximum(np.diag(change.covariance), 0.0))
     if h.kind == NOISE:
         factors = zip(("position", "orientation"), change.judged.noise, strict=True)
         return tuple(SizeFound(what, factor, factor, factor, "times") for what, factor in factors if factor > 1.0)
     if h.free:
-        rms = float(np.sqrt(np.mean(values**2)))
-        names, values = [("rms_over_stations", 1e3, "mrad")], np.array([rms])
-        std = np.array([float(np.sqrt(np.mean(std**2) / len(std)))])
-    elif h.kind in _PLACED:
-        names = _DIRECTIONS
-        if len(h.motions) == 1:  # of one size, along one twist
-            way = np.array(h.motions[0].twist)
-            values, std = values[0] * way, std[0] * np.abs(way)
+        names, values = (("rms_over_stations", 1e3, "mrad"),), np.array([np.sqrt(np.mean(values**2))])
+        std = np.array([np.sqrt(np.mean(std**2) / len(std))])
     elif h.replaces >= 0:
-        names = [("growth", 100.0, "%")]
+        names = (("growth", 100.0, "%"),)
     elif h.kind == PAYLOAD:
-        names = [(f"compliance of {e.place}", *COMPLIANCE[1:]) for e in h.effects]
+        names = tuple((f"compliance of {e.place}", *COMPLIANCE[1:]) for e in h.effects)
     elif h.kind == GEAR and len(values) > 1:  # a wave, and one of twice its cycles
         pairs = values.reshape(-1, 2)
         values = np.linalg.norm(pairs, axis=1)
         ways = pairs / np.maximum(values, 1e-300)[:, None]
         parts = (change.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(pairs)))
         std = np.array([float(np.sqrt(max(way @ C @ way, 0.0))) for way, C in zip(ways, parts, strict=True)])
-        names = [("amplitude", 1e3, "mrad"), ("amplitude_2", 1e3, "mrad")]
-    else:
-        slides = bool(h.motions) and h.motions[0].twist[5] == 0.0
-        name, factor, unit = KINDS[h.kind].size
-        names = [(name, factor, "mm" if slides else unit)]
-    low, high = values - _95 * std, values + _95 * std
+        names = (("amplitude", 1e3, "mrad"), ("amplitude_2", 1e3, "mrad"))
+    elif len(h.motions) == 1 < len(names):  # of one size, along one twist
+        way = np.array(h.motions[0].twist)
+        values, std = values[0] * way, std[0] * np.abs(way)
+    elif h.kind == ZERO and h.motions[0].twist[5] == 0.0:  # of a joint that slides
+        names = (("zero", 1e3, "mm"),)
     return tuple(
-        SizeFound(name, factor * float(v), factor * float(a), factor * float(b), unit)
-        for (name, factor, unit), v, a, b in zip(names, values, low, high, strict=False)
+        SizeFound(name, factor * v, factor * (v - _95 * d), factor * (v + _95 * d), unit)
+        for (name, factor, unit), v, d in zip(names, values.tolist(), std.tolist(), strict=False)
     )
 
 
@@ -196,6 +155,6 @@ def _sentence(change: FittedChange, sizes: tuple[SizeFound, ...]) -> str:
         cycles = h.effect.shape.settings.get("cycles", 0.0)
         size = f"{size} at {cycles:.4g} a turn" if cycles else f"its ratio by {size}"
     shift, turn = (float(np.linalg.norm([s.value for s in sizes if s.unit == unit])) for unit in ("mm", "mrad"))
-    moved = f": {shift:.3f} mm and {turn:.3f} mrad"
+    moved = f"{', more and more' if h.growing else ''}: {shift:.3f} mm and {turn:.3f} mrad"
     factors = " and ".join(f"{s.value:.1f} times in {s.name}" for s in sizes)
     return h.worded(KINDS[h.kind].said, size=size, moved=moved, factors=factors)

@@ -24,6 +24,34 @@ _NAMES = {
 }  # fmt: skip
 
 
+NUMBER: Schema = {"type": "number"}
+SIZE: Schema = {"type": "number", "minimum": 0}
+POSITIVE: Schema = {"type": "number", "exclusiveMinimum": 0}
+TEXT: Schema = {"type": "string"}
+
+
+def record(required: Sequence[str] = (), /, **properties: Schema) -> Schema:
+    """A mapping with these keys and no others."""
+    return {"type": "object", "required": required, "properties": properties, "additionalProperties": False}
+
+
+def list_of(items: Schema, least: int = 0, most: int | None = None) -> Schema:
+    """A list of so many entries like this."""
+    return {"type": "array", "items": items, "minItems": least, **({} if most is None else {"maxItems": most})}
+
+
+def whole(least: int, most: int) -> Schema:
+    """A whole number between these, both included."""
+    return {"type": "integer", "minimum": least, "maximum": most}
+
+
+def stated(data: Any) -> Any:
+    """The data without keys that have no value."""
+    if not isinstance(data, Mapping):
+        return data
+    return {key: stated(value) for key, value in data.items() if value is not None}
+
+
 def require(data: Any, schema: Schema, source: str, remedy: str) -> None:
     """Raises BadTable, naming the source and the place in it, unless the data is what the schema describes."""
     assert set(schema) <= _WORDS, set(schema) - _WORDS

@@ -1,0 +1,185 @@
+"""What the calibrator says, as messages of modcal_interfaces, and a calibration read back from one.
+
+The functions fill messages that they are given, so that this package needs no ROS. Figures come from the data of
+report.json and check.json, in metres and radians here.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from modcal_core.errors import BadTable
+from modcal_core.geometry import Array
+from modcal_msgs_py.commands import require_version
+from modcal_msgs_py.readings import set_seconds
+
+_MOST = 200_000  # values of a calibration; one of an arm with all effects has some 2 000
+_REMEDY = "publish it as the calibrator does"
+_STATUS = {"open": 1, "at_floor": 2, "cannot_tell": 3}
+_APPLY = {None: 0, False: 1, True: 2}
+_CHECKED = {"unchanged": 1, "changed": 2, "ambiguous": 3, "unexplained": 4}
+
+
+def fill_change(message: Any, data: Mapping[str, Any]) -> Any:
+    """A Change with a change of check.json, or what the calibrator suspects.
+
+    data: place, direction, driver, since_s, size_mm, size_deg, same_as, sentence, each where it is known.
+    """
+    message.changed = True
+    for name in ("place", "direction", "driver", "sentence"):
+        setattr(message, name, str(data.get(name) or ""))
+    set_seconds(message.since, float(data.get("since_s") or 0.0))
+    message.size_m = _thousandth(data.get("size_mm"))
+    degrees = data.get("size_deg")
+    message.size_rad = math.nan if degrees is None else math.radians(degrees)
+    message.same_as = [str(place) for place in data.get("same_as") or ()]
+    return message
+
+
+def fill_checked(message: Any, change: Callable[[], Any], data: Mapping[str, Any]) -> Any:
+    """A Checked with the data of check.json. change: makes a Change."""
+    message.status, message.sentence = _CHECKED[data["status"]], f"{data['verdict']} {data['advice']}"
+    message.stations, message.action = int(data["stations"]), str(data["action"])
+    message.error_m = _thousandth(data["error_mm"]["frozen"])
+    for found in data["changes"]:
+        moved, turned = found["moved_mm"]["rms"], found["turned_deg"]
+        message.changes.append(fill_change(change(), {**found, "size_mm": moved, "size_deg": turned}))
+    return message
+
+
+def fill_estimate(message: Any, names: Sequence[str], values: Array, stds: Array) -> Any:
+    """An Estimate of parameters by their names, with values and standard deviations (n,)."""
+    message.names, message.values, message.stds = list(names), array("d", values), array("d", stds)
+    return message
+
+
+def fill_verdict(message: Any, data: Mapping[str, Any]) -> Any:
+    """A Verdict with the data of report.json; what that does not hold is NaN, or empty."""
+    message.status, message.apply = _STATUS.get(data.get("status", ""), 0), _APPLY[data.get("apply")]
+    message.open_because = [str(why) for why in data.get("open_because") or ()]
+    message.sentence = str(data.get("verdict") or "")
+    message.effects = [f"{e['family']} at {e['place']}" for e in data.get("effects") or ()]
+    claim = data.get("claim_mm") or {}
+    message.claim.over = str(claim.get("over") or "")
+    for name in ("mean", "rms", "p95", "max"):
+        setattr(
+            message.claim, f"{name}_m", [_thousandth(end) for end in (claim.get(name) or {}).get("ci95", (None, None))]
+        )
+    errors, left = data.get("error_mm") or {}, message.residuals
+    left.stations = int((data.get("split") or {}).get("held_out") or 0)
+    final = errors.get("final") or {}
+    left.nominal_rms_m, left.geometric_rms_m = (
+        _thousandth((errors.get(which) or {}).get("rms")) for which in ("nominal", "geometric")
+    )
+    left.rms_m, left.p95_m, left.max_m = (_thousandth(final.get(name)) for name in ("rms", "p95", "max"))
+    left.floor_m = _thousandth(data.get("noise_floor_mm"))
+    return message
+
+
+def _thousandth(value: float | None) -> float:
+    """A number in units of a thousandth; NaN for one that is not known."""
+    return math.nan if value is None else 1e-3 * float(value)
+
+
+# --- A calibration: the tree of its file, leaf by leaf, as parameters of rcl_interfaces
+
+
+def fill_calibration(message: Any, parameter: Callable[[], Any], data: Mapping[str, Any]) -> Any:
+    """A Calibration with the data of calibration.yaml. parameter: makes a Parameter."""
+    message.robot = str(data.get("robot", ""))
+    for path, value in _leaves(data):
+        one = parameter()
+        one.name = "/".join(path)
+        _put(one.value, value)
+        message.values.append(one)
+    return message
+
+
+def calibration_data(message: Any) -> dict[str, Any]:
+    """The data of calibration.yaml in a Calibration. Raises BadCommand for another version, or BadTable."""
+    require_version(message, "calibration")
+    if len(message.values) > _MOST:
+        raise BadTable("calibration", f"has {len(message.values)} values, {_MOST} is the limit", _REMEDY)
+    root: dict[str, Any] = {}
+    for one in message.values:
+        path, node = one.name.split("/"), root
+        for key in path[:-1]:
+            node = node.setdefault(key, {})
+            if not isinstance(node, dict):
+                raise BadTable(
+                    f"calibration, {one.name}", "lies below a value", "publish what the calibrator publishes"
+                )
+        node[path[-1]] = _Leaf(_got(one.value))
+    tree = _tree(root)
+    if not isinstance(tree, dict):
+        raise BadTable("calibration", "is a list", _REMEDY)
+    return tree
+
+
+class _Leaf:
+    """A value, told apart from the mappings around it."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+
+_FIELDS: dict[type, tuple[int, str]] = {
+    bool: (1, "bool_value"), int: (2, "integer_value"), float: (3, "double_value"), str: (4, "string_value"),
+}  # fmt: skip
+_ARRAYS: dict[type, tuple[int, str]] = {
+    bool: (6, "bool_array_value"), int: (7, "integer_array_value"), float: (8, "double_array_value"),
+    str: (9, "string_array_value"),
+}  # fmt: skip
+_READ = {code: name for code, name in (*_FIELDS.values(), *_ARRAYS.values())}
+_NOTHING, _EMPTY = 0, 5  # types of a value that is not set, and of an empty mapping
+
+
+def _leaves(value: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    if isinstance(value, Mapping) and value:
+        for key, inner in value.items():
+            yield from _leaves(inner, (*path, str(key).replace("~", "~0").replace("/", "~1").replace("[", "~2")))
+    elif isinstance(value, list | tuple) and not _alike(value):
+        for i, inner in enumerate(value):
+            yield from _leaves(inner, (*path, f"[{i}]"))
+    else:
+        yield path, value
+
+
+def _alike(values: list[Any] | tuple[Any, ...]) -> bool:
+    """Whether a list is an array of numbers or of texts; an empty one is."""
+    kinds = {type(value) for value in values}
+    return not kinds or (len(kinds) == 1 and next(iter(kinds)) in _ARRAYS)
+
+
+def _put(into: Any, value: Any) -> None:
+    if isinstance(value, list | tuple):
+        into.type, name = _ARRAYS[type(value[0]) if value else str]
+        setattr(into, name, list(value))
+    elif isinstance(value, Mapping):
+        into.type = _EMPTY
+    elif value is not None:
+        into.type, name = _FIELDS[type(value)]
+        setattr(into, name, value)
+
+
+def _got(value: Any) -> Any:
+    if value.type == _NOTHING:
+        return None
+    if value.type == _EMPTY:
+        return {}
+    if value.type not in _READ:
+        raise BadTable("calibration", f"holds a value of type {value.type}", _REMEDY)
+    got = getattr(value, _READ[value.type])
+    return got if isinstance(got, bool | int | float | str) else list(got)
+
+
+def _tree(node: Any) -> Any:
+    if isinstance(node, _Leaf):
+        return node.value
+    indices = [f"[{i}]" for i in range(len(node))]
+    if node and set(indices) == set(node):
+        return [_tree(node[i]) for i in indices]
+    return {key.replace("~2", "[").replace("~1", "/").replace("~0", "~"): _tree(inner) for key, inner in node.items()}
