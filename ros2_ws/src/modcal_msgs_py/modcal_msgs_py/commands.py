@@ -90,7 +90,7 @@ class JointInput:
         self._told: tuple[str, ...] | None = None  # names of the last message ...
         self._named = JointColumns.of(self.names, (), ())  # ... and which of them are which of this arm's joints,
         self._low, self._high = self._lower[:0], self._upper[:0]  # with their limits
-        self.complete = False  # whether every joint was heard of
+        self.complete = False  # whether every joint has a message
         n = len(self.names)
         self.position, self.velocity, self.effort = np.zeros(n), np.zeros(n), np.full(n, math.nan)
         self.stamps = np.full(n, -math.inf)
