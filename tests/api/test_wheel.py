@@ -151,7 +151,7 @@ def test_colcon_does_not_take_the_root_for_a_package() -> None:
         ROOT / "ros2_ws",
     ]
     listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
-    assert sorted(listed) == ["modcal_core", "modcal_msgs_py", "modcal_nodes"]
+    assert sorted(listed) == ["modcal_core", "modcal_interfaces", "modcal_msgs_py", "modcal_nodes"]
     command[-1] = ROOT
     listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     assert "modcal" not in listed

@@ -119,8 +119,9 @@ def test_what_commands_for_ros_name_exists(page: Path) -> None:
         elif command[0] == "modcal":
             assert command[1] in VERBS, line
         else:
-            named = re.match(r"ros2 (service call|topic pub --once) (\S+) (\w+)/(srv|msg)/(\w+)", line)
+            kinds = "service call|topic pub --once|action send_goal(?: --feedback)?"
+            named = re.match(rf"ros2 ({kinds}) (\S+) (\w+)/(srv|msg|action)/(\w+)", line)
             assert named, line
             leaf = named[2].rpartition("/")[2]
-            said = [f'"~/{leaf}"', f'"{leaf}"']
+            said = [f'"~/{leaf}"', f'"{leaf}"', f'"{named[5]}"']  # an action is named by its type
             assert any(s in source.read_text() for source in NODES.rglob("*.py") for s in said), line

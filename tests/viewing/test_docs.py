@@ -20,8 +20,10 @@ def test_every_namespace_is_in_the_table() -> None:
         assert set(re.findall(r"`(\w+)`", rows[topic])) == spaces
 
 
-def test_every_option_is_in_the_table() -> None:
+def test_options_of_the_page_are_those_of_the_command() -> None:
     command = modcal.get_command(click.Context(modcal), "watch")
     assert command is not None
     options = {o for p in command.params for o in p.opts if o.startswith("--")}
-    assert set(re.findall(r"`(--[\w-]+)[ `]", TEXT)) == options
+    named = set(re.findall(r"`(--[\w-]+)[ `]", TEXT))
+    assert named
+    assert named <= options

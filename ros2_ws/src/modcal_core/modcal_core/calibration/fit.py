@@ -95,7 +95,7 @@ class Curvature:
         return np.asarray(np.einsum("ij,ij->j", half, half) * self.scale**2)
 
 
-MAX_ITERATIONS = 150  # a fit that needs more says that it did not converge
+MAX_ITERATIONS = 300  # a fit that needs more says that it did not converge
 CONVERGED = 1e-5  # standard deviations that a fit is away from its end, far below anything a report shows
 FITTED = 1e-2  # the same for models with effects, some of which have many values
 # The curvature is computed again where a step has gained less or more than it promised, by this share of that

@@ -210,7 +210,7 @@ def _quantities(data: dict[str, Any]) -> list[Quantity]:
         ("origin of the object", "object", "m"),
         ("direction of the axis", "axis", "1"),
     ):
-        for k, value in enumerate(joint.get(key) or ()):
+        for k, value in enumerate((joint.get(key) or ())[:3]):  # of an object's pose its place
             known = float(std[key][k]) if k < len(std.get(key, ())) else None
             out.append((f"{name}, {'xyz'[k]}", value, known, unit))
     if joint["point"] is not None:
