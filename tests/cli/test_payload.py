@@ -11,6 +11,7 @@ import pytest
 from cli.conftest import Refused
 from robots.random_arms import Mujoco, inertial_link
 
+from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import JointTrack, Recording
 from modcal_core.robots.bodies import Payload
@@ -75,6 +76,25 @@ def test_payloads_lie_within_what_is_stated(arm: str) -> None:
     assert np.abs(off).max() < 4.0
     assert np.mean(np.abs(off) > 3.0) < 0.02
     assert np.sqrt(np.mean(np.square(off[::2]))) > 0.3
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_efforts_that_hold_no_such_arm_are_refused(arm: str) -> None:
+    """Currents in place of torques, torques of the other sign, one joint of the other sign; alone and beside a bag."""
+    text, chain, mass, centre, drives, rng = drawn(arm, 1)
+    one = np.where(np.arange(chain.n) == 1, -1.0, 1.0)
+    stands = []
+    for full, text_of in ((True, loaded(text, chain, mass, centre)), (False, text)):
+        q = postures(chain, 15, rng)
+        side = np.sign(rng.standard_normal(q.shape))
+        stands.append(Stands(q, drives.reported(Mujoco(text_of, chain), q, side), side, full))
+    for factor in (0.1, -1.0, one):
+        for used in (stands, stands[:1]):
+            told = [Stands(s.q, factor * s.effort, s.side, s.loaded) for s in used]
+            with pytest.raises(
+                BadRecording, match="holds the links of the robot description|check their sign and unit"
+            ):
+                weigh(chain, read_inertias(text, chain), told)
 
 
 def recorded(text: str, chain: Chain, truth: Mujoco, drives: Drives | None, rng: np.random.Generator) -> Recording:

@@ -107,6 +107,8 @@ def test_joints_alone_are_a_bag_whose_unit_is_asked_where_no_label_tells(
         if not made.open:
             recording = import_tables(dict(made.mapping), tmp_path, "m")
             assert not recording.readings
+            path = written(tmp_path, {"t": 0.1 * np.arange(len(q)), **columns, "speck": rng.standard_normal(len(q))})
+            assert any("speck change and are read as no measurement" in said for said in find([path], CHAIN).open)
             assert np.abs(recording.joints[0].position - q).max() < 1e-6
 
 

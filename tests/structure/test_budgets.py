@@ -40,10 +40,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/hypotheses": (3780, 2540),
     "modcal_core/moves": (1980, 1340),
     "modcal_core/report": (4770, 2780),
-    "modcal_core/robots": (4920, 3080),
+    "modcal_core/robots": (4940, 3100),
     "modcal_core/verdict": (4160, 2740),
-    "modcal_msgs_py": (4870, 3300),
-    "modcal_msgs_py/tables": (3760, 2670),
+    "modcal_msgs_py": (4870, 3310),
+    "modcal_msgs_py/tables": (3770, 2670),
     "modcal_nodes": (80, 30),
     "modcal_nodes/calibrating": (1710, 1210),
     "modcal_nodes/cli": (4290, 2650),
@@ -57,10 +57,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (1970, 1420),
     "modcal_nodes/watching": (280, 200),
-    "tests": (47650, 32840),
+    "tests": (47670, 32860),
 }
-SOURCE = (91100, 59450)
-TEXT = 176600  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (91100, 59500)
+TEXT = 176700  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 78
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
     from modcal_msgs_py.messages import RecordingBuilder, why_left_out
     from modcal_msgs_py.commands import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_expected
-    from modcal_msgs_py.commands import fill_markers, fill_object_state, fill_object_status, fill_picture, seen
+    from modcal_msgs_py.commands import fill_markers, fill_object_state, fill_picture, seen
     from modcal_msgs_py.commands import status_values
     from modcal_msgs_py.readings import SignalsHeard, nanoseconds, reading_of, seconds, set_nanoseconds, set_seconds
     from modcal_msgs_py.recording_write import write_recording
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.topics import accepted, role_of
     from modcal_msgs_py.track_rows import JointStateBytes
     from modcal_msgs_py.typed import calibration_data, fill_calibration, fill_change, fill_checked, fill_estimate
-    from modcal_msgs_py.typed import fill_verdict
+    from modcal_msgs_py.typed import fill_object_status, fill_verdict
 else:
     from modcal_core.lazy import lazy_face
 

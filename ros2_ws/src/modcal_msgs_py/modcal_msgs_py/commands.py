@@ -344,26 +344,6 @@ def fill_object_state(message: Any, frame: str, stamp: int, configuration: float
     return message
 
 
-def fill_object_status(message: Any, frame: str, stamp: int, state: TrackerState) -> Any:
-    """An ObjectState with what is believed; a model that is none of an object leaves its numbers at zero."""
-    message.header.frame_id = frame
-    set_nanoseconds(message.header.stamp, stamp)
-    message.trusted, message.event, message.written = state.trusted, state.event or "", str(state.written or "")
-    message.rotations_of_handle, message.samples = state.follows, state.samples
-    message.ahead_m, message.off_m = float(state.ahead_m), float(state.off_m)
-    message.path_m, message.apart_m = float(state.path_m), float(state.apart_m)
-    message.kinds, message.probabilities = list(state.probabilities), [float(p) for p in state.probabilities.values()]
-    message.model.kind = state.kind
-    if (model := state.model) is not None:
-        told, handle = message.model, message.model.handle
-        told.axis.x, told.axis.y, told.axis.z = model.axis.tolist()
-        told.point.x, told.point.y, told.point.z = model.point.tolist()
-        told.pitch, told.radius = float(model.pitch), float(model.radius) if model.turns else 0.0
-        at, turn = handle.position, handle.orientation
-        at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w = se3.to_pose(model.start).tolist()
-    return message
-
-
 def status_values(state: TrackerState) -> dict[str, str]:
     """What is believed, as the keys and values of a DiagnosticStatus."""
     return {

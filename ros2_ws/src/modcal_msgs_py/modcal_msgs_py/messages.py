@@ -176,6 +176,7 @@ class RecordingBuilder:
             readings.append(reading_track(kind, frame, rows, topic, topic in by_type))
         if self._transforms is not None:
             readings.append(self._transforms.track(description))
+            warnings += self._transforms.notes
         lost: dict[str, int] = {}
         for (_, why), count in self._lost.items():
             lost[f"messages: {why}"] = lost.get(f"messages: {why}", 0) + count

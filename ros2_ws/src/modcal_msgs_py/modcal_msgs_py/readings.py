@@ -153,11 +153,12 @@ class _Edge:
 
 @dataclass
 class Transforms:
-    """What /tf and /tf_static say; parent, child: frames that are asked for."""
+    """What /tf and /tf_static say; parent, child: frames that are asked for. notes: on the track, once it was made."""
 
     parent: str
     child: str
     _edges: dict[tuple[str, str], _Edge] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def add(self, parent: str, child: str, stamps: Array, received: Array, values: Array, static: bool) -> None:
         """Take transforms (n, 7) of one frame in another."""
@@ -195,6 +196,9 @@ class Transforms:
         if len(moving) not in (1, 2):
             said = "does not move" if not moving else f"is composed of {len(moving)} transforms that move"
             raise BadRecording(name, said, "name the frame of the tracker and that of its target, as it publishes them")
+        if len(moving) == 2:
+            parts = " and ".join(f"{parent}:{child}" for parent, child in moving)
+            self.notes = (f"{name} is composed of two transforms that move, {parts}: the faster one is interpolated.",)
         stamps, received, _ = min(moving.values(), key=lambda columns: len(columns[0]))
         T = np.broadcast_to(np.eye(4), (len(stamps), 4, 4))
         for key, forward in way:

@@ -1,4 +1,4 @@
-"""What the calibrator says, as messages of modcal_interfaces, and a calibration read back from one.
+"""What calibrator and estimator say, as messages of modcal_interfaces, and a calibration read back from one.
 
 The functions fill messages that they are given, so that this package needs no ROS. Figures come from the data of
 report.json and check.json, in metres and radians here.
@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import Array
+from modcal_core.geometry import Array, se3
 from modcal_msgs_py.commands import require_version
-from modcal_msgs_py.readings import set_seconds
+from modcal_msgs_py.readings import set_nanoseconds, set_seconds
+
+if TYPE_CHECKING:
+    from modcal_core.articulation import TrackerState
 
 _MOST = 200_000  # values of a calibration; one of an arm with all effects has some 2 000
 _REMEDY = "publish it as the calibrator does"
@@ -76,6 +79,26 @@ def fill_verdict(message: Any, data: Mapping[str, Any]) -> Any:
     )
     left.rms_m, left.p95_m, left.max_m = (_thousandth(final.get(name)) for name in ("rms", "p95", "max"))
     left.floor_m = _thousandth(data.get("noise_floor_mm"))
+    return message
+
+
+def fill_object_status(message: Any, frame: str, stamp: int, state: TrackerState) -> Any:
+    """An ObjectState with what is believed; a model that is none of an object leaves its numbers at zero."""
+    message.header.frame_id = frame
+    set_nanoseconds(message.header.stamp, stamp)
+    message.trusted, message.event, message.written = state.trusted, state.event or "", str(state.written or "")
+    message.rotations_of_handle, message.samples = state.follows, state.samples
+    message.ahead_m, message.off_m = float(state.ahead_m), float(state.off_m)
+    message.path_m, message.apart_m = float(state.path_m), float(state.apart_m)
+    message.kinds, message.probabilities = list(state.probabilities), [float(p) for p in state.probabilities.values()]
+    message.model.kind = state.kind
+    if (model := state.model) is not None:
+        told, handle = message.model, message.model.handle
+        told.axis.x, told.axis.y, told.axis.z = model.axis.tolist()
+        told.point.x, told.point.y, told.point.z = model.point.tolist()
+        told.pitch, told.radius = float(model.pitch), float(model.radius) if model.turns else 0.0
+        at, turn = handle.position, handle.orientation
+        at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w = se3.to_pose(model.start).tolist()
     return message
 
 

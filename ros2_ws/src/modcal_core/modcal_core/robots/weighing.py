@@ -26,6 +26,7 @@ _ROUNDS = 30  # of estimating scatter and parameters in turn
 _LEAST = 1e-4  # of the largest effort of a joint, its scatter at least: no drive measures its torque so well
 _HEAVIEST, _FARTHEST = 100.0, 1.0  # kg, m: standard deviations of a payload before anything is known
 _CENTRE = 0.03  # m, standard deviation of the centre of a body that a robot description states
+_SURELY = 4.0  # standard deviations beyond which efforts are not of this arm
 _FRICTION, _OFFSET = 0.3, 0.3  # of the largest effort of a joint, standard deviations before anything is known
 
 
@@ -76,7 +77,7 @@ def weigh(
 
     constants: standard deviation of a torque constant, relative. masses: of the masses in the robot description,
     relative. Raises NotEnoughData for fewer postures than FEWEST with the payload, and BadRecording where no joint
-    reports an effort.
+    reports an effort, or efforts are not those that hold this arm.
     """
     count = sum(len(s.q) for s in stands if s.loaded)
     if count < FEWEST:
@@ -95,8 +96,14 @@ def weigh(
     widths = inertias.mass[:, None] * np.array([masses, _CENTRE, _CENTRE, _CENTRE])
     payload = _HEAVIEST * np.array([1.0, _FARTHEST, _FARTHEST, _FARTHEST])
     prior = np.concatenate([payload, widths.ravel(), _FRICTION * most, _OFFSET * most, np.full(n, constants)])
+    _require_torques(
+        chain, own, np.concatenate([held, side[:, :, None]], axis=2), effort, float(np.hypot(constants, masses))
+    )
     x, covariance, scatter = _regression(columns, own, effort, np.maximum(prior, 1e-12), _LEAST * most)
     mass, moment = float(x[0]), x[1:4]
+    if mass < -_SURELY * np.sqrt(covariance[0, 0]):
+        said = f"would make the payload weigh {mass:.3g} kg"
+        raise BadRecording("efforts", said, "check their sign and unit, and the masses of the robot description")
     centre = moment / mass
     # of (m, m c): ∂c/∂m = −c / m, ∂c/∂(m c) = 1 / m
     by = np.block([[np.eye(1), np.zeros((1, 3))], [-centre[:, None] / mass, np.eye(3) / mass]])
@@ -109,6 +116,26 @@ def weigh(
         scatter,
         count,
     )
+
+
+def _require_torques(chain: Chain, own: Array, more: Array, effort: Array, unsure: float) -> None:
+    """Raises BadRecording where a joint's efforts are another multiple of what holds the stated bodies than unsure
+    constants and masses allow, whatever is carried: currents, another sign, another arm.
+
+    own: efforts for the stated bodies, (N, n). more: what they may depend on besides, (N, n, K).
+    """
+    for j, name in enumerate(chain.names):
+        rows = np.isfinite(effort[:, j])
+        design = np.column_stack([own[rows, j], more[rows, j], np.ones(int(rows.sum()))])
+        if len(design) < 2 * design.shape[1]:
+            continue
+        x, (singular, V) = np.linalg.lstsq(design, effort[rows, j], rcond=1e-9)[0], np.linalg.svd(design)[1:]
+        left = float(np.sum((effort[rows, j] - design @ x) ** 2)) / (len(design) - design.shape[1])
+        std = np.sqrt(left * np.sum((V[:, 0] / np.maximum(singular, 1e-9 * singular[0])) ** 2))
+        if abs(x[0] - 1.0) > _SURELY * np.hypot(std, unsure):
+            said = f"are {x[0]:.2g} times what holds the links of the robot description"
+            remedy = "publish torques [N m] that hold the arm up, not currents, or correct the masses"
+            raise BadRecording(f"efforts of {name}", said, remedy)
 
 
 def _bodies(chain: Chain, inertias: Inertias, q: Array) -> tuple[Array, Array]:

@@ -152,7 +152,10 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
         fits = search.otherwise(fits)
         if not fits and search.measured:
             read = JointsAlone.of(numbers, chain, search.measured[0])
-            questions = read.questions
+            told = {k for j in labelled for k in j.columns} | set(time.columns)
+            left = [k for k in numbers.usable if k not in told]
+            unread = f"{numbers.shown(*left)} change and are read as no measurement of the tool: see what they are"
+            questions = (*read.questions, *[unread] * bool(left))
             assumed = ["no column holds a reading: joints alone, for `modcal articulate`, `payload` and `limits`"]
         elif not any(f.best.near for f in fits):
             raise BadTable(way.sheet.path.name, *search.no_arm(fits))

@@ -229,7 +229,7 @@ def sheet_corners(
     target: PrintedTarget, numbers: np.ndarray, quads: Array, either_way: bool = False
 ) -> tuple[np.ndarray, Array] | None:
     """(ids (4 k,), pixels (4 k, 2)) of those of m markers that are the target's, by their numbers (m,) and corners
-    clockwise (m, 4, 2), from whichever corner; None where none is, or a number stands twice, as of two boards.
+    clockwise (m, 4, 2), from whichever corner; None without a corner, or where a number stands twice, as of two boards.
 
     A marker's own first corner is a convention of its maker: a grid shows which it is. either_way: also the way round.
     """
