@@ -12,8 +12,8 @@ The simulated cell is the source. Times are of the processor, of a process and i
   been taken in, by the stamp that the cell should have sent it with, and how many messages were heard. Of modcal's
   chain a hundredth may be older than 50 ms only where it is older in the bare chain. Nobody listens to /diagnostics but
   once, when the cell has ended.
-* answers: how old a corrected pose and a limit are when they are heard, by the stamp of their joint states, beside these
-  themselves, which the same plain subscriber hears; and whether each has the stamp of one, to the last nanosecond.
+* answers: how old a corrected pose and a limit are when they are heard, by the stamp of their joint states, which the
+  same plain subscriber hears; and whether each has the stamp of one, to the last nanosecond.
 * soak: recorder and calibrator for ten minutes: every message recorded, little time an update, no growing memory.
 * kills: the recorder is killed twenty times in a row. After a kill DDS holds on to the dead one, and the next may be
   sent nothing for some seconds. That is no loss that anybody could undo; but it must be said within a second. Nothing
