@@ -17,7 +17,7 @@ from rclpy.task import Future
 
 from modcal_core.errors import BadCommand, plain
 from modcal_core.files import parse_yaml, to_yaml
-from modcal_core.report import SummaryLine
+from modcal_core.report import Summary, SummaryLine
 from modcal_msgs_py import fill_message, message_data
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking
@@ -59,11 +59,14 @@ def call_command(node: str, name: str, written: str, patience: float, output: Ou
             goal = fill_message(kind.Goal(), fields, "--goal")
             result, done = _performed(action, _Server(executor, full, action.server_is_ready), goal)
     names = {value: key for key, value in vars(type(result)).items() if isinstance(value, int) and "__" not in key}
-    outcome = names.get(getattr(result, "outcome", None))
+    outcome = names.get(getattr(result, "outcome", -1))
     data = {"modcal_call": 1, "name": full, "type": type_name, "done": done, "outcome": outcome}
     said = ": ".join(filter(None, [outcome, getattr(result, "message", "")])) or ("done" if done else "refused")
     rest = {key: value for key, value in _news(result).items() if key not in _SAID}
-    shown = [SummaryLine(said, "good" if done else "bad"), *([to_yaml(rest).rstrip()] if rest else [])]
+    shown: list[str | Summary] = [
+        SummaryLine(said, "good" if done else "bad"),
+        *([to_yaml(rest).rstrip()] if rest else []),
+    ]
     output.result({**data, "result": message_data(result)}, shown)
     return 0 if done else UNMET
 

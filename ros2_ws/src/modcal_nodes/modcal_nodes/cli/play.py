@@ -67,8 +67,9 @@ def play_command(
             click.echo(plain(f"modcal: {note}"), err=True)
         messages = messages_in_order(bag, counts, lambda share: watch("playing", share), notes.append)
         latched = {name for name in counts if offered[name].latched}
+        tick = None if clock is None else round(1e9 * rate / clock)
         first: tuple[float, int] | None = None
-        for due, message in _events(messages, round(1e9 * start), latched, clock and round(1e9 * rate / clock)):
+        for due, message in _events(messages, round(1e9 * start), latched, tick):
             now = time.monotonic()
             first = first or (now, due)
             wait = first[0] + 1e-9 * (due - first[1]) / rate - now
@@ -78,8 +79,8 @@ def play_command(
                 publishers[message.topic].publish(message.cdr)
                 counts[message.topic] += 1
             else:
-                set_nanoseconds((tick := Clock()).clock, due)
-                ticks[0].publish(tick)
+                set_nanoseconds((time_now := Clock()).clock, due)
+                ticks[0].publish(time_now)
         for publisher in (*publishers.values(), *ticks):
             publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED))
     table = TableBlock("", ("topic", "messages"), tuple((names[name], str(n)) for name, n in sorted(counts.items())))
