@@ -57,10 +57,12 @@ def test_a_bag_that_is_played_gives_the_report_of_the_bag(tmp_path: Path) -> Non
         said = Diagnostics(node)
         wait(lambda: SAMPLES in said.last, 60.0)
         code, out, told = ran(
-            domain, "play", str(BAG), "--rate=20", "--clock=50", "--remap=/tracker/pose:=left/pose", "--json"
+            domain, "play", str(BAG), "--rate=6", "--clock=50", "--remap=/tracker/pose:=left/pose", "--json"
         )
         assert (code, told) == (0, "")
-        wait(lambda: said.counted("/left/pose") == json.loads(out)["messages"]["/tracker/pose"] == 2415, 30.0)
+        sent = json.loads(out)["messages"]
+        assert (sent["/joint_states"], sent["/tracker/pose"]) == (4830, 2415)
+        wait(lambda: (said.counted("/joint_states"), said.counted("/left/pose")) == (4830, 2415), 30.0)
 
         code, out, told = ran(domain, "call", "calibrator", "solve", "--json")
         answer = json.loads(out)

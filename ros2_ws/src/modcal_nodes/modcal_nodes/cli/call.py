@@ -11,7 +11,6 @@ import click
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.action.graph import get_action_server_names_and_types_by_node
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.task import Future
 
@@ -44,40 +43,37 @@ def call_command(node: str, name: str, written: str, patience: float, output: Ou
     code 0: done; 3: refused, cancelled or failed; 2: there is no such node or name, or the goal does not fit its type.
     """
     fields = parse_yaml(written, "--goal") or {}
-    with joined(passing("modcal_call")) as (here, executor), stopped_by(interrupt):
-        full, type_name = _found(here, executor, f"/{node.strip('/')}", name.removeprefix("~/"), patience)
+    with joined(passing) as (here, turn), stopped_by(interrupt):
+        full, type_name = _found(here, turn, f"/{node.strip('/')}", name.removeprefix("~/"), patience)
         if (kind := type_of(type_name)) is None:
             remedy = "source the workspace that has it; in a clone run make build"
             raise BadCommand(full, f"its type {type_name} is not installed here", remedy)
         if "/srv/" in type_name:
-            service = here.create_client(kind, full)
-            request = fill_message(kind.Request(), fields, "--goal")
-            result = _Server(executor, full, service.service_is_ready).answer(service.call_async(request))
-            done = _yes(result)
+            service, request = here.create_client(kind, full), fill_message(kind.Request(), fields, "--goal")
+            result = _Server(turn, full, service.service_is_ready).answer(service.call_async(request))
+            parts = [result, *getattr(result, "results", ()), getattr(result, "result", None)]  # of many; of one
+            done = all(getattr(part, yes, True) for part in parts for yes in ("success", "successful"))
         else:
-            action = ActionClient(here, kind, full)
-            goal = fill_message(kind.Goal(), fields, "--goal")
-            result, done = _performed(action, _Server(executor, full, action.server_is_ready), goal)
+            action, goal = ActionClient(here, kind, full), fill_message(kind.Goal(), fields, "--goal")
+            result, done = _performed(action, _Server(turn, full, action.server_is_ready), goal)
     names = {value: key for key, value in vars(type(result)).items() if isinstance(value, int) and "__" not in key}
     outcome = names.get(getattr(result, "outcome", -1))
     data = {"modcal_call": 1, "name": full, "type": type_name, "done": done, "outcome": outcome}
     said = ": ".join(filter(None, [outcome, getattr(result, "message", "")])) or ("done" if done else "refused")
-    rest = {key: value for key, value in _news(result).items() if key not in _SAID}
-    shown: list[str | Summary] = [
-        SummaryLine(said, "good" if done else "bad"),
-        *([to_yaml(rest).rstrip()] if rest else []),
-    ]
+    shown: list[str | Summary] = [SummaryLine(said, "good" if done else "bad")]
+    if rest := {key: value for key, value in _news(result).items() if key not in _SAID}:
+        shown.append(to_yaml(rest).rstrip())
     output.result({**data, "result": message_data(result)}, shown)
     return 0 if done else UNMET
 
 
-def _found(here: Node, executor: SingleThreadedExecutor, node: str, name: str, patience: float) -> tuple[str, str]:
+def _found(here: Node, turn: Callable[[float], None], node: str, name: str, patience: float) -> tuple[str, str]:
     """Full name and type of what a node is asked for. Raises BadCommand where it is not there."""
     space, _, leaf = node.rpartition("/")
     offered: dict[str, str] = {}
     end = time.monotonic() + patience
     while time.monotonic() < end:
-        executor.spin_once(timeout_sec=_SPIN)
+        turn(_SPIN)
         with suppress(NodeNameNonExistentError):
             found = here.get_service_names_and_types_by_node(leaf, space or "/")
             found += get_action_server_names_and_types_by_node(here, leaf, space or "/")
@@ -97,20 +93,21 @@ def _found(here: Node, executor: SingleThreadedExecutor, node: str, name: str, p
 class _Server:
     """Who answers, as long as it is there."""
 
-    def __init__(self, executor: SingleThreadedExecutor, name: str, ready: Callable[[], bool]) -> None:
+    def __init__(self, turn: Callable[[float], None], name: str, ready: Callable[[], bool]) -> None:
         """Wait for the server to be found, and to have found this node."""
-        self._executor, self._name, self._ready, self._seen = executor, name, ready, time.monotonic()
-        found = False
-        while not found or time.monotonic() < self._seen + MUTUAL:
-            found = found or ready()
-            self._turn(found)
+        self.name, self._spin, self._ready, self._seen = name, turn, ready, time.monotonic()
+        while not ready():
+            self._turn()
+        end = time.monotonic() + MUTUAL
+        while time.monotonic() < end:
+            self._turn()
 
-    def _turn(self, found: bool = False) -> None:
-        self._executor.spin_once(timeout_sec=_SPIN)
-        if not found and self._ready():
+    def _turn(self) -> None:
+        self._spin(_SPIN)
+        if self._ready():
             self._seen = time.monotonic()
         elif time.monotonic() > self._seen + _GONE:
-            raise BadCommand(self._name, "its node has ended", "look at its log, and start it again")
+            raise BadCommand(self.name, "its node has ended", "look at its log, and start it again")
 
     def answer(self, future: Future, meanwhile: Callable[[], None] = lambda: None) -> Any:
         """The result of a future. meanwhile: called at every turn. Raises BadCommand where none will come."""
@@ -118,12 +115,6 @@ class _Server:
             self._turn()
             meanwhile()
         return future.result()
-
-
-def _yes(response: Any) -> bool:
-    """Whether a service has done what it was asked; one that cannot say no has."""
-    parts = [response, *getattr(response, "results", ()), getattr(response, "result", None)]
-    return all(getattr(part, "success", True) and getattr(part, "successful", True) for part in parts)
 
 
 def _performed(client: ActionClient, server: _Server, goal: Any) -> tuple[Any, bool]:
@@ -153,7 +144,7 @@ def _performed(client: ActionClient, server: _Server, goal: Any) -> tuple[Any, b
     with stopped_by(stop):
         handle = server.answer(client.send_goal_async(goal, feedback_callback=tell))
         if not handle.accepted:
-            raise BadCommand(server._name, "the goal is not accepted", "look at the node's log")
+            raise BadCommand(server.name, "the goal is not accepted", "look at the node's log")
         ended = server.answer(handle.get_result_async(), cancel)
     return ended.result, ended.status == GoalStatus.STATUS_SUCCEEDED
 
@@ -163,9 +154,9 @@ def _news(message: Any) -> dict[str, Any]:
 
     def brief(value: Any, empty: Any) -> Any:
         if isinstance(value, dict):
-            return {k: brief(v, empty[k]) for k, v in value.items() if v is not None and v != empty[k]}
+            return {k: brief(v, empty and empty[k]) for k, v in value.items() if not empty or v not in (None, empty[k])}
         if isinstance(value, list):
-            return [brief(one, {}) if not isinstance(one, dict) else one for one in value]
+            return [brief(one, None) for one in value]
         return float(f"{value:.6g}") if isinstance(value, float) else value
 
     return dict(brief(message_data(message), message_data(type(message)())))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 
 import click
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -57,11 +56,11 @@ def play_command(
     counts, late = {name: 0 for name, kind in kinds.items() if kind is not None}, 0.0
     if not counts:
         raise BadRecording(str(bag), "; ".join(notes) or "holds no message", "source the workspace that has the types")
-    with output.working() as watch, stopped_by(interrupt), joined(passing("modcal_play")) as (node, executor):
+    with output.working() as watch, stopped_by(interrupt), joined(passing) as (node, turn):
         publishers = {name: node.create_publisher(kinds[name], names[name], _qos(offered[name])) for name in counts}
         ticks = [node.create_publisher(Clock, _CLOCK, QoSProfile(depth=_DEPTH))] if clock is not None else []
         watch("waiting for listeners")
-        _meet(executor, publishers.values())
+        _meet(turn, publishers.values())
         notes += [f"another node publishes {n} too" for n in map(names.get, counts) if node.count_publishers(n) > 1]
         for note in notes:
             click.echo(plain(f"modcal: {note}"), err=True)
@@ -112,12 +111,12 @@ def _qos(topic: OfferedTopic) -> QoSProfile:
     )
 
 
-def _meet(executor: SingleThreadedExecutor, publishers: Collection[Publisher]) -> None:
+def _meet(turn: Callable[[float], None], publishers: Collection[Publisher]) -> None:
     """Wait until whoever listens already has been found, and has found the publishers."""
     end = time.monotonic() + _LISTENERS
     found = False
     while time.monotonic() < end:
-        executor.spin_once(timeout_sec=_SPIN)
+        turn(_SPIN)
         if not found and any(publisher.get_subscription_count() for publisher in publishers):
             found, end = True, time.monotonic() + _SETTLE + MUTUAL
     if not found:

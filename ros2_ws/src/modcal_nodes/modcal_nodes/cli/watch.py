@@ -111,7 +111,7 @@ def _nothing(domain: int, namespace: str, seconds: float) -> tuple[str, str, str
 @contextlib.contextmanager
 def _listening(heard: Heard, domain: int) -> Iterator[Callable[[float], None]]:
     """A node in this domain, and a function that lets it listen for so many seconds."""
-    with joined(partial(Listener, heard), domain) as (node, executor):
+    with joined(partial(Listener, heard), domain) as (node, turn):
 
         def spin(seconds: float) -> None:
             end = time.monotonic() + seconds
@@ -120,7 +120,7 @@ def _listening(heard: Heard, domain: int) -> Iterator[Callable[[float], None]]:
                 if time.monotonic() >= due:
                     due = time.monotonic() + _FOLLOW
                     node.follow()
-                executor.spin_once(timeout_sec=min(left, _SPIN))
+                turn(min(left, _SPIN))
 
         yield spin
 

@@ -7,7 +7,6 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
-from types import FrameType
 from typing import Any, TypeVar
 
 import rclpy
@@ -21,35 +20,31 @@ MUTUAL = 0.5  # s: who was just found may not have found the finder, and what is
 
 
 @contextmanager
-def joined(make: Callable[[Context], N], domain: int | None = None) -> Iterator[tuple[N, SingleThreadedExecutor]]:
-    """A node and its executor. make: such as :func:`passing`. domain: in place of ROS_DOMAIN_ID."""
+def joined(make: Callable[[Context], N], domain: int | None = None) -> Iterator[tuple[N, Callable[[float], None]]]:
+    """A node, and what spins it once for so many seconds at most. domain: in place of ROS_DOMAIN_ID."""
     context = Context()
     rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     node = make(context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     try:
-        yield node, executor
+        yield node, executor.spin_once
     finally:
         executor.shutdown(timeout_sec=1.0)
         node.destroy_node()
         rclpy.try_shutdown(context=context)
 
 
-def passing(name: str) -> Callable[[Context], Node]:
-    """Makes a bare node of this name and the process's number."""
-    options = {"enable_rosout": False, "start_parameter_services": False}
-    return lambda context: Node(f"{name}_{os.getpid()}", context=context, **options)
+def passing(context: Context) -> Node:
+    """A bare node of a name that no other has."""
+    name = f"modcal_{os.getpid()}"
+    return Node(name, context=context, enable_rosout=False, start_parameter_services=False)
 
 
 @contextmanager
 def stopped_by(stop: Callable[[], None]) -> Iterator[None]:
     """SIGINT and SIGTERM call this while the block lasts."""
-
-    def called(number: int, frame: FrameType | None) -> None:
-        stop()
-
-    before = {number: signal.signal(number, called) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, lambda *_: stop()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
