@@ -36,7 +36,12 @@ class Publishers:
         self._residual = node.create_publisher(Float64, "~/residual", LATCHED)
         self._before = node.create_publisher(Float64, "~/residual_before", LATCHED)
         self._trusted = node.create_publisher(Bool, "~/trusted", LATCHED)
-        self._trusted.publish(Bool(data=False))  # until there is a model: who asks is not left waiting
+        self._holds = False  # whether a model is trusted
+
+    def hold(self, holds: bool | None = None) -> None:
+        """Publish whether a model is trusted; None: as it was, so that who asks is not left waiting for one."""
+        self._holds = self._holds if holds is None else holds
+        self._trusted.publish(Bool(data=self._holds))
 
     def _message(self, name: str) -> Any:
         message = self._types[name]()
@@ -53,7 +58,7 @@ class Publishers:
             self._model.publish(fill_calibration(self._message("Calibration"), Parameter, calibration))
         if "report.json" in files:
             self._report.publish(self.verdict(files["report.json"]))
-        self._trusted.publish(Bool(data=True))
+        self.hold(True)
 
     def verdict(self, report: str) -> Any:
         """What the text of a report.json says of its model, as a Verdict."""
@@ -98,7 +103,7 @@ class Publishers:
 
     def _suspect(self, **change: Any) -> None:
         self._change.publish(fill_change(self._message("Change"), change))
-        self._trusted.publish(Bool(data=False))
+        self.hold(False)
 
     def no_change(self) -> None:
         """Publish that nothing is suspected any more."""

@@ -44,17 +44,19 @@ _SILENT = 1.0  # s without a pose, after which the estimate is said to be old
 _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
 
 
-class ArticulationEstimator(ros.GuardedNode):
+class ArticulationEstimator(ros.ManagedNode):
     """Publishes the object as a one-joint URDF, its state, its axis, where it will be, and whether to trust it."""
 
     def __init__(self) -> None:
-        super().__init__("articulation_estimator")
-        self._chosen = chosen = ros.declare(self, ros.ARTICULATION_ESTIMATOR)
-        if chosen["input"] not in (_JOINTS, *_POSES):
-            raise BadCommand(
-                f"parameter input {chosen['input']!r}", "is not an input", f"use {_JOINTS}, {', '.join(_POSES)}"
-            )
-        ros.follow(self, ros.ARTICULATION_ESTIMATOR, chosen)
+        super().__init__("articulation_estimator", ros.ARTICULATION_ESTIMATOR)
+
+    def _check(self, new: dict[str, Any]) -> None:
+        if new["input"] not in (_JOINTS, *_POSES):
+            known = f"use {_JOINTS}, {', '.join(_POSES)}"
+            raise BadCommand(f"parameter input {new['input']!r}", "is not an input", known)
+
+    def _configure(self) -> None:
+        chosen = self._chosen
         self._tracker = Tracker(
             TrackerSettings(
                 tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"], trust_after_m=chosen["trust_after_m"]
@@ -66,7 +68,6 @@ class ArticulationEstimator(ros.GuardedNode):
         self._names: frozenset[str] = frozenset()
         self._urdf, self._refusal = chosen["robot_description"], ""
         self._forget()
-        self._refusals = ros.Refusals(self)
         self._rest: list[Array] = []
         self._offset = np.zeros(3)
         self._load = Load(chosen["tool_mass"])
@@ -101,8 +102,14 @@ class ArticulationEstimator(ros.GuardedNode):
             self._inputs.append(
                 ros.MonitoredSubscription(self, String, "robot_description", heard, ros.LATCHED, needed=needed)
             )
-        self._health = ros.Health(self, self._report)
         self.create_service(Trigger, "~/reset", self._reset)
+
+    def _deactivate(self) -> None:
+        """What is held is another object, or another grasp of it, when the node is active again."""
+        if self._told is not None:
+            self._description.publish(String(data=""))
+        self._forget()
+        self._rest.clear()
 
     def _forget(self) -> None:
         self._tracker.reset()

@@ -30,18 +30,22 @@ _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
 
 
-class Calibrator(ros.GuardedNode):
+class Calibrator(ros.ManagedNode):
     """``~/solve`` calibrates, ``~/accept`` trusts the result, ``~/save`` keeps it on disk, ``~/reset`` forgets;
     ``~/check`` says by a few stations what has changed since.
     """
 
     def __init__(self) -> None:
-        super().__init__("calibrator")
-        self._chosen = chosen = ros.declare(self, ros.CALIBRATOR)
-        calibrating.require_policy(chosen)
-        ros.follow(self, ros.CALIBRATOR, chosen, calibrating.require_policy, self._take_parameters)
+        super().__init__("calibrator", ros.CALIBRATOR)
+
+    def _check(self, new: dict[str, Any]) -> None:
+        calibrating.require_policy(new)
+
+    def _configure(self) -> None:
+        chosen = self._chosen
         self._cell = read_cell(Path(chosen["cell"]) if chosen["cell"] else None, tuple(f for f in chosen["fixed"] if f))
         self._folder = calibrating.StateFolder(chosen["state"], self.get_logger())
+        self.held.callback(self._folder.release)
         state = self._folder.read()
         self._buffer = calibrating.Buffer(chosen["buffer_s"])
         self._buffer.samples = state.samples
@@ -71,9 +75,10 @@ class Calibrator(ros.GuardedNode):
         heard = () if corners is None else corners.topics
         self._inputs = calibrating.listen(self, self._intake, self._describe, patience, described, heard)
         self._commands = calibrating.CommandSubscription(self, self._intake.command)
-        self._health = ros.Health(self, self._statuses)
+        self.held.callback(self._keep)
         self._worker = calibrating.SolveWorker(self.get_logger().error)
-        self._check = calibrating.CheckService(self, self._worker, self._outputs, self._begin_check)
+        self.held.callback(self._worker.close)
+        self._checks = calibrating.CheckService(self, self._worker, self._outputs, self._begin_check)
         self._solve = ros.Action(self, "Solve", self._begin_solve, self._cancel_solve, self._progress)
         self._solve_next, self._begun = False, 0.0
         # a group of its own: while a solve is awaited, its group takes no other callback
@@ -81,9 +86,21 @@ class Calibrator(ros.GuardedNode):
         self.create_service(Trigger, "~/accept", self._on_accept)
         self.create_service(Trigger, "~/save", self._on_save)
         self.create_service(Trigger, "~/reset", self._on_reset)
+
+    def _activate(self) -> None:
+        self._outputs.hold()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_POLL, self._poll, clock=steady)
         self.create_timer(1.0, self._tell, clock=steady)
+
+    def _deactivate(self) -> None:
+        """End what the worker does; what was heard so far is kept."""
+        if self._solve_next or self._worker.doing == _SOLVE:
+            self._answer(False, "the node was deactivated")
+        self._checks.cancel("the node was deactivated")
+        self._solve_next = False
+        if self._worker.doing:
+            self._worker.drop()
 
     def _take_parameters(self) -> None:
         self._supervisor.follow(calibrating.policy(self._chosen))
@@ -92,7 +109,8 @@ class Calibrator(ros.GuardedNode):
 
     def _describe(self, message: String) -> None:
         self._arm.describe(message.data)
-        self._recognise()
+        if self.active:
+            self._recognise()
 
     def _recognise(self) -> None:
         """Go on with the model that was saved, once it is known that this is its arm."""
@@ -205,7 +223,7 @@ class Calibrator(ros.GuardedNode):
             return self._lacks()
         since = self._supervisor.changed
         heard = self._buffer.collected()
-        return self._check.begin(heard, chain, trusted, chosen["clock_limit_s"], chosen["check_stations"], since)
+        return self._checks.begin(heard, chain, trusted, chosen["clock_limit_s"], chosen["check_stations"], since)
 
     def _answer_camera(self, success: bool, message: str) -> None:
         self._verdict = message
@@ -299,9 +317,8 @@ class Calibrator(ros.GuardedNode):
         )
         return response
 
-    def close(self) -> None:
-        """Keep the stations and images heard so far, and end the worker."""
-        self._worker.close()
+    def _keep(self) -> None:
+        """Keep the stations and images heard so far."""
         if self._camera is not None:
             self._camera.keep()
         if self._folder.path and self._arm.chain is not None:
@@ -313,7 +330,6 @@ class Calibrator(ros.GuardedNode):
             except ModcalError as error:
                 self.get_logger().warning(f"the last messages are not kept: {error}")
             self._folder.save_samples(self._buffer.samples)
-        self._folder.release()
 
     def _tell(self) -> None:
         """Once a second: what is missing, how far collecting is, the running estimate, and what has changed."""
@@ -339,7 +355,7 @@ class Calibrator(ros.GuardedNode):
             self._said = live.hypothesis
             self._health.publish()
 
-    def _statuses(self) -> Iterable[ros.Status]:
+    def _report(self) -> Iterable[ros.Status]:
         heard = ros.subscription_status(self._inputs)
         yield heard if self._camera is not None else ros.tracker_status(heard, self._inputs)
         if self._camera is not None:

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from modcal_nodes.ros.declaring import declare, follow
     from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, Refusals, noted
     from modcal_nodes.ros.launch_files import LAUNCHES
+    from modcal_nodes.ros.lifecycle import ManagedNode, StatedNode
     from modcal_nodes.ros.parameters import ACCELERATION_LIMITS, ARTICULATION_ESTIMATOR, BOARD_DETECTOR, CALIBRATOR
     from modcal_nodes.ros.parameters import CORRECTOR, DOOR_DEMO, IMPEDANCE_SETPOINT, RECORDER, SIMULATED_CELL
     from modcal_nodes.ros.parameters import SIMULATED_FURNITURE, STATION_RUNNER, TRAJECTORY_SENDER, VIEWER, Parameter
@@ -25,7 +26,7 @@ else:
 __all__ = ["ACCELERATION_LIMITS", "ARTICULATION_ESTIMATOR", "BOARD_DETECTOR", "CALIBRATOR", "CORRECTOR", "DONE"]
 __all__ += ["DOOR_DEMO", "ERROR", "FAILED", "FRESH", "IMPEDANCE_SETPOINT", "LATCHED", "LAUNCHES", "OK", "RECORDER"]
 __all__ += ["REFUSED", "SENSOR", "SIMULATED_CELL", "SIMULATED_FURNITURE", "STATION_RUNNER", "TRAJECTORY_SENDER"]
-__all__ += ["UNHEARD", "VIEWER", "WARN", "Action", "Broadcaster", "Complaint", "GuardedNode", "Health"]
-__all__ += ["MonitoredSubscription", "NodeEnds", "Parameter", "Refusals", "Status", "Taken", "TopicRecorder", "always"]
-__all__ += ["corrected_frame", "declare", "follow", "interface", "noted", "run", "settle_in", "static_frames"]
-__all__ += ["subscription_status", "tracker_status"]
+__all__ += ["UNHEARD", "VIEWER", "WARN", "Action", "Broadcaster", "Complaint", "GuardedNode", "Health", "ManagedNode"]
+__all__ += ["MonitoredSubscription", "NodeEnds", "Parameter", "Refusals", "StatedNode", "Status", "Taken"]
+__all__ += ["TopicRecorder", "always", "corrected_frame", "declare", "follow", "interface", "noted", "run"]
+__all__ += ["settle_in", "static_frames", "subscription_status", "tracker_status"]
