@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.topics import accepted, role_of
     from modcal_msgs_py.track_rows import JointStateBytes
     from modcal_msgs_py.typed import calibration_data, fill_calibration, fill_change, fill_checked, fill_estimate
-    from modcal_msgs_py.typed import fill_object_status, fill_verdict
+    from modcal_msgs_py.typed import fill_identity, fill_object_status, fill_verdict
 else:
     from modcal_core.lazy import lazy_face
 
@@ -45,10 +45,10 @@ __all__ += ["AddedTopic", "Bag", "BagWriter", "Colour", "Commands", "JointInput"
 __all__ += ["ObjectInput", "OneMessage", "RawImage", "RecordingBuilder", "Repair", "Signal", "SignalsHeard", "Topics"]
 __all__ += ["accepted", "arrows", "calibration_data", "caption", "chosen_topic", "colour_of", "corner_topics"]
 __all__ += ["desired_pose", "dots", "ellipsoids", "fill_accelerations", "fill_calibration", "fill_change"]
-__all__ += ["fill_checked", "fill_corners", "fill_estimate", "fill_expected", "fill_markers", "fill_object_state"]
-__all__ += ["fill_object_status", "fill_picture", "fill_point", "fill_pose", "fill_target", "fill_verdict"]
-__all__ += ["fill_wrench", "image_topics", "info_topic", "jazzy", "learn", "lens_data", "list_topics", "nanoseconds"]
-__all__ += ["qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording", "reading_of"]
-__all__ += ["repair_bag", "require_new", "require_version", "role_of", "seconds", "seen", "set_nanoseconds"]
-__all__ += ["set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics", "why_left_out"]
-__all__ += ["wrench_numbers", "write_recording"]
+__all__ += ["fill_checked", "fill_corners", "fill_estimate", "fill_expected", "fill_identity", "fill_markers"]
+__all__ += ["fill_object_state", "fill_object_status", "fill_picture", "fill_point", "fill_pose", "fill_target"]
+__all__ += ["fill_verdict", "fill_wrench", "image_topics", "info_topic", "jazzy", "learn", "lens_data", "list_topics"]
+__all__ += ["nanoseconds", "qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording"]
+__all__ += ["reading_of", "repair_bag", "require_new", "require_version", "role_of", "seconds", "seen"]
+__all__ += ["set_nanoseconds", "set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics"]
+__all__ += ["why_left_out", "wrench_numbers", "write_recording"]

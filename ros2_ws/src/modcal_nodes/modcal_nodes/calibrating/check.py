@@ -111,4 +111,4 @@ class CheckService:
             log.warning(said)
         else:
             log.info(said)
-        self._action.end(DONE, check.sentence, checked=message)
+        self._action.end(DONE, f"{check.sentence} {self._outputs.about()}", checked=message)

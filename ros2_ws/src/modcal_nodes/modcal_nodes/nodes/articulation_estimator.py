@@ -20,6 +20,7 @@ from modcal_core.robots import Chain, chain_forward, read_chain
 from modcal_msgs_py import (
     JointInput,
     fill_expected,
+    fill_identity,
     fill_markers,
     fill_object_state,
     fill_object_status,
@@ -75,7 +76,8 @@ class ArticulationEstimator(ros.ManagedNode):
 
         self._description = self.create_publisher(String, "~/object_description", ros.LATCHED)
         self._object = self.create_publisher(JointState, "~/object_state", 10)
-        self._status_type = ros.interface("ObjectState")
+        self._status_type, self._about = ros.interface("ObjectState"), ros.interface("Identity")()
+        fill_identity(self._about, None, [chosen["input"]])
         self._status = self.create_publisher(self._status_type, "~/object_status", 10)
         self._expected = self.create_publisher(PoseStamped, "~/expected_pose", 10)
         self._axis = self.create_publisher(MarkerArray, "~/object_axis", 10)
@@ -147,6 +149,7 @@ class ArticulationEstimator(ros.ManagedNode):
         except ModcalError as error:
             self._chain, self._refusal = None, str(error)
             return
+        fill_identity(self._about, self._chain, [self._chosen["input"]])
         self._joints = JointInput(self._chain.names, self._chain.lower, self._chain.upper, self._chain.follows)
 
     def _take_joints(self, message: JointState) -> None:
@@ -220,7 +223,7 @@ class ArticulationEstimator(ros.ManagedNode):
             self.get_logger().warning(f"{self._chosen['input']}, {state.written}")
         if state.event is not None or state.written != before:
             self._health.publish_if_changed()
-        self._status.publish(fill_object_status(self._status_type(), frame, self._exact, state))
+        self._status.publish(fill_object_status(self._status_type(about=self._about), frame, self._exact, state))
         if state.model is None:
             return
         T = se3.transform(R if state.follows else None, p)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -64,7 +64,7 @@ class Calibrator(ros.ManagedNode):
 
         self._outputs = calibrating.Publishers(self)
         self._tf = ros.Broadcaster(self, static=True) if chosen["publish_tf"] else None
-        self._lacked, self._steps = "", 0
+        self._lacked, self._steps, self._framed = "", 0, 0
         corners = calibrating.CornerIntake.of(chosen)
         self._camera: calibrating.ByCamera | None = None
         if corners is not None:
@@ -116,7 +116,7 @@ class Calibrator(ros.ManagedNode):
         """Go on with the model that was saved, once it is known that this is its arm."""
         if not self._arm.recognise(self._buffer.joint_names()) or self._arm.chain is None:
             return
-        self._outputs.base = self._arm.chain.base
+        self._outputs.identify(self._arm.chain, self._observers)
         if self._camera is not None:
             self._camera.restore(self._arm, self._buffer, self._worker)
         restored, self._restored = self._restored, None
@@ -144,11 +144,17 @@ class Calibrator(ros.ManagedNode):
         self._verdict = "continuing with the saved model"
         self._standing = calibrating.standing_of_json(self._files.get("report.json"))
 
+    def _observers(self) -> Sequence[str]:
+        """Frames that are read; of images, the topics of their corners."""
+        read = self._arm.stream.frames if self._arm.stream else ()
+        return read or (self._camera.intake.topics if self._camera is not None else ())
+
     def _broadcast(self) -> None:
         if self._tf is not None and self._supervisor.trusted is not None:
             self._tf.publish(ros.static_frames(self._supervisor.trusted), self.get_clock().now().to_msg())
 
     def _lacks(self) -> str:
+        """Why nothing can be solved or checked; empty: it can."""
         return calibrating.lacking(self._arm, self._inputs, self._camera is not None)
 
     def _expect_frames(self) -> None:
@@ -189,7 +195,7 @@ class Calibrator(ros.ManagedNode):
         if self._solve_next or self._worker.doing == _SOLVE:
             return "a solve is running already"
         self._recognise()
-        if self._arm.chain is None:
+        if self._arm.chain is None or self._arm.trouble:
             return self._lacks()
         if not self._solve_next:
             self._begun = time.monotonic()
@@ -219,7 +225,7 @@ class Calibrator(ros.ManagedNode):
         trusted, chain, chosen = self._supervisor.trusted, self._arm.chain, self._chosen
         if trusted is None:
             return "no model is trusted yet: solve and accept one, or set the parameter state"
-        if chain is None:
+        if chain is None or self._arm.trouble:
             return self._lacks()
         since = self._supervisor.changed
         heard = self._buffer.collected()
@@ -264,8 +270,8 @@ class Calibrator(ros.ManagedNode):
             self._folder.save_samples(self._buffer.samples)
 
     def _solved(self, then: int, solved: calibrating.Solved) -> None:
-        if then != self._buffer.forgotten:
-            self._answer(False, "the data it was solved from have been cleared since")
+        if then != self._buffer.forgotten or self._arm.trouble:
+            self._answer(False, self._arm.trouble or "the data it was solved from have been cleared since")
             return
         if self._chosen["out"]:
             write_folder(Path(self._chosen["out"]), solved.files)
@@ -281,25 +287,28 @@ class Calibrator(ros.ManagedNode):
         self.get_logger().info(self._verdict)
         if self._chosen["out"]:
             self.get_logger().info(f"written to {self._chosen['out']}: {', '.join(sorted(solved.files))}")
-        self._answer(True, self._verdict, solved.files["report.json"])
+        frames = solved.calibration.calibrated.frames
+        told = " ".join((self._verdict, *solved.doubled, self._outputs.about(frames)))
+        self._answer(True, told, verdict=self._outputs.verdict(solved.files["report.json"], frames))
 
-    def _answer(self, success: bool, message: str, report: str = "") -> None:
+    def _answer(self, success: bool, message: str, **found: Any) -> None:
         if not success:
             self._verdict = message
             self._supervisor.failed()
-        found = {"verdict": self._outputs.verdict(report)} if report else {}
         self._solve.end(ros.DONE if success else ros.FAILED, message, **found)
         self._health.publish()
 
     def _on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._camera is not None and self._camera.accept():
-            response.success, response.message = True, "accepted"
+        if self._camera is not None and not self._arm.trouble and self._camera.accept():
+            response.success, response.message = True, f"accepted {self._outputs.about()}"
             return response
-        response.success = self._candidate is not None and self._supervisor.accept()
-        response.message = "nothing to accept: the last result is trusted already, or there is none"
+        response.message = (
+            self._arm.trouble or "nothing to accept: the last result is trusted already, or there is none"
+        )
+        response.success = self._candidate is not None and not self._arm.trouble and self._supervisor.accept()
         if response.success and self._candidate is not None:
             self._trusted(self._candidate)
-            response.message = "accepted"
+            response.message = f"accepted {self._outputs.about()}"
         return response
 
     def _trusted(self, solved: calibrating.Solved) -> None:
@@ -339,6 +348,7 @@ class Calibrator(ros.ManagedNode):
                 "all inputs are received"
             )
             self._health.publish()
+        self._tell_frames()
         if self._supervisor.stations // _STEP != self._steps:
             self._steps = self._supervisor.stations // _STEP
             self.get_logger().info(calibrating.collected(self._supervisor))
@@ -354,6 +364,16 @@ class Calibrator(ros.ManagedNode):
                 self.get_logger().warning(f"{live.hypothesis.sentence}; the last trusted model is still published")
             self._said = live.hypothesis
             self._health.publish()
+
+    def _tell_frames(self) -> None:
+        """Say that readings come in a frame that is new: it gets a place of its own."""
+        frames = self._arm.stream.frames if self._arm.stream else []
+        self._framed = min(self._framed, len(frames))
+        for new in frames[self._framed :]:
+            if self._framed:
+                known = ", ".join(frames[: self._framed])
+                self.get_logger().info(f"frame '{new}' is read beside {known}: an instrument or socket of its own")
+            self._framed += 1
 
     def _report(self) -> Iterable[ros.Status]:
         heard = ros.subscription_status(self._inputs)

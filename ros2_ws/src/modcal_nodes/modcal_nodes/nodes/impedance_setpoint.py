@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from modcal_core.articulation import frames, read
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.impedance import ArmSetpoint, Operation, Stop, Wait
-from modcal_msgs_py import ObjectInput
+from modcal_msgs_py import ObjectInput, fill_identity
 from modcal_nodes import ros
 from modcal_nodes.setpoint import (
     ArmInputs,
@@ -333,7 +333,9 @@ class ImpedanceSetpoint(ros.StatedNode):
         self._operation = None
         self._tell(ros.OK if stop.done else ros.ERROR, stop.why)
         ended = ros.DONE if stop.done else ros.FAILED
-        self._action.end(ended, stop.why, opened=float(stop.opened), largest_force_n=self._largest)
+        chain = None if self._arm is None else self._arm.chain
+        about = fill_identity(ros.interface("Identity")(), chain, ["object_status"])
+        self._action.end(ended, stop.why, opened=float(stop.opened), largest_force_n=self._largest, about=about)
         self._health.publish()
 
     def _tell(self, level: bytes, said: str) -> None:

@@ -17,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import ModcalError
 from modcal_core.planning import TimedMotion
-from modcal_msgs_py import seconds, set_seconds
+from modcal_msgs_py import fill_identity, seconds, set_seconds
 from modcal_nodes import ros
 from modcal_nodes.measuring import StationSequence
 
@@ -144,7 +144,9 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
         if advice is not None and advice.outcome is not None:
             ended = ros.DONE if advice.outcome.ending == "proven" or self._chosen["goal_mm"] == 0.0 else _NOT_REACHED
         proven = _known(None if advice is None else advice.status.bound)
-        self._action.end(ended, self._said, stations=self._sequence.measured, proven_m=proven)
+        about = ros.interface("Identity")()
+        fill_identity(about, self._sequence.chain, [f"tracker/{self._chosen['measurement']}"])
+        self._action.end(ended, self._said, stations=self._sequence.measured, proven_m=proven, about=about)
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = True, "held" if self._sequence.stop() else "nothing moved"
