@@ -53,13 +53,13 @@ class Recorder(ros.ManagedNode):
         self._free, self._started, self._trouble = _free_bytes(self._base), time.monotonic(), None
         if (shortage := self._shortage()) is not None:
             raise shortage
-        self._begin(_next_bag(self._base) if self._bags or not self._chosen["out"] else BagWriter(self._base))
+        self._open(_next_bag(self._base) if self._bags or not self._chosen["out"] else BagWriter(self._base))
         # a simulation that stands still must not keep messages from the disk
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_SECONDS, self._tick, clock=steady)
         self.create_timer(_MEASURE_SECONDS, self._measure, clock=steady)
 
-    def _begin(self, bag: BagWriter) -> None:
+    def _open(self, bag: BagWriter) -> None:
         """Record into this bag from now on; what is latched is true there too."""
         self._bag, self._bags, self._measured = bag, self._bags + 1, (time.monotonic(), 0)
         for recorder in self._recorders:
@@ -225,7 +225,7 @@ class Recorder(ros.ManagedNode):
         try:
             self._deactivate()
             closed, count = self._bag.folder, self._bag.count
-            self._begin(_next_bag(self._base))
+            self._open(_next_bag(self._base))
             response.success = True
             response.message = f"closed {closed} with {count} messages, recording into {self._bag.folder}"
         except ModcalError as error:

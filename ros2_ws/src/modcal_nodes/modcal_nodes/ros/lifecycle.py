@@ -1,19 +1,18 @@
 """Managed nodes: the lifecycle of ROS 2, kept by the services of lifecycle_msgs, or by the node with ``autostart``.
 
-What a node hears, serves and publishes is made while it is configured, and destroyed when it is cleaned up. While it is
-inactive it publishes nothing but its health, answers its services with a no, and takes only what is latched, which
-nobody would repeat.
+What a node hears, serves and publishes is made when it is configured. While it is not active it publishes nothing but
+its health, answers its services with a no, and takes only what is latched, which nobody would repeat. Cleaned up, it
+hears nothing; its services go on to say no until it is configured again, so that nobody waits for an answer.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
 from rclpy.action import ActionServer
-from rclpy.clock import Clock, ClockType
 from rclpy.executors import await_or_execute
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
@@ -24,8 +23,7 @@ from modcal_nodes.ros.guarded import GuardedNode, Refusals, described, refusal
 from modcal_nodes.ros.parameters import Parameter
 from modcal_nodes.ros.subscriptions import OK, WARN, Health, Status
 
-RCLError = rclpy_implementation.RCLError
-_LEAVE = 1.0  # s from a cleanup until services are destroyed: who was told no by it gets that answer
+_HEARING, _SERVING = ("timer", "subscription", "publisher"), ("service",)
 
 
 class StatedNode(GuardedNode, LifecycleNode):
@@ -45,7 +43,7 @@ class StatedNode(GuardedNode, LifecycleNode):
     def _transit(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
         try:
             response = self._change_state(request, response)
-        except RCLError:
+        except rclpy_implementation.RCLError:
             response.success = False
         if not response.success:
             asked = request.transition
@@ -56,11 +54,32 @@ class StatedNode(GuardedNode, LifecycleNode):
         """Called after a transition that was not made."""
 
 
+def _transition(name: str, act: str, refused: Any = TransitionCallbackReturn.FAILURE) -> Any:
+    """Callback of a transition, made by a method. refused: its outcome after a ModcalError or OSError."""
+
+    def transition(self: ManagedNode, _: LifecycleState) -> TransitionCallbackReturn:
+        if name != "recovery":  # from the transition that failed, which stays said
+            self._why, self._outcome = None, ""
+        try:
+            getattr(self, act)()
+        except (ModcalError, OSError) as error:
+            self._why, self._outcome = error, f"{name} failed: {described(error)}"
+            if not self._chosen["autostart"] or self.configured:  # else the node ends with this line
+                self.get_logger().error(self._outcome)
+            return refused
+        except Exception as error:
+            self._why, self._outcome = error, self.faults.note(name, error)
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    return transition
+
+
 class ManagedNode(StatedNode):
     """Base of a managed node: parameters, health and refusals are there in every state, the rest follows the state.
 
-    A subclass makes everything else in :meth:`_configure`, and what has to be ended with it goes into ``held``. Timers
-    made in :meth:`_activate` end when the node is deactivated. A ModcalError or OSError in these methods refuses the
+    A subclass makes everything else in :meth:`_configure`; what is to be closed with it goes into ``held``. Timers made
+    in :meth:`_activate` end when the node is deactivated. A ModcalError or OSError in these methods refuses the
     transition; at a start by ``autostart`` it ends the node.
     """
 
@@ -71,17 +90,15 @@ class ManagedNode(StatedNode):
         super().__init__(name)
         self._chosen = declare(self, parameters)
         self._check(self._chosen)
-        follow(self, parameters, self._chosen, self._check, self._follow_parameters)
+        take = lambda: self.configured and self._take_parameters()  # noqa: E731
+        follow(self, parameters, self._chosen, self._check, take)
         self.held = ExitStack()
         self._why: Exception | None = None  # of the last transition that failed
         self._outcome = ""
-        self._ticking: list[Any] = []
+        self._ticking: set[Any] = set()
         self._health = Health(self, self._statuses)
         self._refusals = Refusals(self, self._health.publish_if_changed)
-        self._leaving: list[tuple[Any, Callable[[Any], object]]] = []
-        self._later = self.create_timer(_LEAVE, self._sweep, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._later.cancel()
-        self._own = frozenset(id(entity) for entity, _ in (*self._serving(), *self._speaking()))
+        self._own = frozenset(id(entity) for kind in (*_HEARING, *_SERVING) for entity in getattr(self, f"{kind}s"))
         if self._chosen["autostart"]:
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != TransitionCallbackReturn.SUCCESS and self._why is not None:
@@ -90,7 +107,7 @@ class ManagedNode(StatedNode):
     def _check(self, new: dict[str, Any]) -> None:
         """Raises ModcalError for parameters that cannot be."""
 
-    def _take_parameters(self) -> None:
+    def _take_parameters(self) -> object:
         """Called after a change of parameters while the node is configured."""
 
     def _configure(self) -> None:
@@ -106,70 +123,22 @@ class ManagedNode(StatedNode):
         """The health of a configured node."""
         return ()
 
-    def _follow_parameters(self) -> None:
-        if self.configured:
-            self._take_parameters()
-
     def _statuses(self) -> Iterator[Status]:
         if self.configured:
             yield from self._report()
-        yield Status("lifecycle", OK if self.active else WARN, self._outcome or self.state, {"state": self.state})
+        yield Status("lifecycle", OK if self.active else WARN, self._outcome or self.state)
 
     @property
     def idle(self) -> str:
         """Why nothing is begun now; empty: something can be."""
         return "" if self.active else f"{self.get_name()} is {self.state}: activate it first"
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make everything; what was made of it is destroyed where that fails."""
-
-        def build() -> None:
-            self._sweep()
-            try:
-                self._configure()
-            except Exception:
-                self._clear()
-                raise
-            self.configured = True
-
-        return self._make("configure", build)
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Publish, and take messages."""
-
-        def begin() -> None:
-            self.active, before = True, set(self.timers)
-            super(ManagedNode, self).on_activate(state)
-            try:
-                self._activate()
-            except Exception:
-                self._pause()
-                raise
-            finally:
-                self._ticking += [timer for timer in self.timers if timer not in before]
-
-        return self._make("activate", begin)
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End what is going on, and publish no more."""
-
-        def rest() -> None:
-            self._deactivate()
-            self._pause()
-
-        return self._make("deactivate", rest)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close what is held, and destroy what was made; a node that cannot is unconfigured all the same."""
-        return self._make("cleanup", self._clear, TransitionCallbackReturn.ERROR)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """The end; callers that wait are answered still."""
-        return self._make("shutdown", self.close)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """After a fault in a transition: as before it was configured."""
-        return self._make("clearing up", self._clear, TransitionCallbackReturn.ERROR, self._outcome)
+    on_configure = _transition("configure", "_configuring")
+    on_activate = _transition("activate", "_activating")
+    on_deactivate = _transition("deactivate", "_deactivating")
+    on_cleanup = _transition("cleanup", "_cleaning", TransitionCallbackReturn.ERROR)
+    on_shutdown = _transition("shutdown", "close")
+    on_error = _transition("recovery", "_cleaning", TransitionCallbackReturn.ERROR)
 
     def close(self) -> None:
         """End what is going on, and close what is held."""
@@ -181,33 +150,33 @@ class ManagedNode(StatedNode):
             self.configured = False
             self.held.close()
 
-    def _make(
-        self,
-        name: str,
-        act: Callable[[], None],
-        refused: TransitionCallbackReturn = TransitionCallbackReturn.FAILURE,
-        said: str = "",
-    ) -> TransitionCallbackReturn:
-        """Outcome of a transition, whose error is kept and said. refused: outcome after a ModcalError or OSError."""
-        self._why, self._outcome = None, said
+    def _configuring(self) -> None:
+        for waitable in [w for w in self.waitables if isinstance(w, ActionServer)]:
+            waitable.destroy()
+        self._destroy(_SERVING)
         try:
-            act()
-        except (ModcalError, OSError) as error:
-            self._why, self._outcome = error, f"{name} failed: {described(error)}"
-            if not self._chosen["autostart"] or self.configured:  # else the node ends with this line
-                self.get_logger().error(self._outcome)
-            return refused
-        except Exception as error:
-            self._why, self._outcome = error, self.faults.note(name, error)
-            return TransitionCallbackReturn.ERROR
-        return TransitionCallbackReturn.SUCCESS
+            self._configure()
+        except Exception:
+            self._cleaning()
+            raise
+        self.configured = True
 
-    def _refused(self, said: str) -> None:
-        if self._why is None:
-            self._outcome = f"{said}: see ~/get_available_transitions"
-            self.get_logger().warning(self._outcome)
-        self._why = None
-        self._health.publish()
+    def _activating(self) -> None:
+        self.active, before = True, set(self.timers)
+        for publisher in self._managed_entities:
+            publisher.on_activate(None)
+        try:
+            try:
+                self._activate()
+            finally:
+                self._ticking = set(self.timers) - before
+        except Exception:
+            self._pause()
+            raise
+
+    def _deactivating(self) -> None:
+        self._deactivate()
+        self._pause()
 
     def _pause(self) -> None:
         self.active = False
@@ -217,36 +186,28 @@ class ManagedNode(StatedNode):
             self.destroy_timer(timer)
         self._ticking.clear()
 
-    def _clear(self) -> None:
+    def _cleaning(self) -> None:
         self._pause()
         self.configured = False
         try:
             self.held.close()
         finally:
             self.pollers.clear()
-            for entity, destroy in self._speaking():
+            self._destroy(_HEARING)
+
+    def _destroy(self, kinds: Iterable[str]) -> None:
+        """Destroy what was made for the present configuration."""
+        for kind in kinds:
+            for entity in list(getattr(self, f"{kind}s")):
                 if id(entity) not in (self._own or ()):
-                    destroy(entity)
-            self._leaving = [one for one in self._serving() if id(one[0]) not in (self._own or ())]
-            self._later.reset()
+                    getattr(self, f"destroy_{kind}")(entity)
 
-    def _sweep(self) -> None:
-        """Destroy services and actions of a configuration that has ended, whose callers have their answers by now."""
-        self._later.cancel()
-        for entity, destroy in self._leaving:
-            destroy(entity)
-        self._leaving.clear()
-
-    def _serving(self) -> Iterator[tuple[Any, Callable[[Any], object]]]:
-        """Services and actions, and how each is destroyed."""
-        yield from [(w, ActionServer.destroy) for w in self.waitables if isinstance(w, ActionServer)]
-        yield from [(service, self.destroy_service) for service in self.services]
-
-    def _speaking(self) -> Iterator[tuple[Any, Callable[[Any], object]]]:
-        """Topics and timers, and how each is destroyed."""
-        yield from [(timer, self.destroy_timer) for timer in self.timers]
-        yield from [(subscription, self.destroy_subscription) for subscription in self.subscriptions]
-        yield from [(publisher, self.destroy_publisher) for publisher in self.publishers]
+    def _refused(self, said: str) -> None:
+        if self._why is None:
+            self._outcome = f"{said}: see ~/get_available_transitions"
+            self.get_logger().warning(self._outcome)
+        self._why = None
+        self._health.publish()
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, *args: Any, **options: Any) -> Any:
         """Same as in GuardedNode; what is published while the node is not active is dropped."""
@@ -266,12 +227,11 @@ class ManagedNode(StatedNode):
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, *args: Any, **options: Any) -> Any:
         """Same as in GuardedNode; while the node is not active, callers are told so."""
-        if self._own is None:
-            return super().create_service(srv_type, srv_name, callback, *args, **options)
 
         async def gated(request: Any, response: Any) -> Any:
             if self.idle:
                 return refusal(request, response, self.idle)
             return await await_or_execute(callback, request, response)
 
-        return super().create_service(srv_type, srv_name, gated, *args, **options)
+        gated_or_own = callback if self._own is None else gated
+        return super().create_service(srv_type, srv_name, gated_or_own, *args, **options)
