@@ -38,14 +38,10 @@ class AccelerationLimits(ros.ManagedNode):
 
         self._upper = self.create_publisher(JointTrajectory, "~/upper", 10)
         self._lower = self.create_publisher(JointTrajectory, "~/lower", 10)
-        heard = self._refusals.guarded("joint_states", self._take_joints)
+        always = {"needed": True, "single": True, "replaced": ros.always}
         self._inputs = [
-            ros.MonitoredSubscription(
-                self, JointState, "joint_states", heard, ros.FRESH, needed=True, single=True, replaced=ros.always
-            ),
-            ros.MonitoredSubscription(
-                self, String, "robot_description", self._take_description, ros.LATCHED, needed=not self._urdf
-            ),
+            self.hear(JointState, "joint_states", self._take_joints, ros.FRESH, **always),
+            self.hear(String, "robot_description", self._take_description, ros.LATCHED, needed=not self._urdf),
         ]
         if self._urdf and self._chosen["tip"]:
             self._recognise()

@@ -25,7 +25,6 @@ from modcal_msgs_py import (
     fill_object_state,
     fill_object_status,
     nanoseconds,
-    seconds,
     seen,
     status_values,
     wrench_numbers,
@@ -82,28 +81,15 @@ class ArticulationEstimator(ros.ManagedNode):
         self._expected = self.create_publisher(PoseStamped, "~/expected_pose", 10)
         self._axis = self.create_publisher(MarkerArray, "~/object_axis", 10)
         topic = chosen["input"]
-        take = self._refusals.guarded(topic, self._take_joints if topic == _JOINTS else self._take_pose)
+        kind, take = (JointState, self._take_joints) if topic == _JOINTS else (_POSES[topic], self._take_pose)
         self._inputs = [
-            ros.MonitoredSubscription(
-                self,
-                JointState if topic == _JOINTS else _POSES[topic],
-                topic,
-                take,
-                ros.FRESH,
-                needed=True,
-                single=True,
-                replaced=self._soon,
-            ),
-            ros.MonitoredSubscription(
-                self, WrenchStamped, "wrench", self._refusals.guarded("wrench", self._take_wrench), ros.FRESH
-            ),
+            self.hear(kind, topic, take, ros.FRESH, needed=True, single=True, replaced=self._soon),
+            self.hear(WrenchStamped, "wrench", self._take_wrench, ros.FRESH),
         ]
         if topic == _JOINTS:
             needed = not chosen["robot_description"]
-            heard = self._refusals.guarded("robot_description", self._take_description)
-            self._inputs.append(
-                ros.MonitoredSubscription(self, String, "robot_description", heard, ros.LATCHED, needed=needed)
-            )
+            take = self._take_description
+            self._inputs.append(self.hear(String, "robot_description", take, ros.LATCHED, needed=needed))
         self.create_service(Trigger, "~/reset", self._reset)
 
     def _deactivate(self) -> None:
@@ -292,9 +278,6 @@ class ArticulationEstimator(ros.ManagedNode):
                 "model to be trusted"
             )
         return ""
-
-    def _now(self) -> float:
-        return seconds(self.get_clock().now().to_msg())
 
 
 def _said(state: TrackerState) -> str:

@@ -61,27 +61,12 @@ class Corrector(ros.ManagedNode):
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
         self._corrected = self.create_publisher(String, "~/robot_description", ros.LATCHED)
         self._tf = ros.Broadcaster(self, static=False) if self._chosen["publish_tf"] else None
-        guarded = self._refusals.guarded
         self._inputs = [
-            ros.MonitoredSubscription(
-                self,
-                JointState,
-                "joint_states",
-                guarded("joint_states", self._take_joints),
-                ros.FRESH,
-                needed=True,
-                replaced=ros.always,
-            ),
-            ros.MonitoredSubscription(
-                self, Temperature, "temperature", guarded("temperature", self._take_temperature), ros.FRESH
-            ),
-            ros.MonitoredSubscription(
-                self, PoseStamped, "desired_pose", guarded("desired_pose", self._take_desired), _NEWEST, single=True
-            ),
-            ros.MonitoredSubscription(self, String, "robot_description", self._take_description, ros.LATCHED),
-            ros.MonitoredSubscription(
-                self, ros.interface("Calibration"), "calibration", self._take_calibration, ros.LATCHED
-            ),
+            self.hear(JointState, "joint_states", self._take_joints, ros.FRESH, needed=True, replaced=ros.always),
+            self.hear(Temperature, "temperature", self._take_temperature, ros.FRESH),
+            self.hear(PoseStamped, "desired_pose", self._take_desired, _NEWEST, single=True),
+            self.hear(String, "robot_description", self._take_description, ros.LATCHED),
+            self.hear(ros.interface("Calibration"), "calibration", self._take_calibration, ros.LATCHED),
         ]
         if self._chosen["calibration"]:
             self._calibration = read_calibration(Path(self._chosen["calibration"]))

@@ -340,13 +340,7 @@ class ImpedanceSetpoint(ros.StatedNode):
 
     def _tell(self, level: bytes, said: str) -> None:
         if (level, said) != (self._level, self._said):
-            log = self.get_logger()  # of one severity a line: rclpy remembers each caller's
-            if level == ros.OK:
-                log.info(said)
-            elif level == ros.WARN:
-                log.warning(said, throttle_duration_sec=1.0)
-            else:
-                log.error(said)
+            ros.log_at(self, level, said)
         self._level, self._said = level, said
 
     def _report(self) -> list[ros.Status]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from modcal_nodes.ros.parameters import SIMULATED_FURNITURE, STATION_RUNNER, TRAJECTORY_SENDER, VIEWER, Parameter
     from modcal_nodes.ros.running import FRESH, LATCHED, SENSOR, run, settle_in
     from modcal_nodes.ros.subscriptions import ERROR, OK, WARN, Health, MonitoredSubscription, Status, always
-    from modcal_nodes.ros.subscriptions import subscription_status, tracker_status
+    from modcal_nodes.ros.subscriptions import log_at, subscription_status, tracker_status
     from modcal_nodes.ros.tf_frames import Broadcaster, corrected_frame, static_frames
     from modcal_nodes.ros.topic_recorder import UNHEARD, Complaint, Taken, TopicRecorder
 else:
@@ -28,5 +28,5 @@ __all__ += ["DOOR_DEMO", "ERROR", "FAILED", "FRESH", "IMPEDANCE_SETPOINT", "LATC
 __all__ += ["REFUSED", "SENSOR", "SIMULATED_CELL", "SIMULATED_FURNITURE", "STATION_RUNNER", "TRAJECTORY_SENDER"]
 __all__ += ["UNHEARD", "VIEWER", "WARN", "Action", "Broadcaster", "Complaint", "GuardedNode", "Health", "ManagedNode"]
 __all__ += ["MonitoredSubscription", "NodeEnds", "Parameter", "Refusals", "StatedNode", "Status", "Taken"]
-__all__ += ["TopicRecorder", "always", "corrected_frame", "declare", "follow", "interface", "noted", "run"]
+__all__ += ["TopicRecorder", "always", "corrected_frame", "declare", "follow", "interface", "log_at", "noted", "run"]
 __all__ += ["settle_in", "static_frames", "subscription_status", "tracker_status"]

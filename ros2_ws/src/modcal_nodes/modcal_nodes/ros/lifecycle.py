@@ -7,7 +7,7 @@ hears nothing; its services go on to say no until it is configured again, so tha
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from typing import Any
 
@@ -16,12 +16,14 @@ from rclpy.action import ActionServer
 from rclpy.executors import await_or_execute
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile
 
 from modcal_core.errors import ModcalError
 from modcal_nodes.ros.declaring import declare, follow
 from modcal_nodes.ros.guarded import GuardedNode, Refusals, described, refusal
 from modcal_nodes.ros.parameters import Parameter
 from modcal_nodes.ros.subscriptions import OK, WARN, Health, Status
+from modcal_nodes.ros.subscriptions import MonitoredSubscription as Monitored
 
 _HEARING, _SERVING = ("timer", "subscription", "publisher"), ("service",)
 
@@ -122,6 +124,10 @@ class ManagedNode(StatedNode):
     def _report(self) -> Iterable[Status]:
         """The health of a configured node."""
         return ()
+
+    def hear(self, kind: type, topic: str, take: Callable[[Any], None], qos: QoSProfile, **options: Any) -> Monitored:
+        """A subscription whose refusals are said and counted. options: of MonitoredSubscription."""
+        return Monitored(self, kind, topic, self._refusals.guarded(topic, take), qos, **options)
 
     def _statuses(self) -> Iterator[Status]:
         if self.configured:

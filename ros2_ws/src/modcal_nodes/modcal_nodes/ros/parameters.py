@@ -251,6 +251,7 @@ TRAJECTORY_SENDER = {
 }
 
 STATION_RUNNER = {
+    **_MANAGED,
     "out": Parameter("", "Folder of the session and its results; a session that is there goes on."),
     "robot_description": Parameter("", "URDF to use in place of the topic robot_description."),
     "base": Parameter("", "First link of the arm; empty: the root."),
