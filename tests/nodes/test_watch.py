@@ -77,10 +77,10 @@ def test_what_nodes_say_is_shown(tmp_path: Path) -> None:
         log = subprocess.Popen(
             [COMMAND, "watch"], env=environment(domain), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        first = [log.stdout.readline() for _ in range(5)]
+        first = [log.stdout.readline() for _ in range(6)]
         assert any(line.startswith("error: /left/corrector calibration: no calibration yet") for line in first)
         assert corrector.stop() == 0
-        rest = [log.stdout.readline() for _ in range(5)]
+        rest = [log.stdout.readline() for _ in range(6)]
         assert all(line.startswith("silent: /left/corrector") for line in rest)
         log.send_signal(signal.SIGINT)
         assert log.communicate(timeout=SLOWER * 15.0) == ("", "")
