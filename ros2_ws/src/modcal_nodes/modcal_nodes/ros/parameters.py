@@ -383,6 +383,7 @@ IMPEDANCE_SETPOINT = {
 # May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is
 # not configured.
 _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
+    "board_detector": (BOARD_DETECTOR, ""),
     "recorder": (RECORDER, "patience_s min_free_mb"),
     "calibrator": (
         CALIBRATOR,
