@@ -33,7 +33,6 @@ from modcal_core.robots import (
     ARMS,
     AZIMUTH,
     CONSTANTS,
-    DELTA_UNITS,
     PARAMETERS,
     Delta,
     position_jacobians,
@@ -145,7 +144,8 @@ class DistanceFit:
 
 def max_deviations(delta: Delta) -> Array:
     """How far each parameter may be from the drawing, (24,): 10 mm, 20 mrad, 2 % of a ratio; at the tool 0.1 m, rad."""
-    arms = np.repeat([PRIOR_LENGTH_M if unit == "m" else PRIOR_ANGLE_RAD for unit in DELTA_UNITS], ARMS)
+    units = delta.units.values()
+    arms = np.repeat([PRIOR_LENGTH_M if unit == "m" else PRIOR_ANGLE_RAD for unit in units], ARMS)
     return np.r_[arms, np.full(PARAMETERS - len(arms), _MAX_TOOL_DEVIATION)]
 
 
@@ -286,7 +286,7 @@ def visibility(delta: Delta, q: Array, pairs: Pairs, max_deviation: Array | None
 def _freedoms(delta: Delta) -> list[tuple[Array, str]]:
     """Combinations that move all points together, or none: their directions (24,), and what they are."""
     names = delta.parameter_names
-    arms = len(CONSTANTS) * ARMS
+    arms = CONSTANTS * ARMS
 
     def one(name: str) -> Array:
         return np.asarray(np.eye(PARAMETERS)[names.index(name)])
