@@ -152,7 +152,11 @@ def _of_arm(chain: Mechanism) -> tuple[list[ModelParameter], list[ModelParameter
     if isinstance(chain, Delta):
         arms = [
             ModelParameter(
-                f"{name}/{constant}", chain.first_place + i, len(DIRECTIONS) + row, prior_std=_PRIORS[unit], own_unit=unit
+                f"{name}/{constant}",
+                chain.first_place + i,
+                len(DIRECTIONS) + row,
+                prior_std=_PRIORS[unit],
+                own_unit=unit,
             )
             for row, (constant, unit) in enumerate(chain.units.items())
             for i, name in enumerate(chain.names[: deltas.ARMS])

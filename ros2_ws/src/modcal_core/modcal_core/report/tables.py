@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
+from typing import TYPE_CHECKING
 
 from modcal_core.geometry import Array
 from modcal_core.outcome import STAGES, Outcome
-from modcal_core.report.blocks import TableBlock, legend
+from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, legend
 from modcal_core.report.words import STATISTICS
+from modcal_core.robots import PARAMETERS
 from modcal_core.verdict import Row, Verdict
+
+if TYPE_CHECKING:
+    from modcal_core.calibration import ByDistances
 
 _EFFECT_COLUMNS = {
     "place": "where the error arises",
@@ -92,6 +97,20 @@ def _account(unit: str, rows: Sequence[Row], floor_known: bool, fold: bool) -> T
     cells.append(("nominal model", *_sizes(total, total), ""))
     header = ("account of the squared error", f"{unit}²", "of the nominal", f"root, {unit}", f"95 % interval, {unit}²")
     return TableBlock(f"Account in {unit}²", header, tuple(cells))
+
+
+def distances_table(found: ByDistances | None) -> list[Summary]:
+    """A Delta from distances alone, method by method, and what distances cannot tell; nothing where not asked for."""
+    if found is None:
+        return []
+    rows = tuple((m.name, f"{1e3 * m.f:.4f}", f"{1e3 * m.held_out:.4f}", f"{m.evaluations}") for m in found.methods)
+    header = ("by distances alone", "RMS of fitted distances, mm", "held-out RMS, mm", "evaluations")
+    said = (
+        f"Of the Delta's {PARAMETERS} parameters distances between {found.points} points show {found.seen.rank}; not "
+    )
+    lines = [f"{said}shown, and left nominal: {'; '.join(found.seen.unseen) or 'none'}."]
+    lines += [f"Ended at a bound of what is allowed: {', '.join(found.at_bound)}."] * bool(found.at_bound)
+    return [TableBlock("By distances alone", header, rows), *map(SummaryLine, lines)]
 
 
 def _sizes(value: float, total: float, divided: bool = True) -> tuple[str, str, str]:

@@ -136,6 +136,20 @@ class Delta:
         return len(self.names)
 
     @property
+    def own(self) -> np.ndarray:
+        """Which joints follow no other, (n,) bool: all."""
+        return np.ones(self.n, bool)
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of these joints."""
+        return self.names
+
+    def followed(self, q: Array) -> Array:
+        """The positions themselves, as no joint follows another."""
+        return q
+
+    @property
     def has_shaft(self) -> bool:
         """Whether a shaft turns the tool."""
         return self.n > ARMS

@@ -6,8 +6,8 @@ columns of S⁻¹,
 
     δp = Σ_i g_i (s_i · δC_i + δL2_i).
 
-So a small twist (v, ω) at a shoulder A_i (or a tower's foot) with its elbow (or carriage) at E_i moves the tool by g_i s_i · (v + ω × (E_i − A_i)):
-a column like any other of the error model (:class:`Loop`).
+So a small twist (v, ω) at a shoulder A_i, or a tower's foot, with its elbow or carriage at E_i moves the tool by
+g_i s_i · (v + ω × (E_i − A_i)): a column like any other of the error model (:class:`Loop`).
 
 Two things can go wrong. The platform is *loose* where the three rods lie in one plane: det S = 0, and the arms do not
 hold it. An arm is *stretched* where it lies in line with its rod: s_i · ∂C_i/∂θ_i = 0, and its motor moves nothing.
@@ -59,9 +59,9 @@ def frames(
 
     twists: small motions (6, N) [m, rad] put in at places, each in the frame of its place; of an arm, five rows more
     say how its two rods differ (see RODS). T_tip_tool: puts the tool's place at the tool instead of the tip. loops:
-    whether it is asked how the arms move the tool. A shoulder's frame has x outwards and z along the axis; that of a tower,
-    at its foot, z along the rail. Postures
-    that no platform can take are NaN; :func:`forward` refuses them.
+    whether it is asked how the arms move the tool. A shoulder's frame has x outwards and z along the axis;
+    that of a tower, at its foot, has z along the rail. Postures that no platform can take are NaN; :func:`forward`
+    refuses them.
     """
     twists = twists or {}
     q = np.asarray(q, dtype=float)

@@ -43,7 +43,7 @@ def arm_joint(i: int) -> str:
 
 
 def delta_mjcf(true: Delta, T_tip_tool: Array, at: float, unequal: ArrayLike = 0.0) -> str:
-    """MJCF text of a Delta with these constants, drawn with all three arms at an angle, or carriages at a height, ``at``.
+    """MJCF text of a Delta with these constants, drawn with arms at an angle, or carriages at a height, ``at``.
 
     unequal: by how much the right rod of each arm is longer than the left one [m]; the constants have their mean.
     Gravity is along −z of the base; the arms and rods weigh nothing, the platform ``PLATFORM_KG``.
@@ -51,7 +51,9 @@ def delta_mjcf(true: Delta, T_tip_tool: Array, at: float, unequal: ArrayLike = 0
     constants, L2 = true.constants, true.constants[DISTAL]
     arm = np.array([[0.0, 0.0, at]] * ARMS) if true.linear else np.array([[L1, 0.0, 0.0] for L1 in constants[PROXIMAL]])
     drawn = so3.exp(np.outer(constants[LEAN] if true.linear else np.full(ARMS, at), [0.0, 1.0, 0.0]))
-    ends = np.einsum("aij,aj->ai", drawn, arm) + np.outer(constants[OFFSET], [1.0, 0.0, 0.0])  # of the rods, each arm along x
+    ends = np.einsum("aij,aj->ai", drawn, arm) + np.outer(
+        constants[OFFSET], [1.0, 0.0, 0.0]
+    )  # of the rods, each arm along x
     elbow, high = ends.mean(axis=0)[[0, 2]]
     height = float(high) - float(np.sqrt(np.mean(L2) ** 2 - elbow**2))
     inertia = f'<inertial pos="0 0 0" mass="{NO_MASS}" diaginertia="{NO_MASS} {NO_MASS} {NO_MASS}"/>'
@@ -65,7 +67,7 @@ def delta_mjcf(true: Delta, T_tip_tool: Array, at: float, unequal: ArrayLike = 0
         rods = []
         for side in (-1, 1):
             name = f"rod_{i}_{'left' if side < 0 else 'right'}"
-            # each arm turned by ``at`` about its y, or as its tower leans: the rod leads from there towards the platform
+            # the rod leads towards the platform from an arm turned by ``at`` about its y, or from a tower as it leans
             here = np.array([0.0 if true.linear else arm[i, 0], side * ROD_SPACING, 0.0])
             way = drawn[i].T @ ([0.0, 0.0, height] - ends[i])
             rods.append(
@@ -76,9 +78,7 @@ def delta_mjcf(true: Delta, T_tip_tool: Array, at: float, unequal: ArrayLike = 0
             anchors.append(f'<site name="{name}_anchor" pos="{text(point)}"/>')
             links.append(f'<connect site1="{name}_end" site2="{name}_anchor"/>')
         bodies.append(
-            f'<body {placed(shoulder)}><joint name="{arm_joint(i)}" {joint}/>{inertia}'
-            + "".join(rods)
-            + "</body>"
+            f'<body {placed(shoulder)}><joint name="{arm_joint(i)}" {joint}/>{inertia}' + "".join(rods) + "</body>"
         )
     shaft = (
         f'<body name="{SHAFT}"><joint name="{SHAFT}" type="hinge" axis="0 0 1"/>{inertia}'
@@ -140,7 +140,9 @@ class DeltaWorld(Machine):
         at = self.model.joint(PLATFORM).qposadr[0]
         self._platform = slice(at, at + 3)
         half = 0.5 * true.constants[DISTAL]
-        self._farthest = float((half if true.linear else true.constants[PROXIMAL]).mean())  # that the platform goes in one step on its own side
+        self._farthest = float(
+            (half if true.linear else true.constants[PROXIMAL]).mean()
+        )  # that the platform goes in one step on its own side
         self.data.qpos[self._at[:ARMS]] = first
         self._close()
 
