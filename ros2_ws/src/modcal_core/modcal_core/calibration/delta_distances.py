@@ -8,8 +8,7 @@ measured distance between the points of postures i and j,
     ∂r_ij/∂X = −u_ij · (∂p_i/∂X − ∂p_j/∂X),        u_ij = (p_i − p_j) / |p_i − p_j|.
 
 Distances stay the same when all points are moved together, so what moves all of them cannot be told, see
-:func:`visibility`. The fit leaves such combinations where the drawing has them: X is scaled by how far each parameter
-may be off, and every step is the shortest one.
+:func:`visibility`. The fit leaves parameters as drawn that distances show only together with ones before them.
 
 All parameters are shaken at once, ``X' = X + step (rand − 0.5)``; a better X' is taken, a worse one with probability
 ``exp(−(f(X') − f(X)) / T)`` (Metropolis). After so many trials the temperature falls by a factor, and the next ones
@@ -28,7 +27,7 @@ from scipy.sparse import csr_array, identity
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.initial import procrustes
-from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
+from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M, independent_columns
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import Samples, spread_rows
@@ -191,6 +190,11 @@ def fit_distances(
     if seen.rank >= told:
         limit = f"{told} independent ones are not more than the combinations of parameters they depend on"
         raise NotEnoughData(f"{len(pairs.distance)} distances", limit, "measure more of them, or fix parameters")
+
+    shown = distance_jacobian(nominal, q, pairs)[:, free] * max_deviation[free]
+    size = np.linalg.norm(shown, axis=0)
+    free, shown = free[size > _RANK * size.max()], shown[:, size > _RANK * size.max()]
+    free = free[independent_columns(shown, _RANK)]
 
     def at(x: Array) -> Delta:
         X = nominal.vector.copy()
