@@ -8,9 +8,17 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.calibration import BLEND, Calibration, Cell, Errors, curved_joints, errors, with_sockets
-from modcal_core.checking import (
+from modcal_core.errors import BadRecording, NotEnoughData
+from modcal_core.evaluation import evaluate
+from modcal_core.geometry import Array
+from modcal_core.hypotheses import recognised
+from modcal_core.measurements import Samples
+from modcal_core.moves import (
     PATTERN,
+    UNTRIED,
     BeyondRanges,
+    FoundChanges,
+    NamedChange,
     Noticed,
     Recommendation,
     advise,
@@ -18,20 +26,16 @@ from modcal_core.checking import (
     beyond_ranges,
     frozen,
     in_known_frames,
+    named,
     new_frames,
     noticed,
     placed_anew,
     repaired,
     require_accounted,
+    search,
     spread_out,
     with_new_frames,
 )
-from modcal_core.errors import BadRecording, NotEnoughData
-from modcal_core.evaluation import evaluate
-from modcal_core.geometry import Array
-from modcal_core.hypotheses import recognised
-from modcal_core.measurements import Samples
-from modcal_core.moves import UNTRIED, FoundChanges, NamedChange, named, search
 from modcal_core.outcome import Outcome, unseen_note
 from modcal_core.verdict import Applied, applicable, own_rows
 
@@ -266,7 +270,7 @@ def _each_by_the_others(report: Outcome, found: FoundChanges) -> Outcome:
         return report
     A = np.concatenate([state.columns(h) for h in sized], axis=1)
     V = found.null.covariances[found.stages[2].judge.best]
-    residual, rows = state.residual, found.null.rows
+    residual, rows = state.view.residual, found.null.rows
     station = found.samples.station[rows.sample]
     left = residual.copy()
     for one in np.unique(station):

@@ -74,7 +74,7 @@ class FixedLinearisation:
             J = self._twists[sample.frame[0]] @ towards @ to_tool[:, : 6 if len(pose) else 3]
         if self._effects:
             J = np.concatenate([J, *(view.moved_by(terms)[None] for terms in all_columns(self._model.effects, at))])
-        return np.concatenate([view.position.ravel(), view.rotation.ravel()]), J.T
+        return view.residual, J.T
 
 
 def _twists(now: Model, parameters: Sequence[ModelParameter], errors: Deviations, frame: int) -> Array:
@@ -92,8 +92,7 @@ def _twists(now: Model, parameters: Sequence[ModelParameter], errors: Deviations
     return out.reshape(len(parameters), -1)
 
 
-def spread(noise: NoiseModel, samples: Samples) -> tuple[Array, Array]:
-    """Standard deviations (N,) of positions [m] and orientations [rad]: of the noise and what each reading states."""
-    own = (np.nan_to_num(s) for s in (samples.sigma_position, samples.sigma_rotation))
-    position, rotation = (np.hypot(of, s) for of, s in zip((noise.position, noise.rotation), own, strict=True))
-    return position, rotation
+def spread(noise: NoiseModel, sample: Samples) -> Array:
+    """Standard deviations of the rows of one sample, (3,) or (6,): of the noise and what the reading states."""
+    own = np.nan_to_num(np.r_[sample.sigma_position, sample.sigma_rotation])
+    return np.hypot((noise.position, noise.rotation), own).repeat(3)[: 6 if sample.is_pose[0] else 3]

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 
@@ -29,12 +28,11 @@ _UNTOLD = "readings in another unit or convention"
 _STRANGE = 3  # readings in a row from an unknown frame, after which it stands for a known one
 
 
-def or_misread(change: ChangeHypothesis, model: Model, rows: Sequence[Samples], noise: NoiseModel) -> ChangeHypothesis:
-    """The change; the mistake in its place, where the samples (rows) since then are of the arm once that is undone.
+def or_misread(change: ChangeHypothesis, model: Model, samples: Samples, noise: NoiseModel) -> ChangeHypothesis:
+    """The change; the mistake in its place, where the samples since then are of the arm once that is undone.
 
     While there are too few to tell, a change that is larger than an arm's own is said to be either.
     """
-    samples = reduce(Samples.followed_by, rows)
     off, reach = errors(model, samples), model.chain.reach()
     if len(samples) < MIN:
         turned = float(np.median(off.rotation_norm)) if samples.is_pose.all() else 0.0
@@ -104,10 +102,9 @@ class Live:
         self.since += 1
         # asked again as samples come in: the first answer rests on very few
         if self.hypothesis is None or (self.since & (self.since - 1)) == 0:
-            since = min(self.changed, self.detector.seen[-1].stamp)
-            rows = [seen.sample for seen in self.detector.seen if seen.stamp >= since]
-            change = find_change(self.detector, since)
-            self.hypothesis = or_misread(change, self.detector.model, rows, self.calibration.noise)
+            since, model = min(self.changed, float(self.detector.seen[-1].stamps[0])), self.detector.model
+            change, samples = find_change(self.detector, since), self.detector.samples(since)
+            self.hypothesis = or_misread(change, model, samples, self.calibration.noise)
 
 
 ASKED, BETTER = "asked", "better"
