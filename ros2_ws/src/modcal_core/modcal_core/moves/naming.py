@@ -258,7 +258,7 @@ def noticed(found: FoundChanges) -> tuple[Noticed, ...]:
     """The smallest base, tool, zero and scale of those asked for that 95 of 100 such checks notice, RMS at the tool
     [mm], and which of them no check of these stations notices.
     """
-    judge, state = found.stages[1].judge, found.stages[0]
+    judge, state = found.opened.judge, found.plain
     N, null = len(state.samples), judge.null
     member = null.reference if null.widest < 0 else null.widest
     worst: dict[str, float] = {}
@@ -310,7 +310,7 @@ def advise(found: FoundChanges, calibration: Calibration, alike: Sequence[Alike]
         h = change.hypothesis
         if not h.free and (not change.same_as or same or h.kind == NOISE):
             continue
-        stations = telling_stations(change, calibration, found.model, found.samples)
+        stations = telling_stations(change, calibration, found.plain.model, found.samples)
         every = [h.label, *dict.fromkeys(j.hypothesis.label for j in change.same_as)]
         rivals = " and ".join(every if len(every) <= _TOLD_APART else (*every[:_TOLD_APART], "others"))
         said = f"Measure these {len(stations)} stations as well and check again with all: they tell {rivals} apart."

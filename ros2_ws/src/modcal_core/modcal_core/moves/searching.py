@@ -79,8 +79,9 @@ class FoundChanges:
 
     changes: as named. given: those that were not asked for but given, as fitted. covariance: of the sizes of given and
     changes together, (k, k). log_e: logarithms of the e-values by which each was asked for, and, last, of what is left.
-    aside: samples that were set aside as wrong, with what stands at its limit there. stages: the frozen model beside
-    the others, the same with what was given left open, and with the changes taken up. asked: what was looked for.
+    aside: samples that were set aside as wrong, with what stands at its limit there. plain, opened, state: the frozen
+    model beside the others, the same with what was given left open, and with the changes taken up. asked: what was
+    looked for.
     """
 
     changes: tuple[FittedChange, ...]
@@ -88,23 +89,10 @@ class FoundChanges:
     covariance: Array
     log_e: tuple[float, ...]
     aside: Mapping[int, str]
-    stages: tuple[CheckState, CheckState, CheckState]
+    plain: CheckState
+    opened: CheckState
+    state: CheckState
     asked: tuple[CellChange, ...]
-
-    @property
-    def null(self) -> NullModel:
-        """What readings scatter by about the frozen model."""
-        return self.stages[0].null
-
-    @property
-    def model(self) -> Model:
-        """The frozen one."""
-        return self.stages[0].model
-
-    @property
-    def state(self) -> CheckState:
-        """The model with the changes, beside the samples that were not set aside."""
-        return self.stages[2]
 
     @property
     def samples(self) -> Samples:
@@ -316,8 +304,8 @@ class MoveSearch:
         if given or changes:
             every, covariance = with_sizes([*given, *changes], now, self.plain.null)
             given, changes = every[: len(given)], every[len(given) :]
-        stages = self.plain, self.beside([]), now
-        return FoundChanges(tuple(changes), tuple(given), covariance, found.log_e, aside, stages, tuple(self.asked))
+        states = self.plain, self.beside([]), now
+        return FoundChanges(tuple(changes), tuple(given), covariance, found.log_e, aside, *states, tuple(self.asked))
 
     def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
         """One of the changes that were picked, with what explains the readings as well."""

@@ -35,7 +35,7 @@ from modcal_core.moves import (
     hypotheses,
     named,
 )
-from modcal_core.online.fixed_linearisation import FixedLinearisation, spread
+from modcal_core.online.estimator import FixedLinearisation, spread
 
 POSTURES = 48  # distinct postures that are remembered
 _SAME = 0.03  # rad or m; postures closer than this are one

@@ -132,20 +132,17 @@ class Supervisor:
         self.candidate: Calibration | None = None
         self.stations = 0
         self._last_station = -1
-        self._wait = policy.first_solve
-
-    def follow(self, policy: Policy) -> None:
-        """Go by another policy from now on; what it counts begins with the last solve, or the last change."""
-        old = self._every
-        self.policy = policy
-        if old != self._every:
-            since = self._wait - old if old else 0  # stations that had been counted when the wait began
-            self._wait = max(since, 0) + self._every if self._every else 0
+        self._begun = 0  # stations, or those since a change, at the last solve that brought nothing
 
     @property
     def _every(self) -> int:
         """Stations after which a solve begins by itself; 0: none does."""
         return self.policy.first_solve if self.live is None else self.policy.after_change
+
+    @property
+    def _count(self) -> int:
+        """Stations that count towards it."""
+        return self.stations if self.live is None else self.live.since
 
     @property
     def trusted(self) -> Calibration | None:
@@ -180,10 +177,10 @@ class Supervisor:
     def wants_solve(self) -> bool:
         """Whether it is time to calibrate again."""
         if self.live is None:
-            return 0 < self._wait <= self.stations and self.candidate is None
-        if self.hypothesis is None or self.hypothesis.mistake:  # of readings that are written wrongly nothing is solved
-            return False
-        return 0 < self._wait <= self.live.since
+            wanted = self.candidate is None
+        else:  # of readings that are written wrongly nothing is solved
+            wanted = self.hypothesis is not None and not self.hypothesis.mistake
+        return wanted and 0 < self._every <= self._count - self._begun
 
     def solved(self, calibration: Calibration, better: bool) -> bool:
         """Take a result; returns whether it is trusted from now on."""
@@ -195,8 +192,7 @@ class Supervisor:
 
     def failed(self) -> None:
         """A solve brought nothing: wait for as many stations again."""
-        count = self.stations if self.live is None else self.live.since
-        self._wait = count + self._every if self._every else 0
+        self._begun = self._count
 
     def accept(self) -> bool:
         """Trust the candidate; returns whether there was one."""
@@ -208,12 +204,11 @@ class Supervisor:
         """Trust this calibration, and watch it from now on."""
         self.live = Live(calibration, self._random_walk)
         self.candidate = None
-        self._wait = self.policy.after_change
+        self._begun = 0
 
     def reset(self) -> None:
         """Forget the candidate and what was suspected; what is trusted stays."""
         self.candidate = None
-        self.stations = 0
-        self._wait = self.policy.first_solve
+        self.stations = self._begun = 0
         if self.live is not None:
             self.trust(self.live.calibration)

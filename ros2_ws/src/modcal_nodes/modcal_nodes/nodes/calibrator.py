@@ -86,7 +86,7 @@ class Calibrator(ros.GuardedNode):
         self.create_timer(1.0, self._tell, clock=steady)
 
     def _take_parameters(self) -> None:
-        self._supervisor.follow(calibrating.policy(self._chosen))
+        self._supervisor.policy = calibrating.policy(self._chosen)
         for subscription in self._inputs:
             subscription.patience = self._chosen["silence_timeout_s"]
 
