@@ -103,7 +103,7 @@ class Calibrator(ros.ManagedNode):
             self._worker.drop()
 
     def _take_parameters(self) -> None:
-        self._supervisor.follow(calibrating.policy(self._chosen))
+        self._supervisor.policy = calibrating.policy(self._chosen)
         for subscription in self._inputs:
             subscription.patience = self._chosen["silence_timeout_s"]
 
