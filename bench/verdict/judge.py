@@ -20,7 +20,7 @@ CALM = re.compile(
 CALM_AND_WRONG, NAMED, FOUND, UNNAMED = "calm and wrong", "open, named", "modelled, named", "open, not named"
 SILENT, HARMLESS, FAILED = "cannot tell, not named", "harmless here", "failed"
 RIGHT, ONE_OF, NONE, WRONG = "right", "one of", "none", "wrong"
-HEDGED = re.compile(r"\bor\b|one of these|do(?:es)? not tell", re.I)
+HEDGED = re.compile(r"^or |; or |, or of |one of these", re.I)  # parts of the grounds that name several
 AT_FLOOR, BESIDE, CANNOT_TELL, OPEN = "at the floor", "at the floor, unknown", "cannot tell", "open"
 
 
@@ -70,8 +70,10 @@ def _word(case: Case, made: Outcome) -> str:
         return CALM_AND_WRONG
     if made.false or (made.outcome == OPEN and not case.fault):
         return WRONG
-    if not case.fault or made.outcome not in (NAMED, FOUND):
-        return RIGHT if not case.fault else NONE
+    if not case.fault:
+        return RIGHT
+    if not _names(case, made.text) or made.outcome == FAILED:
+        return NONE
     outright = " | ".join(part for part in made.text.split(" | ") if not HEDGED.search(part))
     return RIGHT if _names(case, outright) else ONE_OF
 

@@ -2,7 +2,9 @@
 memory, spoiled returns, exchanged arms, heat, clocks, tables typed by hand, instruments, moves, descriptions, springs.
 
 ``shown``: False and "if left" where its author held, before the run, that the data do not decide, or need not show it.
-Errors follow formulas of their own: play as what is dragged, creep as what relaxes, teeth as saws.
+Errors follow formulas of their own: play as what is dragged, creep as what relaxes, teeth as saws. Four were corrected
+after the first run, as they did not do what they say: both clocks and the plate spoiled nothing, and a link that is
+described too long is repaired by any fit.
 """
 
 from mechanisms import *
@@ -130,10 +132,10 @@ K(
     shown="if left",
 )
 S(on("ur10"), planned(), moving(), lost(20.0, 22.0))
-K("clock_is_set_in_between", "from the middle on, readings are 0.9 s late", CLOCK, STATIONS, HIT)
-S(on("ur10"), dwells(60), restamped(lambda s: s + 0.9 * (s > np.median(s))))
-K("tracker_gains_on_the_joints", "the tracker's clock gains 4 ms a second", CLOCK)
-S(on("panda"), dwells(70), restamped(lambda s: s[0] + 1.004 * (s - s[0])))
+K("clock_is_set_in_between", "from the middle on, readings are 2.6 s late", CLOCK, STATIONS, HIT)
+S(on("ur10"), dwells(60), restamped(lambda s: s + 2.6 * (s > np.median(s))))
+K("tracker_gains_on_the_joints", "the tracker's clock gains 12 ms a second", CLOCK)
+S(on("panda"), dwells(70), restamped(lambda s: s[0] + 1.012 * (s - s[0])))
 
 # few stations
 K("few_and_the_tool_knocked", "of 15 stations, the tool is another from the eighth on", TARGET, no=NOT_BASE)
@@ -198,7 +200,7 @@ S(
     130,
 )
 K("plate_slides_in_its_holes", "the arm's moment drags its plate within 0.5 mm", BASE, FOOT)
-S(bend("tracker", np.s_[:, 0], lambda c: dragged(scaled(centres(c)[:, 0], 4e-4), 2.5e-4)), 130)
+S(bend("tracker", np.s_[:, 0], lambda c: dragged(scaled(centres(c)[:, :1], 4e-4)[:, 0], 2.5e-4)), 130)
 K("counts_lost_at_each_turning", "a joint loses 12 µrad whenever it turns back", J, ORDER)
 S(pick(1, -1), joint(lambda c: 1.2e-5 * np.cumsum(np.diff(side(c.x), prepend=0.0) != 0)), 140)
 K("spring_held_by_friction", "a joint's deflection stays within its friction", J, LOAD)
@@ -333,7 +335,7 @@ K("target_slides", "the target slides by 0.9 mm, steadily", TARGET, ORDER, no=NO
 )
 
 # descriptions
-K("link_of_another_model", "the description's link is a tenth too long", NEAR, "link", "description")
+K("link_of_another_model", "a link is described a tenth too long", NEAR, "link", "description", shown="if left")
 S(
     pick_having("origin xyz", lambda v: np.linalg.norm(v) > 0.2),
     90,
