@@ -16,15 +16,11 @@ from modcal_core.diagnosis import Cause, Diagnosis, Loads, by_weight, one_motion
 from modcal_core.effects import (
     ALL,
     AXIS,
-    PERIODIC,
-    STEPS,
-    Drivers,
     Effect,
     NominalArm,
     Quantity,
     ReportEntry,
     Sizes,
-    candidates,
     curve_sizes,
     family_named,
     is_large_move,
@@ -143,7 +139,7 @@ def findings(
     of = {part.numbers: part for part in worth}
     few = samples.select(spread_rows(len(samples), MAX_SEEN))
     after = rms(case.errors["final"])
-    entries, drivers = [], shipped.drivers(few)
+    entries = []
     for numbers in entries_of(shipped.effects):
         effects = tuple(shipped.effects[i] for i in numbers)
         together = with_companions(shipped.effects, numbers)
@@ -157,8 +153,7 @@ def findings(
         part, first = of.get(together), effects[0]
         # large moves were let in by positions and orientations together
         asked = part is None or part.ci95_mm2[0] > 0.0 or any(map(is_large_move, effects))
-        others = [*(rival for c in causes for rival in c.rivals), *_in_other_words(first, drivers)]
-        rivals = proofs.of(together, others) if asked else None
+        rivals = proofs.of(together, [rival for c in causes for rival in c.rivals]) if asked else None
         entries.append(
             Finding(
                 *(first.family, first.place, first.direction, first.public_driver),
@@ -176,14 +171,6 @@ def findings(
         )
     wrong = case.wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
     return (*_outliers(diagnosis.fit, samples, wrong), *entries)
-
-
-def _in_other_words(effect: Effect, drivers: Drivers) -> list[Effect]:
-    """What else the same place and driver may be called: effects of other families, but waves, steps and curves."""
-    own = effect.place, effect.direction, effect.public_driver
-    several = lambda shape: shape.is_free or shape.kind in (*STEPS, *PERIODIC)  # noqa: E731
-    same = (e for e in candidates(drivers) if (e.place, e.direction, e.public_driver) == own)
-    return [e for e in same if e.family != effect.family and not several(e.shape) and not several(effect.shape)]
 
 
 def _one_motion(cause: Cause) -> tuple[str, ...]:

@@ -150,10 +150,7 @@ class _Everything:
         P = _updated(self._P, np.concatenate(gone), -1.0)
         own_rows = np.concatenate([self._amplitudes[i] for i in numbers])
         own = self._together(self._J[own_rows])
-        new = [
-            (other.label + f" ({other.family})" * (other.label == effect.label), self._together(self._columns(other)))
-            for other in others
-        ]
+        new = [(other.label, self._together(self._columns(other))) for other in others]
         new += [
             (part.name, x)
             for x, part, own_part in zip(self._rows, self._parts, itself, strict=True)
