@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.topics import accepted, role_of
     from modcal_msgs_py.track_rows import JointStateBytes
     from modcal_msgs_py.typed import calibration_data, fill_calibration, fill_change, fill_checked, fill_estimate
-    from modcal_msgs_py.typed import fill_object_status, fill_verdict
+    from modcal_msgs_py.typed import fill_identity, fill_object_status, fill_verdict
 else:
     from modcal_core.lazy import lazy_face
 
@@ -43,10 +43,10 @@ __all__ += ["ObjectInput", "OfferedTopic", "OneMessage", "PackedMessage", "RawIm
 __all__ += ["Signal", "SignalsHeard", "Topics", "accepted", "arrows", "calibration_data", "caption", "chosen_topic"]
 __all__ += ["colour_of", "corner_topics", "desired_pose", "dots", "ellipsoids", "fill_accelerations"]
 __all__ += ["fill_calibration", "fill_change", "fill_checked", "fill_corners", "fill_estimate", "fill_expected"]
-__all__ += ["fill_markers", "fill_message", "fill_object_state", "fill_object_status", "fill_picture", "fill_point"]
-__all__ += ["fill_pose", "fill_target", "fill_verdict", "fill_wrench", "image_topics", "info_topic", "jazzy", "learn"]
-__all__ += ["lens_data", "list_topics", "message_data", "messages_in_order", "nanoseconds", "offered_topics"]
-__all__ += ["qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording", "reading_of"]
-__all__ += ["repair_bag", "require_new", "require_version", "role_of", "seconds", "seen", "set_nanoseconds"]
-__all__ += ["set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics", "why_left_out"]
-__all__ += ["wrench_numbers", "write_recording"]
+__all__ += ["fill_identity", "fill_markers", "fill_message", "fill_object_state", "fill_object_status", "fill_picture"]
+__all__ += ["fill_point", "fill_pose", "fill_target", "fill_verdict", "fill_wrench", "image_topics", "info_topic"]
+__all__ += ["jazzy", "learn", "lens_data", "list_topics", "message_data", "messages_in_order", "nanoseconds"]
+__all__ += ["offered_topics", "qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording"]
+__all__ += ["reading_of", "repair_bag", "require_new", "require_version", "role_of", "seconds", "seen"]
+__all__ += ["set_nanoseconds", "set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics"]
+__all__ += ["why_left_out", "wrench_numbers", "write_recording"]
