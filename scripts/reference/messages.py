@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from cells import code, prose, table
 from graph import executables, opened
+from markup import code, prose, table
 
 STAMP = "time of the measurement, on one clock with the others"
 ANY_FRAME = "a name of your own; each is a frame with an unknown place of its own"
