@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from modcal_msgs_py.topics import JOINT_COMMANDS, JOINT_STATES, READINGS, TYPES, AddedTopic, Joints, Signal, Topics
     from modcal_msgs_py.topics import accepted, role_of
     from modcal_msgs_py.track_rows import JointStateBytes
-    from modcal_msgs_py.typed import calibration_data, fill_calibration, fill_change, fill_checked, fill_estimate
-    from modcal_msgs_py.typed import fill_object_status, fill_verdict
+    from modcal_msgs_py.typed import asked_of_box, calibration_data, fill_calibration, fill_change, fill_checked
+    from modcal_msgs_py.typed import fill_estimate, fill_held_box, fill_object_status, fill_verdict
 else:
     from modcal_core.lazy import lazy_face
 
@@ -43,9 +43,26 @@ else:
 __all__ = ["CLOUD", "FLUSH_SECONDS", "JOINT_COMMANDS", "JOINT_STATES", "READINGS", "SUFFIXES", "TAGS", "TYPES"]
 __all__ += ["AddedTopic", "Bag", "BagWriter", "Colour", "Commands", "JointInput", "JointStateBytes", "Joints"]
 __all__ += ["ObjectInput", "OneMessage", "RawImage", "RecordingBuilder", "Repair", "Signal", "SignalsHeard", "Topics"]
-__all__ += ["accepted", "arrows", "calibration_data", "caption", "chosen_topic", "colour_of", "corner_topics"]
+__all__ += [
+    "accepted",
+    "arrows",
+    "asked_of_box",
+    "calibration_data",
+    "caption",
+    "chosen_topic",
+    "colour_of",
+    "corner_topics",
+]
 __all__ += ["desired_pose", "dots", "ellipsoids", "fill_accelerations", "fill_calibration", "fill_change"]
-__all__ += ["fill_checked", "fill_corners", "fill_estimate", "fill_expected", "fill_markers", "fill_object_state"]
+__all__ += [
+    "fill_checked",
+    "fill_corners",
+    "fill_estimate",
+    "fill_expected",
+    "fill_held_box",
+    "fill_markers",
+    "fill_object_state",
+]
 __all__ += ["fill_object_status", "fill_picture", "fill_point", "fill_pose", "fill_target", "fill_verdict"]
 __all__ += ["fill_wrench", "image_topics", "info_topic", "jazzy", "learn", "lens_data", "list_topics", "nanoseconds"]
 __all__ += ["qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording", "reading_of"]
