@@ -83,18 +83,19 @@ class Gripper:
     def read(self, geom: str, T: Array, rays: Array) -> Array:
         return cast(geom, T, rays) + self.bias + NOISE * self.rng.standard_normal(len(rays))
 
-    def calibrating(self, path: Path, count: int = 160) -> None:
-        """A bag of stations: the tracker's poses, and every sensor's distance to the floor where it sees it."""
-        q = worlds.postures(ur10(), count, self.rng)
-        poses = self.world.tool_in_base(q)
+    def calibrating(self, path: Path, each: int = 40) -> None:
+        """A bag of stations: the tracker's poses, and distances to the floor, so many at least of every sensor."""
         floor = se3.transform(so3.exp([0.05, -0.03, 0.0]), [0.0, 0.0, -0.5])
+        q, lengths = np.empty((0, 6)), np.empty((0, len(NAMES)))
+        while (few := np.isfinite(lengths).sum(axis=0) < each).any():
+            new = worlds.postures(ur10(), 1, self.rng)
+            rays = self.seen_from(self.world.tool_in_base(new[0]), self.rays)
+            far = self.read('type="plane" size="9 9 1"', floor, rays)
+            seen = np.where((np.abs(rays[:, 3:] @ floor[:3, 2]) > 0.4) & (far < 2.0), far, np.nan)
+            if np.isfinite(seen[few]).any():
+                q, lengths = np.r_[q, new], np.r_[lengths, seen[None]]
+        poses, count = self.world.tool_in_base(q), len(q)
         t = BEGUN + 2.0 * np.arange(count)
-        lengths = np.full((count, len(NAMES)), np.nan)
-        for i, T in enumerate(poses):
-            rays = self.seen_from(T, self.rays)
-            steep = np.abs(rays[:, 3:] @ floor[:3, 2]) > 0.4
-            lengths[i] = np.where(steep, self.read('type="plane" size="9 9 1"', floor, rays), np.nan)
-        lengths[lengths > 2.5] = np.nan
         noise = se3.exp(5e-5 * self.rng.standard_normal((count, 6)))
         tracks = [ReadingTrack("pose", "tracker", t, se3.to_pose(T_TRACKER_BASE @ poses @ noise), t)]
         tracks += [_track(n, t[k], d[k]) for n, d in zip(NAMES, lengths.T, strict=True) for k in [np.isfinite(d)]]

@@ -43,29 +43,12 @@ else:
 __all__ = ["CLOUD", "FLUSH_SECONDS", "JOINT_COMMANDS", "JOINT_STATES", "READINGS", "SUFFIXES", "TAGS", "TYPES"]
 __all__ += ["AddedTopic", "Bag", "BagWriter", "Colour", "Commands", "JointInput", "JointStateBytes", "Joints"]
 __all__ += ["ObjectInput", "OneMessage", "RawImage", "RecordingBuilder", "Repair", "Signal", "SignalsHeard", "Topics"]
-__all__ += [
-    "accepted",
-    "arrows",
-    "asked_of_box",
-    "calibration_data",
-    "caption",
-    "chosen_topic",
-    "colour_of",
-    "corner_topics",
-]
+__all__ += ["accepted", "arrows", "calibration_data", "caption", "chosen_topic", "colour_of", "corner_topics"]
 __all__ += ["desired_pose", "dots", "ellipsoids", "fill_accelerations", "fill_calibration", "fill_change"]
-__all__ += [
-    "fill_checked",
-    "fill_corners",
-    "fill_estimate",
-    "fill_expected",
-    "fill_held_box",
-    "fill_markers",
-    "fill_object_state",
-]
+__all__ += ["fill_checked", "fill_corners", "fill_estimate", "fill_expected", "fill_markers", "fill_object_state"]
 __all__ += ["fill_object_status", "fill_picture", "fill_point", "fill_pose", "fill_target", "fill_verdict"]
 __all__ += ["fill_wrench", "image_topics", "info_topic", "jazzy", "learn", "lens_data", "list_topics", "nanoseconds"]
 __all__ += ["qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording", "reading_of"]
 __all__ += ["repair_bag", "require_new", "require_version", "role_of", "seconds", "seen", "set_nanoseconds"]
 __all__ += ["set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics", "why_left_out"]
-__all__ += ["wrench_numbers", "write_recording"]
+__all__ += ["asked_of_box", "fill_held_box", "wrench_numbers", "write_recording"]

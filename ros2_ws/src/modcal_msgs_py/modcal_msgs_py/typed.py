@@ -117,7 +117,7 @@ def asked_of_box(request: Any) -> tuple[Array, Place | None]:
         return np.where(size > 0.0, size, np.nan), None
     at, turn = request.stack.pose.position, request.stack.pose.orientation
     pose, spread = [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w], np.reshape(request.stack.covariance, (6, 6))
-    place = Place.on(pose, spread, request.down or "-z", request.corner, request.turn, request.above)
+    place = Place.on(pose, spread, request.down or "+z", request.corner, request.turn, request.above)
     return np.where(size > 0.0, size, np.nan), place
 
 
