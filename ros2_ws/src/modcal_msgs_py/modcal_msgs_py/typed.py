@@ -117,8 +117,7 @@ def asked_of_box(request: Any) -> tuple[Array, Place | None]:
         return np.where(size > 0.0, size, np.nan), None
     at, turn = request.stack.pose.position, request.stack.pose.orientation
     pose, spread = [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w], np.reshape(request.stack.covariance, (6, 6))
-    place = Place.on(pose, spread, request.down or "+z", request.corner, request.turn, request.above)
-    return np.where(size > 0.0, size, np.nan), place
+    return np.where(size > 0.0, size, np.nan), Place(pose, spread, request.down or "+z", request.corner, request.turn)
 
 
 def fill_held_box(answer: Any, held: HeldBox, put: Placing | None, base: str) -> Any:

@@ -199,28 +199,24 @@ def held_box(
 
 @dataclass(frozen=True)
 class Place:
-    """Where a box shall stand. T_base_stack: a frame on top of the stack in the base, z up, (4, 4). covariance: of its
-    position [m] and orientation [rad] along the base's axes, (6, 6). down: the face that shall lie on it. corner:
-    whether the corner of least x and y comes to its origin, else the middle of the lower face. turn: of the box about
-    the stack's z [rad]; at 0 the box's first axis that lies level points along the stack's x. above: gap [m].
+    """Where a box shall stand. stack: pose x y z qx qy qz qw in the base of a frame on top of the stack, z up.
+    covariance: of its position [m] and orientation [rad] along the base's axes, (6, 6). down: the face that shall lie
+    on it. corner: whether the corner of least x and y comes to its origin, else the middle of the lower face. turn: of
+    the box about z [rad]; at 0 its first axis that lies level points along x. Raises BadTable for what is no place.
     """
 
-    T_base_stack: Array
+    stack: ArrayLike
     covariance: Array
-    down: str
-    corner: bool
-    turn: float
-    above: float
+    down: str = "+z"
+    corner: bool = False
+    turn: float = 0.0
 
-    @classmethod
-    def on(cls, pose: ArrayLike, covariance: Array, down: str, corner: bool, turn: float, above: float) -> Place:
-        """The same, from a pose x y z qx qy qz qw. Raises BadTable for what is none, and for a face that no box has."""
-        pose = np.asarray(pose, dtype=float)
+    def __post_init__(self) -> None:
+        pose = np.asarray(self.stack, dtype=float)
         if not (np.isfinite(pose).all() and abs(np.linalg.norm(pose[3:]) - 1.0) < 1e-2):
             raise BadTable("stack", "is not a pose", "give x y z [m] and a quaternion of length one")
-        if down not in FACES:
-            raise BadTable(f"face '{down}'", "is not a face of a box", f"name {', '.join(FACES)}")
-        return cls(se3.from_pose(pose), covariance, down, corner, turn, above)
+        if self.down not in FACES:
+            raise BadTable(f"face '{self.down}'", "is not a face of a box", f"name {', '.join(FACES)}")
 
 
 @dataclass(frozen=True)
@@ -250,8 +246,7 @@ def placing(held: HeldBox, place: Place) -> Placing:
     R = so3.exp([0.0, 0.0, place.turn]) @ np.stack([u, v, -down])
     signs = down - (u + v if place.corner else 0.0)
     q = 0.5 * signs * held.box.size
-    T_stack_box = se3.transform(R, np.array([0.0, 0.0, place.above]) - R @ q)
-    T_base_box = place.T_base_stack @ T_stack_box
+    T_base_box = se3.from_pose(place.stack) @ se3.transform(R, -R @ q)
     J = np.zeros((6, 9))
     J[:3] = np.c_[np.eye(3), -so3.hat(q), 0.5 * np.diag(signs)]
     J[3:, 3:6] = np.eye(3)

@@ -42,7 +42,6 @@ class HeldOptions(TopicOptions):
     down: str = option("Face that shall lie on the stack: +z is the one away from the gripper.", default="+z")
     corner: bool = option("Put the corner of least x and y there, not the middle of the face.", default=False)
     turn: float = option("Turn the box about the stack's z axis [deg].", default=0.0)
-    above: float = option("Stop so far above the stack [mm].", default=0.0)
 
     @property
     def place(self) -> Place | None:
@@ -50,16 +49,15 @@ class HeldOptions(TopicOptions):
         if self.stack is None:
             return None
         spread = np.diag(np.repeat([1e-3 * self.stack_mm, np.radians(self.stack_deg)], 3) ** 2)
-        turn = float(np.radians(self.turn))
-        return Place.on(self.stack, spread, self.down, self.corner, turn, 1e-3 * self.above)
+        return Place(self.stack, spread, self.down, self.corner, float(np.radians(self.turn)))
 
-
-def known_size(stated: tuple[str, ...]) -> Array:
-    """Known sizes [m], (3,), NaN for those that are not. Raises BadTable."""
-    known = numbers_by_joint(stated, "--size")
-    if wrong := [text for text in known if text not in "xyz" or known[text] <= 0.0]:
-        raise BadTable(f"--size {wrong[0]}", "is not a size along x, y or z", "write it as z=0.2, in m")
-    return np.array([known.get(axis, np.nan) for axis in "xyz"])
+    @property
+    def known(self) -> Array:
+        """Known sizes [m], (3,), NaN for those that are not. Raises BadTable."""
+        known = numbers_by_joint(self.size, "--size")
+        if wrong := [text for text in known if text not in ("x", "y", "z") or known[text] <= 0.0]:
+            raise BadTable(f"--size {wrong[0]}", "is not a size along x, y or z", "write it as z=0.2, in m")
+        return np.array([known.get(axis, np.nan) for axis in "xyz"])
 
 
 @click.command("measure-object")
@@ -75,7 +73,7 @@ def measure_object_command(calibration: Path, bag: Path, output: Output, options
     rest, one box after another. Rays are calibrated in the frame of the tracked target; they are brought into the tip.
     """
     rays = GripperRays.of(Calibration.load(calibration), "tool" if options.frame == "tool" else "tip")
-    faces, size, place = rays.faces(options.face), known_size(options.size), options.place
+    faces, size, place = rays.faces(options.face), options.known, options.place
     readings = read_recording(bag, topics=options.topics).readings
     data, blocks, untold = list[dict[str, object]](), list[SummaryLine | TableBlock](), list[NotEnoughData]()
     with about(str(bag)):
