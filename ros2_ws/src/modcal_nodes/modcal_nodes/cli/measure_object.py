@@ -41,7 +41,7 @@ class HeldOptions(TopicOptions):
     stack_deg: float = option("The same of its orientation [deg].", default=0.0, low=0.0)
     down: str = option("Face that shall lie on the stack: +z is the one away from the gripper.", default="+z")
     corner: bool = option("Put the corner of least x and y there, not the middle of the face.", default=False)
-    turn: float = option("Turn the box about the stack's z axis [deg].", default=0.0)
+    turn: float = option("Turn the box about the stack's z axis [deg].", default=0.0, type=float)
 
     @property
     def place(self) -> Place | None:
