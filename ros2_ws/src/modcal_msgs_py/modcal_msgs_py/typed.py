@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.correction import Place
+from modcal_core.correction import StackPlace
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3
 from modcal_msgs_py.commands import fill_pose, require_version
@@ -106,7 +106,7 @@ def fill_object_status(message: Any, frame: str, stamp: int, state: TrackerState
     return message
 
 
-def asked_of_box(request: Any) -> tuple[Array, Place | None]:
+def asked_of_box(request: Any) -> tuple[Array, StackPlace | None]:
     """(known size (3,) [m], NaN for what is not, and where the box shall stand) in a request of MeasureObject.
 
     Raises BadCommand for another version, BadTable for a place that is none.
@@ -117,7 +117,9 @@ def asked_of_box(request: Any) -> tuple[Array, Place | None]:
         return np.where(size > 0.0, size, np.nan), None
     at, turn = request.stack.pose.position, request.stack.pose.orientation
     pose, spread = [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w], np.reshape(request.stack.covariance, (6, 6))
-    return np.where(size > 0.0, size, np.nan), Place(pose, spread, request.down or "+z", request.corner, request.turn)
+    return np.where(size > 0.0, size, np.nan), StackPlace(
+        pose, spread, request.down or "+z", request.corner, request.turn
+    )
 
 
 def fill_held_box(answer: Any, held: HeldBox, put: Placing | None, base: str) -> Any:

@@ -198,7 +198,7 @@ def held_box(
 
 
 @dataclass(frozen=True)
-class Place:
+class StackPlace:
     """Where a box shall stand. stack: pose x y z qx qy qz qw in the base of a frame on top of the stack, z up.
     covariance: of its position [m] and orientation [rad] along the base's axes, (6, 6). down: the face that shall lie
     on it. corner: whether the corner of least x and y comes to its origin, else the middle of the lower face. turn: of
@@ -236,7 +236,7 @@ class Placing:
         return {"frame": self.frame, "position_m": position, "quaternion": turn, "covariance": self.covariance.tolist()}
 
 
-def placing(held: HeldBox, place: Place) -> Placing:
+def placing(held: HeldBox, place: StackPlace) -> Placing:
     """The pose that puts a held box down where it shall stand."""
     k, end = divmod(FACES.index(place.down), 2)
     level = [a for a in range(3) if a != k]

@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from modcal_core.calibration import Calibration
-from modcal_core.correction import GripperRays, HeldBox, Place, Placing, held_box, placing, rests
+from modcal_core.correction import GripperRays, HeldBox, Placing, StackPlace, held_box, placing, rests
 from modcal_core.errors import BadTable, NotEnoughData, about
 from modcal_core.geometry import Array, se3
 from modcal_core.report import SummaryLine, TableBlock
@@ -44,12 +44,12 @@ class HeldOptions(TopicOptions):
     turn: float = option("Turn the box about the stack's z axis [deg].", default=0.0, type=float)
 
     @property
-    def place(self) -> Place | None:
+    def place(self) -> StackPlace | None:
         """Where the box shall stand; None where nobody asks."""
         if self.stack is None:
             return None
         spread = np.diag(np.repeat([1e-3 * self.stack_mm, np.radians(self.stack_deg)], 3) ** 2)
-        return Place(self.stack, spread, self.down, self.corner, float(np.radians(self.turn)))
+        return StackPlace(self.stack, spread, self.down, self.corner, float(np.radians(self.turn)))
 
     @property
     def known(self) -> Array:
