@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli.conftest import Refused
-from deltas import FILE, RecordedDelta, record_delta
+from deltas import FILE, LINEAR, RecordedDelta, record_delta
 
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.robots.delta_kinematics import tool_pose
@@ -68,6 +68,26 @@ def test_from_a_bag_to_a_report_and_a_corrected_file(tmp_path: Path, capsys: pyt
     said = capsys.readouterr().out
     assert "base → tip, 4 joints" in said
     assert "calibration from 130 finished stations (points)" in said
+
+
+def test_from_a_table_to_distances_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Carriages in mm; what annealing and least squares make of distances, on points that neither has seen."""
+    cell = record_delta(4, 90, linear=True)
+    q = cell.samples.q * np.where(cell.nominal.revolute, np.degrees(1.0), 1e3)
+    header = ",".join([*cell.nominal.names, "X_mm", "Y_mm", "Z_mm"])
+    np.savetxt(tmp_path / "t.csv", np.c_[q, 1e3 * cell.samples.reading], delimiter=",", header=header, comments="")
+    monkeypatch.chdir(tmp_path)
+    assert run(["import", "t.csv", "--delta", str(LINEAR), "--out", "bag"]) == 0
+    asked = ["--geometry-only", "--by-distances", "--out", "out"]
+    assert run(["calibrate", "bag", "--delta", str(LINEAR), *asked]) == 0
+    report = json.loads(Path("out/report.json").read_text())
+    nominal, annealed, polished, direct = report["by_distances"]["methods"]
+    assert annealed["held_out_rms_mm"] < 0.9 * nominal["held_out_rms_mm"]
+    assert direct["held_out_rms_mm"] == pytest.approx(polished["held_out_rms_mm"], rel=0.01)
+    assert direct["held_out_rms_mm"] == pytest.approx(report["error_mm"]["geometric"]["rms"], rel=0.2)
+    assert direct["held_out_rms_mm"] < 0.5 * annealed["held_out_rms_mm"]
+    assert direct["evaluations"] < 0.1 * annealed["evaluations"]
+    assert "By distances alone" in Path("out/report.html").read_text()
 
 
 @pytest.mark.parametrize(

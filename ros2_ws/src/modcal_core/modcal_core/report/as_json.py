@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from modcal_core.effects import Quantity
 from modcal_core.outcome import STAGES, Finding, Outcome
 from modcal_core.report.words import sentence
 from modcal_core.verdict import Row, Share, Tolerance, Verdict, reading_scatter_mm
+
+if TYPE_CHECKING:
+    from modcal_core.calibration import ByDistances
 
 FORMAT = 1
 _STRONGEST = 10  # candidates of a scan that report.json names
@@ -77,6 +80,7 @@ def to_json_data(report: Outcome) -> dict[str, Any]:
             }
             for known in report.distances
         ],
+        "by_distances": None if report.by_distances is None else _by_distances(report.by_distances),
         "evidence": [
             {
                 "p_value": seen_then.p_value,
@@ -107,6 +111,18 @@ def to_json_data(report: Outcome) -> dict[str, Any]:
         "notes": list(report.notes),
         "verdict": sentence(report),
         "story": list(report.story),
+    }
+
+
+def _by_distances(found: ByDistances) -> dict[str, Any]:
+    keys = ("method", "distances_rms_mm", "held_out_rms_mm", "evaluations")
+    methods = [(m.name, 1e3 * m.f, 1e3 * m.held_out, m.evaluations) for m in found.methods]
+    return {
+        "points": found.points,
+        "rank": found.seen.rank,
+        "unseen": list(found.seen.unseen),
+        "at_bound": list(found.at_bound),
+        "methods": [dict(zip(keys, values, strict=True)) for values in methods],
     }
 
 

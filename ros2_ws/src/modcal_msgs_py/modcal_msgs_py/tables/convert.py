@@ -91,6 +91,7 @@ _TABLE = mapping(
 SCHEMA = mapping(
     {
         "urdf": {"type": ["string", "null"], "description": "robot description, beside the mapping or in --data"},
+        "delta": {"type": "string", "description": "description of a Delta, beside the mapping, in place of urdf"},
         "base": {"type": ["string", "null"], "description": "link where the arm begins. Default: the root"},
         "tip": {"type": ["string", "null"], "description": "link where it ends. Default: behind most joints"},
         "undecided": {

@@ -30,7 +30,7 @@ from modcal_core.hypotheses import (
     same_poses,
 )
 from modcal_core.measurements import spread_rows
-from modcal_core.robots import Chain, Inertias
+from modcal_core.robots import Inertias, Mechanism, is_serial_arm
 from modcal_msgs_py.tables.beside import OtherColumns, Surroundings, find_beside
 from modcal_msgs_py.tables.columns import (
     Body,
@@ -97,13 +97,13 @@ class MeasuredArm:
     named them, as a mapping states them.
     """
 
-    chain: Chain
+    chain: Mechanism
     inertias: Inertias | None = None
     bystanders: Mapping[str, bool] = field(default_factory=dict)
     stated: Mapping[str, str] = field(default_factory=dict)
 
 
-def find(paths: Sequence[Path], arm: MeasuredArm | Chain, watch: Watch = lambda stage: None) -> Proposal:
+def find(paths: Sequence[Path], arm: MeasuredArm | Mechanism, watch: Watch = lambda stage: None) -> Proposal:
     """A mapping for a file; of several, joined by a column that they share, or by their order where the arm then fits.
 
     Raises BadTable where no reading of the columns has to do with the arm at all.
@@ -203,7 +203,7 @@ class _Search:
     """Likely places of the readings in a table, with what they may mean. measured: joints by their labels."""
 
     def __init__(
-        self, numbers: Numbers, chain: Chain, measured: Sequence[LabelledJoints], time: set[int], watch: Watch
+        self, numbers: Numbers, chain: Mechanism, measured: Sequence[LabelledJoints], time: set[int], watch: Watch
     ) -> None:
         self._numbers, self._chain, self.measured = numbers, chain, measured
         self._time, self._watch = time, watch
@@ -231,9 +231,11 @@ class _Search:
                 fits += self._searched(left)
             elif measured:
                 fits += self._fits(left, measured)
-            if instruments and measured and not any(f.best.explained(self._chain) and not f.computed for f in fits):
+            chain = self._chain
+            told = any(f.best.explained(chain) and not f.computed for f in fits)
+            if instruments and measured and is_serial_arm(chain) and not told:
                 self._watch("comparing what distances and directions may mean")
-                if (sighted := find_sights(numbers, self._chain, measured, instruments)) is not None:
+                if (sighted := find_sights(numbers, chain, measured, instruments)) is not None:
                     return sighted
                 instruments = ()
         return fits
@@ -281,7 +283,7 @@ class _Search:
         columns = pool(numbers, taken)
         used = sorted({*columns, *(k for triple in triples for k in triple)})
         whole = np.isfinite(numbers.values[:, used]).all(axis=1)
-        if not triples or not whole.any() or chain.led:  # a joint that follows has no column
+        if not triples or not whole.any() or not is_serial_arm(chain) or chain.led:  # what follows has no column
             return []
         values = np.where(np.isfinite(numbers.values), numbers.values, 0.0)[whole]
         largest = float(np.median(np.abs(values[:, columns]).max(axis=0))) if columns else 0.0
@@ -382,7 +384,7 @@ def _covers(known: Body, body: Body) -> bool:
 
 
 def _decided(
-    numbers: Numbers, chain: Chain, fits: Sequence[Fitted], labelled: Sequence[LabelledJoints]
+    numbers: Numbers, chain: Mechanism, fits: Sequence[Fitted], labelled: Sequence[LabelledJoints]
 ) -> tuple[Fitted, list[str], list[str]]:
     """The place that is proposed, what is to be asked, and what is to be said."""
 
@@ -428,7 +430,7 @@ def _decided(
     return chosen, list(dict.fromkeys(questions)), list(dict.fromkeys((*assumed, *_astray(numbers, chain, chosen))))
 
 
-def _astray(numbers: Numbers, chain: Chain, chosen: Fitted) -> Iterator[str]:
+def _astray(numbers: Numbers, chain: Mechanism, chosen: Fitted) -> Iterator[str]:
     """Rows that fit no base and tool of the others."""
     rows = chosen.rows[spread_rows(len(chosen.rows), _MAX)]
     if chosen.target is not None or len(rows) != len(chosen.best.position):

@@ -13,7 +13,7 @@ from modcal_core.geometry import Array
 from modcal_core.hypotheses import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
 from modcal_core.measurements import BEARING, RANGE, RAY, TOUCH
 from modcal_core.measurements.kinds import kinds
-from modcal_core.robots import Chain
+from modcal_core.robots import Chain, Mechanism
 from modcal_msgs_py.tables.columns import LabelledJoints, Numbers
 from modcal_msgs_py.tables.fits import JointChoice, choices_of
 from modcal_msgs_py.tables.labels import grouped, words
@@ -95,7 +95,7 @@ class Sighted:
             out.setdefault("plane" if one.kind == TOUCH else one.kind, []).append(stated)
         return {key: stated[0] if len(stated) == 1 else stated for key, stated in out.items()}
 
-    def proved(self, numbers: Numbers, chain: Chain) -> list[str]:
+    def proved(self, numbers: Numbers, chain: Mechanism) -> list[str]:
         """What the data shows, with what came second."""
         out = []
         for kind, ways in self.found.items():
