@@ -11,6 +11,7 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from modcal_core.calibration import fingerprint
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3
 from modcal_msgs_py.commands import require_version
@@ -18,6 +19,7 @@ from modcal_msgs_py.readings import set_nanoseconds, set_seconds
 
 if TYPE_CHECKING:
     from modcal_core.articulation import TrackerState
+    from modcal_core.robots import Mechanism
 
 _MOST = 200_000  # values of a calibration; one of an arm with all effects has some 2 000
 _REMEDY = "publish it as the calibrator does"
@@ -39,6 +41,14 @@ def fill_change(message: Any, data: Mapping[str, Any]) -> Any:
     degrees = data.get("size_deg")
     message.size_rad = math.nan if degrees is None else math.radians(degrees)
     message.same_as = [str(place) for place in data.get("same_as") or ()]
+    return message
+
+
+def fill_identity(message: Any, chain: Mechanism | None, observers: Sequence[str]) -> Any:
+    """An Identity of the arm that is described, None where none is, and of who looks at it."""
+    if chain is not None:
+        message.robot, message.base, message.tip = fingerprint(chain), chain.base, chain.tip
+    message.observers = list(observers)
     return message
 
 

@@ -10,6 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+
 # Damping, relative to the curvature along each value: the first of a step that led uphill, the least, far above
 # rounding, and one with which a step moves nothing
 FIRST_DAMPING, MIN_DAMPING, _MAX_DAMPING = 1e-4, 1e-12, 1e7
@@ -52,3 +56,12 @@ def descend(
             return Descent(here, count, True)
         damping = max(0.1 * damping, MIN_DAMPING)
     return Descent(here, most, False)
+
+
+def combined(columns: Array, of: Array) -> Array:
+    """By how much each of the columns (n, K) counts where together they are nearest to others (n, …), (K, …).
+
+    Least squares; columns may have units of their own.
+    """
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return np.asarray((np.linalg.lstsq(columns / scale, of, rcond=1e-9)[0].T / scale).T)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from modcal_core.checking import Series
 from modcal_core.files import to_json
+from modcal_core.moves import Series
 from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, VerbResult
 
 _MAX_SAID = 90  # characters of a verdict in a table

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Stated
-from modcal_core.measurements import MIN_RETURNS
+from modcal_core.hypotheses import disagreement
+from modcal_core.measurements import MIN_RETURNS, spread_rows
 from modcal_core.robots import is_serial_arm
 from modcal_core.verdict.account import Contribution, account, contributions_of, mean_square
 from modcal_core.verdict.case import Case
@@ -31,6 +32,12 @@ MAX_TURNED = 1.0  # deg; the same of orientations, which coarse instruments know
 MAX_OVERSTATED = 4.0  # times what is left, in RMS; data sheets give what is never exceeded, some three times the usual
 _BOUNDED = 4.0  # of floor and parameters together, in E², that a few stations must surely lie below: twice in RMS
 MAX_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS, about what six returns know a floor to (sweep)
+
+
+_BESIDE, _LEAST_BESIDE = (
+    4,
+    12,
+)  # stations that agree for each that does not, and at the least, which a search has to see
 
 
 @dataclass(frozen=True)
@@ -136,6 +143,19 @@ def _rejected_at_a_joint(seen: Findings) -> Iterator[str]:
             f"{place.stations} stations next to each other, with {place.joint} between {place.low:.3g} and "
             f"{place.high:.3g}, were rejected: the model or the instrument errs there; more stations there would tell."
         )
+
+
+def _rejected_alike(seen: Findings) -> Iterator[str]:
+    """Rejected stations that one mistake explains, beside some others: those are no single wrong readings."""
+    case, wrong = seen.case, np.flatnonzero(seen.case.wrong & ~seen.case.samples.moving)
+    if len(wrong) < 2 or not is_serial_arm(case.model.chain) or too_many(case.wrong, case.samples):
+        return
+    others = np.flatnonzero(~case.wrong)
+    others = others[spread_rows(len(others), max(_BESIDE * len(wrong), _LEAST_BESIDE))]
+    found = disagreement(case.samples.select(np.sort(np.r_[wrong, others])), case.model.chain)
+    if found is not None and 1 < found.stations <= len(wrong):
+        what = f"{found.stations} of {len(wrong)} stations that were rejected are no single wrong readings"
+        yield f"{what}: {found.what}. {found.remedy[0].upper()}{found.remedy[1:]}."
 
 
 def _not_applied(seen: Findings) -> Iterator[str]:
@@ -260,6 +280,7 @@ CHECKS = (
     Check("rejected", _many_rejected),
     Check("rejected", _rejected_in_sequence),
     Check("rejected", _rejected_at_a_joint, unless=(_rejected_in_sequence,)),
+    Check("rejected", _rejected_alike),
     Check("not_applied", _not_applied),
     Check("contradiction", _contradicted),
     Check("contradiction", _loose),

@@ -47,7 +47,11 @@ GROUPS = {
     },
     "Use the result": {
         "export": ("export", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
+    },
+    "Running nodes": {
         "watch": ("watch", "Show the status of all nodes of a cell, live."),
+        "call": ("call", "Call a service or an action of a node, and print its answer."),
+        "play": ("play", "Publish the messages of BAG again."),
     },
     "Doors and drawers": {
         "articulate": ("articulate", "Identify how the handle in BAG moves, and write it as a URDF."),
@@ -165,7 +169,9 @@ def _source_of(module: str) -> str | None:
     if module in _EXTRAS:
         return f"pip install 'modcal[{_EXTRAS[module]}]'"
     if module in _ROS or module.endswith(("_msgs", "_interfaces", "_srvs")):
-        return "source a ROS 2 installation, such as /opt/ros/jazzy/setup.bash; only door and watch need one"
+        return (
+            "source a ROS 2 installation, such as /opt/ros/jazzy/setup.bash; only call, door, play and watch need one"
+        )
     return None
 
 

@@ -37,14 +37,14 @@ _NOTHING_YET = "no calibration yet: set the parameter calibration, or publish th
 _NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
-class Corrector(ros.GuardedNode):
+class Corrector(ros.ManagedNode):
     """Publishes true poses, effective joint states, the corrected URDF, and commands for desired true poses."""
 
     def __init__(self) -> None:
-        super().__init__("corrector")
-        self._chosen = ros.declare(self, ros.CORRECTOR)
+        super().__init__("corrector", ros.CORRECTOR)
+
+    def _configure(self) -> None:
         self._commander = Commander(_settings(self._chosen))
-        ros.follow(self, ros.CORRECTOR, self._chosen, _settings, self._take_parameters)
         self._calibration: Calibration | None = None
         self._heard: Any = None  # the last message of a calibration
         self._refusal = _NOTHING_YET
@@ -54,7 +54,6 @@ class Corrector(ros.GuardedNode):
         self._approach, self._signals = Approach(), SignalsHeard()
         self._announced: CalibratedRobot | None = None
         self._last = -np.inf
-        self._refusals = ros.Refusals(self, lambda: self._health.publish_if_changed())
         self._counts = {"poses": 0, "commands": 0}
 
         self._pose = self.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
@@ -62,33 +61,27 @@ class Corrector(ros.GuardedNode):
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
         self._corrected = self.create_publisher(String, "~/robot_description", ros.LATCHED)
         self._tf = ros.Broadcaster(self, static=False) if self._chosen["publish_tf"] else None
-        guarded = self._refusals.guarded
         self._inputs = [
-            ros.MonitoredSubscription(
-                self,
-                JointState,
-                "joint_states",
-                guarded("joint_states", self._take_joints),
-                ros.FRESH,
-                needed=True,
-                replaced=ros.always,
-            ),
-            ros.MonitoredSubscription(
-                self, Temperature, "temperature", guarded("temperature", self._take_temperature), ros.FRESH
-            ),
-            ros.MonitoredSubscription(
-                self, PoseStamped, "desired_pose", guarded("desired_pose", self._take_desired), _NEWEST, single=True
-            ),
-            ros.MonitoredSubscription(self, String, "robot_description", self._take_description, ros.LATCHED),
-            ros.MonitoredSubscription(
-                self, ros.interface("Calibration"), "calibration", self._take_calibration, ros.LATCHED
-            ),
+            self.hear(JointState, "joint_states", self._take_joints, ros.FRESH, needed=True, replaced=ros.always),
+            self.hear(Temperature, "temperature", self._take_temperature, ros.FRESH),
+            self.hear(PoseStamped, "desired_pose", self._take_desired, _NEWEST, single=True),
+            self.hear(String, "robot_description", self._take_description, ros.LATCHED),
+            self.hear(ros.interface("Calibration"), "calibration", self._take_calibration, ros.LATCHED),
         ]
         if self._chosen["calibration"]:
             self._calibration = read_calibration(Path(self._chosen["calibration"]))
-        self._health = ros.Health(self, self._report)
         self._meet()
         self.create_service(Trigger, "~/reset", self._reset)
+
+    def _activate(self) -> None:
+        self._approach, self._announced = Approach(), None
+        self._announce()
+
+    def _deactivate(self) -> None:
+        self._withdraw()
+
+    def _check(self, new: dict[str, Any]) -> None:
+        _settings(new)
 
     def _take_parameters(self) -> None:
         self._commander.settings = _settings(self._chosen)
@@ -152,7 +145,7 @@ class Corrector(ros.GuardedNode):
 
     def _announce(self) -> None:
         robot = self._commander.robot
-        if robot is not None and robot is not self._announced:
+        if self.active and robot is not None and robot is not self._announced:
             self._announced = robot
             if urdf := corrected_urdf(robot, self._urdf):
                 self._corrected.publish(String(data=urdf))
@@ -162,6 +155,9 @@ class Corrector(ros.GuardedNode):
         self._refusal = why
         self._commander.drop()
         self._announced = None
+        self._withdraw()
+
+    def _withdraw(self) -> None:
         # a late listener must not find the URDF of a calibration that is no longer trusted
         self.destroy_publisher(self._corrected)
         self._corrected = self.create_publisher(String, "~/robot_description", ros.LATCHED)

@@ -93,7 +93,7 @@ class Action:
         self._goal = goal
         try:
             require_version(goal.request, self.name)
-            if refusal := self._begin():
+            if refusal := self._node.idle or self._begin():
                 self.end(REFUSED, refusal)
         except ModcalError as error:
             self.end(REFUSED, str(error))
