@@ -32,16 +32,18 @@ DURABLE, FLEETING = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
 OF_THE_BAG = {"title", "trace"}  # of a report: a node does not know which bag it hears
 
 
+def command(domain: int, *words: str) -> dict[str, Any]:
+    return {"args": [str(EXECUTABLES / "modcal"), *words], "env": environment(domain), "text": True}
+
+
 def started(domain: int, *words: str) -> subprocess.Popen[str]:
-    command = [str(EXECUTABLES / "modcal"), *words]
-    return subprocess.Popen(command, env=environment(domain), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(**command(domain, *words), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 def ran(domain: int, *words: str) -> tuple[int, str, str]:
     """Exit code, stdout and stderr."""
-    process = started(domain, *words)
-    out, said = process.communicate(timeout=SLOWER * 60.0)
-    return process.returncode, out, said
+    done = subprocess.run(**command(domain, *words), capture_output=True, timeout=SLOWER * 120.0)
+    return done.returncode, done.stdout, done.stderr
 
 
 @pytest.mark.slow
