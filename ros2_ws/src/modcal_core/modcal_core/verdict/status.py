@@ -34,10 +34,7 @@ _BOUNDED = 4.0  # of floor and parameters together, in E², that a few stations 
 MAX_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS, about what six returns know a floor to (sweep)
 
 
-_BESIDE, _LEAST_BESIDE = (
-    4,
-    12,
-)  # stations that agree for each that does not, and at the least, which a search has to see
+_BESIDE, _LEAST_BESIDE = 4, 12  # stations that agree, for each that does not and at the least, which a search sees
 
 
 @dataclass(frozen=True)
