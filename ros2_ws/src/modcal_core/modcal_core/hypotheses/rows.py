@@ -299,7 +299,7 @@ def _sharing(part: HandEye, own: Placement, here: Placement, kept: str) -> Place
 def orders(case: HandEye) -> Iterator[Hypothesis]:
     """Whole recordings in another order than the joints': slipped, reversed, or by a shuffle that names sort into."""
     N = len(case)
-    if N < 16:
+    if N < 8:
         return
     numbers = np.array(sorted(range(N), key=lambda k: str(k + 1)))
     said = [("readings stand in reverse order", np.arange(N)[::-1])]
@@ -311,7 +311,8 @@ def orders(case: HandEye) -> Iterator[Hypothesis]:
     U = U[:, size > 1e-6 * size[0]]
     p = case.p - case.p.mean(axis=0)
     explained = [float(np.sum((U[order].T @ p) ** 2)) for _, order in said]
-    for k in np.argsort(explained)[::-1][:2]:
+    # so few rows fit any order by a linear map: the plainest are asked then
+    for k in np.argsort(explained)[::-1][:2] if N >= 16 else (0, 3, N + 1):
         what, order = said[k]
         yield Hypothesis(
             what,
@@ -341,7 +342,7 @@ def elsewhere(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """Readings of the rest that belong to other postures of the recording."""
     case, rest = fit.case, astray(fit)
     N = len(case)
-    if len(rest) < _LEAST or N < 8:
+    if len(rest) < 2 or N < 8:  # two that are exchanged tell each other
         return
     turns, places = fit.placement.expected(case.A)
     gap = np.linalg.norm(case.p[rest, None] - places, axis=2) / case.limits[1]
