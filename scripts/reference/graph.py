@@ -17,7 +17,7 @@ from importlib import import_module
 from pathlib import Path
 
 import rclpy
-from cells import code, table
+from markup import code, table
 from rclpy.action import ActionClient, ActionServer
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from deltas import NOISE_M, RecordedDelta, nominal, postures, record_delta
+from deltas import NOISE_M, nominal, postures, record_delta
 from finite_differences import assert_jacobian
 
 from modcal_core.calibration.cell import Cell, fit_cell
@@ -19,8 +19,6 @@ from modcal_core.calibration.delta_distances import (
     objective,
     visibility,
 )
-from modcal_core.calibration.fit import identify
-from modcal_core.calibration.initial import procrustes
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.noise import errors
 from modcal_core.calibration.store import from_data, to_data
@@ -28,7 +26,6 @@ from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ALL, AXIS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadRecording, NotEnoughData, NotReachable
-from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.report.as_json import to_json_data
 from modcal_core.robots.delta import Delta
@@ -137,45 +134,6 @@ def test_joint_positions_that_no_platform_fits_are_refused() -> None:
     short = Delta.build(cell.nominal.names, offset=0.15, proximal=0.3, distal=0.42)
     with pytest.raises(NotReachable, match="no platform fits"):
         calibrate(cell.samples, short, np.random.default_rng(0))
-
-
-HELD_OUT = 100
-
-
-def missed(fitted: Delta, cell: RecordedDelta, count: int) -> float:
-    """RMS distance [m] of held-out readings, the frame found from the ones that were fitted."""
-    q, y = cell.samples.q, cell.samples.reading
-    T = procrustes(tool_pose(fitted, q[:count])[:, :3, 3], y[:count])
-    gap = y[count:] - se3.apply(T, tool_pose(fitted, q[count:])[:, :3, 3])
-    return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
-
-
-def missed_by_points(cell: RecordedDelta, count: int) -> float:
-    """The same for the fit to points in a frame that is found with the robot."""
-    train = cell.samples.select(np.arange(count))
-    start = fit_cell(cell.nominal, train, Cell()).model
-    fit = identify(start, train, choose_parameters(start, views_of(train)).parameters)
-    gap = cell.samples.reading[count:] - fit.model.predict(cell.samples.q[count:])[:, :3, 3]
-    return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
-
-
-@pytest.mark.slow
-def test_planted_errors_are_recovered_to_the_noise_floor() -> None:
-    """As near as least squares can come: with n equations and P unknowns, σ² (1 + P / (n − P − 1)) is to be expected."""
-    count, floor = 50, NOISE_M * np.sqrt(3.0)
-    expected = floor * np.sqrt(1.0 + 25.0 / (3.0 * count - 26.0))
-    by_distances, by_points, before = [], [], []
-    for seed in (1, 2):
-        cell = record_delta(seed, count + HELD_OUT)
-        pairs = Pairs.of_points(cell.samples.reading[:count])
-        found = fit_distances(cell.nominal, cell.samples.q[:count], pairs)
-        assert not found.at_bound
-        by_distances.append(missed(found.delta, cell, count))
-        by_points.append(missed_by_points(cell, count))
-        before.append(missed(cell.nominal, cell, count))
-    assert np.mean(before) > 8.0 * floor
-    assert np.mean(by_points) < 1.15 * expected
-    assert np.mean(by_distances) < 1.5 * expected
 
 
 def test_jacobian_of_distances_is_their_derivative() -> None:

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from modcal_msgs_py.topics import JOINT_COMMANDS, JOINT_STATES, READINGS, TYPES, AddedTopic, Joints, Signal, Topics
     from modcal_msgs_py.topics import accepted, role_of
     from modcal_msgs_py.track_rows import JointStateBytes
-    from modcal_msgs_py.typed import calibration_data, fill_calibration, fill_change, fill_checked, fill_estimate
-    from modcal_msgs_py.typed import fill_identity, fill_object_status, fill_verdict
+    from modcal_msgs_py.typed import asked_of_box, calibration_data, fill_calibration, fill_change, fill_checked
+    from modcal_msgs_py.typed import fill_estimate, fill_held_box, fill_identity, fill_object_status, fill_verdict
 else:
     from modcal_core.lazy import lazy_face
 
@@ -50,3 +50,4 @@ __all__ += ["offered_topics", "qos_profile", "raw_image", "read_bag", "read_corn
 __all__ += ["reading_of", "repair_bag", "require_new", "require_version", "role_of", "seconds", "seen"]
 __all__ += ["set_nanoseconds", "set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics"]
 __all__ += ["why_left_out", "wrench_numbers", "write_recording"]
+__all__ += ["asked_of_box", "fill_held_box"]

@@ -18,6 +18,7 @@ from modcal_core.geometry.so3 import Array
 # rounding, and one with which a step moves nothing
 FIRST_DAMPING, MIN_DAMPING, _MAX_DAMPING = 1e-4, 1e-12, 1e7
 _SLACK = 1e-7  # share of the cost that is rounding
+_IDLE = 3  # steps in a row that gain no more than that: the cost is as low as its derivatives can tell
 
 P = TypeVar("P")
 
@@ -44,15 +45,17 @@ def descend(
     None where it is impossible. ended: asked after each step: where it led, what it gained, and the cost before. most:
     steps.
     """
-    here, damping = begin, MIN_DAMPING
+    here, damping, idle = begin, MIN_DAMPING, 0
     for count in range(1, most + 1):
         cost = look(here)
-        while (there := step(here, damping)) is None or there[1] > cost + _SLACK * abs(cost) + 1e-12:
+        rounding = _SLACK * abs(cost) + 1e-12
+        while (there := step(here, damping)) is None or there[1] > cost + rounding:
             damping = max(10.0 * damping, FIRST_DAMPING)
             if damping > _MAX_DAMPING:
                 return Descent(here, count, True)
         here, gain = there[0], cost - there[1]
-        if ended(here, gain, cost):
+        idle = idle + 1 if gain <= rounding else 0
+        if ended(here, gain, cost) or idle >= _IDLE:
             return Descent(here, count, True)
         damping = max(0.1 * damping, MIN_DAMPING)
     return Descent(here, most, False)

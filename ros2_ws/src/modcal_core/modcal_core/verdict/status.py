@@ -34,10 +34,7 @@ _BOUNDED = 4.0  # of floor and parameters together, in E², that a few stations 
 MAX_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS, about what six returns know a floor to (sweep)
 
 
-_BESIDE, _LEAST_BESIDE = (
-    4,
-    12,
-)  # stations that agree for each that does not, and at the least, which a search has to see
+_BESIDE, _LEAST_BESIDE = 4, 12  # stations that agree, for each that does not and at the least, which a search sees
 
 
 @dataclass(frozen=True)
@@ -173,13 +170,13 @@ def _contradicted(seen: Findings) -> Iterable[str]:
 
 
 def _loose(seen: Findings) -> Iterator[str]:
-    """Returns that differ by more than arms do, unless it was stated that this one does."""
+    """Returns that surely differ by more than arms do, unless it was stated that this one does."""
     limit = 1e3 * MAX_OF_REACH * seen.case.model.chain.reach()
     for floor, most, own, unit in (
         (seen.known.seen[0], limit, seen.stated.rms_mm, " mm"),
         (seen.known.seen[1], MAX_TURNED, seen.stated.repeatability_deg, "°"),
     ):
-        if floor is None or own is not None or floor.rms <= most:
+        if floor is None or own is not None or floor.interval[0] <= most**2:  # few returns know it to a half
             continue
         yield (
             f"Postures that were visited again differ by {floor.rms:.3g}{unit} RMS; an arm of this size repeats to "

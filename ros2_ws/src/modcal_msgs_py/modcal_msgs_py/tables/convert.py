@@ -121,7 +121,7 @@ def require_mapping(stated: Any, source: str) -> Mapping[str, Any]:
     for i, table in enumerate(stated["tables"]):
         for part, what, remedy in (*_faulty(table), *_faulty_form(table, "")):
             raise BadTable(f"{source}: tables, entry {i + 1}{part}", what, remedy)
-    if not any("joints" in table for table in stated["tables"]):
+    if not any("joints" in table or "ray" in table for table in stated["tables"]):
         raise BadTable(source, "no table has joints", "state joints: {unit, columns} of one of them")
     return stated
 

@@ -59,7 +59,7 @@ from modcal_msgs_py.tables.labels import MEASURED
 from modcal_msgs_py.tables.moments import RowTimes, find_time, stamps_of
 from modcal_msgs_py.tables.proof import astray, by_target, corrected
 from modcal_msgs_py.tables.readings import rigid_poses
-from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, sight_columns
+from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, ray_of, sight_columns
 from modcal_msgs_py.tables.table import Table
 from modcal_msgs_py.tables.together import Together, together
 
@@ -125,8 +125,35 @@ def find(paths: Sequence[Path], arm: MeasuredArm | Mechanism, watch: Watch = lam
     return min(found, key=lambda made: len(made.open))
 
 
+def _rays_alone(way: Together, numbers: Numbers, names: Sequence[str]) -> Proposal | None:
+    """The mapping of a table that has lengths of rays and no joints, as of boxes in a gripper; None for another one."""
+    time = find_time(numbers, set())
+    rays = [ray_of(numbers, one) for one in sight_columns(numbers, set(time.columns)) if len(one.columns) == 1]
+    joints = [j for j in joint_columns(numbers, names) if not all(numbers.labels[k].of_instrument for k in j.columns)]
+    if not rays or joints or len(rays) + len(time.columns) < len(numbers.usable):
+        return None
+    units = [numbers.labels[one.columns[0]].unit for one in rays]
+    asked = tuple(
+        {
+            f"cannot tell the unit of {numbers.shown(*one.columns)}: no label says"
+            for one, unit in zip(rays, units, strict=True)
+            if not unit
+        }
+    )
+    rows = [
+        {"frame": r.frame, "unit": u or "mm", "column": numbers.key(r.columns[0])}
+        for r, u in zip(rays, units, strict=True)
+    ]
+    form = way.sheet.form.entry()
+    entry = {"files": way.sheet.path.name, **form, "missing": "skip", "time": time.stated, "ray": rows}
+    said = (time.said, "lengths without joints are rays of sensors on the gripper, for `modcal measure-object`")
+    return Proposal({**({"undecided": list(asked)} if asked else {}), "tables": [entry]}, (), said, asked)
+
+
 def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     numbers, chain = Numbers.of(way.sheet), arm.chain
+    if (rays := _rays_alone(way, numbers, chain.own_names)) is not None:
+        return rays
     if len(numbers.values) < MIN_ROWS:
         said = f"has {len(numbers.values)} rows, {MIN_ROWS} are needed to tell what its columns are"
         raise BadTable(way.sheet.path.name, said, "write a mapping, see docs/import.md")
@@ -454,6 +481,10 @@ def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
         said.append(f"the text is not UTF-8 and is read as {sheet.form.encoding}")
     if lacking := len(numbers.values) - len(read.rows):
         entry["missing"] = "skip"
+    if np.isnan(numbers.values[np.ix_(read.rows, np.array(read.columns, dtype=int))]).any():
+        entry["missing"] = "skip"
+        said.append("an instrument whose cell is empty read nothing in that row")
+    if lacking:
         said.append(f"{lacking} of {len(numbers.values)} rows lack a number that is needed, and are left out")
     if odd := sorted({text for k in used for text in numbers.odd.get(k, ()) if k != getattr(read, "target", None)}):
         entry["missing_values"] = odd
@@ -487,7 +518,11 @@ def _unused(numbers: Numbers, taken: set[int]) -> Iterator[str]:
     for why, some in (
         ("", [k for k in rest if k in numbers.usable]),
         (" (constant)", [k for k in rest if k in numbers.filled and k not in numbers.usable]),
-        (" (no numbers)", [k for k in rest if k not in numbers.filled and any(numbers.sheet.column(k))]),
+        (
+            " (numbers in few rows)",
+            [k for k in rest if k not in numbers.filled and np.isfinite(numbers.values[:, k]).any()],
+        ),
+        (" (no numbers)", [k for k in rest if np.isnan(numbers.values[:, k]).all() and any(numbers.sheet.column(k))]),
     ):
         if some:
             yield f"not used: {numbers.shown(*some)}{why}"

@@ -196,7 +196,9 @@ def _import(mapping: Path, options: ImportOptions, out: Path, output: Output) ->
     found = {"bag": str(out), "stations": stations, "frames": frames, "left_out": left_out}
     line = f"{out}: {stations} stations, {len(frames)} frame{'s' * (len(frames) != 1)}; next: modcal calibrate {out}"
     line += f" --delta {delta}" if delta is not None else ""
-    if not stations:
+    if not recording.joints:
+        line = f"{out}: {stations} readings of {len(frames)} sensors; next: modcal measure-object CALIBRATION {out}"
+    elif not stations:
         line = f"{out}: {sum(len(t.stamps) for t in recording.joints)} joint states; next: modcal articulate {out}"
     output.result(found, [*left_out, line])
 

@@ -47,6 +47,7 @@ GROUPS = {
     },
     "Use the result": {
         "export": ("export", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
+        "measure-object": ("measure_object", "Measure the box in the gripper, and where to put it down."),
     },
     "Running nodes": {
         "watch": ("watch", "Show the status of all nodes of a cell, live."),
@@ -88,7 +89,9 @@ class _Verbs(click.Group):
         """The command of a verb, or None."""
         if cmd_name not in VERBS:
             return None
-        found = getattr(import_module(f"modcal_nodes.cli.{VERBS[cmd_name][0]}"), f"{cmd_name}_command")
+        found = getattr(
+            import_module(f"modcal_nodes.cli.{VERBS[cmd_name][0]}"), f"{cmd_name.replace('-', '_')}_command"
+        )
         assert isinstance(found, click.Command)
         return found
 

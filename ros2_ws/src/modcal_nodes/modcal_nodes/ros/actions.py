@@ -26,8 +26,8 @@ _FEEDBACK = 0.2  # s
 
 
 def interface(name: str) -> Any:
-    """The message or action of that name. Raises BadTable where modcal_interfaces is not built."""
-    for kind in ("msg", "action"):
+    """The message, action or service of that name. Raises BadTable where modcal_interfaces is not built."""
+    for kind in ("msg", "action", "srv"):
         try:
             found = getattr(import_module(f"modcal_interfaces.{kind}"), name, None)
         except ImportError as error:

@@ -29,12 +29,12 @@ RECORDER = {
     "out": Parameter("", "Folder of the bag; must not exist. Empty: modcal_ and the time of day."),
     "topics": Parameter(
         ["joint_states", "robot_description", "tracker/pose", "tracker/point", "tracker/range", "tracker/bearing",
-         "tracker/plane", "joint_commands", "temperature", "wrench"],
+         "tracker/plane", "gripper/range", "joint_commands", "temperature", "wrench"],
         "Topics to record, relative to the node's namespace, each as soon as a publisher exists.",
     ),
     "optional": Parameter(
-        ["tracker/pose", "tracker/point", "tracker/range", "tracker/bearing", "tracker/plane", "joint_commands",
-         "temperature", "wrench"],
+        ["tracker/pose", "tracker/point", "tracker/range", "tracker/bearing", "tracker/plane", "gripper/range",
+         "joint_commands", "temperature", "wrench"],
         "Topics that may be missing without a warning.",
     ),
     "patience_s": Parameter(5.0, "Seconds without a message after which a warning is given.", 0.1, 3600.0),
