@@ -76,6 +76,11 @@ class RowKinds:
         variance = np.where(component >= 3, max(noise.rotation, FINEST) ** 2, position)
         return cls(sample, component, variance, np.where(component >= 3, known_r, known_p))
 
+    @property
+    def weights(self) -> Array:
+        """One over the standard deviation of each by the spread alone, (n,)."""
+        return np.asarray(1.0 / np.sqrt(self.variance))
+
     def extra(self, position: float, rotation: float) -> Array:
         """Covariance (n, n) that readings have more where their spread grew by these factors."""
         return np.diag(np.where(self.component >= 3, rotation**2 - 1.0, position**2 - 1.0) * self.variance)

@@ -211,7 +211,7 @@ def alike_everywhere(change: FittedChange, calibration: Calibration, model: Mode
         return ""
     state = state_at(calibration.postures, model, samples, calibration.noise, kind=POSE)
     position = slice(3 * len(state.samples))
-    own, *others = (state.weights[:, None] * state.columns(h) for h in (change.hypothesis, *rivals))
+    own, *others = (state.rows.weights[:, None] * state.columns(h) for h in (change.hypothesis, *rivals))
     if all(_contains(own, other, change.sizes) for other in others):
         return "poses"
     alike = all(_contains(own[position], other[position], change.sizes) for other in others)
@@ -241,14 +241,14 @@ def telling_stations(change: FittedChange, calibration: Calibration, model: Mode
     if not len(pool):
         return pool
     state = state_at(np.concatenate([samples.q, pool]), model, samples, calibration.noise)
-    moved = state.weights * (state.columns(change.hypothesis) @ change.sizes)
-    rivals = [state.weights[:, None] * state.columns(j.hypothesis) for j in change.same_as if j.hypothesis.sizes]
+    moved = state.rows.weights * (state.columns(change.hypothesis) @ change.sizes)
+    rivals = [state.rows.weights[:, None] * state.columns(j.hypothesis) for j in change.same_as if j.hypothesis.sizes]
     chosen = list(range(len(samples)))
     for _ in range(min(STATIONS, len(pool))):
-        inside = np.isin(state.row_samples, chosen)
+        inside = np.isin(state.rows.sample, chosen)
         rest = [moved] + [moved - A @ np.linalg.lstsq(A[inside], moved[inside], rcond=1e-9)[0] for A in rivals]
         # beside noise alone the whole motion would be left
-        gap = np.min([np.bincount(state.row_samples, r**2, len(state.samples)) for r in rest], axis=0)
+        gap = np.min([np.bincount(state.rows.sample, r**2, len(state.samples)) for r in rest], axis=0)
         gap[chosen] = -1.0
         chosen.append(int(np.argmax(gap)))
     return np.asarray(state.samples.q[chosen[len(samples) :]])
@@ -258,7 +258,8 @@ def noticed(found: FoundChanges) -> tuple[Noticed, ...]:
     """The smallest base, tool, zero and scale of those asked for that 95 of 100 such checks notice, RMS at the tool
     [mm], and which of them no check of these stations notices.
     """
-    judge, state = found.opened.judge, found.plain
+    state = found.plain
+    judge = state.with_these([one.judged for one in found.given]).judge
     N, null = len(state.samples), judge.null
     member = null.reference if null.widest < 0 else null.widest
     worst: dict[str, float] = {}

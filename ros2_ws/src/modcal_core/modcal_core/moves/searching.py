@@ -79,9 +79,8 @@ class FoundChanges:
 
     changes: as named. given: those that were not asked for but given, as fitted. covariance: of the sizes of given and
     changes together, (k, k). log_e: logarithms of the e-values by which each was asked for, and, last, of what is left.
-    aside: samples that were set aside as wrong, with what stands at its limit there. plain, opened, state: the frozen
-    model beside the others, the same with what was given left open, and with the changes taken up. asked: what was
-    looked for.
+    aside: samples that were set aside as wrong, with what stands at its limit there. plain, state: the frozen
+    model beside the others, and with the changes taken up. asked: what was looked for.
     """
 
     changes: tuple[FittedChange, ...]
@@ -90,7 +89,6 @@ class FoundChanges:
     log_e: tuple[float, ...]
     aside: Mapping[int, str]
     plain: CheckState
-    opened: CheckState
     state: CheckState
     asked: tuple[CellChange, ...]
 
@@ -304,8 +302,8 @@ class MoveSearch:
         if given or changes:
             every, covariance = with_sizes([*given, *changes], now, self.plain.null)
             given, changes = every[: len(given)], every[len(given) :]
-        states = self.plain, self.beside([]), now
-        return FoundChanges(tuple(changes), tuple(given), covariance, found.log_e, aside, *states, tuple(self.asked))
+        named, known = tuple(changes), tuple(given)
+        return FoundChanges(named, known, covariance, found.log_e, aside, self.plain, now, tuple(self.asked))
 
     def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
         """One of the changes that were picked, with what explains the readings as well."""

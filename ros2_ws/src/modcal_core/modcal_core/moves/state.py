@@ -65,20 +65,15 @@ class CheckState:
         return ChangeJudge(self.null)
 
     @cached_property
-    def row_samples(self) -> np.ndarray:
-        """The sample of each row, (n,)."""
-        return np.concatenate([np.tile(np.arange(len(self.samples)), 3), np.tile(self.view.pose, 3)]).astype(int)
-
-    @property
-    def weights(self) -> Array:
-        """One over the standard deviation of each row by the spread alone, (n,)."""
-        return np.asarray(1.0 / np.sqrt(RowKinds.of(self.samples, self.known.noise).variance))
+    def rows(self) -> RowKinds:
+        """What each row of the linearisation is."""
+        return RowKinds.of(self.samples, self.known.noise)
 
     def turned(self, joint: int) -> Array:
         """What readings move by per unit of a joint's angle or travel at each station, (n, S)."""
         chain, station = self.model.chain, np.unique(self.samples.station, return_inverse=True)[1]
         unit = self.view.unit_column(chain.first_place + joint, 5 if chain.revolute[joint] else 2)
-        return unit[:, None] * (station[self.row_samples][:, None] == np.arange(station.max() + 1))
+        return unit[:, None] * (station[self.rows.sample][:, None] == np.arange(station.max() + 1))
 
     def columns(self, hypothesis: CellChange) -> Array:
         """Columns of a change at this model; none for noise, which has no size."""
@@ -103,8 +98,10 @@ class CheckState:
             elif alone and h.free:  # a curve is a small change, or in proportion it would take up anything
                 judged = JudgedChange(h, -np.inf, -np.inf, 1.0)
             else:
-                plain = ChangeCandidate(h, self.null.residual, self.columns(h))
-                judged = self.judge.judged(fitted([h], self)[0][0] if alone else plain)
+                left = self.null.residual
+                judged = self.judge.judged(
+                    fitted([h], self)[0][0] if alone else ChangeCandidate(h, left, self.columns(h))
+                )
             self._judged[key] = h, judged
         return self._judged[key][1]
 
