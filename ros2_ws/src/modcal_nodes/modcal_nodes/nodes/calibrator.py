@@ -94,7 +94,7 @@ class Calibrator(ros.ManagedNode):
         self.create_timer(1.0, self._tell, clock=steady)
 
     def _deactivate(self) -> None:
-        """End what the worker does, and keep all messages so far."""
+        """End what the worker does; the stations so far are kept."""
         if self._solve_next or self._worker.doing == _SOLVE:
             self._answer(False, "the node was deactivated")
         self._checks.cancel("the node was deactivated")

@@ -14,19 +14,16 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from modcal_core import correction  # what measures boxes computes, and is loaded when it is asked
 from modcal_core.calibration import Calibration
 from modcal_core.correction import (
     ArmState,
     CalibratedRobot,
     Commander,
     CommanderSettings,
-    GripperRays,
     JointSetpoint,
     corrected_urdf,
     finite,
-    held_box,
-    placing,
-    rests,
 )
 from modcal_core.errors import BadCommand, BadTable, ModcalError
 from modcal_core.measurements import RAY, Approach, ReadingTrack
@@ -198,17 +195,19 @@ class Corrector(ros.ManagedNode):
             if self._calibration is None:
                 raise BadCommand("measure_object", self._refusal, "provide a valid calibration first")
             size, place = asked_of_box(request)
-            rays = GripperRays.of(self._calibration, self._chosen["target"])
+            rays = correction.GripperRays.of(self._calibration, self._chosen["target"])
             readings = [
                 ReadingTrack(RAY, name, t, np.array([d for n, _, d in heard if n == name])[:, None], t)
                 for name in sorted({name for name, _, _ in heard})
                 for t in [np.array([t for n, t, _ in heard if n == name])]
             ]
-            held = held_box(rays, readings, rests(rays, readings)[-1], rays.faces(request.faces), size)
+            held = correction.held_box(
+                rays, readings, correction.rests(rays, readings)[-1], rays.faces(request.faces), size
+            )
         except ModcalError as error:
             answer.done, answer.message = False, str(error)
             return answer
-        put = None if place is None else placing(held, place)
+        put = None if place is None else correction.placing(held, place)
         return fill_held_box(answer, held, put, self._calibration.calibrated.chain.base)
 
     def _take_joints(self, message: JointState) -> None:
