@@ -8,8 +8,7 @@ measured distance between the points of postures i and j,
     ∂r_ij/∂X = −u_ij · (∂p_i/∂X − ∂p_j/∂X),        u_ij = (p_i − p_j) / |p_i − p_j|.
 
 Distances stay the same when all points are moved together, so what moves all of them cannot be told, see
-:func:`visibility`. The fit leaves parameters that distances show
-only together with ones before them at their nominal values.
+:func:`visibility`. The fit leaves nominal what distances show only together with parameters before it.
 
 All parameters are shaken at once, ``X' = X + step (rand − 0.5)``; a better X' is taken, a worse one with probability
 ``exp(−(f(X') − f(X)) / T)`` (Metropolis). After so many trials the temperature falls by a factor, and the next ones
