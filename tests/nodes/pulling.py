@@ -126,6 +126,8 @@ def open_it(
         until_over.enter_context(running(scenery))
         wait(lambda: told.forces and told.opened, 30.0)
         until_heard(node, wait)
+        held = told.forces[0][0] + 1.1 * float(world.get("approach_s", 0.0)) + 0.5
+        wait(lambda: told.forces[-1][0] > held, 60.0)
         begun, by_efforts = told.forces[-1][0], [""]
         begin(node, wait)
         wait(lambda: health.value(PULL, "phase"), 30.0)
