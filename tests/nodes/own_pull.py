@@ -71,8 +71,11 @@ def pull(
     motion = FreeMotion()
     while world.moves_freely:  # as the node hears before anybody asks for a pull
         world.advance(1.0 / IMPEDANCE_SETPOINT["rate_hz"].default)
+        q = world.joints()[0]
+        arm.sensor.receive(arm.chain.tip, sensed(world.wrench()), world.time, world.time, _STALE)
+        motion.sensor.take(arm.sensor.raw, chain_forward(arm.chain, q)[:3, :3])
         if efforts is not None:
-            motion.take(JointPositions(world.joints()[0], world.time, efforts()))
+            motion.take(JointPositions(q, world.time, efforts()))
     operation = Operation(
         arm.chain, task(chosen), limits(arm.chain, chosen), softest, JointEfforts.of(urdf, arm.chain).arm, motion
     )

@@ -32,7 +32,7 @@ import numpy as np
 from modcal_core.errors import BadCommand, ModcalError, NotEnoughData
 from modcal_core.geometry import Array
 from modcal_core.impedance.task import JointPositions
-from modcal_core.impedance.wrench import LowPass
+from modcal_core.impedance.wrench import LowPass, SensorWeighing
 from modcal_core.robots import Chain, HeldWeight, Inertias, Stands, Weighed, mass_matrix, torque, weigh
 
 _MOST = 3.0  # times the full effort may a reading be: what drives give for a moment is no more
@@ -72,7 +72,12 @@ _MOMENTS = 150
 
 @dataclass
 class FreeMotion:
-    """What joints reported while the arm moved freely, before it took hold of anything. Take every reading."""
+    """What joints reported while the arm moved freely, before it took hold of anything. Take every reading.
+
+    sensor: what that of the wrist reported.
+    """
+
+    sensor: SensorWeighing = field(default_factory=SensorWeighing)
 
     _lately: deque[JointPositions] = field(default_factory=deque)
     _kept: deque[tuple[Array, Array, Array, Array]] = field(default_factory=lambda: deque(maxlen=_MOMENTS))
@@ -223,6 +228,15 @@ class JointForce:
         self.wrench = self._shows @ (self._mass @ acceleration + self._friction * self._side - self.load)
         size, deviation = self._size(slice(0, 3))
         self.force, self._surely = max(size - _LIKELY * deviation, 0.0), max(size - _SURE * deviation, 0.0)
+
+    @property
+    def tells(self) -> bool:
+        """Whether the efforts are used."""
+        return len(self._error) > 0
+
+    def hides(self, most: float) -> float:
+        """By how much a force sensor may depart from the efforts before it is noticed [N]. most: as of refused."""
+        return _SHARE * most + _SURE * self.deviation
 
     @property
     def deviation(self) -> float:

@@ -195,7 +195,7 @@ class Operation:
         if why:
             return self.stop(why) if over else Wait(why)
         self.setpoint_filter.begin(joints.q, T)
-        if why := self.tool_force.begin(self.setpoint_filter.jacobian, self._motion):
+        if why := self.tool_force.begin(self.setpoint_filter.jacobian, self._motion, sensor.load.mass):
             return self.stop(why)
         self.monitor.open(T, joints.q, now)
         self._pull = Exploration(T, self.task.direction, self.task.exploration_speed)
@@ -332,7 +332,8 @@ class Operation:
 
     def _go(self, wanted: float, h: float, most: float = math.inf) -> float:
         """The way [m] to go on in h seconds: as fast as wanted [m/s] where nothing forbids it, and never above most."""
-        sight = self.governor.in_sight(self.tool_force.size, self.tool_force.delay)
+        told = self.tool_force
+        sight = self.governor.in_sight(told.size, told.delay, told.stiffness)
         return self.governor.step(wanted, min(most, sight), self.tool_force.foreseen, h)
 
     def _enter(self, phase: str, now: float) -> None:

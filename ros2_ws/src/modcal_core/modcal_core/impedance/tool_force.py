@@ -102,6 +102,7 @@ class SensorEvidence:
         return usual if self.corroborated else min(usual, exploring * min(1.0, creep / _CREEP))
 
 
+_MISTOLD = 0.1  # of a force may a sensor tell more or less: a sensor and a stated mass are no better
 _TOGETHER = 0.02  # s by which a wrench may be older than joints that it is compared with: one of 50 Hz
 
 
@@ -110,6 +111,7 @@ class ToolForce:
 
     delay: from a touch until the arm begins to brake [s]. size: of the felt force and of what the servos show beside
     it, or of what the efforts show where that is more [N]; ``foreseen`` has that as well. efforts: see there.
+    stiffness: by which the servos hold the tool along its way, as it was measured, or 0 [N/m].
     """
 
     def __init__(
@@ -126,7 +128,7 @@ class ToolForce:
         """
         self.task, self.limits = task, limits
         self.felt, self.foreseen = np.zeros(6), np.zeros(6)
-        self.delay = self.size = 0.0
+        self.delay = self.size = self.stiffness = 0.0
         self._foresight = ForcePrediction()
         self._leads = LeadCheck(_stiffness(task))
         self._unfelt = UnfeltForce(joints, task.servo_lag, limits.period)
@@ -135,16 +137,21 @@ class ToolForce:
         self._joints = JointLeadCheck(known, task.servo_lag, limits.period)
         judged = task.mode == "admittance" and bool(np.isfinite(known).any())
         self._evidence, self._least = SensorEvidence(judged), known
+        self._scale: tuple[float, float] | None = None  # of the sensor, by the tool's weight, and its deviation
 
-    def begin(self, J: Array, motion: FreeMotion | None) -> str:
+    def begin(self, J: Array, motion: FreeMotion | None, mass: float) -> str:
         """The arm stands and is about to pull: why it must not, as text; empty where it may. J (6, n): of the tool.
 
-        motion: what was seen of the arm before.
+        motion: what was seen of the arm before. mass: that hangs on the force sensor, if it is stated [kg].
         """
         efforts, most = self.efforts, self.limits.force
         efforts.begin(J, motion)
         if not self.by_efforts:
-            return ""
+            self._scale = None if motion is None else motion.sensor.scale(mass, self.task.gravity)
+            if self._scale is None or abs(self._scale[0] - 1.0) - _SURE * self._scale[1] <= _MISTOLD:
+                return ""
+            said = f"the force sensor tells {self._scale[0]:.2f} of what tool_mass weighs, within {self._scale[1]:.2f}"
+            return f"{said}: correct its unit, its sign (wrench_by_tool) or tool_mass, or use wrench: efforts"
         if efforts.unusable:
             return (
                 f"the joints' efforts tell no force: {efforts.unusable}: use a force sensor, or correct what is wrong"
@@ -154,6 +161,16 @@ class ToolForce:
             said = f"the joints' efforts tell a force along ({way}) of the tool within {efforts.deviation:.0f} N only"
             return f"{said}: take another posture, move the arm freely before, or use a force sensor"
         return ""
+
+    @property
+    def bound(self) -> float:
+        """The force [N] that may be on the tool when the limit is felt; NaN where nothing was measured that tells."""
+        most, bounds = self.limits.force, []
+        if self.efforts.tells:
+            bounds.append(most if self.by_efforts else most + self.efforts.hides(most))
+        if self._scale is not None:
+            bounds.append(most / (self._scale[0] - _LIKELY * self._scale[1]))
+        return min(bounds, default=math.nan)
 
     def overload(self) -> BadCommand | None:
         """Why to let go: what the efforts may leave unsaid is beyond the limit with what they say; None where not."""
@@ -180,8 +197,10 @@ class ToolForce:
         elif joints.effort is not None:
             self._leads.felt(joints.effort, heard)
         # a compliant stack takes no joint references; and what was felt long before the joints were read tells nothing
-        if task.mode == "admittance" and not self.by_efforts and heard >= joints.stamp - _TOGETHER:
-            self._unfelt.take(joints.q, joints.stamp, now, self.felt, sent.jacobian, self.limits.force)
+        if task.mode == "admittance" and heard >= joints.stamp - _TOGETHER:
+            load = self.efforts.load if self.efforts.tells else None
+            self._unfelt.take(joints, now, self.felt, sent.jacobian, self.limits.force, load)
+        self.stiffness = self._unfelt.stiffness(sent.jacobian[:3] @ sent.velocity, sent.jacobian)
         self._joints.heard(joints.stamp, now)
         if (servos := self._unfelt.servos) is not None:
             self._joints.learned(*servos)
@@ -207,15 +226,15 @@ class ToolForce:
             said = "contain no efforts that can be, any more"
             return BadCommand("joint_states", said, "check the driver")
         lead = sent.moved_by(self.felt)
-        refused = self._leads.refused(T[:3, 3], felt, joints.stamp, math.inf if self.by_efforts else most, lead)
+        refused = self._leads.refused(T[:3, 3], felt, joints.stamp, math.inf if self.efforts.tells else most, lead)
         if refused is None and self.task.mode == "admittance":
-            load = self.efforts.load if self.by_efforts else -sent.jacobian.T @ self.felt
+            load = self.efforts.load if self.efforts.tells else -sent.jacobian.T @ self.felt
             stiffest = self.task.arm_stiffness
             refused = self._joints.refused(joints, load, felt, sent.jacobian, most, stiffest)
+        refused = refused or self._unfelt.refused(self.felt, most)
         if refused is not None or self.by_efforts:
             return refused
-        refused = self.efforts.refused(self.felt[:3], joints.stamp, most)
-        return refused or self._evidence.refused() or self._unfelt.refused(self.felt, most)
+        return self.efforts.refused(self.felt[:3], joints.stamp, most) or self._evidence.refused()
 
     @property
     def by_efforts(self) -> bool:

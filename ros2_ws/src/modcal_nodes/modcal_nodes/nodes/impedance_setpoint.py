@@ -239,7 +239,9 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
 
     def _progress(self, feedback: Any) -> None:
         if self._operation is not None:
-            feedback.phase, feedback.message = self._operation.phase, self._said
+            bound = self._operation.tool_force.bound
+            said = f"at most {bound:.0f} N when {self._operation.limits.force:g} N are felt" if bound == bound else ""
+            feedback.phase, feedback.message = self._operation.phase, "; ".join(filter(None, (self._said, said)))
             feedback.force_n = float(np.linalg.norm(self._operation.force[:3]))
             feedback.trusted = self._object.at(self._now()).trusted
 
@@ -298,7 +300,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
 
     def _take_wrench(self, message: WrenchStamped) -> None:
         if self._arm is not None:
-            self._arm.take_wrench(message, self._now())
+            self._arm.take_wrench(message, self._now(), self._operation is not None)
 
     def _take_object(self, message: Any) -> None:
         self._object.hear_status(message, self._now())

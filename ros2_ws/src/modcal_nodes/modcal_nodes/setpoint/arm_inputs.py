@@ -46,13 +46,16 @@ class ArmInputs:
         if not pulls and self._joints.complete:
             self.motion.take(self.positions(float(self._joints.stamps.min())))
 
-    def take_wrench(self, message: WrenchStamped, now: float) -> None:
-        """Raises BadCommand for a wrench that cannot be used."""
+    def take_wrench(self, message: WrenchStamped, now: float, pulls: bool) -> None:
+        """pulls: whether something is being pulled. Raises BadCommand for a wrench that cannot be used."""
         timeout = self._chosen["timeout_s"]
         if self.sensor.stamp > now + timeout:  # the clock was set back
             self.sensor.reset()
         stamp = seconds(message.header.stamp) or now
         self.sensor.receive(message.header.frame_id, wrench_numbers(message), stamp, now, timeout)
+        if not pulls and self._joints.complete:
+            T = pose_and_jacobian(self.chain, self._joints.position)[0]
+            self.motion.sensor.take(self.sensor.raw, self.sensor.rotation(T))
 
     def take_tool(self, message: PoseWithCovarianceStamped) -> None:
         """Raises BadCommand for a pose in another frame, or farther off than the tool can be."""
