@@ -43,8 +43,8 @@ _GOOD = 0.03  # of the full effort may be left of single joints, else friction b
 _FLOOR = 0.005  # of the full effort: torque sensors are no better when postures and loads change
 _MODEL = 0.01  # of the full effort: what masses off by 10 % and torque constants by 5 % leave once they were learned
 _TWICE = math.sqrt(2.0)  # a force is a difference of two readings
-# N, N m: what no pull comes to; a hand holds a handle some centimetres off its middle at most
-_PRIOR = np.diag([200.0**-2.0] * 3 + [3.0**-2.0] * 3)
+# N, N m: what no pull comes to; a grasp that is fixed takes up half of the moment that is allowed
+_PRIOR = np.diag([200.0**-2.0] * 3 + [10.0**-2.0] * 3)
 _CUTOFF = 30.0  # Hz, as the wrench is smoothed by default
 _EVERY = 8  # readings after which weight and levers are looked up again: 2 mm of the fastest pull
 _SLIDES = 3e-3  # rad/s or m/s at which half of a joint's friction is sure to act against its speed
@@ -188,11 +188,12 @@ class JointForce:
         if not error <= _GOOD:
             self.unusable = f"at rest they are off by {100.0 * error:.0f} % of the joints' full effort"
             return
-        self._friction, self._gain = dry, np.ones(n)
+        self._friction, self._gain, bodies = dry, np.ones(n), arm.bodies
         if known is None:
             self._error, self._unsure = _TWICE * max(error, _FLOOR) * arm.full, np.zeros(n)
             self._zero = left * arm.full
         else:  # of what is left some is friction, on whatever side, and some the model's error
+            bodies = known.bodies
             self._weight, self._hangs, self._gain, self._unsure = (
                 HeldWeight(arm.chain, known.bodies), 0.0, known.scale, known.friction_std
             )  # fmt: skip
@@ -201,7 +202,7 @@ class JointForce:
             self._error = np.sqrt(model)
             self._zero = model / (model + turns) * rest + known.offset
             own = self._weight.efforts(q)
-        self._own, self._mass = own + self._hangs * load, mass_matrix(arm.chain, arm.bodies, q[None])[0]
+        self._own, self._mass = own + self._hangs * load, mass_matrix(arm.chain, bodies, q[None])[0]
         self._side = np.ones(n)  # what the efforts see is asked of an arm that goes: one that stands may wait
         self._look_up(J)
 

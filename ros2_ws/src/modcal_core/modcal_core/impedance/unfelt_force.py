@@ -317,7 +317,7 @@ class UnfeltForce:
         lately = [one for one in self._read if one[0] >= since - 1e-6]
         first = lately[0] if len(lately) > 1 else self._read[-2]
         if not math.isfinite(since):
-            lead, wrench, load = (np.mean([one[k] for one in lately], axis=0) for k in (2, 3, 4))
+            lead, wrench, load = (np.mean(values, axis=0) for values in list(zip(*lately, strict=True))[2:])
         speed = (q - first[1]) / (stamp - first[0])
         n = self._n
         rows = np.empty((n + 6, 4))
