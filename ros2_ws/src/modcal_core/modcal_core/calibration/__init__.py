@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from modcal_core.calibration.data_split import SHARES, RejectedPlace, Split, block_length, consecutive, distinct
     from modcal_core.calibration.data_split import hold_out_all, in_order_of_time, independent_unit, places_of, runs_of
     from modcal_core.calibration.data_split import split, station_numbers, units_of_stations
-    from modcal_core.calibration.delta_distances import Pairs, Schedule, anneal_distances, fit_distances
-    from modcal_core.calibration.delta_distances import max_deviations, objective, visibility
+    from modcal_core.calibration.delta_distances import ByDistances, Pairs, Schedule, anneal_distances, by_distances
+    from modcal_core.calibration.delta_distances import fit_distances, max_deviations, objective, visibility
     from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance, distance_rows
     from modcal_core.calibration.equations import blocks_at, nonnegative, normal_equations
     from modcal_core.calibration.final_fit import Readmitted, finalise, readmitted, right_after_all, sharpened
@@ -59,13 +59,31 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["BLEND", "EQUATIONS_PER_PARAMETER", "FINEST", "FITTED", "HUBER_Z", "INSTRUMENT", "PRIOR_ANGLE_RAD"]
-__all__ += ["PRIOR_LENGTH_M", "REJECT_Z", "SHARES", "WHATS", "AnyDistance", "Calibration", "Cell", "Curvature"]
+__all__ += [
+    "PRIOR_LENGTH_M",
+    "REJECT_Z",
+    "SHARES",
+    "WHATS",
+    "AnyDistance",
+    "ByDistances",
+    "Calibration",
+    "Cell",
+    "Curvature",
+]
 __all__ += ["Deviations", "Distance", "ErrorSize", "Errors", "Fit", "GroupSizes", "Groups", "Identifiability"]
 __all__ += ["Instrument", "Known", "KnownDistance", "Model", "ModelParameter", "Move", "NoiseModel", "Pairs"]
 __all__ += ["ParameterChoice", "Readmitted", "RejectedPlace", "RowView", "Schedule", "Split", "Stated"]
 __all__ += ["StatedPayload", "StatedTool", "StationDistance", "Uncertainty", "View", "What", "anneal_distances"]
 __all__ += ["apply_deviations", "as_normal", "averaged", "base_and_tool_turns", "base_by_positions", "between"]
-__all__ += ["beyond_chi2", "beyond_gumbel", "beyond_normal", "block_length", "blocks_at", "choose_parameters"]
+__all__ += [
+    "beyond_chi2",
+    "beyond_gumbel",
+    "beyond_normal",
+    "block_length",
+    "blocks_at",
+    "by_distances",
+    "choose_parameters",
+]
 __all__ += ["consecutive", "contradicted_places", "contradicted_together", "contradictions", "cost_of_holding"]
 __all__ += ["curved_joints", "deviations", "direction_names", "distance_rows", "distances_of", "distinct"]
 __all__ += ["drop_fixed", "enough_for_effects", "errors", "exact_samples", "exceeded_chi2", "finalise", "fingerprint"]

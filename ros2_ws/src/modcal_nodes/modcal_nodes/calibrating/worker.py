@@ -16,6 +16,7 @@ import rclpy
 from modcal_core.calibration import Calibration
 from modcal_core.errors import ModcalError
 from modcal_core.measurements import Dropped, Samples
+from modcal_core.outcome import one_instrument_notes
 from modcal_core.recalibrate import Job, ModelComparison, Recalibration, SampleMemory, recalibrate
 from modcal_core.report import calibration_files, sentence
 from modcal_core.robots import Mechanism
@@ -30,6 +31,7 @@ class Solved:
     """What a solve brings back: the calibration, the texts of its files, the comparison, and what was found.
 
     verdict: its sentence. standing: what may be said of the model. rms: on stations that the fit has not seen [m].
+    doubled: sentences on frames that may be one instrument's.
     """
 
     calibration: Calibration
@@ -39,6 +41,7 @@ class Solved:
     standing: Standing
     story: tuple[str, ...]
     rms: float | None
+    doubled: tuple[str, ...]
 
 
 def solve(job: Job, urdf: str, page: bool = True) -> Solved:
@@ -54,6 +57,7 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
         standing_of(report),
         report.story,
         None if size is None else 1e-3 * size.rms,
+        one_instrument_notes(resolved.result.scored),
     )
 
 
