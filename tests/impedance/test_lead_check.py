@@ -10,6 +10,7 @@ from impedance.toy import PANDA, PERIOD, READY
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.lead_check import JointLeadCheck, LeadCheck, Stiffness
+from modcal_core.impedance.task import JointPositions
 from modcal_core.impedance.tool_force import SensorEvidence
 from modcal_core.impedance.unfelt_force import ServoModel
 from modcal_core.robots.kinematics import pose_and_jacobian
@@ -119,8 +120,8 @@ def pulled(
         wrench = -force * along
         q = q + (reference + (J.T @ wrench) / TRUE - q) * PERIOD / (lag + PERIOD)
         check.heard(now, now)
-        most = max(most, float(check.unexplained(q, now, share * wrench, J).max()))
-        if check.refused(q, now, share * wrench, J, MAX, STIFFEST) is not None:
+        most = max(most, float(check.unexplained(q, now, -share * J.T @ wrench).max()))
+        if check.refused(JointPositions(q, now), -share * J.T @ wrench, share * force, J, MAX, STIFFEST) is not None:
             return force, most
         if force > 200.0:
             break
@@ -165,7 +166,8 @@ def test_servos_that_follow_by_a_delay_hide_nothing_as_they_set_off_and_brake(ga
         sent.append(sent[-1] + way * (speed * PERIOD))
         check.sent(sent[-1], now)
         check.heard(now, now)
-        assert check.refused(sent[-1 - round(LAG / PERIOD)], now, np.zeros(6), J, MAX, STIFFEST) is None
+        late = JointPositions(sent[-1 - round(LAG / PERIOD)], now)
+        assert check.refused(late, np.zeros(7), 0.0, J, MAX, STIFFEST) is None
 
 
 LEAST, STIFF = np.full(3, 2000.0), np.full(3, 4000.0)  # N m/rad

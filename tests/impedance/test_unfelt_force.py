@@ -10,6 +10,7 @@ from impedance.toy import PANDA, PERIOD, READY
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.speed_governor import GovernorSettings, SpeedGovernor
+from modcal_core.impedance.task import JointPositions
 from modcal_core.impedance.unfelt_force import UnfeltForce
 from modcal_core.robots.kinematics import pose_and_jacobian
 
@@ -92,7 +93,7 @@ def pulled(
         said = (w if held is None else held + share * (w - held)) + rng.normal(0.0, [0.1] * 3 + [0.005] * 3)
         stamp = now
         now_heard = now + rng.uniform(0.0, late)
-        check.take(arm.encoders(), stamp, now_heard, said, J, MAX)
+        check.take(JointPositions(arm.encoders(), stamp), now_heard, said, J, MAX)
         hidden.append(check.force)
         if check.refused(said, MAX) is not None or np.linalg.norm(said[:3]) > 1.2 * MAX + 1.0:
             break  # the other is let go for what is felt

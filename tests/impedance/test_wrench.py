@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from modcal_core.errors import BadCommand
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.tare import Tare
-from modcal_core.impedance.wrench import DOWN, Load, LowPass, WrenchSensor
+from modcal_core.impedance.wrench import DOWN, Load, LowPass, SensorWeighing, WrenchSensor
 
 LOAD = Load(1.3, np.array([0.01, -0.02, 0.06]), np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3]))
 
@@ -103,3 +103,20 @@ def test_bad_readings_are_refused_and_change_nothing(frame: str, wrench: object,
     with pytest.raises(BadCommand, match=said):
         sensor.receive(frame, wrench, stamp, 1.0, 0.1)  # type: ignore[arg-type]
     assert (sensor.stamp, *sensor.raw) == (0.95, 1, 1, 1, 1, 1, 1)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.2, -1.0])
+def test_a_sensor_is_weighed_by_what_hangs_on_it_as_the_wrist_turns(share: float, rng: np.random.Generator) -> None:
+    """Not by a wrist that stands, nor where a hand pushes at it; whatever its zero."""
+    weighing, still, pushed = SensorWeighing(), SensorWeighing(), SensorWeighing()
+    for angle in np.concatenate([np.zeros(200), np.linspace(0.0, 0.6, 400), np.full(200, 0.6)]):
+        R = so3.exp([angle, 0.5 * angle, 0.0])
+        raw = np.concatenate([share * 0.7 * R.T @ DOWN + [3.0, -2.0, 1.0], np.zeros(3)]) + 0.2 * rng.standard_normal(6)
+        weighing.take(raw, R)
+        still.take(raw, np.eye(3))
+        pushed.take(raw + [0.0, 0.0, 15.0 * np.sin(40.0 * angle), 0.0, 0.0, 0.0], R)
+    told = weighing.scale(0.7)
+    assert told is not None
+    assert abs(told[0] - share) < 4.0 * told[1] + 0.01
+    assert told[1] < 0.05
+    assert still.scale(0.7) is pushed.scale(0.7) is weighing.scale(0.0) is None

@@ -15,6 +15,7 @@ from nodes.plain_pulls import Pull
 
 from modcal_core.articulation.online import Tracker
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.joint_force import FreeMotion
 from modcal_core.impedance.operation import Operation
 from modcal_core.impedance.safety_monitor import ArmSetpoint
 from modcal_core.impedance.task import JointPositions, Stop
@@ -67,8 +68,16 @@ def pull(
     arm = SensedArm.of(urdf, chosen)
     arm.sensor.load = Load(world.scene.tool_mass, world.scene.tool_com)
     softest = JointSoftness.of(urdf, arm.chain, chosen["max_joint_lead_rad"]).least
+    motion = FreeMotion()
+    while world.moves_freely:  # as the node hears before anybody asks for a pull
+        world.advance(1.0 / IMPEDANCE_SETPOINT["rate_hz"].default)
+        q = world.joints()[0]
+        arm.sensor.receive(arm.chain.tip, sensed(world.wrench()), world.time, world.time, _STALE)
+        motion.sensor.take(arm.sensor.raw, chain_forward(arm.chain, q)[:3, :3])
+        if efforts is not None:
+            motion.take(JointPositions(q, world.time, efforts()))
     operation = Operation(
-        arm.chain, task(chosen), limits(arm.chain, chosen), softest, JointEfforts.of(urdf, arm.chain).arm
+        arm.chain, task(chosen), limits(arm.chain, chosen), softest, JointEfforts.of(urdf, arm.chain).arm, motion
     )
     tracker, state = Tracker(), None
     period, opened, begun = operation.limits.period, 0.0, False

@@ -126,6 +126,10 @@ def open_it(
         until_over.enter_context(running(scenery))
         wait(lambda: told.forces and told.opened, 30.0)
         until_heard(node, wait)
+        held = told.forces[0][0] + 1.1 * float(world.get("approach_s", 0.0)) + 0.5
+        wait(lambda: told.forces[-1][0] > held, 60.0)
+        if "approach_s" in world:  # how it came to the handle says nothing of the object
+            ask(node, wait, Trigger, f"{ESTIMATOR}/reset", Trigger.Request())
         begun, by_efforts = told.forces[-1][0], [""]
         begin(node, wait)
         wait(lambda: health.value(PULL, "phase"), 30.0)

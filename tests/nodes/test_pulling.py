@@ -22,10 +22,10 @@ PACED = {"publish_clock": True, "keep_step": True, "clock_rate_hz": 250.0}
 pytestmark = pytest.mark.dds
 
 
-def opened(folder: Path, seed: int, share: float = 0.35, **chosen: Any) -> Opening:
+def opened(folder: Path, seed: int, share: float = 0.35, by: str = "sensor", **chosen: Any) -> Opening:
     scene = draw(CHAIN, np.random.default_rng(seed), chosen)
     # a third of the way that bench/doors goes: by then the model is known and followed at full speed
-    opening = open_it(folder, scene, {"seed": seed, **chosen, **PACED}, patience=150.0, share=share)
+    opening = open_it(folder, scene, {"seed": seed, **chosen, **PACED}, patience=150.0, share=share, wrench=by)
     print(f"{scene.kind}, {scene.grasp}, radius {scene.radius:.2f} m, {opening.seconds:.1f} s: {opening.pull}")
     return opening
 
@@ -46,3 +46,13 @@ def test_a_drawer_that_jams_is_felt_below_the_limit_and_let_go(tmp_path: Path) -
     # the joints' efforts told of it as well, and of no more
     shown = [float(newtons) for newtons in opening.by_efforts]
     assert 15.0 < max(shown) < opening.pull.peak + 2.0
+
+
+@pytest.mark.slow
+def test_a_drawer_is_opened_by_the_efforts_of_the_joints_without_a_force_sensor(tmp_path: Path) -> None:
+    """What the joints bear by themselves is learned as the hand comes to the handle."""
+    opening = opened(
+        tmp_path, 1, by="efforts", share=0.5, kind="drawer", grasp="weld", publish_effort=True, approach_s=6.0
+    )
+    assert opening.pull.done
+    assert opening.pull.peak <= 40.0

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.impedance.effort_check import ArmEfforts
+    from modcal_core.impedance.joint_force import ArmEfforts, FreeMotion
     from modcal_core.impedance.operation import Operation
     from modcal_core.impedance.safety_monitor import ArmSetpoint, Limits
     from modcal_core.impedance.speed_governor import GovernorSettings
@@ -14,5 +14,14 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["ArmEfforts", "ArmSetpoint", "GovernorSettings", "ImpedanceTask", "JointPositions", "Limits", "Load"]
+__all__ = [
+    "ArmEfforts",
+    "ArmSetpoint",
+    "FreeMotion",
+    "GovernorSettings",
+    "ImpedanceTask",
+    "JointPositions",
+    "Limits",
+    "Load",
+]
 __all__ += ["Operation", "Stop", "Wait", "WrenchSensor"]

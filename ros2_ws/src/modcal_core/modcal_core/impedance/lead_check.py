@@ -34,6 +34,7 @@ import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array
+from modcal_core.impedance.task import JointPositions
 
 
 class RecentMaximum:
@@ -126,10 +127,10 @@ class JointLeadCheck:
         at_most = lag + _LAG_OFF * self._lag + _SURE * unsure
         self._most_lag = np.clip(at_most, _LAG_OFF * self._lag, _MAX_LAG * self._lag)
 
-    def unexplained(self, q: Array, stamp: float, wrench: Array, J: Array) -> Array:
-        """The lead (n,) [rad] of each joint that neither lag nor the felt wrench (6,) explains; zeros before a motion.
+    def unexplained(self, q: Array, stamp: float, load: Array) -> Array:
+        """The lead (n,) [rad] of each joint that neither lag nor its load explains; zeros before a motion.
 
-        q (n,): measured at ``stamp`` [s]. J (6, n): the tool's Jacobian, in its axes as the wrench.
+        q (n,): measured at ``stamp`` [s]. load (n,): that is told of each joint, −Jᵀ w of a felt wrench w [N m].
         """
         late = _BOTH_WAYS * self._late.largest
         recent = sent_since(self._sent, stamp - late - _ON_ITS_WAY * self._period, stamp)
@@ -141,7 +142,7 @@ class JointLeadCheck:
         begun, first = self._read[0]
         self._speeds.append((stamp, (q - first) / (stamp - begun) if stamp > begun else np.zeros(len(q))))
         _forget(self._speeds, stamp - _SLOWS * self._lag - late)
-        self._loads.append((stamp, -J.T @ wrench))
+        self._loads.append((stamp, load))
         _forget(self._loads, stamp - _RECALL * self._lag)
         if self._sag is None or np.abs(references[-1] - self._begun).max() <= _SETTLES:
             self._sag = q - references[-1]
@@ -158,22 +159,22 @@ class JointLeadCheck:
         return np.nan_to_num(np.maximum(np.maximum(ahead, behind), 0.0))
 
     def refused(
-        self, q: Array, stamp: float, wrench: Array, J: Array, most: float, stiffest: float
+        self, joints: JointPositions, load: Array, felt: float, J: Array, most: float, stiffest: float
     ) -> BadCommand | None:
         """Why to let go: more than two fifths of ``most`` [N] may not be felt; None where all is well.
 
-        stiffest: that the servos may hold the tool [N/m]. The rest as of :meth:`unexplained`.
+        load: as of :meth:`unexplained`. felt: force that is told [N]. J (6, n): the tool's Jacobian. stiffest: that the
+        servos may hold the tool [N/m].
         """
-        if stamp <= self._stamp or not self._judges:
+        if joints.stamp <= self._stamp or not self._judges:
             return None
-        self._stamp = stamp
-        left = self.unexplained(q, stamp, wrench, J)
+        self._stamp = joints.stamp
+        left = self.unexplained(joints.q, joints.stamp, load)
         way = left * np.sqrt((J[:3] ** 2).sum(axis=0))  # of the tool, by each joint at most [m]
         worst = int(np.argmax(way))
         self._beyond = self._beyond + 1 if way.sum() * stiffest > _SHARE * most else 0
         if self._beyond < _IN_A_ROW:
             return None
-        felt = math.sqrt(wrench[:3] @ wrench[:3])
         said = (
             f"{felt:.0f} N are felt but a joint leads by {1e3 * left[worst]:.1f} mrad more than that takes on a servo "
             f"of {self._least[worst]:.0f} N m/rad"

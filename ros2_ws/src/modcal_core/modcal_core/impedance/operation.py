@@ -20,8 +20,8 @@ from modcal_core.articulation import JointModel
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import Array, relative, speeds
 from modcal_core.impedance import tare
-from modcal_core.impedance.effort_check import ArmEfforts
 from modcal_core.impedance.impedance import Impedance
+from modcal_core.impedance.joint_force import ArmEfforts, FreeMotion
 from modcal_core.impedance.path_model import Exploration, PathCheck, PathModel, Reach
 from modcal_core.impedance.safety_monitor import ArmSetpoint, LateInput, Limits, SafetyMonitor, SensorReadings
 from modcal_core.impedance.setpoint_filter import SetpointFilter
@@ -68,10 +68,10 @@ class Operation:
     """
 
     def __init__(self, chain: Chain, task: ImpedanceTask, limits: Limits, softest: Array | None = None,
-                 efforts: ArmEfforts | None = None) -> None:  # fmt: skip
+                 efforts: ArmEfforts | None = None, motion: FreeMotion | None = None) -> None:  # fmt: skip
         """For an arm (chain to the tool that is measured). softest (n,): stiffness of its joints at least [N m/rad].
 
-        efforts: what is known of those that its joints report.
+        efforts: what is known of those that its joints report. motion: what they reported before it took hold.
         """
         self.chain, self.task, self.limits = chain, task, limits
         self.phase = "tare"
@@ -84,7 +84,7 @@ class Operation:
         self.course: PathModel | None = None
         self.expected = self._measured = np.eye(4)
         self._pull: Exploration | None = None
-        self._tare = tare.TarePhase(task.tare_s, task.gravity)
+        self._tare, self._motion = tare.TarePhase(task.tare_s, task.gravity, task.wrench == "sensor"), motion
         self._path_check: tuple[PathCheck, Array] | None = None
         self._checked = np.eye(4)
         self._walked_from = 0.0
@@ -157,8 +157,10 @@ class Operation:
         if self._stop is not None:
             return self._stop
         try:
-            needed = {"joint_states": joints.stamp, "wrench": sensor.stamp}
-            late = self._watch.late(now, {"joint_states": joints.stamp} if self.phase == "release" else needed)
+            needed = {"joint_states": joints.stamp}
+            if self.phase != "release" and self.task.wrench == "sensor":
+                needed["wrench"] = sensor.stamp
+            late = self._watch.late(now, needed)
             if late and self.phase != "tare" and self._watch.waited(now, self.task.input_timeout_s):
                 if self._watch.fresh(joints.stamp, now):  # which is enough to let go
                     self._let_go(late, now)
@@ -193,7 +195,8 @@ class Operation:
         if why:
             return self.stop(why) if over else Wait(why)
         self.setpoint_filter.begin(joints.q, T)
-        self.tool_force.efforts.begin(T[:3, :3], self.setpoint_filter.jacobian)
+        if why := self.tool_force.begin(self.setpoint_filter.jacobian, self._motion, sensor.load.mass):
+            return self.stop(why)
         self.monitor.open(T, joints.q, now)
         self._pull = Exploration(T, self.task.direction, self.task.exploration_speed)
         self.expected = T
@@ -214,10 +217,10 @@ class Operation:
             h = self.limits.period
             self._resume(now - h)
         self._measured = T
-        age = max(now - joints.stamp, now - sensor.stamp)
-        self.governor.heed(age, h)
+        told = joints.stamp if self.task.wrench == "efforts" else sensor.stamp
+        self.governor.heed(max(now - joints.stamp, now - told), h)
         self.tool_force.take(now, T, sensor, joints, self.setpoint_filter, self.governor.braking)
-        refused = self.monitor.overload(self.force)
+        refused = self.monitor.overload(self.tool_force.sure) or self.tool_force.overload()
         if refused is None and self.phase in _MOVING:
             refused = self.tool_force.refused(T, joints, self.setpoint_filter)
         lost = self.phase in _MOVING and self._watch.estimator_lost(state.silent, now, self.task.input_timeout_s)
@@ -230,7 +233,8 @@ class Operation:
         if self.phase == "release":
             goal = self.expected = T
         elif self.task.mode == "admittance" and self.phase != "arrive":
-            F = np.concatenate([relative(self.expected, T, self.force[:3]), relative(self.expected, T, self.force[3:])])
+            sure = self.tool_force.sure
+            F = np.concatenate([relative(self.expected, T, sure[:3]), relative(self.expected, T, sure[3:])])
             self.impedance.step(F, h, self.governor.caution)
             goal = self.impedance.command(self.expected)
         else:
@@ -239,7 +243,7 @@ class Operation:
         self.tool_force.sent(self.setpoint_filter, now)
         self._last = now
         positions = dict(zip(self.chain.names, joints.q.tolist(), strict=True))
-        heard = SensorReadings(positions, joints.stamp, T, self.force, self.chain.tip, sensor.stamp)
+        heard = SensorReadings(positions, joints.stamp, T, self.tool_force.sure, self.chain.tip, told)
         return self.monitor.check(self._setpoint(), heard, now)
 
     def _resume(self, before: float) -> None:
@@ -334,7 +338,8 @@ class Operation:
         """
         if self._late:
             most = 0.0
-        sight = self.governor.in_sight(self.tool_force.size, self.tool_force.delay)
+        told = self.tool_force
+        sight = self.governor.in_sight(told.size, told.delay, told.stiffness)
         return self.governor.step(wanted, min(most, sight), self.tool_force.foreseen, h)
 
     def _enter(self, phase: str, now: float) -> None:

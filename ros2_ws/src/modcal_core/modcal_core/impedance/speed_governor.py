@@ -105,12 +105,13 @@ class SpeedGovernor:
         self.speed = min(max(aim, self.speed - self._brake * h), self.speed + self._gather * h)
         return self.speed * h
 
-    def in_sight(self, force: float, delay: float) -> float:
+    def in_sight(self, force: float, delay: float, stiffness: float = 0.0) -> float:
         """Largest speed [m/s] at which a hard stop now, at this force [N], keeps the peak below the limit.
 
-        delay: how long it goes on as it does before it brakes [s]. Solves F + K (v T + v²/2a) = F_last.
+        delay: how long it goes on as it does before it brakes [s]. stiffness: of the arm, where it was measured and is
+        more than was stated of a contact [N/m]. Solves F + K (v T + v²/2a) = F_last.
         """
-        way = max(self.settings.max_force - force, 0.0) / self.settings.contact_stiffness
+        way = max(self.settings.max_force - force, 0.0) / max(self.settings.contact_stiffness, stiffness)
         slow = self._brake * delay
         return math.sqrt(slow * slow + 2.0 * self._brake * way) - slow
 

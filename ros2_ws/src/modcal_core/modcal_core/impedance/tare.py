@@ -57,9 +57,9 @@ class Tare:
 class TarePhase:
     """The phase of a pull that comes before anything moves: tick it until it is done."""
 
-    def __init__(self, seconds: float, down: Array = DOWN) -> None:
-        """Tare for some seconds at rest. down (3,): gravity in the base [m/s²]."""
-        self._tare, self._down = Tare(seconds), down
+    def __init__(self, seconds: float, down: Array = DOWN, sensor: bool = True) -> None:
+        """Tare for some seconds at rest. down (3,): gravity in the base [m/s²]. sensor: whether one has to be tared."""
+        self._tare, self._down, self._has_sensor = Tare(seconds), down, sensor
         self._since = math.nan  # s
         self._before: tuple[float, Array] | None = None
 
@@ -79,12 +79,15 @@ class TarePhase:
             span = max(now - self._before[0], _MIN_SPAN)
             at_rest = bool(np.abs(joints.q - self._before[1]).max() <= _REST * span)
         self._before = now, joints.q
-        if not self._tare.add(sensor.raw, sensor.stamp, at_rest):
+        reading = (sensor.raw, sensor.stamp) if self._has_sensor else (np.zeros(6), joints.stamp)
+        if not self._tare.add(*reading, at_rest):
             if late:
                 return True, "tare: the arm is moving: hold it still before the pull"
             return False, "taring the wrench: the arm stands still for a moment"
         if silent:
             return late, NO_STATUS
+        if not self._has_sensor:
+            return True, ""
         sensor.load = self._tare.load(sensor.rotation(T), sensor.load, self._down)
         sensor.reset_past()
         return True, ""

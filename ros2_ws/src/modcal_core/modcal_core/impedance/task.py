@@ -15,6 +15,7 @@ from modcal_core.impedance.speed_governor import GovernorSettings
 from modcal_core.impedance.wrench import DOWN
 
 Mode = Literal["expected", "admittance"]
+Wrench = Literal["sensor", "efforts"]
 
 
 class ObjectModel(Protocol):
@@ -82,6 +83,7 @@ class ImpedanceTask:
     servo_lag: how far ahead of the arm a setpoint is that moves steadily [s], and so how late the arm stops.
     gravity (3,): gravity in the base [m/s²]. input_timeout_s: longest silence of an input before it is the end [s].
     arm_stiffness: of a stiff stack in its stiffest posture, by which a force that is not felt is judged [N/m].
+    wrench: what tells the force on the tool: a ``sensor`` at the wrist, or the ``efforts`` of the joints.
     """
 
     direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
@@ -102,6 +104,7 @@ class ImpedanceTask:
     governor: GovernorSettings = field(default_factory=GovernorSettings)
     input_timeout_s: float = 1.0
     arm_stiffness: float = 100e3
+    wrench: Wrench = "sensor"
 
     def gains(self, along: Array) -> Gains:
         """The impedance's gains with their first axis along a direction (3,), seen from the tool."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array
-from modcal_core.impedance.effort_check import ArmEfforts, EffortCheck
+from modcal_core.impedance.joint_force import ArmEfforts, FreeMotion, JointForce
 from modcal_core.impedance.lead_check import JointLeadCheck, LeadCheck, Stiffness
 from modcal_core.impedance.safety_monitor import Limits
 from modcal_core.impedance.setpoint_filter import SetpointFilter
@@ -102,6 +102,7 @@ class SensorEvidence:
         return usual if self.corroborated else min(usual, exploring * min(1.0, creep / _CREEP))
 
 
+_MISTOLD = 0.1  # of a force may a sensor tell more or less: a sensor and a stated mass are no better
 _TOGETHER = 0.02  # s by which a wrench may be older than joints that it is compared with: one of 50 Hz
 
 
@@ -110,6 +111,7 @@ class ToolForce:
 
     delay: from a touch until the arm begins to brake [s]. size: of the felt force and of what the servos show beside
     it, or of what the efforts show where that is more [N]; ``foreseen`` has that as well. efforts: see there.
+    stiffness: by which the servos hold the tool along its way, as it was measured, or 0 [N/m].
     """
 
     def __init__(
@@ -126,15 +128,57 @@ class ToolForce:
         """
         self.task, self.limits = task, limits
         self.felt, self.foreseen = np.zeros(6), np.zeros(6)
-        self.delay = self.size = 0.0
+        self.delay = self.size = self.stiffness = 0.0
         self._foresight = ForcePrediction()
         self._leads = LeadCheck(_stiffness(task))
         self._unfelt = UnfeltForce(joints, task.servo_lag, limits.period)
         known = np.full(joints, np.nan) if least is None else least
-        self.efforts = EffortCheck(arm, task.gravity)
+        self.efforts = JointForce(arm, task.gravity)
         self._joints = JointLeadCheck(known, task.servo_lag, limits.period)
         judged = task.mode == "admittance" and bool(np.isfinite(known).any())
         self._evidence, self._least = SensorEvidence(judged), known
+        self._scale: tuple[float, float] | None = None  # of the sensor, by the tool's weight, and its deviation
+
+    def begin(self, J: Array, motion: FreeMotion | None, mass: float) -> str:
+        """The arm stands and is about to pull: why it must not, as text; empty where it may. J (6, n): of the tool.
+
+        motion: what was seen of the arm before. mass: that hangs on the force sensor, if it is stated [kg].
+        """
+        efforts, most = self.efforts, self.limits.force
+        efforts.begin(J, motion)
+        if not self.by_efforts:
+            self._scale = None if motion is None else motion.sensor.scale(mass, self.task.gravity)
+            if self._scale is None or abs(self._scale[0] - 1.0) - _SURE * self._scale[1] <= _MISTOLD:
+                return ""
+            said = f"the force sensor tells {self._scale[0]:.2f} of what tool_mass weighs, within {self._scale[1]:.2f}"
+            return f"{said}: correct its unit, its sign (wrench_by_tool) or tool_mass, or use wrench: efforts"
+        if efforts.unusable:
+            return (
+                f"the joints' efforts tell no force: {efforts.unusable}: use a force sensor, or correct what is wrong"
+            )
+        if len(blind := efforts.unseen(most)):
+            way = ", ".join(f"{x:.2f}" for x in blind[-1])
+            said = f"the joints' efforts tell a force along ({way}) of the tool within {efforts.deviation:.0f} N only"
+            return f"{said}: take another posture, move the arm freely before, or use a force sensor"
+        return ""
+
+    @property
+    def bound(self) -> float:
+        """The force [N] that may be on the tool when the limit is felt; NaN where nothing was measured that tells."""
+        most, bounds = self.limits.force, []
+        if self.efforts.tells:
+            bounds.append(most if self.by_efforts else most + self.efforts.hides(most))
+        if self._scale is not None:
+            bounds.append(most / (self._scale[0] - _LIKELY * self._scale[1]))
+        return min(bounds, default=math.nan)
+
+    def overload(self) -> BadCommand | None:
+        """Why to let go: what the efforts may leave unsaid is beyond the limit with what they say; None where not."""
+        size = math.sqrt(self.felt[:3] @ self.felt[:3]) + self.unsure
+        if not self.by_efforts or size <= self.limits.force:
+            return None
+        said = f"may be {size:.0f} N by the joints' efforts, {self.limits.force:g} N is the limit"
+        return BadCommand("force", said, "check what blocks the object")
 
     def restrict(self, task: ImpedanceTask, limits: Limits) -> None:
         """Keep to other limits, and to the stiffness that another task states."""
@@ -145,23 +189,29 @@ class ToolForce:
         self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions, sent: SetpointFilter, braking: float
     ) -> None:
         """Look at the readings of now [s]. sent: has the last setpoint. braking: time until the arm stands [s]."""
-        task = self.task
-        self.felt = sensor.on_tool(T, task.gravity)
-        self._leads.felt(sensor.raw, sensor.stamp)
+        task, heard = self.task, joints.stamp if self.by_efforts else sensor.stamp
+        self.efforts.take(joints, sent.jacobian)
+        self.felt = self.efforts.wrench if self.by_efforts else sensor.on_tool(T, task.gravity)
+        if not self.by_efforts:
+            self._leads.felt(sensor.raw, heard)
+        elif joints.effort is not None:
+            self._leads.felt(joints.effort, heard)
         # a compliant stack takes no joint references; and what was felt long before the joints were read tells nothing
-        if task.mode == "admittance" and sensor.stamp >= joints.stamp - _TOGETHER:
-            self._unfelt.take(joints.q, joints.stamp, now, self.felt, sent.jacobian, self.limits.force)
+        if task.mode == "admittance" and heard >= joints.stamp - _TOGETHER:
+            load = self.efforts.load if self.efforts.tells else None
+            self._unfelt.take(joints, now, self.felt, sent.jacobian, self.limits.force, load)
+        self.stiffness = self._unfelt.stiffness(sent.jacobian[:3] @ sent.velocity, sent.jacobian)
         self._joints.heard(joints.stamp, now)
         if (servos := self._unfelt.servos) is not None:
             self._joints.learned(*servos)
-        self.efforts.take(joints, T[:3, :3], sent.jacobian)
-        age = max(now - joints.stamp, now - sensor.stamp, 0.0)
-        self.delay = age + self.limits.period + sensor.lag + self._foresight.lag + task.servo_lag
+        age = max(now - joints.stamp, now - heard, 0.0)
+        lag = self.efforts.lag if self.by_efforts else sensor.lag
+        self.delay = age + self.limits.period + lag + self._foresight.lag + task.servo_lag
         felt = math.sqrt(self.felt[:3] @ self.felt[:3])
-        self.size = max(felt + self._unfelt.force, self.efforts.force)
+        self.size = max(felt + self._unfelt.force + self.unsure, self.efforts.force)
         known = self.felt.copy()
         known[:3] = known[:3] * (self.size / felt) if felt > 0.0 else (self.size, 0.0, 0.0)
-        self.foreseen = self._foresight.ahead(known, sensor.stamp, self.delay + braking)
+        self.foreseen = self._foresight.ahead(known, heard, self.delay + braking)
 
     def sent(self, setpoint: SetpointFilter, now: float) -> None:
         """Note the setpoint that is sent at time ``now`` [s]."""
@@ -172,22 +222,48 @@ class ToolForce:
     def refused(self, T: Array, joints: JointPositions, sent: SetpointFilter) -> BadCommand | None:
         """Why to let go: more than is allowed may be on the tool, and is not felt; or None."""
         felt, most = math.sqrt(self.felt[:3] @ self.felt[:3]), self.limits.force
-        refused = self._leads.refused(T[:3, 3], felt, joints.stamp, most, sent.moved_by(self.felt))
+        if self.by_efforts and joints.stamp - self.efforts.stamp > self.limits.timeout:
+            said = "contain no efforts that can be, any more"
+            return BadCommand("joint_states", said, "check the driver")
+        lead = sent.moved_by(self.felt)
+        refused = self._leads.refused(T[:3, 3], felt, joints.stamp, math.inf if self.efforts.tells else most, lead)
         if refused is None and self.task.mode == "admittance":
+            load = self.efforts.load if self.efforts.tells else -sent.jacobian.T @ self.felt
             stiffest = self.task.arm_stiffness
-            refused = self._joints.refused(joints.q, joints.stamp, self.felt, sent.jacobian, most, stiffest)
-        refused = refused or self.efforts.refused(felt, joints.stamp, most)
-        return refused or self._evidence.refused() or self._unfelt.refused(self.felt, most)
+            refused = self._joints.refused(joints, load, felt, sent.jacobian, most, stiffest)
+        refused = refused or self._unfelt.refused(self.felt, most)
+        if refused is not None or self.by_efforts:
+            return refused
+        return self.efforts.refused(self.felt[:3], joints.stamp, most) or self._evidence.refused()
+
+    @property
+    def by_efforts(self) -> bool:
+        """Whether the joints' efforts tell the force, and no sensor does."""
+        return self.task.wrench == "efforts"
+
+    @property
+    def unsure(self) -> float:
+        """By how much more may be on the tool than the efforts show, where they tell the force [N]."""
+        return _LIKELY * self.efforts.deviation if self.by_efforts else 0.0
+
+    @property
+    def sure(self) -> Array:
+        """The wrench (6,) that is felt, without what is not sure of it, in the tool's axes."""
+        return self.efforts.surely if self.by_efforts else self.felt
 
     def exploring_speed(self, progress: float) -> float:
         """The speed [m/s] at which to go on into the unknown, with the tool so far [m] from where it began."""
         self._note(progress)
+        if self.by_efforts:
+            return self.task.exploration_speed
         return self._evidence.exploring(progress, self.task.exploration_speed, self._leads.creep(self.limits.force))
 
     def following_speed(self, progress: float) -> float:
         """The same along a path that is known."""
         self._note(progress)
         task = self.task
+        if self.by_efforts:
+            return task.speed
         return self._evidence.following(task.speed, task.exploration_speed, self._leads.creep(self.limits.force))
 
     @property

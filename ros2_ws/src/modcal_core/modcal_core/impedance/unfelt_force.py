@@ -42,6 +42,7 @@ import numpy as np
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array
 from modcal_core.impedance.lead_check import RecentMaximum
+from modcal_core.impedance.task import JointPositions
 
 _ALIKE = 4.0  # neighbouring moments that depart from the model alike: so much fewer they count
 FEWEST = 4  # moments from which three numbers are learned
@@ -164,6 +165,7 @@ _MAX = 0.4  # of max_force_n may go unfelt, for as much again comes until the ar
 _RECALL = 3.0  # servo lags for which a force that has gone still explains a lead: a servo unwinds by its lag
 _SUSPECTED = 0.2  # of it: from there on nothing is learned
 _FORGETS = 0.98  # of what the models' errors were, with every moment
+_TOLD = 0.3  # of what a tool yields must be sure, to tell how stiff it is held
 _WORSE = 1.5  # times the error of the other model: then it is the other one
 _RINGS = 0.06  # s for which that must last: an arm that was jerked rings, and for half of that its inertia is a load
 _AT_ONCE = 3  # readings of which the least is what a pull slows down for: one may be late
@@ -194,9 +196,9 @@ class UnfeltForce:
         self._n = joints
         self._late, self._heard = RecentMaximum(_REMEMBERED), math.inf  # by how much [s], and when the last came
         self._sent: deque[tuple[float, Array]] = deque()
-        self._read: deque[tuple[float, Array, Array, Array]] = deque()  # stamp, q, lead, wrench
+        self._read: deque[tuple[float, Array, Array, Array, Array]] = deque()  # stamp, q, lead, wrench, load
         self._begun: Array | None = None
-        self._zero = np.zeros(joints), np.zeros(6)  # lead of the arm as it stood, and wrench
+        self._zero = np.zeros(joints), np.zeros(6), np.zeros(joints)  # lead of the arm as it stood, wrench and load
         self._noted: _Moment | None = None
         self._waiting: deque[_Moment] = deque()
         self._learned = False
@@ -239,6 +241,19 @@ class UnfeltForce:
         self._softness = model.count, found
         return found
 
+    def stiffness(self, way: Array, J: Array) -> float:
+        """Stiffness [N/m] by which the joints' servos surely hold the tool at most along a way (3,); 0 where that is
+        not known.
+
+        J (6, n): the tool's Jacobian in its axes, as the way.
+        """
+        model, levers = self.model, J[:3].T @ way / max(math.sqrt(way @ way), 1e-12)
+        if model.count < FEWEST or self._errors[0] > _WORSE**2 * self._errors[1] > 0.0:
+            return 0.0
+        yields = levers * levers @ np.stack([model.compliance, model.unsure_by])[:, : self._n].T
+        least = float(yields[0] - _SURE * yields[1])
+        return 1.0 / least if least > _TOLD * float(yields[0]) > 0.0 else 0.0
+
     def sent(self, q: Array, now: float) -> None:
         """Note the reference (n,) that is sent at time ``now`` [s]."""
         self._begun = q.copy() if self._begun is None else self._begun
@@ -254,12 +269,16 @@ class UnfeltForce:
         said = f"{felt:.0f} N are felt but the setpoint leads the tool as if {self.sure:.0f} N more were on it"
         return BadCommand("wrench", said, "check the force sensor")
 
-    def take(self, q: Array, stamp: float, now: float, wrench: Array, J: Array, most: float) -> None:
-        """Look at joints q (n,) of ``stamp`` [s], now [s].
+    def take(
+        self, joints: JointPositions, now: float, wrench: Array, J: Array, most: float, load: Array | None = None
+    ) -> None:
+        """Look at joints now [s].
 
         wrench (6,): felt, on the tool in its axes. J (6, n): the tool's Jacobian in its axes. most: force that may
-        come [N].
+        come [N]. load (n,): of the joints, where more is known than −Jᵀ of the wrench: their friction is in it.
         """
+        q, stamp = joints.q, joints.stamp
+        load = -J.T @ wrench if load is None else load
         self._late.add(now, max(now - stamp, now - self._heard - self.period, 0.0))
         self._heard = now
         reference = self._reference(stamp)
@@ -267,8 +286,9 @@ class UnfeltForce:
             return
         lead = reference - q
         if self._begun is not None and np.abs(reference - self._begun).max() <= _SETTLES and not self.model.count:
-            self._zero = lead, wrench
-        self._read.append((stamp, q.copy(), lead - self._zero[0], wrench - self._zero[1]))
+            self._zero = lead, wrench, load
+        lead, wrench, load = (x - zero for x, zero in zip((lead, wrench, load), self._zero, strict=True))
+        self._read.append((stamp, q.copy(), lead, wrench, load))
         while len(self._read) > 2 and self._read[0][0] < stamp - _MEAN - 1e-6:
             self._read.popleft()
         if len(self._read) < 2:
@@ -293,17 +313,16 @@ class UnfeltForce:
 
     def _moment(self, since: float, J: Array) -> _Moment:
         """The last reading, with the mean speed since then [s]; the mean of all, where that is before them."""
-        stamp, q, lead, wrench = self._read[-1]
+        stamp, q, lead, wrench, load = self._read[-1]
         lately = [one for one in self._read if one[0] >= since - 1e-6]
         first = lately[0] if len(lately) > 1 else self._read[-2]
         if not math.isfinite(since):
-            lead = np.mean([e for _, _, e, _ in lately], axis=0)
-            wrench = np.mean([w for *_, w in lately], axis=0)
+            lead, wrench, load = (np.mean(values, axis=0) for values in list(zip(*lately, strict=True))[2:])
         speed = (q - first[1]) / (stamp - first[0])
         n = self._n
         rows = np.empty((n + 6, 4))
         rows[:n, 0], rows[n:, 0] = speed, J @ speed
-        rows[:n, 1], rows[n:, 1] = -J.T @ wrench, -wrench
+        rows[:n, 1], rows[n:, 1] = load, -wrench
         rows[:, 2] = 1.0
         rows[:n, 3], rows[n:, 3] = lead, J @ lead
         return _Moment(stamp, rows, wrench[:3], self._way, J)

@@ -12,6 +12,7 @@ of which b is found at rest, before anything is touched: a tare. m and c are sta
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -61,6 +62,47 @@ class LowPass:
     def reset(self) -> None:
         """Start over."""
         self._last = None
+
+
+_TURNED = 0.05  # rad between two readings that are kept: some ten while a wrist turns by 30°
+_KEPT, _WORST = 200, 1.5  # readings; N by which they may depart from a weight: beyond that something else was touched
+_ALIKE = 4.0  # neighbouring readings depart alike: so much fewer they count
+_TELLS = 0.05  # standard deviation of a scale that is known
+
+
+class SensorWeighing:
+    """The scale of a force sensor by the weight of what hangs on it, while the wrist turns freely."""
+
+    def __init__(self) -> None:
+        self._kept: deque[Array] = deque(maxlen=_KEPT)  # (4, 3): means of R_sensor_base and, last, of the force
+        self._sum, self._count, self._at = np.zeros((4, 3)), 0, np.eye(3)
+
+    def take(self, raw: Array, R_base_sensor: Array) -> None:
+        """Note a reading (6,) of a sensor that stands this way in the base (3, 3)."""
+        if not self._count:
+            self._at = R_base_sensor
+        self._sum, self._count = self._sum + np.vstack([R_base_sensor.T, raw[:3]]), self._count + 1
+        if np.abs(R_base_sensor - self._at).max() >= _TURNED:
+            self._kept.append(self._sum / self._count)
+            self._sum, self._count = np.zeros((4, 3)), 0
+
+    def scale(self, mass: float, down: Array = DOWN) -> tuple[float, float] | None:
+        """What the sensor tells of a force, as a share, and its standard deviation; None where that is not known.
+
+        mass: that hangs on it [kg]; 0 where it is not stated.
+        """
+        if not mass > 0.0 or len(self._kept) < 2:
+            return None
+        kept = np.array(self._kept)
+        weights, forces = mass * kept[:, :3] @ down, kept[:, 3]
+        w, f = weights - weights.mean(axis=0), forces - forces.mean(axis=0)
+        span = float((w * w).sum())
+        if not span > 0.0 or f.size <= 4:
+            return None
+        share = float((w * f).sum()) / span
+        variance = float(((f - share * w) ** 2).sum()) / (f.size - 4)
+        deviation = math.sqrt(_ALIKE * variance / span)
+        return (share, deviation) if deviation <= _TELLS and variance <= _WORST**2 else None
 
 
 class WrenchSensor:

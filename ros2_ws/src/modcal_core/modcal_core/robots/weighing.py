@@ -47,7 +47,8 @@ class Weighed:
     """mass [kg], centre (3,) [m] in the tip link, and their covariance (4, 4).
 
     scale: what the efforts that are reported must be multiplied by, (n,); scale_std: its standard deviations. scatter:
-    standard deviation of one effort, (n,) [N m, N]. postures: number of those with the payload.
+    standard deviation of one effort, (n,) [N m, N]. postures: number of those with the payload. friction: dry, with its
+    standard deviations, and offset of the efforts, each (n,) [N m, N]. bodies: as they were found, payload included.
     """
 
     mass: float
@@ -57,6 +58,10 @@ class Weighed:
     scale_std: Array
     scatter: Array
     postures: int
+    friction: Array
+    friction_std: Array
+    offset: Array
+    bodies: Inertias
 
     @property
     def std(self) -> Array:
@@ -71,13 +76,19 @@ def gravity_efforts(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
 
 
 def weigh(
-    chain: Chain, inertias: Inertias, stands: Sequence[Stands], constants: float = 0.05, masses: float = 0.1
+    chain: Chain,
+    inertias: Inertias,
+    stands: Sequence[Stands],
+    constants: float = 0.05,
+    masses: float = 0.1,
+    torques: bool = False,
 ) -> Weighed:
     """The payload that explains the efforts.
 
     constants: standard deviation of a torque constant, relative. masses: of the masses in the robot description,
-    relative. Raises NotEnoughData for fewer postures than FEWEST with the payload, and BadRecording where no joint
-    reports an effort, or efforts are not those that hold this arm.
+    relative. torques: whether efforts are known to be torques, which is not asked then. Raises NotEnoughData for fewer
+    postures than FEWEST with the payload, and BadRecording where no joint reports an effort, or efforts are not those
+    that hold this arm.
     """
     count = sum(len(s.q) for s in stands if s.loaded)
     if count < FEWEST:
@@ -96,9 +107,9 @@ def weigh(
     widths = inertias.mass[:, None] * np.array([masses, _CENTRE, _CENTRE, _CENTRE])
     payload = _HEAVIEST * np.array([1.0, _FARTHEST, _FARTHEST, _FARTHEST])
     prior = np.concatenate([payload, widths.ravel(), _FRICTION * most, _OFFSET * most, np.full(n, constants)])
-    _require_torques(
-        chain, own, np.concatenate([held, side[:, :, None]], axis=2), effort, float(np.hypot(constants, masses))
-    )
+    if not torques:
+        more = np.concatenate([held, side[:, :, None]], axis=2)
+        _require_torques(chain, own, more, effort, float(np.hypot(constants, masses)))
     x, covariance, scatter = _regression(columns, own, effort, np.maximum(prior, 1e-12), _LEAST * most)
     mass, moment = float(x[0]), x[1:4]
     if mass < -_SURELY * np.sqrt(covariance[0, 0]):
@@ -115,7 +126,25 @@ def weigh(
         np.sqrt(np.diag(covariance)[-n:]) / x[-n:] ** 2,
         scatter,
         count,
+        np.maximum(x[-3 * n : -2 * n], 0.0),
+        np.sqrt(np.diag(covariance)[-3 * n : -2 * n]),
+        x[-2 * n : -n],
+        _found(chain, inertias, x[: 4 + 4 * n]),
     )
+
+
+def _found(chain: Chain, inertias: Inertias, x: Array) -> Inertias:
+    """The stated bodies with what was found of masses and of masses times centres, the payload's (4,) first."""
+    changed = x[4:].reshape(-1, 4)
+    mass = np.maximum(inertias.mass + changed[:, 0], 0.0)
+    moment = inertias.mass[:, None] * inertias.com + changed[:, 1:]
+    com = np.where(mass[:, None] > 0.0, moment / np.maximum(mass[:, None], 1e-12), inertias.com)
+    T = chain.origins[-1]
+    total = max(float(mass[-1] + x[0]), 0.0)
+    if total > 0.0:  # the payload may be lighter than nothing, where the last body is heavier than stated
+        com[-1] = (mass[-1] * com[-1] + x[0] * T[:3, 3] + T[:3, :3] @ x[1:4]) / total
+    mass[-1] = total
+    return replace(inertias, mass=mass, com=com)
 
 
 def _require_torques(chain: Chain, own: Array, more: Array, effort: Array, unsure: float) -> None:

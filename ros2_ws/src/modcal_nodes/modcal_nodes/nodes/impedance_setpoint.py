@@ -115,7 +115,7 @@ class ImpedanceSetpoint(ros.StatedNode):
     def _listen(self) -> None:
         heard: list[tuple[type, str, Callable[[Any], None], QoSProfile, bool]] = [
             (JointState, "joint_states", self._take_joints, ros.FRESH, True),
-            (WrenchStamped, "wrench", self._take_wrench, ros.FRESH, True),
+            (WrenchStamped, "wrench", self._take_wrench, ros.FRESH, self._chosen["wrench"] == "sensor"),
             (String, "robot_description", self._take_description, ros.LATCHED, not self._chosen["robot_description"]),
             (String, "object_description", self._object.hear_description, ros.LATCHED, False),
             (ros.interface("ObjectState"), "object_status", self._take_object, ros.FRESH, False),
@@ -224,7 +224,9 @@ class ImpedanceSetpoint(ros.StatedNode):
 
     def _progress(self, feedback: Any) -> None:
         if self._operation is not None:
-            feedback.phase, feedback.message = self._operation.phase, self._said
+            bound = self._operation.tool_force.bound
+            said = f"at most {bound:.0f} N when {self._operation.limits.force:g} N are felt" if bound == bound else ""
+            feedback.phase, feedback.message = self._operation.phase, "; ".join(filter(None, (self._said, said)))
             feedback.force_n = float(np.linalg.norm(self._operation.force[:3]))
             feedback.trusted = self._object.at(self._now()).trusted
 
@@ -248,7 +250,7 @@ class ImpedanceSetpoint(ros.StatedNode):
         self._arm.require_fresh(self._now())
         arm, softness = self._arm, self._softness(self._arm)
         self._efforts = JointEfforts.of(arm.arm.urdf, arm.chain)
-        known = limits(arm.chain, self._chosen), softness.least, self._efforts.arm
+        known = limits(arm.chain, self._chosen), softness.least, self._efforts.arm, arm.motion
         self._operation = Operation(arm.chain, task(self._chosen), *known)
         self._judged_by, self._largest = softness.said, 0.0
         if softness.unknown:
@@ -279,11 +281,11 @@ class ImpedanceSetpoint(ros.StatedNode):
 
     def _take_joints(self, message: JointState) -> None:
         if self._arm is not None:
-            self._arm.take_joints(message, self._now())
+            self._arm.take_joints(message, self._now(), self._operation is not None)
 
     def _take_wrench(self, message: WrenchStamped) -> None:
         if self._arm is not None:
-            self._arm.take_wrench(message, self._now())
+            self._arm.take_wrench(message, self._now(), self._operation is not None)
 
     def _take_object(self, message: Any) -> None:
         self._object.hear_status(message, self._now())

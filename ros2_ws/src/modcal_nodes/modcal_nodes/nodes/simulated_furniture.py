@@ -48,6 +48,8 @@ class SimulatedFurniture(ros.GuardedNode):
         )
         noise = np.random.default_rng(chosen["seed"] + 1)
         self._world = simulation.Pulling.of(text, chain, scene, noise, servo, chosen["noise_n"], chosen["noise_nm"])
+        if chosen["approach_s"] > 0.0:
+            self._world.approach(chosen["approach_s"])
         self._refused, self._reports_effort = "", chosen["publish_effort"]
 
         self._joints = self.create_publisher(JointState, "joint_states", _DEPTH)

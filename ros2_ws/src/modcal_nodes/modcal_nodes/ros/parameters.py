@@ -195,6 +195,9 @@ SIMULATED_FURNITURE = {
     "noise_n": Parameter(0.2, "Noise of a force, per axis [N].", 0.0, 10.0),
     "noise_nm": Parameter(0.01, "Noise of a torque, per axis [N m].", 0.0, 1.0),
     "publish_effort": Parameter(False, "Whether joint states contain what the drives give as effort."),
+    "approach_s": Parameter(
+        0.0, "Time in which the hand goes off and comes to the handle before it takes hold [s]; 0: none.", 0.0, 60.0
+    ),
 }
 
 
@@ -356,6 +359,9 @@ IMPEDANCE_SETPOINT = {
     "tool_mass": Parameter(0.0, "Mass beyond the force sensor, if known [kg]; 0: tare only.", 0.0, 100.0),
     "tool_centre": Parameter([0.0, 0.0, 0.0], "Centre of that mass in the sensor's frame [m]."),
     "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
+    "wrench": Parameter(
+        "sensor", "What tells the force on the tool: sensor (at the wrist), or efforts (of the joints)."
+    ),
     "wrench_frame": Parameter("", "Another link fixed to the tool in which wrenches may be given."),
     "wrench_by_tool": Parameter(False, "Whether the sensor reports the wrench exerted by the tool, not on the tool."),
     "cutoff_hz": Parameter(30.0, "Cutoff of the force's low-pass [Hz].", 0.5, 500.0),
@@ -403,7 +409,7 @@ _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
         "max_angular_acceleration_rad_s2 max_displacement_m max_rotation_rad joint_speed_rad_s joint_speed_m_s "
         "joint_acceleration_rad_s2 joint_acceleration_m_s2 min_gain gravity servo_lag_s contact_stiffness_n_m "
         "arm_stiffness_n_m max_joint_lead_rad tare_s patience_s horizon_s base tip calibrated tool_mass tool_centre "
-        "wrench_frame wrench_by_tool cutoff_hz timeout_s rate_hz",
+        "wrench wrench_frame wrench_by_tool cutoff_hz timeout_s rate_hz",
     ),
     "acceleration_limits": (
         ACCELERATION_LIMITS,

@@ -62,6 +62,8 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
     """The task that parameters ask for. Raises ModcalError for values that make no sense together."""
     if chosen["mode"] not in ("expected", "admittance"):
         raise BadTable(f"mode '{chosen['mode']}'", "is neither expected nor admittance", "set one of them")
+    if chosen["wrench"] not in ("sensor", "efforts"):
+        raise BadTable(f"wrench '{chosen['wrench']}'", "is neither sensor nor efforts", "set one of them")
     for name, share in (("slowdown_force_n", _SLOWS), ("stop_force_n", _STANDS)):  # as asked, or shares of the most
         chosen = {**chosen, name: chosen[name] or share * chosen["max_force_n"]}
     for what in ("force_n", "moment_nm"):
@@ -99,6 +101,7 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
         ),
         input_timeout_s=chosen["patience_s"],
         arm_stiffness=chosen["arm_stiffness_n_m"],
+        wrench=chosen["wrench"],
     )
     out.gains(out.direction)  # refuses what is no gain, and no direction
     if out.mode == "admittance":

@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array
-from modcal_core.impedance import ArmSetpoint, JointPositions
+from modcal_core.impedance import ArmSetpoint, FreeMotion, JointPositions
 from modcal_core.robots import pose_and_jacobian
 from modcal_msgs_py import (
     JointInput,
@@ -29,7 +29,7 @@ from modcal_nodes.setpoint.arm import SensedArm
 
 
 class ArmInputs:
-    """The newest of everything about one arm."""
+    """The newest of everything about one arm. motion: what was seen of it while nothing was pulled."""
 
     def __init__(self, urdf: str, chosen: dict[str, Any]) -> None:
         """chosen: the node's parameters, as they are at any time. Raises BadRobot."""
@@ -38,18 +38,24 @@ class ArmInputs:
         self.chain, self.sensor = self.arm.chain, self.arm.sensor
         self._joints = JointInput(self.chain.names, self.chain.lower, self.chain.upper, self.chain.follows)
         self._tool: tuple[float, Array] | None = None
+        self.motion = FreeMotion()
 
-    def take_joints(self, message: JointState, now: float) -> None:
-        """Raises BadCommand for joint states that cannot be used."""
+    def take_joints(self, message: JointState, now: float, pulls: bool) -> None:
+        """pulls: whether something is being pulled. Raises BadCommand for joint states that cannot be used."""
         self._joints.receive(message, now, self._chosen["timeout_s"])
+        if not pulls and self._joints.complete:
+            self.motion.take(self.positions(float(self._joints.stamps.min())))
 
-    def take_wrench(self, message: WrenchStamped, now: float) -> None:
-        """Raises BadCommand for a wrench that cannot be used."""
+    def take_wrench(self, message: WrenchStamped, now: float, pulls: bool) -> None:
+        """pulls: whether something is being pulled. Raises BadCommand for a wrench that cannot be used."""
         timeout = self._chosen["timeout_s"]
         if self.sensor.stamp > now + timeout:  # the clock was set back
             self.sensor.reset()
         stamp = seconds(message.header.stamp) or now
         self.sensor.receive(message.header.frame_id, wrench_numbers(message), stamp, now, timeout)
+        if not pulls and self._joints.complete:
+            T = pose_and_jacobian(self.chain, self._joints.position)[0]
+            self.motion.sensor.take(self.sensor.raw, self.sensor.rotation(T))
 
     def take_tool(self, message: PoseWithCovarianceStamped) -> None:
         """Raises BadCommand for a pose in another frame, or farther off than the tool can be."""
@@ -80,14 +86,15 @@ class ArmInputs:
         """Raises BadCommand unless everything that a pull needs was received recently."""
         timeout = self._chosen["timeout_s"]
         self._joints.require_fresh(now, timeout)
-        if not abs(now - self.sensor.stamp) <= timeout:
-            raise BadCommand("wrench", "no message was received recently", "check that its publisher is alive")
+        if self._chosen["wrench"] == "sensor" and not abs(now - self.sensor.stamp) <= timeout:
+            remedy = "check that its publisher is alive, or set wrench: efforts"
+            raise BadCommand("wrench", "no message was received recently", remedy)
         self.measured(now)
 
 
 _AT_CONFIGURE = (
-    "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench_frame", "wrench_by_tool", "cutoff_hz", "timeout_s",
-    "rate_hz",
+    "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench", "wrench_frame", "wrench_by_tool", "cutoff_hz",
+    "timeout_s", "rate_hz",
 )  # fmt: skip
 WHILE_PULLING = {
     "speed_m_s", "exploration_speed_m_s", "slowdown_force_n", "slowdown_moment_nm", "stop_force_n", "stop_moment_nm",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from html import escape
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots import STANDARD_GRAVITY, Chain, Inertias
@@ -89,6 +90,7 @@ class Servo:
     how far a steadily moving reference is ahead [s]. effort: limits of the torque (n,) [N m]; inf where there is none.
     integral_s: time in which an integral part adds as much again to a lead that stays [s]; 0 where there is none.
     cascaded: whether it sums up errors of speed, in a loop within that of position: no steady motion leaves any there.
+    friction: dry, of each joint, as a number or (n,) [N m; N].
     """
 
     effort: Array
@@ -96,6 +98,7 @@ class Servo:
     lag_s: float = 0.03
     integral_s: float = 0.0
     cascaded: bool = False
+    friction: ArrayLike = 0.1
 
     @property
     def gains(self) -> Array:
@@ -110,27 +113,27 @@ def furniture_mjcf(chain: Chain, inertias: Inertias, servo: Servo, scene: Furnit
     stops and the coupling of a screw are as stiff as the time step allows. Sensors: ``force`` and ``torque`` of the
     wrist, at the tool; ``grasp_force`` and ``grasp_torque`` behind the handle.
     """
+    bodies = _arm(chain, inertias, scene, servo) + _object(scene)
     return (
         '<mujoco model="furniture"><compiler angle="radian" autolimits="true" balanceinertia="true"/>'
         f'<option timestep="{TIMESTEP}" gravity="0 0 {-STANDARD_GRAVITY}" integrator="implicitfast">'
-        f'<flag contact="disable"/></option><worldbody>{_arm(chain, inertias, scene)}{_object(scene)}</worldbody>'
+        f'<flag contact="disable"/></option><worldbody>{bodies}</worldbody>'
         f"<actuator>{_servos(chain, servo)}</actuator><equality>{_couplings(scene)}</equality><sensor>"
         '<force name="force" site="tool"/><torque name="torque" site="tool"/>'
         '<force name="grasp_force" site="handle"/><torque name="grasp_torque" site="handle"/></sensor></mujoco>'
     )
 
 
-def _arm(chain: Chain, inertias: Inertias, scene: Furniture) -> str:
+def _arm(chain: Chain, inertias: Inertias, scene: Furniture, servo: Servo) -> str:
     """Bodies of the arm, then of the tool, which hangs on the wrist by nothing but the sensor."""
-    out = []
+    out, dry = [], [f'frictionloss="{f:.17g}"' for f in np.broadcast_to(servo.friction, chain.n)]
     for k, name in enumerate(chain.names):
         kind = "hinge" if chain.revolute[k] else "slide"
         limits = f'range="{chain.lower[k]:.17g} {chain.upper[k]:.17g}"' if np.isfinite(chain.lower[k]) else ""
         # what a motor's rotor adds through its gear, and the friction of bearings
         out.append(
             f'<body gravcomp="1" {placed(chain.origins[k])}><joint name={quoted(name)} type="{kind}" '
-            f'axis="{text(chain.axes[k])}" armature="0.1" damping="0.5" frictionloss="0.1" {limits}/>'
-            + inertial(inertias, k)
+            f'axis="{text(chain.axes[k])}" armature="0.1" damping="0.5" {dry[k]} {limits}/>' + inertial(inertias, k)
         )
     rest = scene.tool_mass - _FINGERS
     tool = _inertial(rest, scene.tool_mass / rest * scene.tool_com, 0.03) + '<site name="tool"/>'

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -57,6 +58,7 @@ class Pulling:
         self._resistance, self._lever = scene.resistance, scene.radius if scene.turns else 1.0
         self._servo, self._reference, self._wound = servo, np.array(scene.q, dtype=float), np.zeros(chain.n)
         self._way: tuple[Array, Array] | None = None
+        self._grasp_of_hand, self._takes_hold = self.model.equality("grasp").id, -math.inf
         self._peak, self._peak_size, self._sum, self._steps = np.zeros(6), 0.0, 0.0, 0
         self.data.qpos[self._arm] = scene.q
         self.start = 0.0
@@ -94,6 +96,8 @@ class Pulling:
             if self._way is not None:
                 times, postures = self._way
                 self._reference = np.array([np.interp(self.data.time, times, column) for column in postures.T])
+            if self.moves_freely and self.data.time > self._takes_hold:
+                self.data.eq_active[self._grasp_of_hand] = 1
             self._drive()
             self._resist()
             mujoco.mj_step(self.model, self.data)
@@ -140,6 +144,27 @@ class Pulling:
         """Go through postures (n,) by their seconds from now, straight from one to the next."""
         times = self.data.time + np.array([0.0, *(after for after, _ in legs)])
         self._way = times, np.array([self._reference, *(q for _, q in legs)])
+
+    def approach(self, seconds: float = 6.0, turn: float = 0.35) -> None:
+        """Let go of the handle, go off and come back within some seconds, and then take hold of it again.
+
+        turn: by which every joint goes one way, and half of which it goes the other way, where its range allows [rad].
+        """
+        start = np.array(self.scene.q)
+        off = np.where(start + turn < self.chain.upper, turn, -turn)
+        off = np.where(self.chain.revolute, off, 0.2 * off)
+        share = np.linspace(0.0, 1.0, 25)
+        smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        ends = [start, start + off, np.clip(start - 0.5 * off, self.chain.lower + 0.01, self.chain.upper - 0.01), start]
+        legs = [a + (b - a) * s for a, b in pairwise(ends) for s in smooth[1:]]
+        self.data.eq_active[self._grasp_of_hand] = 0
+        self.follow([(seconds * (k + 1) / len(legs), q) for k, q in enumerate(legs)])
+        self._takes_hold = float(self.data.time) + seconds + _SETTLE
+
+    @property
+    def moves_freely(self) -> bool:
+        """Whether the hand is on its way to the handle, and does not hold it yet."""
+        return not self.data.eq_active[self._grasp_of_hand]
 
     def joints(self) -> tuple[Array, Array]:
         """Positions and velocities of the arm's joints, (n,) each."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from impedance.toy import PANDA, PERIOD, READY, ROOT
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.effort_check import ArmEfforts, EffortCheck
+from modcal_core.impedance.joint_force import ArmEfforts, FreeMotion, JointForce
 from modcal_core.impedance.task import JointPositions
 from modcal_core.impedance.wrench import DOWN
 from modcal_core.robots.acceleration import read_drives
@@ -29,34 +31,49 @@ def arm() -> ArmEfforts:
 
 
 class Reports:
-    """Efforts by the tables of before, with gains, zeros and noise of their own. dry: friction, of the full effort."""
+    """Efforts by the tables of before, with gains, zeros and noise of their own.
 
-    def __init__(self, arm: ArmEfforts, rng: np.random.Generator, dry: float = 0.0) -> None:
+    dry: friction that stays, of the full effort. constants: by how much torque constants are off. friction (n,): against
+    the speed.
+    """
+
+    def __init__(
+        self,
+        arm: ArmEfforts,
+        rng: np.random.Generator,
+        dry: float = 0.0,
+        constants: float = 0.02,
+        friction: float = 0.0,
+    ) -> None:
         self.arm, self._rng = arm, rng
-        self._gain = 1.0 + rng.uniform(-0.02, 0.02, arm.chain.n)
+        self._gain = 1.0 + rng.uniform(-constants, constants, arm.chain.n)
+        self.friction = friction * arm.full * rng.uniform(0.3, 1.0, arm.chain.n)
         self._zero = 0.004 * arm.full * rng.uniform(-1.0, 1.0, arm.chain.n)
         self._dry = dry * arm.full * rng.uniform(-1.0, 1.0, arm.chain.n)
 
-    def at(self, q: Array, wrench: Array) -> Array:
+    def at(self, q: Array, wrench: Array, speed: Array | float = 0.0) -> Array:
         chain, bodies = self.arm.chain, self.arm.bodies
         weight = chain_gravity_wrench(chain, bodies, q[None])[:, 5, 0] + HANGS * payload_wrench(chain, q[None])[:, 5, 0]
-        true = -weight - pose_and_jacobian(chain, q)[1].T @ (wrench + CLENCHED)
+        true = np.sign(speed) * self.friction - weight - pose_and_jacobian(chain, q)[1].T @ (wrench + CLENCHED)
         return self._gain * true + self._zero + self._dry + 1e-3 * self.arm.full * self._rng.standard_normal(chain.n)
 
 
-def begun(reports: Reports, scale: float = 1.0, weight: bool = True) -> EffortCheck:
-    """A check that has seen the arm stand. scale: of what is reported. weight: whether that has the arm's own in it."""
+def begun(reports: Reports, scale: float = 1.0, weight: bool = True, motion: FreeMotion | None = None) -> JointForce:
+    """A check that has seen the arm stand. scale: of what is reported. weight: whether that has the arm's own in it.
+
+    motion: what was seen before.
+    """
     arm = reports.arm
-    check = EffortCheck(arm, DOWN)
-    T, J = pose_and_jacobian(arm.chain, READY)
+    check = JointForce(arm, DOWN)
+    J = pose_and_jacobian(arm.chain, READY)[1]
     own = 0.0 if weight else HeldWeight(arm.chain, arm.bodies).efforts(READY)
     for k in range(30):
         check.rest(JointPositions(READY, k * PERIOD, scale * (reports.at(READY, np.zeros(6)) - own)))
-    check.begin(T[:3, :3], J)
+    check.begin(J, motion)
     return check
 
 
-def shown(check: EffortCheck, reports: Reports, force: Array, felt: float) -> tuple[float, float | None]:
+def shown(check: JointForce, reports: Reports, force: Array, felt: float) -> tuple[float, float | None]:
     """(the force [N] that is shown at least at the end of half a second in which the tool goes some way and a force (3,) [N]
     in the base comes up; the true force at which it stood or was let go, None if never).
     """
@@ -67,8 +84,9 @@ def shown(check: EffortCheck, reports: Reports, force: Array, felt: float) -> tu
         T, J = pose_and_jacobian(PANDA, q)
         wrench = np.concatenate([T[:3, :3].T @ (share * force), np.zeros(3)])
         stamp = start + k * PERIOD
-        check.take(JointPositions(q, stamp, reports.at(q, wrench)), T[:3, :3], J)
-        if check.refused(felt * share, stamp, MAX) is not None or check.force > STANDS:
+        check.take(JointPositions(q, stamp, reports.at(q, wrench)), J)
+        says = felt / max(float(np.linalg.norm(force)), 1e-9) * wrench[:3]
+        if check.refused(says, stamp, MAX) is not None or check.force > STANDS:
             return check.force, float(share * np.linalg.norm(force))
     return check.force, None
 
@@ -117,8 +135,8 @@ def test_what_is_no_torque_is_not_used_and_the_reason_is_said(arm: ArmEfforts, r
     for check in (currents, weightless, geared):
         assert "weight takes" in check.unusable or "full effort" in check.unusable
         assert shown(check, Reports(arm, rng), np.array([0.0, 0.0, 200.0]), 0.0) == (0.0, None)
-    without = EffortCheck(arm, DOWN)
-    without.begin(np.eye(3), pose_and_jacobian(arm.chain, READY)[1])
+    without = JointForce(arm, DOWN)
+    without.begin(pose_and_jacobian(arm.chain, READY)[1])
     assert "no efforts" in without.unusable
 
 
@@ -126,11 +144,12 @@ def test_what_is_no_torque_is_not_used_and_the_reason_is_said(arm: ArmEfforts, r
 def test_nonsense_among_efforts_shows_no_force(arm: ArmEfforts, rng: np.random.Generator) -> None:
     reports = Reports(arm, rng)
     check = begun(reports)
-    T, J = pose_and_jacobian(PANDA, READY)
+    J = pose_and_jacobian(PANDA, READY)[1]
     for k, effort in enumerate((1e300, -1e300, np.inf, np.nan, 1e5)):
-        check.take(JointPositions(READY, 1.0 + k * PERIOD, np.full(arm.chain.n, effort)), T[:3, :3], J)
+        check.take(JointPositions(READY, 1.0 + k * PERIOD, np.full(arm.chain.n, effort)), J)
         assert check.force == 0.0
-        assert check.refused(0.0, 1.0 + k * PERIOD, MAX) is None
+        assert not np.isfinite(check.stamp)
+        assert check.refused(np.zeros(3), 1.0 + k * PERIOD, MAX) is None
 
 
 @pytest.mark.slow
@@ -143,3 +162,46 @@ def test_friction_that_turns_about_makes_no_force(arm: ArmEfforts) -> None:
         force, let_go = shown(check, going, np.array([0.0, 0.0, 10.0]), 10.0)
         assert let_go is None
         assert force < 20.0
+
+
+def moved_freely(reports: Reports, seconds: float = 6.0) -> FreeMotion:
+    """What was seen of an arm whose joints swing about, each in a time of its own."""
+    motion, rate = FreeMotion(), 2.0 * np.pi / np.linspace(2.5, 4.0, reports.arm.chain.n)
+    for t in np.arange(0.0, seconds, PERIOD):
+        q, v = READY + 0.3 * np.sin(rate * t), 0.3 * rate * np.cos(rate * t)
+        motion.take(JointPositions(q, t - 100.0, reports.at(q, -CLENCHED, v)))
+    return motion
+
+
+def test_friction_and_torque_constants_are_learned_from_motions_and_a_force_is_told_within_its_deviation(
+    arm: ArmEfforts,
+) -> None:
+    """In a slow pull against 30 N, with constants that are off by 5 % and friction of up to 3 % of the full effort."""
+    worst = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        reports = Reports(arm, rng, constants=0.05, friction=0.03)
+        check, way = begun(reports, motion=moved_freely(reports)), rng.standard_normal(3)
+        assert not check.unusable
+        np.testing.assert_allclose(check._friction, reports.friction, atol=0.006 * arm.full.max())
+        v = np.array([0.06, 0.1, -0.05, 0.1, 0.04, 0.06, 0.1])
+        for k in range(150):
+            q = READY + k * PERIOD * v
+            T, J = pose_and_jacobian(PANDA, q)
+            wrench = np.concatenate([T[:3, :3].T @ (30.0 * way / np.linalg.norm(way)), np.zeros(3)])
+            check.take(JointPositions(q, 1.0 + k * PERIOD, reports.at(q, wrench, v)), J)
+        off = check.wrench[:3] - wrench[:3] - CLENCHED[:3]
+        worst.append(math.sqrt(off @ np.linalg.solve(check.covariance[:3, :3], off)))
+        assert np.linalg.norm(off) < 10.0
+    assert max(worst) < 4.0
+
+
+def test_a_direction_that_no_joint_bears_is_not_told(arm: ArmEfforts, rng: np.random.Generator) -> None:
+    """Outstretched, an arm does not feel along itself."""
+    check = begun(Reports(arm, rng))
+    assert len(check.unseen(MAX)) == 0
+    straight = np.array([0.0, 0.0, 0.0, -0.07, 0.0, 0.07, 0.0])
+    check._look_up(pose_and_jacobian(PANDA, straight)[1])
+    blind = check.unseen(MAX)
+    assert len(blind) == 1
+    assert abs(blind[0] @ pose_and_jacobian(PANDA, straight)[0][2, :3]) > 0.9
