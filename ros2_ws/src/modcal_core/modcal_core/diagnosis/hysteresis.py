@@ -6,7 +6,7 @@ import numpy as np
 
 from modcal_core.effects import Drivers
 from modcal_core.geometry import Array
-from modcal_core.measurements import Samples, ahead
+from modcal_core.measurements import UNKNOWN, WIDTHS, Samples, ahead
 
 LOADS = np.array([0.3, 0.7, 1.3])  # of a load's spread; half the slack of what holds by friction
 
@@ -17,6 +17,16 @@ def last_moves(samples: Samples) -> Array:
     step = np.zeros_like(samples.q)
     step[order[1:]] = np.diff(samples.q[order], axis=0)
     return step
+
+
+def paths(samples: Samples) -> Array:
+    """The paths of the joints, (N, n, 2, widths); straight from station to station where none is known."""
+    if (samples.path != UNKNOWN).any():
+        return samples.path
+    order = np.argsort(samples.stamps, kind="stable")
+    out = np.empty_like(samples.path)
+    out[order] = ahead(samples.q[order], WIDTHS, np.arange(len(samples)))
+    return out
 
 
 def slipped(samples: Samples, loads: Array) -> Array:

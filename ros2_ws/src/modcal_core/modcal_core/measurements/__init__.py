@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from modcal_core.measurements.inspection import inspect, out_of_time
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged, efforts_at_rest
-    from modcal_core.measurements.path import WIDTHS, ahead, went_on
+    from modcal_core.measurements.path import UNKNOWN, WIDTHS, ahead, went_on
     from modcal_core.measurements.recording import APART, BEARING, IMPORTED, ORDER_ONLY, PART, POINT, POSE, RANGE, RAY
     from modcal_core.measurements.recording import SOCKETS, TARGETS, TOUCH, UNREAD, JointTrack, Listed, ReadingTrack
     from modcal_core.measurements.recording import Recording, SignalTrack, Stretch, following, is_told, joints_by_time
@@ -34,7 +34,7 @@ else:
 __all__ = ["APART", "BEARING", "BETWEEN", "DAY", "ELSEWHEN", "GLITCHES", "IMPORTED", "LATE_STEPS", "LEFT", "LIMIT"]
 __all__ += ["MAX_GLITCHES", "MIN_RETURNS", "NOISE_FACTOR", "ORDER_ONLY", "PART", "POINT", "POSE", "RANGE", "RAY"]
 __all__ += ["SAME", "SECOND_DIFFERENCE", "SHARED", "SHORTEST", "SOCKETS", "TARGETS", "TOUCH", "TRAVEL", "UNREAD"]
-__all__ += ["UNUSABLE", "WIDTHS"]
+__all__ += ["UNKNOWN", "UNUSABLE", "WIDTHS"]
 __all__ += ["Approach", "Dropped", "JointTrack", "Listed", "Origin", "ReadingTrack", "Recording", "Samples", "Schema"]
 __all__ += [
     "SignalTrack",

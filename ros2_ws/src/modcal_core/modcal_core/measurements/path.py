@@ -11,7 +11,8 @@ import numpy as np
 
 from modcal_core.geometry import Array
 
-WIDTHS = 0.01 * 1.7 ** np.arange(11)  # rad or m, half the slack: 0.6° to 115°, so close that sums of them are smooth
+# rad or m, half the slack: 0.6° to 115°, so close that sums of them are smooth
+WIDTHS: Array = np.asarray(0.01 * 1.7 ** np.arange(11), dtype=np.float64)
 UNKNOWN = np.stack([-WIDTHS, WIDTHS])  # of a joint of whose path nothing is known
 
 

@@ -1,8 +1,9 @@
 """A joint that errs by how it arrived and how far it had gone before: cables, harmonic drives, hoses.
 
-The error is a sum of followers with play (Prandtl–Ishlinskii). How they share is one number: after turning back, the
-error goes over to the other side as 1 − exp(−x / scale) of the way x, as friction on a spring does (Dahl 1968). Another
-course takes two or three of these. Backlash is the same with no scale at all, and the plainer name where a recording
+The error is a sum of followers with play (Prandtl–Ishlinskii). How large each is goes by a gamma density of the way on
+which it changes sides: its mean is twice the scale, its order the knee. With a knee of 2 the error goes over to the
+other side as 1 − exp(−x / scale) of the way x, as friction on a spring does (Dahl 1968); with more, straighter and then
+at once. Backlash is the same with no scale at all, and the plainer name where a recording
 does not tell one from the other.
 """
 
@@ -34,26 +35,27 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
     """Every joint that turned back, for some scales."""
     for _, name in moving_joints(drivers):
         for scale in SCALES:
-            shape = Shape(NAME, {"scale": scale})
+            shape = Shape(NAME, {"scale": scale, "knee": 2.0})
             if both_signs(drivers.basis(f"path:{name}", 0.0, shape)[0]):
                 yield Effect(NAME, name, AXIS, f"path:{name}", shape)
 
 
 def saturating(x: Array, s: Settings) -> Array:
     """From followers' shares of their widths (2 widths, N) the error between its sides, −1 … 1, as (1, N)."""
-    return np.asarray(0.5 * _ends(x, s["scale"]).sum(axis=0, keepdims=True))
+    return np.asarray(0.5 * _ends(x, s).sum(axis=0, keepdims=True))
 
 
-def _ends(x: Array, scale: float) -> Array:
+def _ends(x: Array, s: Settings) -> Array:
     """The error at the least and at the most, (2, N)."""
-    ways = _BETWEEN / scale
-    shares = np.diff(np.r_[0.0, 1.0 - (1.0 + ways) * np.exp(-ways), 1.0])
+    from scipy.special import gammainc  # half a second to load, where no joint has a hysteresis
+
+    shares = np.diff(np.r_[0.0, gammainc(s["knee"], 0.5 * s["knee"] * _BETWEEN / s["scale"]), 1.0])
     return np.asarray(shares @ x.reshape(2, len(WIDTHS), -1))
 
 
 def certain(effect: Effect, drivers: Drivers) -> np.ndarray:
     """False as long as the error depends on what the joint did before anything was recorded."""
-    least, most = _ends(drivers.values(effect.driver), effect.shape.settings["scale"])
+    least, most = _ends(drivers.values(effect.driver), effect.shape.settings)
     return np.asarray(most - least < _UNSURE)
 
 
@@ -76,7 +78,7 @@ def sentence(entry: ReportEntry) -> str:
 FAMILY = Family(
     NAME,
     candidates,
-    shapes={NAME: ShapeKind(saturating, refined={"scale": Setting(least=_LEAST)})},
+    shapes={NAME: ShapeKind(saturating, refined={"scale": Setting(least=_LEAST), "knee": Setting(2.0, least=1.0)})},
     sizes=sizes,
     sentence=sentence,
     certain=certain,
