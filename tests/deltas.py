@@ -17,16 +17,20 @@ from modcal_nodes.io.inputs import read_delta
 from modcal_nodes.simulation.delta_world import DeltaWorld, displaced
 
 FILE = Path(__file__).resolve().parents[1] / "examples" / "robots" / "delta.yaml"
+LINEAR = FILE.with_name("linear_delta.yaml")
 NOISE_M = 3e-5
 
 
-def nominal(shaft: bool = True) -> Delta:
-    """The Delta of the examples, or the same without its shaft."""
-    delta = read_delta(FILE)
+def nominal(shaft: bool = True, linear: bool = False) -> Delta:
+    """The Delta of the examples, with arms or with towers, or the same without its shaft."""
+    delta = read_delta(LINEAR if linear else FILE)
     if shaft:
         return delta
     offset, proximal, distal = delta.constants[3:]
-    return Delta.build(delta.names[:3], offset, proximal, distal, tool=delta.tool)
+    ends = (None, None) if not linear else (delta.lower[:3], delta.upper[:3])
+    return Delta.build(
+        delta.names[:3], offset, proximal, distal, lower=ends[0], upper=ends[1], tool=delta.tool, linear=linear
+    )
 
 
 @dataclass(frozen=True)
@@ -48,13 +52,14 @@ def record_delta(
     compliance: float = 0.0,
     noise_m: float = NOISE_M,
     unequal: float | tuple[float, float, float] = 0.0,
+    linear: bool = False,
 ) -> RecordedDelta:
     """Readings of a displaced Delta at random postures. gear: joint, cycles a turn and amplitude of the unmodelled effect.
 
     unequal: by how much the two rods of each arm differ [m].
     """
     rng = np.random.default_rng(seed)
-    drawn = nominal(shaft)
+    drawn = nominal(shaft, linear)
     true = displaced(drawn, rng, 5e-4, 1e-3)
     world = DeltaWorld(true, se3.exp(rng.normal(size=6)), compliance=compliance, unequal=unequal)
     q = random_postures(drawn, count, rng)

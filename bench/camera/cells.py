@@ -12,8 +12,8 @@ from camera.rolling import rolling_views
 from camera.scenes import CameraScene, scene
 
 from modcal_core.camera.bundle import BoardView
+from modcal_core.camera.equations import ReadingsBeside, beside
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.other_readings import ReadingsBeside, beside
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements.samples import Samples

@@ -35,11 +35,11 @@ from workplace import KINDS, Workplace, at_joint, distance, drawn, planted
 import modcal_core as modcal
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.store import Calibration
-from modcal_core.checking.known import pattern_of
 from modcal_core.claim.claim import claim_at_tool
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import se3
 from modcal_core.measurements.samples import Samples
+from modcal_core.moves.known import pattern_of
 from modcal_nodes.cli.history import read_history
 
 ARMS, SETUPS, NOTHING = ("ur10", "panda", "xarm7"), ("tracker", "points", "camera"), "nothing"

@@ -3,6 +3,7 @@
 python parts.py relay LOG SEED       # /raw/... → /...; LOG: what was published, and what was done to it
 python parts.py node NAME LOG SEED [--ros-args ...]
 python parts.py bare spin FILE       # rclpy's executor, a callback a message; FILE: what was taken, and how late
+python parts.py bare hear FILE       # the same of what nodes answer, with how many stamps are those of a joint state
 python parts.py bare rest FILE       # all that waits is taken at once, and then a rest, as nodes of modcal do
 """
 
@@ -17,7 +18,7 @@ import signal
 import struct
 import sys
 import time
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -34,7 +35,7 @@ ORDER_EVERY, ORDER_FOR = 20.0, 3.0  # s
 RESTART_EVERY = 15.0  # s
 CLOCK_EVERY, CLOCK_FOR, CLOCK_STEP = 45.0, 4.0, 5  # s
 FAULTS_A_SECOND = 0.5
-REST = 0.003  # s, of a bare node
+REST, SOON = 0.003, 0.0005  # s, of a bare node, and of one that is to be late by less than what it hears
 
 
 def digest(cdr: bytes) -> bytes:
@@ -220,21 +221,26 @@ def node(name: str, log: str, seed: str) -> None:
 
 
 def bare(way: str, out: str) -> None:
-    """Take and discard until told to stop; then write how old poses were when they were taken."""
+    """Take and discard until told to stop; then write how old poses were when they were taken, or what was heard."""
     import rclpy
-    from geometry_msgs.msg import PoseStamped
+    from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
     from sensor_msgs.msg import JointState
+    from trajectory_msgs.msg import JointTrajectory
 
     rclpy.init()
-    node, taken, late = rclpy.create_node("bare"), Counter[str](), deque[float](maxlen=20_000)
+    node, taken = rclpy.create_node("bare"), Counter[str]()
+    told = defaultdict[str, deque[tuple[int, int]]](lambda: deque(maxlen=20_000))  # stamps and ages [ns]
 
     def take(topic: str, message: Any) -> None:
         taken[topic] += 1
-        if topic == "tracker/pose":
-            stamp = message.header.stamp
-            late.append(time.time() - stamp.sec - 1e-9 * stamp.nanosec)
+        if topic == "tracker/pose" or way == "hear":
+            ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            told[topic].append((ns, time.time_ns() - ns))
 
     kinds = {"joint_states": JointState, "tracker/pose": PoseStamped}
+    if way == "hear":
+        kinds = {"joint_states": JointState, "corrector/pose": PoseWithCovarianceStamped}
+        kinds["acceleration_limits/upper"] = JointTrajectory
     heard = {topic: node.create_subscription(kind, topic, partial(take, topic), 1000) for topic, kind in kinds.items()}
     with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
         try:
@@ -246,10 +252,17 @@ def bare(way: str, out: str) -> None:
                     with subscription.handle:
                         while (waits := subscription.handle.take_message(subscription.msg_type, False)) is not None:
                             take(topic, waits[0])
-                time.sleep(REST)
+                time.sleep(REST if way == "rest" else SOON)
         finally:  # a context that ends in the middle of a wait is an error of its own kind
-            ms = (1e3 * np.percentile(late or [np.nan], [50.0, 99.0])).tolist()
-            Path(out).write_text(json.dumps({"taken": [taken[topic] for topic in kinds], "late_ms": ms}))
+            ms = {t: np.percentile([1e-6 * age for _, age in d], [50.0, 99.0]).tolist() for t, d in told.items()}
+            known = {ns for ns, _ in told["joint_states"]}
+            of = {
+                t: [ns for ns, _ in d if min(known, default=0) <= ns <= max(known, default=0)] for t, d in told.items()
+            }
+            exact = {t: [sum(ns in known for ns in stamps), len(stamps)] for t, stamps in of.items()}
+            late = ms.get("tracker/pose", [math.nan, math.nan])
+            data = {"taken": [taken[topic] for topic in kinds], "late_ms": late, "all_ms": ms, "exact": exact}
+            Path(out).write_text(json.dumps(data))
 
 
 if __name__ == "__main__":

@@ -12,6 +12,8 @@ The simulated cell is the source. Times are of the processor, of a process and i
   been taken in, by the stamp that the cell should have sent it with, and how many messages were heard. Of modcal's
   chain a hundredth may be older than 50 ms only where it is older in the bare chain. Nobody listens to /diagnostics but
   once, when the cell has ended.
+* answers: how old a corrected pose and a limit are when they are heard, by the stamp of their joint states, which the
+  same plain subscriber hears; and whether each has the stamp of one, to the last nanosecond.
 * soak: recorder and calibrator for ten minutes: every message recorded, little time an update, no growing memory.
 * kills: the recorder is killed twenty times in a row. After a kill DDS holds on to the dead one, and the next may be
   sent nothing for some seconds. That is no loss that anybody could undo; but it must be said within a second. Nothing
@@ -55,6 +57,7 @@ CELL |= {"joint_rate_hz": 1000.0, "tracker_rate_hz": 200.0}
 ABOVE, LATE_MS = 5.0, 50.0  # points of a core
 BEGINNING, SETTLING = 6.0, 15.0  # s before the source begins, and before it is measured
 CHAIN, SHARE = "chain", "% of a core"
+ANSWER_MS = 10.0  # of a node, p99
 TOPICS, FIGURES = ("/joint_states", "/tracker/pose"), ("median", "p99")
 SAMPLES, MODEL = "/calibrator: samples", "/calibrator: model"
 NODES: dict[str, dict[str, str]] = {  # with what each is started
@@ -114,7 +117,7 @@ class Usage:
 def node(name: str, domain: int, folder: Path, **parameters: Any) -> Iterator[Process]:
     """A node as a user starts it, or a bare one, by its way; ended with the block."""
     given = {key: str(value).format(folder=folder) for key, value in parameters.items()}
-    way = re.match("spin|rest", name)
+    way = re.match("spin|rest|hear", name)
     command = [sys.executable, str(PARTS), "bare", way[0], str(folder / f"{name}.json")] if way else ()
     process = Process(name, domain, folder, from_nothing=True, command=command, **given)
     with running(process):
@@ -182,6 +185,27 @@ def costs(names: list[str], seconds: float, folder: Path) -> int:
         own, bare = (over("p99", harness.median)([r for r in rows if r["run"] == run]) for run in (CHAIN, "spins"))
         targets.append(("lateness of poses", own <= max(LATE_MS, bare)))
     return harness.met(*targets)
+
+
+def answers(seconds: float, folder: Path) -> int:
+    domain = fresh_domain()
+    with contextlib.ExitStack() as stack:
+        for name in ("hear", "corrector", "acceleration_limits"):
+            stack.enter_context(node(name, domain, folder, **NODES.get(name, {})))
+        time.sleep(BEGINNING)
+        with node("simulated_cell", domain, folder, **CELL) as cell:
+            time.sleep(SETTLING + seconds)
+        time.sleep(LAST)
+    told, rows = json.loads((folder / "hear.json").read_text()), list[tuple[str, object, str, bool]]()
+    plain, sent = told["all_ms"]["joint_states"][1], published(cell)["/joint_states"]
+    whole = "all" if told["taken"][0] == sent else f"cannot tell: {sent - told['taken'][0]} joint states were not heard"
+    for topic, (median, p99) in told["all_ms"].items():
+        exact, count = told["exact"][topic]
+        rows.append((f"{topic}: with the stamp of a joint state", f"{exact} of {count}", whole, exact == count > 0))
+        rows.append((f"{topic}: age, median, ms", median, "", True))
+        limit = plain + ANSWER_MS
+        rows.append((f"{topic}: age, p99, ms; {p99 / plain:.2f} of plain", p99, f"{limit:.1f}", p99 <= limit))
+    return harness.judged(rows)
 
 
 def soak(seconds: float, folder: Path) -> int:
@@ -278,7 +302,8 @@ def chaos(seconds: float, folder: Path) -> int:
 
 def main() -> int:
     wholes: dict[str, tuple[Callable[[Any, Path], int], str]] = {
-        **{"soak": (soak, "minutes"), "kills": (kills, "kills"), "chaos": (chaos, "minutes")},
+        **{"answers": (answers, "seconds"), "soak": (soak, "minutes")},
+        **{"kills": (kills, "kills"), "chaos": (chaos, "minutes")},
     }
     names = (*NODES, CHAIN, *wholes)
     given = harness.options(__doc__, seeds=0, names=names, seconds=15.0, minutes=10.0, kills=20, keep=Path)

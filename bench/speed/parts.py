@@ -100,7 +100,7 @@ def online() -> Iterator[Row]:
     running = Estimator(start, parameters, fit.noise, np.diag(prior**2), robust=False)
     for row in single:
         running.update(row)
-    running.relinearise()
+    running.linearise_again()
     apart = float(np.abs((running.values - fit.values) / fit.std).max())
     if apart > 1e-2:
         raise SystemExit(f"the running estimate is {apart:.2g} standard deviations from the batch")

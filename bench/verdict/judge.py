@@ -19,6 +19,8 @@ CALM = re.compile(
 )
 CALM_AND_WRONG, NAMED, FOUND, UNNAMED = "calm and wrong", "open, named", "modelled, named", "open, not named"
 SILENT, HARMLESS, FAILED = "cannot tell, not named", "harmless here", "failed"
+RIGHT, ONE_OF, NONE, WRONG = "right", "one of", "none", "wrong"
+HEDGED = re.compile(r"^or |; or |, or of |one of these", re.I)  # parts of the grounds that name several
 AT_FLOOR, BESIDE, CANNOT_TELL, OPEN = "at the floor", "at the floor, unknown", "cannot tell", "open"
 
 
@@ -26,7 +28,8 @@ AT_FLOOR, BESIDE, CANNOT_TELL, OPEN = "at the floor", "at the floor, unknown", "
 class Outcome:
     """What was said of one case. status: of the report, or ``refused``. left: final error over the floor.
 
-    known: of a good one, whether its floor can be known. false: causes that were named and are none.
+    known: of a good one, whether its floor can be known. false: causes that were named and are none. hints: the same of
+    the reasons to be open. word: right, one of, none, wrong, or calm and wrong.
     """
 
     outcome: str
@@ -37,6 +40,8 @@ class Outcome:
     known: bool | None = None
     effects: tuple[str, ...] = ()
     false: tuple[str, ...] = ()
+    hints: tuple[str, ...] = ()
+    word: str = ""
 
 
 def judge(case: Case, folder: Path, known: bool | None = None) -> Outcome:
@@ -56,7 +61,21 @@ def judge(case: Case, folder: Path, known: bool | None = None) -> Outcome:
     elif code in (0, 3):
         stated = report is not None and report.get("status") is not None
         made = _reported(case, report, known, beside) if stated and report else Outcome(FAILED, "no status")
-    return replace(made, seconds=time.perf_counter() - begin, known=known)
+    return replace(made, seconds=time.perf_counter() - begin, known=known, word=_word(case, made))
+
+
+def _word(case: Case, made: Outcome) -> str:
+    """How right the word is: a cause outright, among others, none, or a false one."""
+    if made.outcome == CALM_AND_WRONG:
+        return CALM_AND_WRONG
+    if made.false or (made.outcome == OPEN and not case.fault):
+        return WRONG
+    if not case.fault:
+        return RIGHT
+    if not _names(case, made.text) or made.outcome == FAILED:
+        return NONE
+    outright = " | ".join(part for part in made.text.split(" | ") if not HEDGED.search(part))
+    return RIGHT if _names(case, outright) else ONE_OF
 
 
 def _aside(case: Case, folder: Path) -> dict[str, Any] | None:
@@ -89,7 +108,8 @@ def _reported(case: Case, report: dict[str, Any], known: bool | None, beside: di
     status, text = report["status"], grounds(report)
     left = _left(case, beside or report)
     effects = tuple(f"{e['family']}@{e['place']}" for e in report.get("effects") or [])
-    made = Outcome("", status, text, left, effects=effects, false=falsely(case, causes(report)))
+    false, hints = (falsely(case, said) for said in (causes(report), report.get("open_because") or []))
+    made = Outcome("", status, text, left, effects=effects, false=false, hints=hints)
     if not case.fault:
         floor = AT_FLOOR if known else BESIDE
         return replace(made, outcome={"open": OPEN, "at_floor": floor}.get(status, CANNOT_TELL))
@@ -157,10 +177,10 @@ def grounds(report: dict[str, Any]) -> str:
         if effect.get("family") == "outliers":
             continue  # that readings are wrong is said of every reading that is left out
         parts += [str(effect.get(key)) for key in ("family", "place", "driver")]
-        parts += [str(other) for other in effect.get("same_as") or []]
+        parts += ["or " + str(other) for other in effect.get("same_as") or []]
     parts += [str(regime.get("what")) for regime in report.get("regimes") or []]
     parts += [f"{n.get('effect')} {n.get('why')}" for n in report.get("not_applied") or []]
-    parts += [str(n.get("needs")) for n in report.get("not_asked") or []]
+    parts += ["or " + str(n.get("needs")) for n in report.get("not_asked") or []]
     parts += [json.dumps(report[key]) for key in ("unexplained", "convention") if report.get(key)]
     return " | ".join(parts)
 

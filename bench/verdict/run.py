@@ -18,13 +18,14 @@ import harness
 import importlib
 import zlib
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import judge as j
 import numpy as np
 from case import KINDS, Case
 from sites import Cell
-from world import ARMS, World
+from world import ARMS, World, cell_of
 
 for _file in sorted((Path(__file__).parent / "kinds").glob("*.py")):
     importlib.import_module(f"kinds.{_file.stem}")  # which registers its rows
@@ -36,11 +37,12 @@ class Group:
 
     title: str
     seeds: int = 1
-    cell: type[Cell] = Cell
+    cell: Callable[[str, np.random.Generator], Cell] = Cell
     robots: tuple[str, ...] = ("ur10", "panda", "xarm7")
 
 
 OWN = World, tuple(ARMS)[:3]
+ANY = cell_of, ("ur5e", "panda", "irb", "xarm7", "iiwa7", "ur10")
 ONCE = ("fresh", "fresh_again", "fresh_third", "fresh_fourth", "fresh_fifth", "fresh_sixth", "fresh_seventh")
 GROUPS = {
     "main": Group("Faults", 2),
@@ -50,10 +52,12 @@ GROUPS = {
     "nearby": Group("Kinds near those that were missed"),
     "fresh_eighth": Group("Kinds once written after the last change: eighth group, in cells of its own", 1, *OWN),
     "ninth": Group("Real recordings, tampered with"),
+    "fresh_tenth": Group("Kinds once written after the last change: tenth group, of any arm", 1, *ANY),
     "audit": Group("Kinds of an independent tester"),
     "good": Group("Good recordings", 4),
     "good_fifth": Group("Good recordings of other builds"),
     "good_eighth": Group("Good recordings, in cells of their own", 1, *OWN),
+    "good_tenth": Group("Good recordings that look odd", 1, *ANY),
     "good_audit": Group("Good recordings of an independent tester"),
 }
 FAULTS = (j.CALM_AND_WRONG, j.NAMED, j.FOUND, j.UNNAMED, j.SILENT, j.HARMLESS, j.FAILED)
@@ -112,6 +116,7 @@ def show(results: list[harness.Result]) -> None:
                 f"calm and wrong {n[j.CALM_AND_WRONG]} of {len(rows)}; of {shown} whose data show the fault "
                 f"{n[j.NAMED]} open and named, {n[j.FOUND]} modelled down to the floor and named: "
                 f"{100 * named / max(shown, 1):.0f} %; named falsely in {n['falsely']}\n"
+                + ", ".join(f"{word} {count}" for word, count in Counter(r["word"] for r in rows).most_common())
             )
     for known, words, floor in ((True, "floor known", j.AT_FLOOR), (False, "floor not known", j.BESIDE)):
         if rows := [r for r in results if r["group"].startswith("good") and r["known"] is known]:

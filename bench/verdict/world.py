@@ -151,3 +151,8 @@ class World(Cell):
     def begins(self, q: Array) -> Array:
         """The first posture: nobody knows how it was reached."""
         return q[:1]
+
+
+def cell_of(robot: str, rng: np.random.Generator) -> Cell:
+    """The cell of any arm: of these ones, or of those that other benches have."""
+    return (World if robot in ARMS and robot != "rail" else Cell)(robot, rng)

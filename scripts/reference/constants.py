@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cells import code, prose, table
+from markup import code, prose, table
 from module_numbers import WHERE, numbers
 
 INTRODUCTION = """# Constants

@@ -17,7 +17,7 @@ from importlib import import_module
 from pathlib import Path
 
 import rclpy
-from cells import code, table
+from markup import code, table
 from rclpy.action import ActionClient, ActionServer
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
@@ -147,7 +147,7 @@ def _when(opened: Opened, runs: list[set[Opened]], asked: list[dict[str, str]]) 
 def _opened(name: str, parameters: dict[str, str]) -> list[Opened]:
     """What a node with these parameters opens, once it is configured if it has to be."""
     with _started(name, parameters) as node:
-        if isinstance(node, LifecycleNode):
+        if isinstance(node, LifecycleNode) and node._state_machine.current_state[1] == "unconfigured":
             node.trigger_configure()
         heard = [Opened("subscribes to", _short(s.topic_name, name), _type(s.msg_type), _qos(s.qos_profile))
                  for s in node.subscriptions if s.topic_name not in EVERY_NODE]  # fmt: skip

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from cells import code, prose, table
 from graph import executables, opened
+from markup import code, prose, table
 
 STAMP = "time of the measurement, on one clock with the others"
 ANY_FRAME = "a name of your own; each is a frame with an unknown place of its own"
@@ -88,7 +88,7 @@ MEANINGS: dict[str, dict[str, str]] = {
     "tracker/point": {"header.stamp": STAMP, "header.frame_id": ANY_FRAME, "point": "of the target, m"},
     "tracker/range": _length("the anchor: its origin is where the wire begins", "distance to the target, m"),
     "tracker/plane": _length("the plane z = 0", "height of the target above the plane, m; 0: it touches"),
-    "gripper/range": _length("the sensor on the gripper", "length of its ray up to the plane that it meets, m"),
+    "gripper/range": _length("the sensor on the gripper", "length of its ray up to what it meets, m"),
     "tracker/bearing": {
         "header.stamp": STAMP,
         "header.frame_id": "the station, a frame of its own",
@@ -252,6 +252,7 @@ MEANINGS: dict[str, dict[str, str]] = {
 }  # fmt: skip
 SERVICES = {
     "std_srvs/srv/Trigger": "asks nothing; `success` and `message` say what was done, or why not",
+    "modcal_interfaces/srv/MeasureObject": "measures the box in the gripper, and says where to put it down",
     "modcal_interfaces/action/Solve": "calibrates from what was received; cancelled, it leaves the trusted model",
     "modcal_interfaces/action/Check": "says what has changed since the trusted model was made",
     "modcal_interfaces/action/Pull": "pulls what the arm holds; cancelled, it lets go",

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from cells import prose, table
+from markup import prose, table
 
 from modcal_core import errors
 

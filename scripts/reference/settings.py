@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from cells import code, prose, table
 from graph import executables
+from markup import code, prose, table
 
 from modcal_nodes.ros import parameters
 from modcal_nodes.ros.parameters import Parameter

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Iterator
 
 import click
-from cells import code, prose, table
+from markup import code, prose, table
 
 from modcal_nodes.cli.main import GROUPS, VERBS, modcal
 

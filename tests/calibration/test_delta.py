@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from deltas import NOISE_M, RecordedDelta, nominal, postures, record_delta
+from deltas import NOISE_M, nominal, postures, record_delta
 from finite_differences import assert_jacobian
 
 from modcal_core.calibration.cell import Cell, fit_cell
@@ -19,8 +19,6 @@ from modcal_core.calibration.delta_distances import (
     objective,
     visibility,
 )
-from modcal_core.calibration.fit import identify
-from modcal_core.calibration.initial import procrustes
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.noise import errors
 from modcal_core.calibration.store import from_data, to_data
@@ -28,7 +26,6 @@ from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ALL, AXIS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadRecording, NotEnoughData, NotReachable
-from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.report.as_json import to_json_data
 from modcal_core.robots.delta import Delta
@@ -69,16 +66,18 @@ def test_derivatives_of_a_delta_in_its_cell(kind: str, shaft: bool) -> None:
     assert_jacobian(others, J, values[moved], tolerance=2e-6)
 
 
-def test_a_clean_delta_comes_out_clean() -> None:
-    cell = record_delta(1, 160)
+@pytest.mark.parametrize(("linear", "count"), [(False, 25), (True, 22)])
+def test_a_clean_delta_comes_out_clean(linear: bool, count: int) -> None:
+    cell = record_delta(1, 160, linear=linear)
     data = to_json_data(calibrate(cell.samples, cell.nominal, np.random.default_rng(0)).report)
     assert data["effects"] == []
     assert data["unexplained"] is None
     assert data["error_mm"]["nominal"]["rms"] > 5.0 * FLOOR_MM
     assert data["error_mm"]["final"]["rms"] < 1.2 * FLOOR_MM
     seen = data["identifiability"]
-    assert seen["parameters"] == seen["rank"] == 25  # 18 of the arms, 6 of the frame, 3 of the tool, less two
-    assert seen["left_out"] == ["tool/z", "arm_1/azimuth"]
+    # 18 of the arms, 6 of the frame, 3 of the tool, less two; a linear one's base also moves as its towers do
+    assert seen["parameters"] == seen["rank"] == count
+    assert linear or seen["left_out"] == ["tool/z", "arm_1/azimuth"]
 
 
 @pytest.mark.slow
@@ -137,45 +136,6 @@ def test_joint_positions_that_no_platform_fits_are_refused() -> None:
         calibrate(cell.samples, short, np.random.default_rng(0))
 
 
-HELD_OUT = 100
-
-
-def missed(fitted: Delta, cell: RecordedDelta, count: int) -> float:
-    """RMS distance [m] of held-out readings, the frame found from the ones that were fitted."""
-    q, y = cell.samples.q, cell.samples.reading
-    T = procrustes(tool_pose(fitted, q[:count])[:, :3, 3], y[:count])
-    gap = y[count:] - se3.apply(T, tool_pose(fitted, q[count:])[:, :3, 3])
-    return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
-
-
-def missed_by_points(cell: RecordedDelta, count: int) -> float:
-    """The same for the fit to points in a frame that is found with the robot."""
-    train = cell.samples.select(np.arange(count))
-    start = fit_cell(cell.nominal, train, Cell()).model
-    fit = identify(start, train, choose_parameters(start, views_of(train)).parameters)
-    gap = cell.samples.reading[count:] - fit.model.predict(cell.samples.q[count:])[:, :3, 3]
-    return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
-
-
-@pytest.mark.slow
-def test_planted_errors_are_recovered_to_the_noise_floor() -> None:
-    """As near as least squares can come: with n equations and P unknowns, σ² (1 + P / (n − P − 1)) is to be expected."""
-    count, floor = 50, NOISE_M * np.sqrt(3.0)
-    expected = floor * np.sqrt(1.0 + 25.0 / (3.0 * count - 26.0))
-    by_distances, by_points, before = [], [], []
-    for seed in (1, 2):
-        cell = record_delta(seed, count + HELD_OUT)
-        pairs = Pairs.of_points(cell.samples.reading[:count])
-        found = fit_distances(cell.nominal, cell.samples.q[:count], pairs)
-        assert not found.at_bound
-        by_distances.append(missed(found.delta, cell, count))
-        by_points.append(missed_by_points(cell, count))
-        before.append(missed(cell.nominal, cell, count))
-    assert np.mean(before) > 8.0 * floor
-    assert np.mean(by_points) < 1.15 * expected
-    assert np.mean(by_distances) < 1.5 * expected
-
-
 def test_jacobian_of_distances_is_their_derivative() -> None:
     delta = nominal()
     q = postures(delta, 4)
@@ -184,14 +144,17 @@ def test_jacobian_of_distances_is_their_derivative() -> None:
     assert_jacobian(lambda X: -distance_errors(delta.with_vector(X), q, pairs), J, delta.vector)
 
 
-@pytest.mark.parametrize(("shaft", "rank", "unseen"), [(True, 19, 5), (False, 17, 7)])
-def test_what_distances_cannot_tell(shaft: bool, rank: int, unseen: int) -> None:
-    delta = nominal(shaft)
+@pytest.mark.parametrize(
+    ("shaft", "linear", "rank", "unseen"), [(True, False, 19, 5), (False, False, 17, 7), (True, True, 16, 8)]
+)
+def test_what_distances_cannot_tell(shaft: bool, linear: bool, rank: int, unseen: int) -> None:
+    delta = nominal(shaft, linear)
     q = postures(delta, 40)
     pairs = Pairs.of_points(np.zeros((len(q), 3)))
     seen = visibility(delta, q, pairs)
     assert seen.rank == rank
     assert len(seen.unseen) == unseen
+    assert all(": " in words for words in seen.unseen)  # each is named for what it is
     assert any("azimuths of all arms together" in words for words in seen.unseen)
     assert any(words.startswith("tool/z") for words in seen.unseen)
     assert np.isfinite(seen.condition)

@@ -14,7 +14,7 @@ from finite_differences import assert_jacobian
 from modcal_core.camera.arm_poses import ImageMoments
 from modcal_core.camera.claim import APPLY, CANNOT_TELL
 from modcal_core.camera.corners import common_prior
-from modcal_core.camera.other_readings import ReadingsBeside, beside
+from modcal_core.camera.equations import ReadingsBeside, beside
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.views import postures_in_view
 from modcal_core.errors import NotEnoughData

@@ -12,9 +12,9 @@ import pytest
 from cells import record, ur10
 
 from modcal_core.calibration.store import Calibration
-from modcal_core.checking.history import series_of
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
+from modcal_core.moves.history import series_of
 from modcal_core.public import calibrate
 from modcal_core.robot import Robot
 from modcal_nodes.cli.main import run

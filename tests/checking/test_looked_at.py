@@ -6,10 +6,10 @@ import itertools
 
 import numpy as np
 
-from modcal_core.checking.known import spread_out
 from modcal_core.measurements.dwells import spread_rows
 from modcal_core.measurements.samples import Samples
-from modcal_core.moves.noise import witnesses
+from modcal_core.moves.known import spread_out
+from modcal_core.moves.likelihood import witnesses
 
 
 def raster(levels: int, joints: int) -> Samples:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli.conftest import Refused
-from deltas import FILE, RecordedDelta, record_delta
+from deltas import FILE, LINEAR, NOISE_M, RecordedDelta, record_delta
 
+from modcal_core.calibration import Pairs, objective
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
-from modcal_core.robots.delta_kinematics import tool_pose
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_delta
@@ -48,15 +48,9 @@ def test_from_a_bag_to_a_report_and_a_corrected_file(tmp_path: Path, capsys: pyt
 
     # the corrected file is a drawing again, nearer to the truth: distances between its points are the true ones
     corrected = read_delta(out / "calibrated_delta.yaml")
-    true = cell.world.tool_in_base(cell.samples.q)[:, :3, 3]
-
-    def off(points: np.ndarray) -> float:
-        pairs = np.triu_indices(len(points), 1)
-        lengths = [np.linalg.norm(p[pairs[0]] - p[pairs[1]], axis=1) for p in (points, true)]
-        return float(np.sqrt(np.mean((lengths[0] - lengths[1]) ** 2)))
-
-    nominal = off(tool_pose(cell.nominal, cell.samples.q)[:, :3, 3])
-    assert off(tool_pose(corrected, cell.samples.q)[:, :3, 3]) < 0.3 * nominal
+    pairs = Pairs.of_points(cell.world.tool_in_base(cell.samples.q)[:, :3, 3])
+    nominal = objective(cell.nominal, cell.samples.q, pairs)
+    assert objective(corrected, cell.samples.q, pairs) < 0.3 * nominal
 
     # another recording of the same robot, through the frozen calibration
     fresh = record_delta(2, 90, gear=(1, 60.0, 3e-4))
@@ -68,6 +62,27 @@ def test_from_a_bag_to_a_report_and_a_corrected_file(tmp_path: Path, capsys: pyt
     said = capsys.readouterr().out
     assert "base → tip, 4 joints" in said
     assert "calibration from 130 finished stations (points)" in said
+
+
+def test_from_a_table_to_distances_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Carriages in mm; what annealing and least squares make of distances, on points that neither has seen."""
+    cell = record_delta(4, 90, linear=True)
+    q = cell.samples.q * np.where(cell.nominal.revolute, np.degrees(1.0), 1e3)
+    header = ",".join([*cell.nominal.names, "X_mm", "Y_mm", "Z_mm"])
+    np.savetxt(tmp_path / "t.csv", np.c_[q, 1e3 * cell.samples.reading], delimiter=",", header=header, comments="")
+    monkeypatch.chdir(tmp_path)
+    assert run(["import", "t.csv", "--delta", str(LINEAR), "--out", "bag"]) == 0
+    asked = ["--geometry-only", "--by-distances", "--out", "out"]
+    assert run(["calibrate", "bag", "--delta", str(LINEAR), *asked]) == 0
+    report = json.loads(Path("out/report.json").read_text())
+    nominal, annealed, polished, direct = report["by_distances"]["methods"]
+    assert annealed["held_out_rms_mm"] < 0.9 * nominal["held_out_rms_mm"]
+    assert direct["held_out_rms_mm"] == pytest.approx(polished["held_out_rms_mm"], rel=0.01)
+    assert direct["held_out_rms_mm"] == pytest.approx(report["error_mm"]["geometric"]["rms"], rel=0.2)
+    assert direct["held_out_rms_mm"] < 0.5 * annealed["held_out_rms_mm"]
+    assert direct["held_out_rms_mm"] < 1.3 * 1e3 * NOISE_M * np.sqrt(3.0)  # 16 of 24 parameters, from 45 points
+    assert direct["evaluations"] < 0.1 * annealed["evaluations"]
+    assert "By distances alone" in Path("out/report.html").read_text()
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.slow
 def test_a_shell_completes_verbs_options_and_choices(monkeypatch: pytest.MonkeyPatch) -> None:
     """As Click's script for bash asks for it: of a process, and of the command in this one."""
-    asked = {"COMP_WORDS": "modcal ca", "COMP_CWORD": "1", "_MODCAL_COMPLETE": "bash_complete"}
+    asked = {"COMP_WORDS": "modcal cali", "COMP_CWORD": "1", "_MODCAL_COMPLETE": "bash_complete"}
     ask = "from modcal_nodes.cli.main import main; main()"
     how: dict[str, Any] = {"capture_output": True, "text": True, "check": True}
     out = subprocess.run([sys.executable, "-c", ask], env={**os.environ, **asked}, **how).stdout

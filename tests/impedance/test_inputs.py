@@ -116,6 +116,9 @@ def test_without_its_estimator_a_pull_ends(phase: str) -> None:
         still.until("follow")
     for _ in range(int(1.5 / PERIOD)):
         assert isinstance(still.tick(), ArmSetpoint)
+    still.belief.late = True  # its heartbeat: the hand stands, and nothing is let go of yet
+    assert all(isinstance(still.tick(), ArmSetpoint) for _ in range(int(0.5 / PERIOD)))
+    assert (still.operation.phase, still.operation.governor.speed) == (phase, 0.0)
     still.belief.silent, still.belief.trusted = True, False
     outs = [still.tick() for _ in range(int(1.0 / PERIOD))]
     assert still.operation.phase == "release"

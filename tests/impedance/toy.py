@@ -54,6 +54,7 @@ class Belief:
     model: JointModel | None = None
     trusted: bool = False
     event: str | None = None
+    late: bool = False
     silent: bool = False
 
 

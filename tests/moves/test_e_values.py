@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from modcal_core.measurements.samples import Samples
-from modcal_core.moves.evidence import ChangeCandidate, ChangeJudge, e_value
-from modcal_core.moves.noise import NullModel, RowKinds, witnesses
+from modcal_core.moves.likelihood import ChangeCandidate, ChangeJudge, NullModel, RowKinds, e_value, witnesses
 from modcal_core.moves.rows import BASE, NOISE, CellChange
 
 

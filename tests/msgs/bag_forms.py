@@ -10,6 +10,7 @@ from typing import Any
 import mcap.writer
 import numpy as np
 from cli.recordings import stations
+from rosbags.interfaces import Qos
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from modcal_core.geometry import se3
@@ -108,8 +109,9 @@ def write(
     messages: Sequence[Message],
     storage: StoragePlugin = StoragePlugin.MCAP,
     packed: CompressionMode = CompressionMode.NONE,
+    offered: Mapping[str, Qos] | None = None,
 ) -> Path:
-    """A bag of these messages, as rosbags writes it."""
+    """A bag of these messages, as rosbags writes it. offered: QoS by topic."""
     with_writer = Writer(folder, version=9, storage_plugin=storage)
     if packed != CompressionMode.NONE:
         with_writer.set_compression(packed, CompressionFormat.ZSTD)
@@ -117,7 +119,8 @@ def write(
         known: dict[tuple[str, str], Any] = {}
         for topic, kind, message, ns in sorted(messages, key=lambda m: m[3]):
             if (topic, kind) not in known:
-                known[topic, kind] = writer.add_connection(topic, kind, typestore=jazzy())
+                qos = [offered[topic]] if offered else []
+                known[topic, kind] = writer.add_connection(topic, kind, typestore=jazzy(), offered_qos_profiles=qos)
             data = message if isinstance(message, bytes) else jazzy().serialize_cdr(message, kind)
             writer.write(known[topic, kind], ns, data)
     return folder

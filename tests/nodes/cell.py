@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from modcal_core.measurements.recording import Recording
 
-BUSY = "a solve is running already"
+BUSY = "a solve is running already", "busy with check: ask again"
 _ASK_AGAIN = 20.0  # s
 
 
@@ -107,7 +107,7 @@ def call(node: Node, wait: Wait, name: str, seconds: float = 120.0) -> Trigger.R
         due = time.monotonic() + 0.2
         wait(lambda: time.monotonic() > due or any(a.done() for a in answers), 5.0)  # noqa: B023
         for answer in [a for a in answers if a.done()]:
-            if answer.result().message != BUSY or len(answers) == 1:
+            if answer.result().message not in BUSY or len(answers) == 1:
                 node.destroy_client(client)
                 return answer.result()
             answers.remove(answer)

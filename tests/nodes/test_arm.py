@@ -108,6 +108,22 @@ def test_an_object_that_was_described_before_the_arm_is_checked_when_that_is_kno
     assert "camera" in told.elsewhere
 
 
+def test_a_heartbeat_is_late_by_its_own_period() -> None:
+    """One of 50 Hz after a quarter of a second, one of 2 Hz not before it is silent."""
+    for period, late in ((0.02, True), (0.5, False)):
+        told, message = ObjectInput(read, frames), SimpleNamespace(version=1, trusted=True, event="")
+        message.model = SimpleNamespace(kind="prismatic")
+        assert told.at(0.0).late
+        for k in range(5):
+            now = 10.0 + k * period
+            message.header = SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0))
+            told.hear_status(message, now)
+            assert not told.at(now + 0.2).late
+        assert told.at(now + 0.9).late == late
+        assert not told.silent
+        assert told.at(now + 1.1).silent
+
+
 def _with_effort(effort: str) -> str:
     """The efforts of the four strong joints are so; those of the wrist stay."""
     return re.sub(r'effort="87"', f'effort="{effort}"', URDF)

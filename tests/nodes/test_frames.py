@@ -73,7 +73,7 @@ def test_how_far_collecting_is() -> None:
     supervisor = Supervisor(Policy(first_solve=40))
     supervisor.stations = 14
     assert collected(supervisor) == "14 of 40 stations, then it is solved"
-    supervisor.follow(Policy(first_solve=0))
+    supervisor.policy = Policy(first_solve=0)
     assert collected(supervisor) == "14 of 40 stations, then call ~/solve"
     supervisor.stations = 44
     assert collected(supervisor) == "44 stations are collected, 40 are needed: call ~/solve"

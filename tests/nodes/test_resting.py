@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from threading import Thread
 from typing import Any
 
 import pytest
@@ -205,3 +206,27 @@ def test_a_solve_yields_to_the_nodes_beside_it() -> None:
         worker.close()
     assert not said
     assert brought[0] > os.nice(0)
+
+
+@pytest.mark.slow
+def test_a_worker_may_be_ended_while_it_hands_over_a_result_and_its_successor_works() -> None:
+    brought, said = list[bytes](), list[str]()
+    worker = SolveWorker(said.append)
+    try:
+        for moment in (0.0, 0.005, 0.02):
+            worker.give("warming up", len, b"", finish=lambda _: None, fail=said.append)
+            while worker.poll():
+                time.sleep(0.01)
+            worker.give("a large result", bytes, 30_000_000, finish=brought.append, fail=said.append)
+            time.sleep(moment)
+            ending = Thread(target=worker.drop, daemon=True)
+            ending.start()
+            ending.join(60.0)
+            assert not ending.is_alive()
+        worker.give("a fault", int, "x", finish=brought.append, fail=said.append)
+        while worker.poll():
+            time.sleep(0.01)
+    finally:
+        worker.close()
+    assert "in _serve" in said[0]
+    assert said[1].startswith("internal error: ValueError(")

@@ -175,7 +175,7 @@ def test_an_arm_is_held_when_another_moves_it_when_the_node_rests_and_when_it_fa
         begin()
         change(Transition.TRANSITION_DEACTIVATE)
         held("held: deactivated")
-        assert "not active" in ask(node, wait, Trigger, "station_runner/start").message
+        assert "activate it first" in ask(node, wait, Trigger, "station_runner/start").message
         dry = runner.output.count("dry run:")
         change(Transition.TRANSITION_ACTIVATE)
         wait(lambda: runner.output.count("dry run:") > dry, 60.0)

@@ -62,13 +62,8 @@ def test_what_nodes_say_is_shown(tmp_path: Path) -> None:
             name = f"/left/corrector: {part['part']}"
             wait(lambda name=name, part=part: said.text(name) == part["message"], 20.0)
             assert part["level"] == ("ok", "warn", "error")[said.level(name)]
-        assert {part["part"] for part in found["parts"]} == {
-            "hearing",
-            "calibration",
-            "correction",
-            "commands",
-            "faults",
-        }
+        parts = {part["part"] for part in found["parts"]}
+        assert parts == {"hearing", "calibration", "correction", "commands", "lifecycle", "faults"}
 
         # whoever reads may go when it has enough
         piped = f"set -o pipefail; {COMMAND} watch --json --every 0.2 | head -1"
@@ -82,10 +77,10 @@ def test_what_nodes_say_is_shown(tmp_path: Path) -> None:
         log = subprocess.Popen(
             [COMMAND, "watch"], env=environment(domain), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        first = [log.stdout.readline() for _ in range(5)]
+        first = [log.stdout.readline() for _ in range(6)]
         assert any(line.startswith("error: /left/corrector calibration: no calibration yet") for line in first)
         assert corrector.stop() == 0
-        rest = [log.stdout.readline() for _ in range(5)]
+        rest = [log.stdout.readline() for _ in range(6)]
         assert all(line.startswith("silent: /left/corrector") for line in rest)
         log.send_signal(signal.SIGINT)
         assert log.communicate(timeout=SLOWER * 15.0) == ("", "")

@@ -12,7 +12,7 @@ from modcal_core.calibration.parameters import ordered_candidates
 from modcal_core.calibration.structure import views_of
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
-from modcal_core.online.fixed_linearisation import FixedLinearisation
+from modcal_core.online.estimator import FixedLinearisation
 from modcal_core.robots.chain import Chain
 
 

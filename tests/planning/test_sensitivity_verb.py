@@ -53,11 +53,29 @@ def test_tables_and_pictures_of_the_irb_1410(tmp_path: Path, capfd: pytest.Captu
 
 
 @pytest.mark.parametrize(
+    ("only", "base"),
+    [("*/theta", "joint_1/theta"), ("*/alpha", "joint_1/alpha"), ("base/r?", "base/rx")],
+    ids=["figure 4", "figure 5", "figure 6"],
+)
+def test_some_parameters_alone_are_as_among_all(only: str, base: str, capfd: pytest.CaptureFixture[str]) -> None:
+    """Of the published figures, each of one kind beside its first; these angles differ from pose to pose."""
+    told = []
+    for more in ([], ["--only", only]):
+        assert run(["sensitivity", str(IRB1410), "--base-factor", base, *more, "--json"]) == 0
+        told.append({row["name"]: row["rsfcdpe"] for row in json.loads(capfd.readouterr().out)["parameters"]})
+    every, some = told
+    assert len(some) == (3 if base == "base/rx" else 6)
+    assert some == pytest.approx({name: every[name] for name in some})
+    assert some[base] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["irb1410.yaml", "--design", "array", "--levels", "4"], "the number is not a prime"),
         (["iiwa14.urdf", "--design", "l25"], "it has 6 columns, the arm 7 joints"),
         (["irb1410.yaml", "--base-factor", "joint_9/a"], "is not one of the chain's"),
+        (["irb1410.yaml", "--only", "elbow/*"], "pattern 'elbow/*': matches no parameter"),
     ],
 )
 def test_what_cannot_be(arguments: list[str], words: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

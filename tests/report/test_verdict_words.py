@@ -15,10 +15,11 @@ from modcal_core.measurements.samples import cut_stations
 from modcal_core.outcome.contents import Outcome
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import to_html
+from modcal_core.report.tables import account_tables
 from modcal_core.report.words import NOT_SOUGHT, REMEDY, sentence
 from modcal_core.verdict.floor import reading_scatter_mm
 from modcal_core.verdict.tolerance import Asked
-from modcal_core.verdict.verdict import Verdict
+from modcal_core.verdict.verdict import Row, Verdict
 
 
 def judged(report: Outcome, verdict: Verdict) -> Outcome:
@@ -147,6 +148,14 @@ def test_the_scatter_within_stations_is_no_floor() -> None:
     recording = replace(made, joints=(joint,), readings=(reading,))
     scatter = reading_scatter_mm(cut_stations(recording, joint.names))
     assert scatter == pytest.approx(np.sqrt(3.0) * 2e-2 / np.sqrt(10.0), rel=0.1)
+
+
+@pytest.mark.parametrize(("left", "shown"), [(0.1, "10.00 %"), (14.61, "cannot be divided")])
+def test_shares_are_of_one_whole_and_never_beyond_it(left: float, shown: str) -> None:
+    """What a frozen calibration leaves may be many times the nominal error: no share of that."""
+    rows = (Row("geometry", 1.0 - left, None), Row("unaccounted", left, None))
+    (table,) = account_tables(replace(FLOOR, account_mm2=rows, account_deg2=None))
+    assert [row[2] for row in table.rows[1:]] == [shown, "100.00 %"]
 
 
 @pytest.mark.slow

@@ -34,17 +34,21 @@ from modcal_nodes.simulation.delta_world import PLATFORM_KG, DeltaWorld, displac
 GRAVITY = 9.80665
 
 
-def odd(shaft: bool = True, size: float = 1.0) -> Delta:
-    """A Delta whose constants are all different."""
-    drawn = nominal(shaft)
+both = pytest.mark.parametrize("linear", [False, True])
+
+
+def odd(shaft: bool = True, size: float = 1.0, linear: bool = False) -> Delta:
+    """A Delta whose constants are all different; its towers lean, where it has some."""
+    drawn = nominal(shaft, linear)
     return displaced(
         drawn.with_vector(np.r_[drawn.vector[:-3], 0.2, -0.1, 0.4]), np.random.default_rng(3), 5e-3 * size, 0.01 * size
     )
 
 
+@both
 @pytest.mark.parametrize("shaft", [True, False])
-def test_forward_is_where_closed_chains_of_mujoco_meet(shaft: bool) -> None:
-    delta = odd(shaft)
+def test_forward_is_where_closed_chains_of_mujoco_meet(shaft: bool, linear: bool) -> None:
+    delta = odd(shaft, linear=linear)
     q = postures(delta, 40)
     true = DeltaWorld(delta).tool_in_base(q)
     assert np.abs(true - tool_pose(delta, q)).max() < 1e-10
@@ -52,16 +56,18 @@ def test_forward_is_where_closed_chains_of_mujoco_meet(shaft: bool) -> None:
     assert np.ptp(true[:, 2, 3]) > 0.2
 
 
-def test_inverse_undoes_forward() -> None:
-    delta = odd()
+@both
+def test_inverse_undoes_forward(linear: bool) -> None:
+    delta = odd(linear=linear)
     for q in postures(delta, 100):
         T = forward(delta, q)
         back = delta_inverse(delta, T[:3, 3], np.arctan2(T[1, 0], T[0, 0]))
         assert np.abs(back - q).max() < 1e-9
 
 
-def test_jacobians_are_derivatives() -> None:
-    delta = odd()
+@both
+def test_jacobians_are_derivatives(linear: bool) -> None:
+    delta = odd(linear=linear)
     q = postures(delta, 2)
     p, by_parameters, by_joints = position_jacobians(delta, q)
     assert np.abs(p - tool_pose(delta, q)[:, :3, 3]).max() < 1e-15
@@ -70,9 +76,10 @@ def test_jacobians_are_derivatives() -> None:
         assert_jacobian(lambda x: tool_pose(delta, x)[:3, 3], by_joints[k], q[k])
 
 
-def test_twists_anywhere_move_the_tool_as_their_columns_say() -> None:
+@both
+def test_twists_anywhere_move_the_tool_as_their_columns_say(linear: bool) -> None:
     """Of every place, arms included, against differences of the whole mechanism with the twist put in."""
-    delta = odd()
+    delta = odd(linear=linear)
     q = postures(delta, 3)
 
     def moved(place: int, twist: Array) -> Array:
@@ -94,12 +101,13 @@ def test_twists_anywhere_move_the_tool_as_their_columns_say() -> None:
         assert_jacobian(lambda x: moved(place, x), np.stack(columns, axis=1), np.zeros(6))  # noqa: B023
 
 
-def test_weight_on_the_platform_is_what_mujoco_holds() -> None:
-    delta = odd()
+@both
+def test_weight_on_the_platform_is_what_mujoco_holds(linear: bool) -> None:
+    delta = odd(linear=linear)
     q = postures(delta, 20)
     world = DeltaWorld(delta)
     world.carry(3.0)
-    torque = payload_wrench(delta, q, GRAVITY * (PLATFORM_KG + 3.0))[:, 5].T
+    torque = payload_wrench(delta, q, GRAVITY * (PLATFORM_KG + 3.0))[:, 2 if linear else 5].T
     motors = torque[:, :3] * delta.constants[1]  # an arm's torque, as its motor feels it
     assert np.abs(world.holding(q)[:, :3] + motors).max() < 1e-7
     assert np.abs(motors).max() > 1.0
@@ -111,11 +119,13 @@ def test_weight_on_the_platform_is_what_mujoco_holds() -> None:
         ([0.0, 0.0, -1.5], "mm too far away for arm arm_1"),
         ([0.0, 0.0, -0.1], "mm too near for arm arm_1"),
         ([0.3, 0.0, -1.0], "rad beyond its limits"),
+        ([0.5, 0.0, -0.5], "mm too far away for tower tower_2"),
+        ([0.1, 0.0, 0.2], " m beyond its limits"),
     ],
 )
 def test_inverse_says_what_is_out_of_reach_and_by_how_much(position: list[float], said: str) -> None:
     with pytest.raises(NotReachable, match=said):
-        delta_inverse(nominal(), position)
+        delta_inverse(nominal(linear="tower" in said or said.startswith(" m")), position)
 
 
 def test_forward_says_that_no_platform_fits_and_by_how_much() -> None:
@@ -187,8 +197,9 @@ def test_what_is_no_delta(changes: dict[str, object], said: str) -> None:
 STATED: dict[str, Any] = yaml.safe_load(FILE.read_text())
 
 
-def test_a_delta_comes_back_from_its_file_as_it_was(tmp_path: Path) -> None:
-    delta = displaced(nominal(), np.random.default_rng(0), 1e-3, 1e-3)
+@both
+def test_a_delta_comes_back_from_its_file_as_it_was(tmp_path: Path, linear: bool) -> None:
+    delta = displaced(nominal(linear=linear), np.random.default_rng(0), 1e-3, 1e-3)
     file = tmp_path / "delta.yaml"
     file.write_text(to_yaml(delta_to_data(delta)))
     again = read_delta(file)
@@ -219,6 +230,8 @@ def test_radii_or_their_difference() -> None:
         ("arms", {"proximal_m": [0.3, 0.3]}, "proximal_m: it has 2 entries, 3 are allowed"),
         ("limits_rad", {"knee": [0.0, 1.0]}, "knee is no joint of it"),
         ("limits_rad", {"arm_1": [0.0]}, "arm_1: it has 1 entries, 2 are allowed"),
+        ("limits_m", {"arm_1": [0.0, 1.0]}, "arm_1 turns"),
+        ("", {"towers": {"distal_m": 0.6}}, "either arms, which turn, or towers"),
     ],
 )
 def test_what_is_not_understood_is_named(part: str, changes: dict[str, Any], said: str) -> None:

@@ -70,6 +70,7 @@ def test_modcal_is_on_the_path_of_a_sourced_shell(install: Path, tmp_path: Path)
 
 
 def test_one_version_everywhere() -> None:
+    assert f"\nversion: {modcal_core.__version__}\n" in (SRC.parents[1] / "CITATION.cff").read_text()
     for package in (*PACKAGES, INTERFACES):
         manifest = ElementTree.parse(SRC / package / "package.xml").getroot()
         assert manifest.findtext("version") == modcal_core.__version__

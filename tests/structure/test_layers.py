@@ -41,7 +41,6 @@ LAYERS["camera"] = LAYERS["diagnosis"] | {"claim", "camera"}
 LAYERS["articulation"] = _ALSO | {"articulation"}
 LAYERS["impedance"] = _ALSO | {"articulation", "impedance"}
 LAYERS["verdict"] = LAYERS["diagnosis"] | {"verdict"}
-LAYERS["checking"] = LAYERS["diagnosis"] | {"checking"}
 LAYERS["planning"] = LAYERS["verdict"] | {"claim", "planning"}
 LAYERS["outcome"] = LAYERS["verdict"] | {"claim", "outcome"}
 LAYERS["top"] = {*LAYERS, "top"}  # the pipeline: it returns data

@@ -48,21 +48,7 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["Assembly", "BadCommand", "BadRecording", "BadRobot", "BadTable", "Calibration", "Cell", "Chain", "Checked"]
-__all__ += [
-    "Choice",
-    "Claim",
-    "Delta",
-    "Distance",
-    "Library",
-    "MissingDriver",
-    "ModcalError",
-    "Module",
-    "NotEnoughData",
-]
-__all__ += ["NotPlannable", "NotReachable", "NotRepresentable", "Overloaded", "Plan", "Report", "Result", "Robot"]
-__all__ += ["Samples", "Site", "Stated", "Track", "articulate", "calibrate", "check", "evaluate", "plan"]
-
-
-def __dir__() -> list[str]:
-    """The public names, and those of a module."""
-    return sorted({*globals(), *__all__})
+__all__ += ["Choice", "Claim", "Delta", "Distance", "Library", "MissingDriver", "ModcalError", "Module"]
+__all__ += ["NotEnoughData", "NotPlannable", "NotReachable", "NotRepresentable", "Overloaded", "Plan", "Report"]
+__all__ += ["Result", "Robot", "Samples", "Site", "Stated", "Track", "articulate", "calibrate", "check", "evaluate"]
+__all__ += ["plan"]

@@ -8,9 +8,17 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.calibration import BLEND, Calibration, Cell, Errors, curved_joints, errors, with_sockets
-from modcal_core.checking import (
+from modcal_core.errors import BadRecording, NotEnoughData
+from modcal_core.evaluation import evaluate
+from modcal_core.geometry import Array
+from modcal_core.hypotheses import recognised
+from modcal_core.measurements import Samples
+from modcal_core.moves import (
     PATTERN,
+    UNTRIED,
     BeyondRanges,
+    FoundChanges,
+    NamedChange,
     Noticed,
     Recommendation,
     advise,
@@ -18,20 +26,16 @@ from modcal_core.checking import (
     beyond_ranges,
     frozen,
     in_known_frames,
+    named,
     new_frames,
     noticed,
     placed_anew,
     repaired,
     require_accounted,
+    search,
     spread_out,
     with_new_frames,
 )
-from modcal_core.errors import BadRecording, NotEnoughData
-from modcal_core.evaluation import evaluate
-from modcal_core.geometry import Array
-from modcal_core.hypotheses import recognised
-from modcal_core.measurements import Samples
-from modcal_core.moves import UNTRIED, FoundChanges, NamedChange, named, search
 from modcal_core.outcome import Outcome, unseen_note
 from modcal_core.verdict import Applied, applicable, own_rows
 
@@ -190,7 +194,7 @@ def checkup(
             errors(model, found.samples).position_norm,
             errors(found.state.model, found.samples).position_norm,
         ),
-        far_apart=found.null.weight * part.stations,
+        far_apart=found.plain.null.weight * part.stations,
         placed=new,
         beyond=beyond,
     )
@@ -251,7 +255,7 @@ def _size(e: Errors) -> tuple[float | None, float | None]:
 
 def _expected(found: FoundChanges) -> tuple[float | None, float | None]:
     """RMS that the frozen model should show while nothing has changed."""
-    null = found.null
+    null = found.plain.null
     variance = np.diag(null.covariances[null.reference])
     turned = null.rows.component >= 3
     position = 1e3 * float(np.sqrt(3.0 * variance[~turned].mean()))
@@ -265,8 +269,8 @@ def _each_by_the_others(report: Outcome, found: FoundChanges) -> Outcome:
     if not sized:
         return report
     A = np.concatenate([state.columns(h) for h in sized], axis=1)
-    V = found.null.covariances[found.stages[2].judge.best]
-    residual, rows = state.residual, found.null.rows
+    V = found.plain.null.covariances[state.judge.best]
+    residual, rows = state.view.residual, found.plain.null.rows
     station = found.samples.station[rows.sample]
     left = residual.copy()
     for one in np.unique(station):
@@ -293,7 +297,7 @@ def _notes(
         out.append(f"{gone} of {samples.stations} stations were left out: learned curves have not been seen there.")
     if part.stations < inside.stations:
         out.append(f"{part.stations} of {inside.stations} stations, spread over time and postures, were looked at.")
-    if 2.0 * (far := found.null.weight * part.stations) < part.stations:
+    if 2.0 * (far := found.plain.null.weight * part.stations) < part.stations:
         out.append(
             f"These {part.stations} stations stand close together and say as much as {far:.1f} far apart: only larger "
             "changes are named. Spread them over the ranges of all joints."

@@ -134,8 +134,8 @@ def check(
     Raises NotEnoughData for fewer than five stations, BadRecording for a recording of another robot, in other units or
     in another convention, BadTable for a frame that the calibration does not know.
     """
-    from modcal_core.checking import PATTERN  # not for those who only calibrate
     from modcal_core.checkup import checkup
+    from modcal_core.moves import PATTERN  # not for those who only calibrate
 
     asked = tolerance_asked(tolerance_mm, tolerance_of)
     samples = _met(samples, calibration.nominal.chain)

@@ -100,14 +100,18 @@ def recalibrate(job: Job) -> Recalibration:
 
 def _compare(job: Job, result: Solution) -> ModelComparison:
     scored, score = result.report.scored, result.report.errors
-    if job.trusted is None:
+    own = () if job.trusted is None else job.trusted.calibrated.frames
+    number = np.array([own.index(name) if name in own else -1 for name in scored.frames])
+    known = np.flatnonzero(number[scored.frame] >= 0)
+    if job.trusted is None or not len(known):  # what it says of an instrument that it does not know is nothing
         return compared(score["nominal"].position_norm, score["final"].position_norm)
+    scored = scored.select(known)
     if job.changed is not None:
         since = scored.select(scored.stamps >= job.changed)
         scored = since if len(since) >= _MIN_COMPARED else scored
-    before = errors(with_frames(job.trusted.calibrated, scored.frames), scored).position_norm
+    before = errors(with_frames(job.trusted.calibrated, own), replace(scored, frames=own, frame=number[scored.frame]))
     after = errors(result.scored.model, scored).position_norm
-    return compared(before, after)
+    return compared(before.position_norm, after)
 
 
 def compared(before: Array, after: Array) -> ModelComparison:

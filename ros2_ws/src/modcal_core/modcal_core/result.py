@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from modcal_core.calibration import Calibration, Fit
 from modcal_core.claim import Claim
+from modcal_core.errors import BadRobot
 from modcal_core.files import write_folder
 from modcal_core.measurements import Samples
 from modcal_core.report import Report
 from modcal_core.robot import Robot
+from modcal_core.robots import is_delta
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,21 @@ class Result:
         if self.converged:
             return f"All fits reached their minimum; the last one took {self.iterations} steps."
         return f"A fit ended before its minimum, the last one after {self.iterations} steps: see report.open_because."
+
+    def with_distances(self, seed: int = 0) -> Result:
+        """The result whose report also says what distances between points alone make of a Delta, without any frame.
+
+        seed: of the annealing. Raises BadRobot for another robot, BadRecording where there are no such distances, and
+        NotEnoughData for too few.
+        """
+        from modcal_core.calibration import by_distances  # what it needs of SciPy, others need not
+
+        delta, report = self.robot.mechanism, self.report
+        if not is_delta(delta):
+            raise BadRobot(f"robot {self.robot.name}", "is no Delta", "leave --by-distances out")
+        train = report.sets.train[~report.wrong[report.sets.train]]
+        found = by_distances(delta, self.report.samples.select(train), report.scored, np.random.default_rng(seed))
+        return replace(self, report=replace(report, by_distances=found))
 
     def _repr_html_(self) -> str:
         """The report, as notebooks show it."""

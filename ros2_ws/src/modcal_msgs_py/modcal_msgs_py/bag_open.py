@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import zstandard
 
 from modcal_core.errors import BadRecording
+from modcal_msgs_py.bag_files import bag_files, to_yaml
 from modcal_msgs_py.mcap_walk import HEAD, PADDING, ZSTD, Block, McapFile, read_index
 
 _MAX_BYTES, _MAX_MESSAGES = 1 << 22, 10_000  # of a block
@@ -29,6 +30,7 @@ class Db3File:
     path: Path
     schemas: dict[str, str] = field(default_factory=dict)
     known: dict[int, tuple[str, str]] = field(default_factory=dict)
+    offered: dict[str, str] = field(default_factory=dict)
     count: int = 0
     cut: str | None = None
     share: float = 0.0
@@ -40,6 +42,9 @@ class Db3File:
         out: dict[tuple[str, str], int] = {}
         for c in _named(self._reader):
             out[c.topic, c.msgtype] = out.get((c.topic, c.msgtype), 0) + c.msgcount
+            profiles = [{"depth": q.depth, **{k: getattr(q, k).name.lower() for k in ("reliability", "durability")}}
+                        for q in c.ext.offered_qos_profiles]  # fmt: skip
+            self.offered[c.topic] = to_yaml(profiles) if profiles else ""
         return out
 
     def blocks(self) -> Iterator[Block]:
@@ -186,8 +191,49 @@ def message_unpacked(block: Block) -> tuple[Block, int]:
     return block_of(rows), lost
 
 
+class PackedMessage(NamedTuple):
+    """A message as it lies in a bag. definition: of its type, as the bag states it."""
+
+    topic: str
+    type_name: str
+    definition: str
+    received_ns: int
+    cdr: bytes
+
+
+def packed_messages(
+    path: Path,
+    topics: Collection[str],
+    heard: Callable[[float], None] = lambda share: None,
+    said: Callable[[str], None] = lambda text: None,
+) -> Iterator[PackedMessage]:
+    """Every message of these topics, as the files have them. heard: is told the share that has been read. said: is told
+    what cannot be read.
+    """
+    packed, _ = bag_files(path)
+    with unpacked(packed) as files:
+        for i, name in enumerate(files):
+            file, lost = bag_file(name), 0
+            for whole in file.blocks():
+                block, unreadable = message_unpacked(whole)
+                lost += unreadable
+                for head, start, stop in zip(block.heads, block.starts.tolist(), block.stops.tolist(), strict=True):
+                    topic, type_name = file.known[int(head["channel"])]
+                    if topic in topics:
+                        definition, received = file.schemas.get(type_name, ""), int(head["received"])
+                        yield PackedMessage(topic, type_name, definition, received, bytes(block.content[start:stop]))
+                heard((i + file.share) / len(files))
+            if lost:
+                said(f"{name.name}: {lost} packed messages cannot be unpacked")
+            if file.cut:
+                said(f"{name.name} was read as far as it goes: {file.cut}")
+
+
 def topics_of(file: BagFile) -> dict[tuple[str, str], int]:
-    """How many messages a file has by topic and type: by its index, or else by walking through all of it."""
+    """How many messages a file has by topic and type: by its index, or else by walking through all of it.
+
+    Sets what the file states of their QoS, ``offered``.
+    """
     if isinstance(file, Db3File):
         return file.topics()
     try:
@@ -195,6 +241,7 @@ def topics_of(file: BagFile) -> dict[tuple[str, str], int]:
     except (ValueError, OSError):
         index = None
     if index is not None and index.topics and index.messages == sum(index.topics.values()):
+        file.offered = index.offered
         return index.topics
     walked = McapFile(file.path)
     out: dict[tuple[str, str], int] = {}
@@ -204,4 +251,5 @@ def topics_of(file: BagFile) -> dict[tuple[str, str], int]:
                 out[walked.known[channel]] = out.get(walked.known[channel], 0) + count
     for channel in walked.channels.values():
         out.setdefault((channel.topic, walked.topics[channel.topic]), 0)
+        file.offered[channel.topic] = channel.metadata.get("offered_qos_profiles", "")
     return out

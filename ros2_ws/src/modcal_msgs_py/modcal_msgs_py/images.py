@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from modcal_core.camera import BoardView
 from modcal_core.errors import BadRecording
 from modcal_core.measurements import Listed
-from modcal_msgs_py.bag_files import bag_files
-from modcal_msgs_py.bag_open import bag_file, message_unpacked, unpacked
+from modcal_msgs_py.bag_open import packed_messages
 from modcal_msgs_py.readings import seconds, set_seconds
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -120,10 +119,10 @@ def size_of(path: Path, listed: tuple[Listed, ...], topic: str) -> tuple[int, in
 def stamps_of(path: Path, topic: str) -> NDArray[np.float64]:
     """Stamps of all messages of a topic that begin with a header, in order [s]; when received, where they have none."""
     out = []
-    for received, _, data in _packed(path, topic):
-        if len(data) >= 12:
+    for message in packed_messages(path, {topic}):
+        if len(data := message.cdr) >= 12:
             seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
-            out.append(_stamp(seconds, nanoseconds, received))
+            out.append(_stamp(seconds, nanoseconds, 1e-9 * message.received_ns))
     return np.unique(np.array(out, dtype=float))
 
 
@@ -134,25 +133,12 @@ def read_messages(path: Path, topic: str) -> Iterator[tuple[float, Any]]:
     """
     from modcal_msgs_py.layout import store_with  # which takes as long to import as a small bag to read
 
-    for received, (type_name, schema), data in _packed(path, topic):
+    for one in packed_messages(path, {topic}):
         try:
-            yield received, store_with(type_name, schema).deserialize_cdr(data, type_name)
+            store = store_with(one.type_name, one.definition)
+            yield 1e-9 * one.received_ns, store.deserialize_cdr(one.cdr, one.type_name)
         except Exception:  # the decoder raises whatever the bytes lead it to
             continue
-
-
-def _packed(path: Path, topic: str) -> Iterator[tuple[float, tuple[str, str], bytes]]:
-    """(when received [s], type and its definition, bytes) of every message of a topic."""
-    with unpacked(bag_files(path)[0]) as files:
-        for name in files:
-            file = bag_file(name)
-            for block in file.blocks():
-                block, _ = message_unpacked(block)
-                for head, start, stop in zip(block.heads, block.starts.tolist(), block.stops.tolist(), strict=True):
-                    channel, type_name = file.known[int(head["channel"])]
-                    if channel == topic:
-                        schema = file.schemas.get(type_name, "")
-                        yield 1e-9 * int(head["received"]), (type_name, schema), bytes(block.content[start:stop])
 
 
 def _stamp(seconds: int, nanoseconds: int, received: float) -> float:

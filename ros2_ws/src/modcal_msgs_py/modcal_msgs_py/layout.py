@@ -19,14 +19,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from modcal_core.geometry import Array
+
+if TYPE_CHECKING:  # of those who read or write bags: a node on topics of the contract works where rosbags is missing
+    from rosbags.typesys.store import Typestore
 
 _MAX_STEPS = 20_000  # fields of one message that are looked at; more, and it has no layout
 _MAX_GAPS = 16  # between numbers, that are compared one by one; where there are more, word by word is quicker
@@ -329,6 +330,8 @@ _LINE = "=" * 80 + "\n"  # between the definitions of a text
 @cache
 def jazzy() -> Typestore:
     """The message types of ROS 2 Jazzy, shared by all callers."""
+    from rosbags.typesys import Stores, get_typestore
+
     return get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -364,6 +367,8 @@ def learn(type_name: str, load: Callable[[str], Any]) -> bool:
         if "/" in inner and not learn(inner.replace("/", "/msg/"), load):
             return False
         lines.append(f"{inner}{size} {name}")
+    from rosbags.typesys import get_types_from_msg
+
     jazzy().register(get_types_from_msg("\n".join(lines), type_name))
     return True
 
@@ -380,6 +385,8 @@ def definitions(type_name: str, text: str) -> dict[str, Any]:
     A text comes from a file and may say anything. The reader of definitions is not made for that: it raises whatever
     the text leads it to, and goes as deep as the text does.
     """
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
     if len(text) > _LONGEST_TEXT:
         return {}
     try:
@@ -399,6 +406,8 @@ def store_with(type_name: str, text: str) -> Typestore:
     """The Jazzy types, and besides them those that the definition of this type adds, as far as they can be had."""
     if type_name in jazzy().types or not text:
         return jazzy()
+    from rosbags.typesys import Stores, get_typestore
+
     store = get_typestore(Stores.ROS2_JAZZY)
     with contextlib.suppress(Exception):  # as above
         store.register({k: v for k, v in definitions(type_name, text).items() if k not in store.types})

@@ -94,7 +94,8 @@ class McapFile:
 
     cdr_only: leave out what is not encoded as ROS 2 encodes. extras: whole attachments and metadata records (bytes
     with opcode and length), as they were met. compression: of the first chunk. known: topic and type by channel.
-    share: of the file that has been walked. unread: messages left out by topic and encoding.
+    offered: QoS profiles by topic, in YAML. share: of the file that has been walked. unread: messages left out by topic
+    and encoding.
     """
 
     path: Path
@@ -108,6 +109,7 @@ class McapFile:
     count: int = 0
     cut: str | None = None
     known: dict[int, tuple[str, str]] = field(default_factory=dict)
+    offered: dict[str, str] = field(default_factory=dict)
     share: float = 0.0
     unread: Counter[tuple[str, str]] = field(default_factory=Counter)
     _unpacked: int = 0
@@ -382,10 +384,12 @@ _FOOTER_SIZE = 29  # bytes of the record
 class Index:
     """What a summary says. topics: number of messages by topic and type, 0 where it is not counted.
 
-    messages, chunks: as it counts them, None where it does not; listed: chunks that it lists.
+    offered: QoS profiles by topic, in YAML. messages, chunks: as it counts them, None where it does not. listed: chunks
+    that it lists.
     """
 
     topics: dict[tuple[str, str], int] = field(default_factory=dict)
+    offered: dict[str, str] = field(default_factory=dict)
     messages: int | None = None
     chunks: int | None = None
     listed: int = 0
@@ -427,4 +431,5 @@ def _index(records: Iterator[McapRecord]) -> Index:
     for channel in channels.values():
         key = (channel.topic, schemas.get(channel.schema_id, ""))
         out.topics[key] = out.topics.get(key, 0) + counts.get(channel.id, 0)
+        out.offered[channel.topic] = channel.metadata.get("offered_qos_profiles", "")
     return out

@@ -11,13 +11,19 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from modcal_core.calibration import fingerprint
+from modcal_core.correction import StackPlace
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3
-from modcal_msgs_py.commands import require_version
+from modcal_msgs_py.commands import fill_pose, require_version
 from modcal_msgs_py.readings import set_nanoseconds, set_seconds
 
 if TYPE_CHECKING:
     from modcal_core.articulation import TrackerState
+    from modcal_core.correction import HeldBox, Placing
+    from modcal_core.robots import Mechanism
 
 _MOST = 200_000  # values of a calibration; one of an arm with all effects has some 2 000
 _REMEDY = "publish it as the calibrator does"
@@ -39,6 +45,14 @@ def fill_change(message: Any, data: Mapping[str, Any]) -> Any:
     degrees = data.get("size_deg")
     message.size_rad = math.nan if degrees is None else math.radians(degrees)
     message.same_as = [str(place) for place in data.get("same_as") or ()]
+    return message
+
+
+def fill_identity(message: Any, chain: Mechanism | None, observers: Sequence[str]) -> Any:
+    """An Identity of the arm that is described, None where none is, and of who looks at it."""
+    if chain is not None:
+        message.robot, message.base, message.tip = fingerprint(chain), chain.base, chain.tip
+    message.observers = list(observers)
     return message
 
 
@@ -100,6 +114,36 @@ def fill_object_status(message: Any, frame: str, stamp: int, state: TrackerState
         at, turn = handle.position, handle.orientation
         at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w = se3.to_pose(model.start).tolist()
     return message
+
+
+def asked_of_box(request: Any) -> tuple[Array, StackPlace | None]:
+    """(known size (3,) [m], NaN for what is not, and where the box shall stand) in a request of MeasureObject.
+
+    Raises BadCommand for another version, BadTable for a place that is none.
+    """
+    require_version(request, "measure_object")
+    size = np.array([request.size.x, request.size.y, request.size.z])
+    if not request.place:
+        return np.where(size > 0.0, size, np.nan), None
+    at, turn = request.stack.pose.position, request.stack.pose.orientation
+    pose, spread = [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w], np.reshape(request.stack.covariance, (6, 6))
+    return np.where(size > 0.0, size, np.nan), StackPlace(
+        pose, spread, request.down or "+z", request.corner, request.turn
+    )
+
+
+def fill_held_box(answer: Any, held: HeldBox, put: Placing | None, base: str) -> Any:
+    """An answer of MeasureObject with a box in the gripper, and where it goes, in the base link."""
+    answer.done, answer.frame, answer.box.header.frame_id = True, held.frame, held.frame
+    set_seconds(answer.box.header.stamp, held.until)
+    fill_pose(answer.box.pose, held.box.T_frame_box, held.pose_covariance)
+    answer.size.x, answer.size.y, answer.size.z = held.box.size.tolist()
+    answer.covariance = held.box.covariance.ravel()
+    answer.message = f"box in {held.frame}; {held.box.spare} of its {len(held.read)} readings check it"
+    if put is not None:
+        answer.placing.header.frame_id = base
+        fill_pose(answer.placing.pose, put.T_base_frame, put.covariance)
+    return answer
 
 
 def _thousandth(value: float | None) -> float:

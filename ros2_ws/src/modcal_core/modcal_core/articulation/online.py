@@ -146,6 +146,11 @@ class TrackerState:
     written: OtherConvention | None = None
 
     @property
+    def late(self) -> bool:
+        """Whether the state is late: never, it is its own."""
+        return False
+
+    @property
     def silent(self) -> bool:
         """Whether it is too old to be used: never, for it is of the pose that was taken last."""
         return False

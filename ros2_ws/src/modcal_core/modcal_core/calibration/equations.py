@@ -110,7 +110,7 @@ def _add(
     """Add what one block of samples says."""
     P = len(parameters)
     half = np.sqrt(weight)
-    residual = np.concatenate([view.position.ravel(), view.rotation.ravel()]) * half
+    residual = view.residual * half
     terms = all_columns(view.effects, at) if len(values) > P else []
     curves, others = curves_of(terms, at)
     few = [curve for curve in curves if len(curve) < _FEW]
@@ -176,7 +176,7 @@ def gradient(
     of two columns is needed: the weighted residual is contracted with each direction of a place once.
     """
     P = len(parameters)
-    weighted = np.concatenate([view.position.ravel(), view.rotation.ravel()]) * row_weight
+    weighted = view.residual * row_weight
     g = np.zeros(len(values))
     g[:P] = _geometry_gradient(view, start, parameters, values, weighted)
     if len(values) == P:

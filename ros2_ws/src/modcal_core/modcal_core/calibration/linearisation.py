@@ -312,6 +312,11 @@ class RowView:
         return view
 
     @property
+    def residual(self) -> Array:
+        """All residuals, (3 N + 3 M,)."""
+        return np.concatenate([self.position.ravel(), self.rotation.ravel()])
+
+    @property
     def expected(self) -> Array:
         """What the model expects to be read, from the instrument's origin along the root's axes, (3, N).
 

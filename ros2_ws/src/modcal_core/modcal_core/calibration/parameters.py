@@ -37,10 +37,11 @@ from modcal_core.robots import delta as deltas
 # It only decides directions that the data hardly shows, so that they cannot drift into large, cancelling values.
 PRIOR_LENGTH_M = 0.01
 PRIOR_ANGLE_RAD = 0.02
+_PRIORS = {"m": PRIOR_LENGTH_M, "rad": PRIOR_ANGLE_RAD, "1": PRIOR_ANGLE_RAD}  # by unit
 _WIDE = 5.0
 
 INSTRUMENT = -2  # the place of an instrument's own constants
-_UNITS = ("m", "m", "m", "rad", "rad", "rad", *deltas.DELTA_UNITS)
+_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class ModelParameter:
     place's frame with the joint's axis along z; from 6 on a constant of a Delta's arm. frame: index of the frame at
     place 0, else -1. prior_std: in its unit, inf where nothing at all is expected. seen_std: what it must be known
     better than to count as observed; NaN: the prior's. instrument: index of the instrument
-    that it is a constant of (place INSTRUMENT, direction the constant's number, own_unit its unit), else -1.
+    that it is a constant of (place INSTRUMENT, direction the constant's number), else -1. own_unit: of a constant.
     """
 
     name: str
@@ -151,9 +152,13 @@ def _of_arm(chain: Mechanism) -> tuple[list[ModelParameter], list[ModelParameter
     if isinstance(chain, Delta):
         arms = [
             ModelParameter(
-                f"{name}/{constant}", chain.first_place + i, len(DIRECTIONS) + row, prior_std=_prior(6 + row)
+                f"{name}/{constant}",
+                chain.first_place + i,
+                len(DIRECTIONS) + row,
+                prior_std=_PRIORS[unit],
+                own_unit=unit,
             )
-            for row, constant in enumerate(deltas.CONSTANTS)
+            for row, (constant, unit) in enumerate(chain.units.items())
             for i, name in enumerate(chain.names[: deltas.ARMS])
         ]
         return arms, [arms.pop(deltas.AZIMUTH * deltas.ARMS)]
@@ -169,7 +174,7 @@ def _of_arm(chain: Mechanism) -> tuple[list[ModelParameter], list[ModelParameter
 
 
 def _prior(direction: int) -> float:
-    return PRIOR_LENGTH_M if _UNITS[direction] == "m" else PRIOR_ANGLE_RAD
+    return _PRIORS[_UNITS[direction]]
 
 
 def independent_columns(J: Array, tolerance: Sequence[float] | float = 1e-7) -> np.ndarray:

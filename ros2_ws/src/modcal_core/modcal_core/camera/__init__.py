@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
     from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, STATED, Lens
     from modcal_core.camera.mounting import MIN_VIEWS
-    from modcal_core.camera.other_readings import ReadingsBeside, beside
+    from modcal_core.camera.equations import ReadingsBeside, beside
     from modcal_core.camera.prepared import view_distances
     from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
     from modcal_core.camera.target_file import read_any_target, read_target, target_from_data, target_to_data

@@ -32,7 +32,7 @@ from modcal_core.calibration import (
     ordered_candidates,
 )
 from modcal_core.effects import Drivers, Effect, prior_stds
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, combined, se3, so3
 from modcal_core.measurements import POSE, Samples, SignalTrack
 from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.robots import body_jacobian
@@ -75,7 +75,7 @@ def arm_faults(
     J = linearise(model, every, np.zeros(len(every)), samples).J.T
     at = {p.name: i for i, p in enumerate(every)}
     kept = J[:, [at[p.name] for p in parameters]]
-    moves = np.linalg.lstsq(kept, J, rcond=None)[0] * np.array([p.prior_std for p in every])
+    moves = combined(kept, J) * np.array([p.prior_std for p in every])
     return ArmFaults(moves, np.array([p.place for p in every]), np.array([p.turns for p in every]))
 
 
@@ -220,9 +220,9 @@ class ArmPoses:
         """The turn from the arm's root to the frame, (3, 3)."""
         return np.asarray(now.T_frame_base[0, :3, :3] @ now.chain.T_base_root[:3, :3])
 
-    def tool_at(self, values: Array) -> Array:
-        """T_frame_tool, (N, 4, 4), the clock as stated."""
-        return self.model_at(values).predict_samples(self.drivers().samples)
+    def tool_at(self, values: Array, offset_s: float = 0.0) -> Array:
+        """T_frame_tool, (N, 4, 4)."""
+        return self.model_at(values).predict_samples(self.drivers(offset_s).samples)
 
     def half_motions(self, T: Array) -> tuple[Array, Array]:
         """Twists of the target (N, 6, 6) per motion of the half in the world, and of that on the arm. T: T_frame_tool.

@@ -105,13 +105,8 @@ class PrintedTarget:
         require(differs, name, f"{squares} look the same turned by half a turn", remedy)
 
     @property
-    def ids(self) -> np.ndarray:
-        """Numbers of the corners, (C,): 0 … C − 1 in the order of ``points``."""
-        return np.arange(len(self.points))
-
-    @property
     def points(self) -> Array:
-        """Where the corners are as stated, (C, 3) [m], z = 0.
+        """Where the corners are as stated, by their numbers, (C, 3) [m], z = 0.
 
         Of a board the inner corners, row by row. Of a grid the four of each marker: from the upper left one clockwise,
         or, of an AprilGrid, from the lower left one counter-clockwise, and its markers from the lower left row by row.
@@ -292,23 +287,15 @@ class MarkerBundle:
     @cached_property
     def _layout(self) -> tuple[np.ndarray, Array, Array]:
         """(marker, place from its middle in the body's frame [m], normal of its face, 0 of a bare point) of points."""
+        square = 0.5 * np.array([(*_CORNERS[name], 0.0) for name in self.corners] + [(0.0, 0.0, 0.0)])
         marker, lever, normal = [], [], []
         for k, one in enumerate(self.markers):
-            own = np.zeros((MARKER_CORNERS + 1 if one.size else 1, 3))
-            out = np.zeros(3)
-            if one.size:
-                R = one.T_body_marker[:3, :3]
-                own[:MARKER_CORNERS, :2] = 0.5 * one.size * np.array([_CORNERS[name] for name in self.corners])
-                own, out = own @ R.T, R[:, 2]
+            R = one.T_body_marker[:3, :3]
+            own = one.size * square @ R.T if one.size else np.zeros((1, 3))
             marker += [k] * len(own)
             lever.append(own)
-            normal += [out] * len(own)
+            normal += [R[:, 2] if one.size else np.zeros(3)] * len(own)
         return np.array(marker), np.concatenate(lever), np.array(normal)
-
-    @cached_property
-    def _ids(self) -> np.ndarray:
-        """Number of the marker of each point, (C,)."""
-        return np.array([m.id for m in self.markers])[self._layout[0]]
 
     @property
     def points(self) -> Array:
@@ -351,7 +338,7 @@ class MarkerBundle:
 
     def point(self, marker: int, corner: int | None) -> int | None:
         """The number of a point: a marker's corner, 0 to 3, or its middle; None where the body has none such."""
-        own = np.flatnonzero(self._ids == marker)
+        own = np.flatnonzero(np.array([m.id for m in self.markers])[self._layout[0]] == marker)
         if not len(own) or not (corner is None or 0 <= corner < len(own) - 1):
             return None
         return int(own[-1 if corner is None else corner])

@@ -15,7 +15,7 @@ a link's length. What is left of it, beside all that is fitted, has to stand out
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from scipy.linalg import solve_triangular
 
 from modcal_core.calibration import RowView
 from modcal_core.camera.corners import POSE, CornerTable
-from modcal_core.camera.fit import LIKELIER, CameraFit, Cameras, fit_cameras
+from modcal_core.camera.fit import LIKELIER, CameraFit, fit_cameras
 from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, Scanner, Space, choose
 from modcal_core.effects import Drivers, Effect, candidates
 from modcal_core.geometry import Array
@@ -47,10 +47,7 @@ class CameraSpace(Space):
 class CameraScanner(Scanner):
     """Candidates weighed against what a camera fit leaves over."""
 
-    def __init__(self, effects: Sequence[Effect], drivers: Drivers) -> None:
-        """effects: the candidates. drivers: at the images."""
-        super().__init__(effects, drivers)
-        self._known: tuple[CameraFit, CameraSpace] | None = None
+    _known: tuple[CameraFit, CameraSpace] | None = None
 
     def space_of(self, fit: CameraFit) -> CameraSpace:  # type: ignore[override]
         """The rows of all images, and what is fitted."""
@@ -132,12 +129,14 @@ def find_causes(
             break
         progress(choice.effect.label)
         started = choice.effect.started(scanner.amplitudes(fit, choice.effect))  # type: ignore[arg-type]
-        better = fit_cameras(*_with_effects(fit, (*_valued(fit), started)), fit.sizes)
+        effects = (*_valued(fit), started)
+        before, behind = np.split(fit.x, [len(fit.poses.parameters), fit.poses.count])[::2]
+        x = np.concatenate([before, *(e.values for e in effects), behind])
+        better = fit_cameras(fit.cameras.with_effects(effects), x, fit.sizes)
         gain = fit.misfit - better.misfit
         if better.converged and gain > LIKELIER and predicted(better) < predicted(fit):
-            causes.append(
-                CameraCause(started, choice.p_value, choice.same_as, fit.sizes.joint, better.sizes.joint, gain)
-            )
+            sizes = fit.sizes.joint, better.sizes.joint
+            causes.append(CameraCause(started, choice.p_value, choice.same_as, *sizes, gain))
             fit, left = better, None
         else:
             refused.add(choice.effect.key)
@@ -157,18 +156,12 @@ def _valued(fit: CameraFit) -> tuple[Effect, ...]:
     return tuple(out)
 
 
-def _with_effects(fit: CameraFit, effects: Sequence[Effect]) -> tuple[Cameras, Array]:
-    """(the cameras with these effects, all values there). The values of effects are those that they have."""
-    before, behind = len(fit.poses.parameters), fit.poses.count
-    x = np.concatenate([fit.x[:before], *(e.values for e in effects), fit.x[behind:]])
-    return fit.cameras.with_effects(effects), x
-
-
 def _unseen(fit: CameraFit, part: int) -> tuple[np.ndarray, CornerTable, Array]:
     """(every fourth image, mask (N,); its corners; how far these are from where a fit of the others has them [px])."""
     first = fit.cameras.first
     held = np.arange(first.table.views) % _PARTS == part
-    others = fit_cameras(fit.cameras.with_first(first.select(~held)), fit.x, fit.sizes, fixed_sizes=True)
+    every = (first.select(~held), *fit.cameras.every[1:])
+    others = fit_cameras(replace(fit.cameras, every=every), fit.x, fit.sizes, fixed_sizes=True)
     unseen = first.select(held)
     return held, unseen.table, unseen.rows(others.state, np.empty(0, int)).pixels
 

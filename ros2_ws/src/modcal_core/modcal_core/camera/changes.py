@@ -50,27 +50,25 @@ class Moved:
     focal: float = 0.0
 
     @property
+    def by(self) -> str:
+        """By how much, as text."""
+        shift = f"{1e3 * self.shift_m:.1f} mm and " if self.shift_m > 0.0 else ""
+        return f"{shift}{np.degrees(self.turn_rad):.2f}°"
+
+    @property
     def sentence(self) -> str:
         """The finding as a sentence."""
-        size = f"{np.degrees(self.turn_rad):.2f}°"
-        if self.shift_m > 0.0:
-            size = f"{1e3 * self.shift_m:.1f} mm and {size}"
-        return f"The {self.what} was moved by {size}"
+        return f"The {self.what} was moved by {self.by}"
 
     def before(self, image: str, whose: str = "") -> str:
         """The finding with what to do about the images of a fit. image: the name of the first one after it. whose:
         suffix that names the camera of several.
         """
-        then = "calibrate from the images before, or from those after"
+        said, do = f"The {self.what}{whose} was moved before image {image}, by {self.by}: ", ""
         if self.focal:
-            return (
-                f"The camera{whose} has another focal length from image {image} on, by {100.0 * self.focal:+.1f} %: "
-                f"switch autofocus off, leave focus and zoom alone, and {then}."
-            )
-        return (
-            f"The {self.what}{whose} was moved before image {image}, by {1e3 * self.shift_m:.1f} mm and "
-            f"{np.degrees(self.turn_rad):.2f}°: {then}."
-        )
+            said = f"The camera{whose} has another focal length from image {image} on, by {100.0 * self.focal:+.1f} %: "
+            do = "switch autofocus off, leave focus and zoom alone, and "
+        return f"{said}{do}calibrate from the images before, or from those after."
 
 
 @dataclass(frozen=True)

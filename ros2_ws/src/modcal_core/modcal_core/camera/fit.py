@@ -37,13 +37,19 @@ from modcal_core.camera.corners import (
     corner_rows,
     grams,
 )
-from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, SolvedEquations
-from modcal_core.camera.intrinsics import damped
+from modcal_core.camera.equations import (
+    ALONE,
+    BesideRows,
+    CameraRows,
+    Equations,
+    ReadingsBeside,
+    Sizes,
+    SolvedEquations,
+)
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import Mounting
-from modcal_core.camera.other_readings import BesideRows, ReadingsBeside
 from modcal_core.effects import Effect
-from modcal_core.geometry import Array, se3
+from modcal_core.geometry import Array, combined, descend, se3
 from modcal_core.measurements import POSE
 
 
@@ -135,10 +141,6 @@ class Cameras:
         """The camera whose view is judged."""
         return self.every[0]
 
-    def with_first(self, first: Camera) -> Cameras:
-        """The same with another first camera."""
-        return replace(self, every=(first, *self.every[1:]))
-
     def with_effects(self, effects: Sequence[Effect]) -> Cameras:
         """The same with these effects of the arm in place of those it has."""
         return replace(self, every=tuple(one.with_effects(effects) for one in self.every))
@@ -202,23 +204,19 @@ class Cameras:
         """The rows of other instruments at values (V,) of all."""
         if self.beside is None:
             return None
-        poses = self.first.poses
-        arm = np.flatnonzero(poses.of_arm)
-        effects = np.arange(len(poses.parameters), poses.count)
-        columns = np.r_[arm, effects, len(self.first.free) + np.arange(len(self.beside.own))]
+        poses, own = self.first.poses, len(self.first.free) + np.arange(len(self.beside.own))
+        arm, effects = np.flatnonzero(poses.of_arm), np.arange(len(poses.parameters), poses.count)
+        columns = np.r_[arm, effects, own]
         among = [poses.parameters[i] for i in arm]
         return self.beside.rows(among, x[columns], poses.model.effects, columns, len(x))
 
 
 def _shared(first: Camera, one: Camera) -> np.ndarray:
     """Which of clock, lens, shape, readout and places a further camera shares with the first, (16 + Z,) bool."""
-    out = np.zeros(1 + len(one.prior.mean), bool)
-    same = one.table.target == first.table.target
-    same_side = one.poses.camera_on_tip == first.poses.camera_on_tip
-    shared = out[1:]
-    shared[SCALE] = same
-    shared[BOW] = same and same_side
-    shared[COMMON:] = same and same_side  # two bodies of one drawing have markers glued each by itself
+    out, same = np.zeros(1 + len(one.prior.mean), bool), one.table.target == first.table.target
+    out[1:][SCALE] = same
+    same_side = same and one.poses.camera_on_tip == first.poses.camera_on_tip
+    out[1:][BOW] = out[1:][COMMON:] = same_side  # two bodies of one drawing have markers glued each by itself
     return out
 
 
@@ -362,7 +360,7 @@ class CameraFit:
     @property
     def tool(self) -> Array:
         """T_frame_tool at every image, (N, 4, 4)."""
-        return self.poses.tool_motions(self.state.values, self.state.offset_s)[0]
+        return self.poses.tool_at(self.state.values, self.state.offset_s)
 
     def tool_at(self, q: Array) -> Array:
         """T_frame_tool at postures q (M, n), the arm standing, (M, 4, 4)."""
@@ -402,37 +400,39 @@ _Place = tuple[Array, SolvedEquations]
 
 
 def fit_cameras(
-    cameras: Cameras, begin: Array | None = None, sizes: Sizes = START, fixed_sizes: bool = False
+    cameras: Cameras, start: Array | None = None, sizes: Sizes = START, fixed_sizes: bool = False
 ) -> CameraFit:
     """The fit of all cameras from values (V,), or from where the cameras begin.
 
     sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
-    x = cameras.expected.start if begin is None else begin
+    x = cameras.expected.start if start is None else start
     afar, stated = sizes == START, cameras.first.poses.arm_stated
     if stated is not None:
         sizes = replace(sizes, arm=stated)
 
-    def at(x: Array) -> tuple[_Place, float]:
-        solved = cameras.equations(x).solve(sizes)
-        return (x, solved), solved.cost
-
     def stepped(here: _Place, damping: float) -> tuple[_Place, float] | None:
         there = here[0] + here[1].step(damping)
         every = cameras.states(there)
-        possible = all((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all() for s in every)
-        return at(there) if possible else None
+        if not all((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all() for s in every):
+            return None
+        solved = cameras.equations(there).solve(sizes)
+        return (there, solved), solved.cost
+
+    def met(_: _Place, gain: float, __: float) -> bool:
+        return gain <= _FIT_MET
 
     settled = fixed_sizes
     for k in range(_ROUNDS + 1):
-        (x, solved), converged = damped(at(x), stepped, _FIT_MET, 1e-6 * _FIT_MET, _STEPS)
-        equations = solved.equations
+        begin = x, cameras.equations(x).solve(sizes)
+        found = descend(begin, lambda here: here[1].cost, stepped, met, _STEPS)
+        x, equations = found.place[0], found.place[1].equations
         if settled or k == _ROUNDS:
             break
         new, afar = likeliest(equations, sizes, afar=afar), False
         settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
         sizes = new
-    return CameraFit(cameras, x, sizes, equations.solve(sizes).covariance(), equations, converged)
+    return CameraFit(cameras, x, sizes, equations.solve(sizes).covariance(), equations, found.converged)
 
 
 def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:
@@ -443,10 +443,8 @@ def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:
     count, P = poses.count, len(poses.parameters)
     samples = general_samples(model, [View(POSE, f) for f in range(len(model.frames))], each=max(24, count))
     ended = linearise(poses.model, poses.parameters, fit.state.values[:count], samples).J
-    written = linearise(
-        model, poses.parameters, np.concatenate([np.zeros(P), *(e.values for e in model.effects)]), samples
-    ).J
-    scale = 1.0 / np.maximum(np.linalg.norm(written, axis=1), 1e-300)
-    to_written = scale[:, None] * np.linalg.lstsq((written * scale[:, None]).T, ended.T, rcond=1e-9)[0]
+    begin = np.concatenate([np.zeros(P), *(e.values for e in model.effects)])
+    written = linearise(model, poses.parameters, begin, samples).J
+    to_written = combined(written.T, ended.T)
     covariance = to_written @ fit.covariance[:count, :count] @ to_written.T
     return Uncertainty(poses.parameters, 0.5 * (covariance + covariance.T))

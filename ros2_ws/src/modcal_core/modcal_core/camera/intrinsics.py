@@ -10,17 +10,15 @@ image has two poses.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
 from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows, grams, images_with_pose
 from modcal_core.camera.lens import COUNT, FISHEYE, PINHOLE, Lens
 from modcal_core.errors import NotEnoughData
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, descend, se3, so3
 
 _FLAT = np.zeros(SHAPE)
 _STEPS, _MET = 12, 1e-9  # of poses: they meet in four to six; m, rad: a step below changes nothing
@@ -89,40 +87,6 @@ def _refined(table: CornerTable, lens: Lens, shape: Array, T: Array) -> tuple[Ar
     return T, G[:, -1, -1]
 
 
-_FIRST, _LEAST, _MOST = 1e-6, 1e-12, 1e7  # damping, relative to the curvature of each value; at the last no step helps
-
-
-_P = TypeVar("_P")
-
-
-def damped(
-    begin: tuple[_P, float],
-    stepped: Callable[[_P, float], tuple[_P, float] | None],
-    met: float,
-    share: float,
-    steps: int,
-) -> tuple[_P, bool]:
-    """(the place where the cost is least, whether it met) by damped Gauss-Newton steps from a place with its cost.
-
-    stepped: the place a step with this damping farther, and its cost; None for one that is not possible. met, share:
-    gain of the last step, absolute and relative to the cost. steps: at most.
-    """
-    (here, cost), damping = begin, _FIRST
-    for _ in range(steps):
-        there = stepped(here, damping)
-        if there is not None and there[1] <= cost + met:
-            gain = cost - there[1]
-            here, cost = there
-            damping = max(0.1 * damping, _LEAST)
-            if gain <= met + share * max(cost, 1e-30):
-                return here, True
-        else:
-            damping = max(10.0 * damping, _FIRST)
-            if damping > _MOST:
-                return here, True
-    return here, False
-
-
 _INTRINSICS_STEPS = 100  # of Gauss and Newton, at most
 _INTRINSICS_MET = 1e-12  # relative gain of the cost
 _LONGEST = 10.0  # times the image's size, of a focal length; images square on show longer ones
@@ -174,11 +138,10 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
     P0 = np.zeros((len(use), len(use))) if prior is None else prior[np.ix_(use, use)]
     p, c = slice(0, POSE), POSE + use
 
-    def at(lens: Lens, T: Array) -> tuple[LensFit, float]:
+    def at(lens: Lens, T: Array) -> LensFit:
         G = grams(table, corner_rows(table, lens, _FLAT, T))
         off = (lens.values - start.values)[use]
-        cost = float(G[:, -1, -1].sum() + off @ P0 @ off)
-        return LensFit(lens, T, G, cost), cost
+        return LensFit(lens, T, G, float(G[:, -1, -1].sum() + off @ P0 @ off))
 
     def stepped(here: LensFit, damping: float) -> tuple[LensFit, float] | None:
         G = here.grams
@@ -192,7 +155,12 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
         change = np.zeros(COUNT)
         change[use] = scale * np.linalg.solve(H * np.outer(scale, scale) + damping * np.eye(len(use)), scale * g)
         lens, moves = here.lens.moved(change), back[:, :, -1] - back[:, :, :-1] @ change[use]
-        return at(lens, se3.exp(moves) @ here.T_camera_target) if lens.values[:2].min() > 0.0 else None
+        if lens.values[:2].min() <= 0.0:
+            return None
+        there = at(lens, se3.exp(moves) @ here.T_camera_target)
+        return there, there.cost
 
     begin = at(start, board_poses(table, start).T[:, 0])
-    return damped(begin, stepped, 0.0, _INTRINSICS_MET, _INTRINSICS_STEPS)[0]
+    return descend(
+        begin, lambda fit: fit.cost, stepped, lambda _, gain, cost: gain <= _INTRINSICS_MET * cost, _INTRINSICS_STEPS
+    ).place

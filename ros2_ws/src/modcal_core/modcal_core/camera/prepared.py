@@ -154,7 +154,8 @@ def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
         weight = np.where(agreeing(kept.table, rows.residual, rows.pixels), kept.table.weight, 0.0)
         table = replace(kept.table, weight=weight)
         poses = board_poses(table, fit.lens, prior.shape)
-        bad = bad_images(table, poses.rms)
+        blurred = poses.rms > max(_IMAGE_PX, _IMAGE_TIMES * float(np.median(poses.rms)))
+        bad = blurred | ~images_with_pose(table)
         if (weight == kept.table.weight).all() and not bad.any():
             break
         kept = replace(kept, table=table).without(np.where(bad, "the target fits this image badly", ""))
@@ -211,11 +212,6 @@ def agreeing(table: CornerTable, residual: Array, pixels: Array | None = None) -
     sigma = max(_TO_SIGMA * float(np.median(size[table.weight > 0.0])), 1e-9)
     near = size <= _CORNER * sigma
     return np.asarray((near if pixels is None else near | (np.abs(pixels) <= _CORNER_PX)).all(axis=1))
-
-
-def bad_images(table: CornerTable, rms_px: Array) -> np.ndarray:
-    """Images (N,) in which the target has too few corners left, or fits far worse than in the others."""
-    return ~images_with_pose(table) | (rms_px > max(_IMAGE_PX, _IMAGE_TIMES * float(np.median(rms_px))))
 
 
 def gross(off: Array) -> np.ndarray:

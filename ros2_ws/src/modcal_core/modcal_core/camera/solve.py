@@ -7,7 +7,7 @@ images leave open decide about the advice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,9 +29,9 @@ from modcal_core.camera.claim import (
     tool_error,
 )
 from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.equations import MIN, ReadingsBeside
 from modcal_core.camera.fit import Camera, CameraFit, CameraImages, Cameras, fit_cameras
 from modcal_core.camera.mounting import Mounting
-from modcal_core.camera.other_readings import MIN, ReadingsBeside
 from modcal_core.camera.prepared import MOSTLY, first_fit, nominal, prepare_images, together
 from modcal_core.camera.statements import (
     SIZE,
@@ -71,12 +71,6 @@ def problems(fit: CameraFit, nominal: CameraFit, wrong: Sequence[str]) -> tuple[
     if not fit.table.places and fit.table.left_out > PASSED:
         out.append(f"{100.0 * fit.table.left_out:.0f} % of all corners fit no flat target of the stated form.")
     return tuple(out)
-
-
-def left_out_images(left_out: Collection[str], count: int, whose: str = "") -> tuple[str, ...]:
-    """Sentence that more images than a verdict passes over were left out of so many; nothing where that is not so."""
-    said = f"{len(left_out)} of {count} images{whose} were left out."
-    return (said,) if len(left_out) > PASSED * count else ()
 
 
 def metric_of(target: CalibrationTarget, arm_m: float | None, beside: ReadingsBeside | None) -> tuple[str, ...]:
@@ -214,7 +208,7 @@ class CameraClaim:
     shares: dict[str, tuple[float, float]]
     rests_on: RestsOn | None
     metric: tuple[str, ...]
-    held_out_px: tuple[float, ...] = ()
+    held_out_px: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -275,13 +269,16 @@ def solve_camera(
     images = first.given
     near = postures_in_view(fit, rng)
     doubted = doubts(fit, images)
-    change, of_others = find_change(fit), tuple[str, ...]()
+    change, wrong = find_change(fit), list[str]()
     for k, camera in enumerate(fit.cameras.every):
         whose = f" of {camera.given.name}" if k else ""
         found = find_change(by_itself[k]) if k else change
-        of_others += () if found is None else (found.before(camera.table.names[int(found.since)], whose),)
-        of_others += left_out_images(camera.left_out, len(camera.given.views), whose)
-    against = problems(fit, still, (*of_others, *contradictions(fit, doubted, images)))
+        if found is not None:
+            wrong.append(found.before(camera.table.names[int(found.since)], whose))
+        out, count = len(camera.left_out), len(camera.given.views)
+        if out > PASSED * count:  # more than a verdict passes over
+            wrong.append(f"{out} of {count} images{whose} were left out.")
+    against = problems(fit, still, (*wrong, *contradictions(fit, doubted, images)))
     open_points: tuple[str, ...] = ()
     if isinstance(images.target, MarkerBundle):
         same = [one for one in fit.cameras.every if one.table.target == images.target]
@@ -289,10 +286,10 @@ def solve_camera(
         every = zip(names, (one.table for one in same), strict=True)
         against_points, open_points = left_out_points(list(every), images.target)
         against += against_points
-    other_length = problem.arm_m is not None or (problem.beside is not None and problem.beside.metric)
+    metric = metric_of(images.target, problem.arm_m, problem.beside)
     evidence = CameraEvidence(
         change,
-        findings(fit, images.target.scale, other_length, near),
+        findings(fit, images.target.scale, len(metric) > images.target.scale.measured, near),
         causes,
         left,
         weak_directions(fit, first.mounting),
@@ -305,8 +302,8 @@ def solve_camera(
         tool_error(fit, still, random_postures(problem.chain, POSTURES, rng), draws),
         tool_error(fit, still, near, draws, arm_alone=True),
     )
-    claim = _claim(problem, errors, fit, near, doubted, evidence.problems)
-    claim = replace(claim, held_out_px=held_out(still, fit))
+    decision, rests, shared = _decided(problem, errors, fit, near, doubted, evidence.problems)
+    claim = CameraClaim(*errors, decision, shared, rests, metric, held_out(still, fit))
     return CameraSolution(fit, geometric, still, evidence, claim)
 
 
@@ -326,27 +323,26 @@ def _fitted(problem: CameraProblem, progress: Callable[[str], None]) -> tuple[Ca
     return _without_far(fit_cameras(Cameras(every, problem.beside))), alone
 
 
-def _claim(
+def _decided(
     problem: CameraProblem,
     errors: tuple[ToolError, ToolError, ToolError],
     fit: CameraFit,
     near: Array,
     doubted: Sequence[DoubtedStatement],
     against: tuple[str, ...],
-) -> CameraClaim:
-    """The claim of these errors in view, anywhere and of the arm alone. near: postures in view (M, n). against: what
-    contradicts the fit.
+) -> tuple[Decision, RestsOn | None, dict[str, tuple[float, float]]]:
+    """(decision, what the stated size is worth, shares) of these errors in view, anywhere and of the arm alone. near:
+    postures in view (M, n). against: what contradicts the fit.
     """
-    target, body = problem.cameras[0].target, fit.table.places > 0
-    metric = metric_of(target, problem.arm_m, problem.beside)
+    images, body = problem.cameras[0], fit.table.places > 0
     shared, rests = shares(fit, near), rests_on(fit, doubted, near, errors[0])
-    doubtful = in_doubt(fit, doubted, problem.cameras[0])
+    doubtful = in_doubt(fit, doubted, images)
     rest = () if rests is None else (rests.sentence(errors[0].nominal_interval[0], body),)
-    judged = 2 if body else 0  # fixed cameras and a body are there for the arm, wherever they stand
-    size = size_open(target, doubted, errors[judged], shared, problem.arm_m)
-    grounds = DecisionGrounds(bool(metric), against, problem.arm_m, (*doubtful, *rest), size, body)
-    decision = replace(decide(errors[judged], grounds), doubtful=doubtful)
-    return CameraClaim(*errors, decision, shared, rests, metric)
+    judged = errors[2 if body else 0]  # fixed cameras and a body are there for the arm, wherever they stand
+    size = size_open(images.target, doubted, judged, shared, problem.arm_m)
+    metric = bool(metric_of(images.target, problem.arm_m, problem.beside))
+    grounds = DecisionGrounds(metric, against, problem.arm_m, (*doubtful, *rest), size, body)
+    return replace(decide(judged, grounds), doubtful=doubtful), rests, shared
 
 
 def _nearest(fit: CameraFit) -> Model:

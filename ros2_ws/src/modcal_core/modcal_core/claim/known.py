@@ -28,7 +28,7 @@ from modcal_core.calibration import (
 )
 from modcal_core.claim.evidence import Drawn
 from modcal_core.claim.neighbourhood import FREE, Neighbourhood
-from modcal_core.geometry import Array
+from modcal_core.geometry import Array, combined
 from modcal_core.measurements import POINT, POSE
 from modcal_core.measurements.kinds import KIND_NAMES
 
@@ -140,10 +140,8 @@ def _as_kept(about: Neighbourhood, calibration: Calibration) -> Array:
     usable, ours = ([j for j, p in enumerate(some) if _usable(p)] for some in (kept, about.parameters))
     every = [*(kept[j] for j in usable), *(about.parameters[j] for j in ours)]
     J = linearise(model, every, np.zeros(len(every)), samples).J
-    scale = np.maximum(np.linalg.norm(J[: len(usable)], axis=1), 1e-300)
     out = np.zeros((len(kept), len(about.parameters)))
-    solved = np.linalg.lstsq(J[: len(usable)].T / scale, J[len(usable) :].T, rcond=1e-9)[0]
-    out[np.ix_(usable, ours)] = solved / scale[:, None]
+    out[np.ix_(usable, ours)] = combined(J[: len(usable)].T, J[len(usable) :].T)
     return out
 
 

@@ -5,7 +5,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.geometry.descent import Descent, descend
+    from modcal_core.geometry.descent import Descent, combined, descend
     from modcal_core.geometry.read_only import sealed, view
     from modcal_core.geometry.single import along_screw, crossed, crossed_rows, pose_error, posed, relative
     from modcal_core.geometry.single import rotation_vector, speeds, tool_from, turned
@@ -16,16 +16,7 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["DIRECTIONS", "HAT", "Array", "Descent", "along_screw", "cross", "crossed", "crossed_rows", "descend"]
-__all__ += [
-    "error_transform",
-    "error_values",
-    "local_twists",
-    "pose_error",
-    "posed",
-    "relative",
-    "rotation_vector",
-    "sealed",
-    "speeds",
-]
+__all__ = ["DIRECTIONS", "HAT", "Array", "Descent", "along_screw", "combined", "cross", "crossed", "crossed_rows"]
+__all__ += ["descend", "error_transform", "error_values", "local_twists", "pose_error", "posed", "relative"]
+__all__ += ["rotation_vector", "sealed", "speeds"]
 __all__ += ["tool_from", "turned", "view"]

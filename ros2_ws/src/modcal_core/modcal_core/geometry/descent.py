@@ -10,10 +10,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+import numpy as np
+
+from modcal_core.geometry.so3 import Array
+
 # Damping, relative to the curvature along each value: the first of a step that led uphill, the least, far above
 # rounding, and one with which a step moves nothing
 FIRST_DAMPING, MIN_DAMPING, _MAX_DAMPING = 1e-4, 1e-12, 1e7
 _SLACK = 1e-7  # share of the cost that is rounding
+_IDLE = 3  # steps in a row that gain no more than that: the cost is as low as its derivatives can tell
 
 P = TypeVar("P")
 
@@ -40,15 +45,26 @@ def descend(
     None where it is impossible. ended: asked after each step: where it led, what it gained, and the cost before. most:
     steps.
     """
-    here, damping = begin, MIN_DAMPING
+    here, damping, idle = begin, MIN_DAMPING, 0
     for count in range(1, most + 1):
         cost = look(here)
-        while (there := step(here, damping)) is None or there[1] > cost + _SLACK * abs(cost) + 1e-12:
+        rounding = _SLACK * abs(cost) + 1e-12
+        while (there := step(here, damping)) is None or there[1] > cost + rounding:
             damping = max(10.0 * damping, FIRST_DAMPING)
             if damping > _MAX_DAMPING:
                 return Descent(here, count, True)
         here, gain = there[0], cost - there[1]
-        if ended(here, gain, cost):
+        idle = idle + 1 if gain <= rounding else 0
+        if ended(here, gain, cost) or idle >= _IDLE:
             return Descent(here, count, True)
         damping = max(0.1 * damping, MIN_DAMPING)
     return Descent(here, most, False)
+
+
+def combined(columns: Array, of: Array) -> Array:
+    """By how much each of the columns (n, K) counts where together they are nearest to others (n, …), (K, …).
+
+    Least squares; columns may have units of their own.
+    """
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return np.asarray((np.linalg.lstsq(columns / scale, of, rcond=1e-9)[0].T / scale).T)

@@ -30,18 +30,7 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ANGLE", "BEYOND_DOUBT", "EULER", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN", "MIN_ROWS"]
-__all__ += [
-    "MISREAD",
-    "OF_REACH",
-    "QUATERNION",
-    "Answer",
-    "ArmMiss",
-    "Disagreement",
-    "HandEye",
-    "HandEyeFit",
-    "Hypothesis",
-]
-__all__ += ["Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreement", "explain"]
-__all__ += ["inverse_pose", "judge", "left_handed", "likely_orders", "limits", "of_recording"]
-__all__ += ["orders", "placed", "proved", "recognised"]
-__all__ += ["require_plausible", "rivals", "same_poses", "sights_match", "turnings"]
+__all__ += ["MISREAD", "OF_REACH", "QUATERNION", "Answer", "ArmMiss", "Disagreement", "HandEye", "HandEyeFit"]
+__all__ += ["Hypothesis", "Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreement"]
+__all__ += ["explain", "inverse_pose", "judge", "left_handed", "likely_orders", "limits", "of_recording", "orders"]
+__all__ += ["placed", "proved", "recognised", "require_plausible", "rivals", "same_poses", "sights_match", "turnings"]

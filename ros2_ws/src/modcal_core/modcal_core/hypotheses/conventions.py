@@ -43,6 +43,7 @@ def of_recording(case: HandEye, stated: str | None = None) -> list[Hypothesis]:
         mirror = left_handed()
         rare += [_both(mirror, h) for h in joints(case.names)]
     rare += in_degrees(case.names)
+    common += zeros(case)
     return [*family(COMMON, common), *family(RARE, rare), *(turns(stated) if case.poses else [])]
 
 
@@ -314,6 +315,16 @@ def several_joints(names: tuple[str, ...]) -> Iterator[Hypothesis]:
             what = f"joint {names[i]} looks counted together with {names[j]} ({how}, as coupled drives are)"
             remedy = f"write the angle between its two links as the position of {names[i]}"
             yield _of_joints(what, remedy, np.eye(n) + factor * np.outer(np.eye(n)[i], np.eye(n)[j]))
+
+
+def zeros(case: HandEye) -> Iterator[Hypothesis]:
+    """A joint that is counted from a quarter or half turn; of the first and the last that is base and tool as well."""
+    for j in (j for j in range(1, case.chain.n - 1) if case.chain.revolute[j]):
+        for turn in (0.5 * np.pi, -0.5 * np.pi, np.pi):
+            what = f"joint {case.names[j]} reads {np.degrees(turn):.1f}° too much: its zero is different"
+            off, remedy = turn * np.eye(case.chain.n)[j], f"check how the position of {case.names[j]} gets into "
+            undone = lambda c, off=off: c.moved(c.q - off)  # noqa: E731
+            yield Hypothesis(what, f"{remedy}joint_states", undone, 0.0, touches="joints")
 
 
 def in_degrees(names: tuple[str, ...]) -> Iterator[Hypothesis]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -33,7 +34,7 @@ OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains noth
 MANY = 0.2  # share of the stations that must agree, lest chance finds that many
 
 
-def limits(chain: Chain) -> tuple[float, float]:
+def limits(chain: Mechanism) -> tuple[float, float]:
     """Angle [rad] and distance [m] that a nominal arm misses by at most."""
     return ANGLE, OF_REACH * chain.reach()
 
@@ -105,8 +106,9 @@ class HandEye:
         return replace(case, names=samples.names or chain.names, station=samples.station)
 
     @classmethod
-    def of_arrays(cls, chain: Chain, q: Array, p: Array, R: Array | None = None) -> HandEye:
+    def of_arrays(cls, robot: Mechanism, q: Array, p: Array, R: Array | None = None) -> HandEye:
         """Rows of joint positions (N, n), positions (N, 3) [m] and, of poses, orientations (N, 3, 3)."""
+        chain = cast(Chain, robot)  # what asks more of it than poses and reach asks serial arms alone
         N = len(q)
         turns = np.tile(np.eye(3), (N, 1, 1)) if R is None else R
         A = forward(chain, q)

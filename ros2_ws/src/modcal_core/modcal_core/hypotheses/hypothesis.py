@@ -59,7 +59,8 @@ def where(case: HandEye, rows: np.ndarray) -> str:
         return ""
     runs, number = consecutive(np.isin(np.arange(len(case)), rows)), case.station
     if len(runs) <= 3:
-        return " at stations " + " and ".join(f"{number[a]} to {number[b - 1]}" for a, b in runs)
+        ends = ((number[a], number[b - 1]) for a, b in runs)
+        return " at stations " + " and ".join(f"{a} to {b}" if a < b else f"{a}" for a, b in ends)
     return f" at {len(rows)} of {len(case)} stations, here and there"
 
 

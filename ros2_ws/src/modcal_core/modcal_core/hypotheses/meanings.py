@@ -21,7 +21,7 @@ from modcal_core.hypotheses.meant import BEYOND_DOUBT
 from modcal_core.hypotheses.search import rough
 from modcal_core.hypotheses.turning import Turning, turnings
 from modcal_core.measurements import spread_rows
-from modcal_core.robots import Chain, forward
+from modcal_core.robots import Mechanism, forward, takes
 
 LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # m; units that tables have positions in
 MIN_ROWS = 10  # twelve unknown numbers at most, of thirty or sixty
@@ -102,12 +102,12 @@ class Judged:
         """Whether little is left of what moves: the arm is the one that was read, however wrong it may be."""
         return self.share <= OF_MOTION
 
-    def explained(self, chain: Chain) -> bool:
+    def explained(self, chain: Mechanism) -> bool:
         """Whether what is left is also no more than most nominal arms are wrong by: no other meaning is looked for."""
         return self.near and self.match.typical <= ARM_SHARE * chain.reach() and self.match.typical_angle <= ARM_ANGLE
 
 
-def judge(chain: Chain, choices: Sequence[Postures], position: Array, turned: Array | None) -> list[Judged]:
+def judge(chain: Mechanism, choices: Sequence[Postures], position: Array, turned: Array | None) -> list[Judged]:
     """The likeliest meanings of columns, best first, of those that are physically one only the first.
 
     position: (N, 3), in the table's unit; turned: columns of the orientation (N, 3, 4 or 9), None without. All rows
@@ -118,6 +118,8 @@ def judge(chain: Chain, choices: Sequence[Postures], position: Array, turned: Ar
         return []
     found: list[Judged] = []
     for c, choice in enumerate(choices):
+        if not takes(chain, choice.q).all():  # in another unit, a Delta's platform fits its arms no more
+            continue
         if turned is None:
             found += [_judged_point(chain, choice, c, position, unit) for unit in LENGTHS]
         else:
@@ -135,7 +137,7 @@ def rivals(found: Sequence[Judged]) -> list[Judged]:
     return [one for one in found[1:] if found[0].match.score - one.match.score <= BEYOND_DOUBT]
 
 
-def _judged_point(chain: Chain, choice: Postures, c: int, position: Array, unit: str) -> Judged:
+def _judged_point(chain: Mechanism, choice: Postures, c: int, position: Array, unit: str) -> Judged:
     rows = spread_rows(len(position), _MAX)
     table = HandEye.of_arrays(chain, choice.q[rows], position[rows])
     case = table.read(LENGTHS[unit] * table.p, volume=3.0 * float(np.log(LENGTHS[unit])))
@@ -143,7 +145,7 @@ def _judged_point(chain: Chain, choice: Postures, c: int, position: Array, unit:
 
 
 def _judged_poses(
-    chain: Chain, choice: Postures, c: int, position: Array, turned: Array, ways: Sequence[Turning]
+    chain: Mechanism, choice: Postures, c: int, position: Array, turned: Array, ways: Sequence[Turning]
 ) -> list[Judged]:
     few, more = (spread_rows(len(position), most) for most in (_FEW, _MAX))
     unread = np.tile(np.eye(3), (len(position), 1, 1))
@@ -159,7 +161,7 @@ def _judged_poses(
     return out
 
 
-def _likely_turnings(chain: Chain, q: Array, columns: Array, ways: Sequence[Turning]) -> list[Turning]:
+def _likely_turnings(chain: Mechanism, q: Array, columns: Array, ways: Sequence[Turning]) -> list[Turning]:
     """The ways whose orientations, or their inverses, fit the arm best by themselves."""
     a = forward(chain, q)[:, :3, :3]
     R = np.stack([way.rotations(columns) for way in ways])

@@ -7,7 +7,7 @@ what is left has a likelihood.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,7 +30,9 @@ _SOFT = 1e-4  # m²; misses beyond a centimetre count less
 
 @dataclass(frozen=True)
 class Sighting:
-    """Readings of one instrument. kind: range, bearing or plane. values: (N, width), in m or as unit vectors."""
+    """Readings of one instrument. kind: range, bearing, plane or ray. values: (N, width), in m or as unit vectors, NaN
+    where it read nothing.
+    """
 
     frame: str
     kind: str
@@ -124,13 +126,14 @@ def _fitted(
             kind = instrument.of_kind
             seen.append(_PlacedResidual(sight.residual, sight.lever, samples.reading[mine], kind.unit, kind.dimensions))
             through = np.moveaxis(sight.through, 2, 0)
-            own = np.moveaxis(sight.constants, (0, 2), (2, 0))
+            by_change = instrument.moved_by(np.zeros(len(kind.constants)))
+            own = np.moveaxis(sight.constants, (0, 2), (2, 0)) @ by_change
             J = np.concatenate([through @ tool[:, :3, :3], through, -through @ so3.hat(scene.target.T), own], axis=2)
             derivatives.append(J * sight.lever[:, None, None])
         return seen, derivatives
 
-    ends = 3 + np.cumsum([6 + len(i.values) for i in placed])
-    columns = [np.r_[0:3, end - 6 - len(i.values) : end] for i, end in zip(placed, ends, strict=True)]
+    ends = 3 + np.cumsum([6 + len(i.constants) for i in placed])
+    columns = [np.r_[0:3, end - 6 - len(i.constants) : end] for i, end in zip(placed, ends, strict=True)]
 
     def cost(seen: Sequence[_PlacedResidual]) -> float:
         return float(
@@ -171,29 +174,27 @@ def _moved(state: _State, step: Array, samples: Samples) -> _State:
     for instrument in instruments:
         f = samples.frames.index(instrument.frame)
         poses[f] = poses[f] @ se3.exp(step[first : first + 6])
-        count = len(instrument.values)
-        out.append(
-            replace(instrument, values=instrument.of_kind.moved(instrument.values, step[first + 6 : first + 6 + count]))
-        )
+        count = len(instrument.constants)
+        out.append(instrument.moved(step[first + 6 : first + 6 + count]))
         first += 6 + count
     return x + step[:3], out, poses
 
 
 def _samples(q: Array, sightings: Sequence[Sighting]) -> Samples:
     frames = tuple(dict.fromkeys(s.frame for s in sightings))
-    count, each = len(q), len(sightings)
-    reading = np.zeros((each * count, 3))
-    for i, s in enumerate(sightings):
-        reading[i * count : (i + 1) * count, : s.values.shape[1]] = s.values
-    N = each * count
+    read = [np.flatnonzero(np.isfinite(s.values).all(axis=1)) for s in sightings]
+    reading = np.concatenate(
+        [np.pad(s.values[rows], ((0, 0), (0, 3 - s.values.shape[1]))) for s, rows in zip(sightings, read, strict=True)]
+    )
+    N, counts = len(reading), [len(rows) for rows in read]
     return Samples(
         names=(),
         frames=frames,
-        q=np.tile(q, (each, 1)),
+        q=q[np.concatenate(read)],
         stamps=np.arange(float(N)),
-        station=np.tile(np.arange(count), each),
-        frame=np.repeat([frames.index(s.frame) for s in sightings], count),
-        kind=np.repeat([s.kind for s in sightings], count),
+        station=np.concatenate(read),
+        frame=np.repeat([frames.index(s.frame) for s in sightings], counts),
+        kind=np.repeat([s.kind for s in sightings], counts),
         reading=reading,
         R=np.tile(np.eye(3), (N, 1, 1)),
         sigma_position=np.full(N, np.nan),

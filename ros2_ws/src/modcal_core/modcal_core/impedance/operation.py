@@ -88,7 +88,7 @@ class Operation:
         self._path_check: tuple[PathCheck, Array] | None = None
         self._checked = np.eye(4)
         self._walked_from = 0.0
-        self._untrusted = 0.0
+        self._untrusted, self._late = 0.0, False
         self._why, self._since, self._letting_go = "", math.nan, LettingGo()
         self._last = -math.inf
         self._ticks = 0
@@ -223,6 +223,7 @@ class Operation:
         lost = self.phase in _MOVING and self._watch.estimator_lost(state.silent, now, self.task.input_timeout_s)
         if (refused is not None or lost) and self.phase != "release":
             self._let_go(str(refused or lost), now)
+        self._late = state.late
         self._tell[self.phase](h, T, state)
         if self._stop is not None:
             return self._stop
@@ -327,7 +328,12 @@ class Operation:
             self.stop(self._why)
 
     def _go(self, wanted: float, h: float, most: float = math.inf) -> float:
-        """The way [m] to go on in h seconds: as fast as wanted [m/s] where nothing forbids it, and never above most."""
+        """The way [m] to go on in h seconds: as fast as wanted [m/s] where nothing forbids it, and never above most.
+
+        Without the estimator's heartbeat the hand stands still: what it leads along may be over.
+        """
+        if self._late:
+            most = 0.0
         sight = self.governor.in_sight(self.tool_force.size, self.tool_force.delay)
         return self.governor.step(wanted, min(most, sight), self.tool_force.foreseen, h)
 

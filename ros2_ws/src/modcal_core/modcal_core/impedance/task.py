@@ -33,6 +33,10 @@ class ObjectModel(Protocol):
         """What has happened to it."""
 
     @property
+    def late(self) -> bool:
+        """Whether the next status is overdue, so that the hand is not led on."""
+
+    @property
     def silent(self) -> bool:
         """Whether no recent status of it was received."""
 

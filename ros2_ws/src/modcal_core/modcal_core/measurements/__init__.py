@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from modcal_core.measurements.dwells import LATE_STEPS, LEFT, MIN_RETURNS, NOISE_FACTOR, SAME, SECOND_DIFFERENCE
     from modcal_core.measurements.dwells import SHORTEST, TRAVEL, Approach, StationRules, dwells_of, find_dwells
     from modcal_core.measurements.dwells import fitted_rules, inliers, posture_numbers, returns, spread_rows
-    from modcal_core.measurements.held_box import measure_box
+    from modcal_core.measurements.held_box import FACES, Box, Scan, measure_box
     from modcal_core.measurements.inspection import inspect, out_of_time
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged, efforts_at_rest
@@ -32,22 +32,12 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["APART", "BEARING", "BETWEEN", "DAY", "ELSEWHEN", "GLITCHES", "IMPORTED", "LATE_STEPS", "LEFT", "LIMIT"]
-__all__ += ["MAX_GLITCHES", "MIN_RETURNS", "NOISE_FACTOR", "ORDER_ONLY", "PART", "POINT", "POSE", "RANGE", "RAY"]
-__all__ += ["SAME", "SECOND_DIFFERENCE", "SHARED", "SHORTEST", "SOCKETS", "TARGETS", "TOUCH", "TRAVEL", "UNREAD"]
-__all__ += ["UNKNOWN", "UNUSABLE", "WIDTHS"]
+__all__ += ["FACES", "MAX_GLITCHES", "MIN_RETURNS", "NOISE_FACTOR", "ORDER_ONLY", "PART", "POINT", "POSE", "RANGE"]
+__all__ += ["RAY", "SAME", "SECOND_DIFFERENCE", "SHARED", "SHORTEST", "SOCKETS", "TARGETS", "TOUCH", "TRAVEL"]
+__all__ += ["UNKNOWN", "UNREAD", "UNUSABLE", "WIDTHS", "Box", "Scan"]
 __all__ += ["Approach", "Dropped", "JointTrack", "Listed", "Origin", "ReadingTrack", "Recording", "Samples", "Schema"]
-__all__ += [
-    "SignalTrack",
-    "StationRules",
-    "Stretch",
-    "added",
-    "after",
-    "ahead",
-    "align",
-    "as_recording",
-    "averaged",
-    "between",
-]
+__all__ += ["SignalTrack", "StationRules", "Stretch", "added", "after", "ahead", "align", "as_recording", "averaged"]
+__all__ += ["between"]
 __all__ += ["cleaned", "cut_stations", "dropped", "dwells_of", "efforts_at_rest", "elsewhen", "explained_by_posture"]
 __all__ += ["find_dwells", "fitted_rules", "following", "hung", "inliers", "inspect", "is_told", "joint_limits"]
 __all__ += ["joints_by_time", "joints_instead", "marks_of", "measure_box"]

@@ -258,14 +258,11 @@ class Samples:
         own = self.select((self.stamps >= since) & (self.stamps < until))
         return replace(own, signals=tuple(signals))
 
-    def join(self, other: Samples) -> Samples:
+    def join(self, *others: Samples) -> Samples:
         """These samples and others of the same recording, in the order of their stamps; stations keep their numbers."""
-        arrays: dict[str, Any] = {
-            f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)])
-            for f in fields(self)
-            if f.name not in SHARED
-        }
-        return replace(self, **arrays).select(np.argsort(np.r_[self.stamps, other.stamps], kind="stable"))
+        parts, names = (self, *others), [f.name for f in fields(self) if f.name not in SHARED]
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(s, name) for s in parts]) for name in names}
+        return replace(self, **arrays).select(np.argsort(arrays["stamps"], kind="stable"))
 
     def followed_by(self, other: Samples) -> Samples:
         """These samples and those of another recording of the same cell, whose stations are numbered on."""

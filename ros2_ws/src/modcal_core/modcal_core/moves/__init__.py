@@ -1,8 +1,9 @@
 """What moved or changed, since when, and is it sure? One catalogue and one evidence for a check, a recording, a stream.
 
-rows: the catalogue. noise: what readings scatter by while nothing has changed. evidence: how much more probable they
+rows: the catalogue. likelihood: what readings scatter by while nothing has changed, and how much more probable they
 are with a row. state: a model beside readings, with rows taken up. searching: which rows it was. naming: what is said
-of it. setups, regimes: stretches of one recording in which base or tool stood elsewhere.
+of it, and what to do. setups, regimes: stretches of one recording in which base or tool stood elsewhere. known: a
+calibration that is checked, and its repair. history: what grows over months.
 """
 
 # ruff: noqa: I001
@@ -10,22 +11,25 @@ of it. setups, regimes: stretches of one recording in which base or tool stood e
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.moves.evidence import SIZES
-    from modcal_core.moves.naming import UNTRIED, Alike, NamedChange, SizeFound, named
-    from modcal_core.moves.noise import FrozenKnowledge
+    from modcal_core.moves.history import Series, Values, series_of, values_of
+    from modcal_core.moves.known import PATTERN, BeyondRanges, beyond_ranges, frozen, in_known_frames, new_frames
+    from modcal_core.moves.known import pattern_of, placed_anew, repaired, require_accounted, spread_out
+    from modcal_core.moves.known import with_new_frames
+    from modcal_core.moves.naming import UNTRIED, NamedChange, Noticed, Recommendation, SizeFound, advise
+    from modcal_core.moves.naming import alike_everywhere, named, noticed
+    from modcal_core.moves.likelihood import FrozenKnowledge
     from modcal_core.moves.regimes import find_regimes, moves_of
-    from modcal_core.moves.rows import BASE, COMPLIANCE, FRAME, GEAR, KINDS, LENGTH, LINK, LOAD, NOISE, PAYLOAD, PLAY
-    from modcal_core.moves.rows import SCALE, STEP, TOOL, ZERO, CellChange, GeometryMotion, hypotheses, log_priors
-    from modcal_core.moves.rows import put_in, towards
-    from modcal_core.moves.searching import FALSE_ALARM, FittedChange, FoundChanges, MoveSearch, search
+    from modcal_core.moves.rows import BASE, FRAME, LENGTH, LOAD, PAYLOAD, TOOL, ZERO, hypotheses
+    from modcal_core.moves.searching import FoundChanges, MoveSearch, search
     from modcal_core.moves.state import CheckState
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["BASE", "COMPLIANCE", "FALSE_ALARM", "FRAME", "GEAR", "KINDS", "LENGTH", "LINK", "LOAD", "NOISE"]
-__all__ += ["PAYLOAD", "PLAY", "SCALE", "SIZES", "STEP", "TOOL", "UNTRIED", "ZERO", "Alike", "CellChange"]
-__all__ += ["CheckState", "FittedChange", "FoundChanges", "FrozenKnowledge", "GeometryMotion", "MoveSearch"]
-__all__ += ["NamedChange", "SizeFound", "find_regimes", "hypotheses", "log_priors", "moves_of", "named", "put_in"]
-__all__ += ["search", "towards"]
+__all__ = ["BASE", "FRAME", "LENGTH", "LOAD", "PATTERN", "PAYLOAD", "TOOL", "UNTRIED", "ZERO", "BeyondRanges"]
+__all__ += ["CheckState", "FoundChanges", "FrozenKnowledge", "MoveSearch", "NamedChange", "Noticed"]
+__all__ += ["Recommendation", "Series", "SizeFound", "Values", "advise", "alike_everywhere", "beyond_ranges"]
+__all__ += ["find_regimes", "frozen", "hypotheses", "in_known_frames", "moves_of", "named", "new_frames", "noticed"]
+__all__ += ["pattern_of", "placed_anew", "repaired", "require_accounted", "search", "series_of", "spread_out"]
+__all__ += ["values_of", "with_new_frames"]

@@ -41,10 +41,10 @@ from modcal_core.geometry import error_values, se3
 from modcal_core.hypotheses import LIMIT_OF_REACH
 from modcal_core.measurements import Samples, explained_by_posture, spread_rows
 from modcal_core.measurements.kinds import is_direct
-from modcal_core.moves.noise import FrozenKnowledge
+from modcal_core.moves.likelihood import FrozenKnowledge
 from modcal_core.moves.rows import DRIFT, GEAR, READING, STEP, CellChange
 from modcal_core.moves.searching import MoveSearch
-from modcal_core.moves.setups import Setup, SetupReadings, Stretches, stretches
+from modcal_core.moves.setups import Setup, SetupReadings, stretches
 from modcal_core.moves.state import CheckState
 from modcal_core.robots import Inertias, Mechanism
 
@@ -107,14 +107,6 @@ def _moves(steps: Iterable[Effect]) -> tuple[Move, ...]:
     return tuple(Move(t, "both" if len(p) == 2 else _place(p.pop())) for t, p in sorted(at.items()))
 
 
-def _step_row(effect: Effect) -> CellChange:
-    return CellChange(STEP, f"{effect.place} at {effect.shape.settings['at']}", effects=(effect,))
-
-
-def _at(h: CellChange) -> float:
-    return h.effect.shape.settings["at"]
-
-
 def _place(name: str) -> What:
     return "base" if name == "base" else "tool"
 
@@ -157,38 +149,30 @@ class _RegimeSearch:
         """Times [s] between stretches with a base or tool of their own, as these arms show them, fitted in between."""
         found: tuple[float, ...] = ()
         for arm in arms:
-            sights = SetupReadings.of(arm, self.samples)
-            found = self._times(stretches(sights), sights)
-            if found:
-                break
-        for _ in range(_ROUNDS):
-            if not found:
-                return ()
-            fit = self.fit([Move(at, "both") for at in found])
-            sights = SetupReadings.of(fit.model, self.samples)
-            again = self._times(stretches(sights), sights)
+            found = found or self._times(arm)
+        for _ in range(_ROUNDS if found else 0):
+            again = self._times(self.fit([Move(at, "both") for at in found]).model)
             if again == found or not again:
-                return found
+                break
             found = again
         return found
 
-    @staticmethod
-    def _times(found: Stretches, sights: SetupReadings) -> tuple[float, ...]:
-        """Times between stretches; what is shorter than two stations joins its neighbour."""
-        ends = [b for a, b in found if b - a >= _MIN]
+    def _times(self, arm: Model) -> tuple[float, ...]:
+        """Times between stretches by this arm; what is shorter than two stations joins its neighbour."""
+        sights = SetupReadings.of(arm, self.samples)
+        ends = [b for a, b in stretches(sights) if b - a >= _MIN]
         return tuple(float(0.5 * (sights.stamps[b - 1] + sights.stamps[b])) for b in ends if b < len(sights))
 
     def start(self, moves: Sequence[Move]) -> Model:
         """The arm with base, tool and steps as these moves show them, in closed form."""
         sights = SetupReadings.of(self.arm, self.samples)
-        at = [move.at for move in moves]
-        part = np.searchsorted(at, sights.stamps, side="right")
+        part = np.searchsorted([move.at for move in moves], sights.stamps, side="right")
         base = np.r_[0, np.cumsum([move.what != "tool" for move in moves])].astype(int)
         tool = np.r_[0, np.cumsum([move.what != "base" for move in moves])].astype(int)
         largest = int(np.argmax(np.bincount(part)))
-        first = sights.both(np.flatnonzero(part == largest))
-        if "base" not in self.places:
-            first = Setup(np.eye(4), sights.tool(np.flatnonzero(part == largest), np.eye(4)))
+        rows = np.flatnonzero(part == largest)
+        still = Setup(np.eye(4), sights.tool(rows, np.eye(4)))
+        first = sights.both(rows) if "base" in self.places else still
         D = np.tile(first.D, (base[-1] + 1, 1, 1))
         X = np.tile(first.X, (tool[-1] + 1, 1, 1))
         for _ in range(_ALTERNATING):
@@ -206,15 +190,13 @@ class _RegimeSearch:
         root = self.arm.chain.T_base_root
         frames = self.arm.T_frame_base @ root @ D[-1] @ se3.inverse(root)
         base, tool = (error_values(se3.inverse(T[-1]) @ T) for T in (D, X))
-        orientations = bool(self.samples.is_pose.all())
+        turn, count = (ALL, 6) if self.samples.is_pose.all() else (SHIFT, 3)
         effects = []
         for k, move in reversed(list(enumerate(moves))):
             if move.what != "tool":
                 effects.append(step.moved("base", ALL, move.at).with_values(base[k + 1] - base[k]))
             if move.what != "base":
-                turn = ALL if orientations else SHIFT
-                change = (tool[k + 1] - tool[k])[: 6 if orientations else 3]
-                effects.append(step.moved("tool", turn, move.at).with_values(change))
+                effects.append(step.moved("tool", turn, move.at).with_values((tool[k + 1] - tool[k])[:count]))
         return replace(self.arm, T_frame_base=frames, T_tip_tool=X[-1], effects=tuple(effects))
 
     def fit(self, moves: Sequence[Move]) -> Fit:
@@ -233,12 +215,13 @@ class _RegimeSearch:
         fit = self.fit(moves)
         if usual_miss(fit.model, self.samples) > LIMIT_OF_REACH * fit.model.chain.reach():
             return list(stated)  # whatever moved, these are no readings of this arm
-        known = {move.at for move in stated}
-        rows = [_step_row(effect) for effect in fit.model.effects if is_move(effect)]
-        given = [h for h in rows if _at(h) in known]
-        asked = [h for h in rows if _at(h) not in known]
+        known: dict[bool, list[CellChange]] = {True: [], False: []}
+        for effect in filter(is_move, fit.model.effects):
+            at = effect.shape.settings["at"]
+            known[at in {move.at for move in stated}].append(CellChange(STEP, f"{effect.place} at {at}", (), (effect,)))
+        given, asked = known[True], known[False]
         joints = {joint for move in new for joint in explained_by_posture(self.samples, move.at)}
-        state = self._without(fit, [move.at for move in moves], rows)
+        state = self._without(fit, [move.at for move in moves], [*given, *asked])
         engine = MoveSearch(state, given, [*asked, *self._rivals(sorted(joints))], _PRICE, len(asked))
         found = engine.needed(list(engine.explained(without=(READING,)).picked))
         own = _moves(j.hypothesis.effect for j in found if j.hypothesis.kind == STEP)
@@ -251,10 +234,10 @@ class _RegimeSearch:
         few = np.concatenate([some[spread_rows(len(some), _FEW // len(each))] for some in each])
         few = few[~outlying(fit.model, fit.noise, self.samples.select(few))]
         own = np.diag([p.prior_std**2 for p in self.parameters])
-        known = FrozenKnowledge(tuple(self.parameters), own, (), fit.noise, _PATTERN)
+        known = FrozenKnowledge(fit.noise, tuple(self.parameters), own, pattern=_PATTERN)
         state = CheckState(fit.model, self.samples.select(few), known)
-        moved = sum((state.columns(h) @ h.effect.amplitudes for h in rows), np.zeros(len(state.residual)))
-        null = replace(state.null, residual=state.residual + moved)
+        moved = sum((state.columns(h) @ h.effect.amplitudes for h in rows), np.zeros(len(state.view.residual)))
+        null = replace(state.null, residual=state.view.residual + moved)
         return CheckState(fit.model, state.samples, known, null, linear=True)
 
     def _rivals(self, joints: Sequence[str]) -> Iterator[CellChange]:

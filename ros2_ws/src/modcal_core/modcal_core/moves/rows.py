@@ -30,7 +30,6 @@ from modcal_core.effects import (
 from modcal_core.effects.families import backlash, compliance, drift, gear_harmonic, gear_ratio, scale, step
 from modcal_core.geometry import Array, error_transform, error_values
 from modcal_core.measurements import Samples
-from modcal_core.moves.noise import varying
 from modcal_core.robots import is_serial_arm
 
 BASE, FRAME, TOOL, ZERO, LENGTH = "base", "frame", "tool", "joint_zero", "heat"
@@ -96,7 +95,6 @@ KINDS = {
         "{place} under load", "The {who} moves with the load that is recorded, by each unit of it{moved}", _SIX, _RARE
     ),
 }
-_MEAN = 0.1  # share of a curve's square that is one number everywhere: few stations see the mean of a wave as well
 _WRIST = 3  # joints whose load turns a tool about
 _PART, _FEWEST = 3, 8  # stations on either side of a step (a base has six numbers, of three points nine), and of all
 _CYCLES = 2  # a turn: eccentric gears and encoders; more waves than ten stations can tell apart are a curve
@@ -315,19 +313,6 @@ def hypothesis_columns(h: CellChange, model: Model, view: RowView, drivers: Driv
         return out.sum(axis=0)[:, None] if h.together else out.T
     out = np.stack([view.moved_by(terms) for e in h.effects for terms in columns(e, drivers)], axis=1)
     return out if h.replaces < 0 else (out @ h.effect.amplitudes)[:, None]  # the whole effect, by the share it grew
-
-
-def curve_root(joint: int, model: Model, samples: Samples) -> Array:
-    """A root (S, r) of the covariance of one joint's curve at the S stations: random sums of its columns are curves of
-    the joint's position, half smooth, half of any course.
-
-    A curve that hardly varies is a joint's zero, which is plainer.
-    """
-    first = np.unique(samples.station, return_index=True)[1]
-    course = varying(samples.q[first, joint], bool(model.chain.revolute[joint]))
-    values, vectors = np.linalg.eigh((1.0 - _MEAN) * course + _MEAN)
-    kept = values > 1e-9
-    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
 
 
 def put_in(h: CellChange, model: Model, by: Array) -> Model:

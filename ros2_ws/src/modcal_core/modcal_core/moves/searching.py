@@ -21,8 +21,16 @@ from modcal_core.effects import AS_LIKELY, put_back_first
 from modcal_core.effects.families import gear_harmonic
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
-from modcal_core.moves.evidence import SIZES, ChangeJudge, JudgedChange, by_name, e_value, is_noise, most_probable
-from modcal_core.moves.noise import FrozenKnowledge, NullModel
+from modcal_core.moves.likelihood import (
+    SIZES,
+    ChangeJudge,
+    FrozenKnowledge,
+    JudgedChange,
+    NullModel,
+    by_name,
+    e_value,
+    most_probable,
+)
 from modcal_core.moves.rows import (
     BASE,
     GEAR,
@@ -71,8 +79,9 @@ class FoundChanges:
 
     changes: as named. given: those that were not asked for but given, as fitted. covariance: of the sizes of given and
     changes together, (k, k). log_e: logarithms of the e-values by which each was asked for, and, last, of what is left.
-    aside: samples that were set aside as wrong, with what stands at its limit there. stages: the frozen model beside
-    the others, the same with what was given left open, and with the changes taken up. asked: what was looked for.
+    aside: samples that were set aside as wrong, with what stands at its limit there. plain, opened, state: the frozen
+    model beside the others, the same with what was given left open, and with the changes taken up. asked: what was
+    looked for.
     """
 
     changes: tuple[FittedChange, ...]
@@ -80,23 +89,10 @@ class FoundChanges:
     covariance: Array
     log_e: tuple[float, ...]
     aside: Mapping[int, str]
-    stages: tuple[CheckState, CheckState, CheckState]
+    plain: CheckState
+    opened: CheckState
+    state: CheckState
     asked: tuple[CellChange, ...]
-
-    @property
-    def null(self) -> NullModel:
-        """What readings scatter by about the frozen model."""
-        return self.stages[0].null
-
-    @property
-    def model(self) -> Model:
-        """The frozen one."""
-        return self.stages[0].model
-
-    @property
-    def state(self) -> CheckState:
-        """The model with the changes, beside the samples that were not set aside."""
-        return self.stages[2]
 
     @property
     def samples(self) -> Samples:
@@ -192,7 +188,7 @@ class MoveSearch:
         ways = self._weighed()
         if ways and ways[0].picked and ways[0].picked[0].hypothesis.wrong:  # set aside before anything is blamed
             return ways[0]
-        if not ways or any(is_noise(c) for c in ways[0].picked):
+        if not ways or any(c.is_noise for c in ways[0].picked):
             ways += self._weighed(without=(NOISE,))
             if ways and ways[-1].picked and ways[-1].picked[0].hypothesis.kind == LIMIT:
                 return ways[-1]
@@ -204,11 +200,9 @@ class MoveSearch:
         if any(c.hypothesis.wrong for c in found.picked):
             return found
         picked = self.needed([self._wave(found.picked, i) for i in range(len(found.picked))])
-        outside = list(picked)
         for i in range(len(picked)):
-            outside[i] = self._outside(outside, i)
-        if any(a is not b for a, b in zip(outside, picked, strict=True)):  # what made up for the wrong name is needless
-            picked = self.needed(outside)
+            picked[i] = self._outside(picked, i)
+        picked = self.needed(picked)  # what made up for a wrong name is needless
         asked_for = (*ways[0].log_e[:1], *found.log_e[1 : len(picked)]) if picked else ()  # the first beside nothing
         return Explanation(tuple(picked), (*asked_for, self.left(picked)), found.score)
 
@@ -249,7 +243,7 @@ class MoveSearch:
         return picked
 
     def _score(self, picked: Sequence[JudgedChange]) -> float:
-        order = sorted(picked, key=is_noise)  # scatter has no size that could be left open
+        order = sorted(picked, key=lambda c: c.is_noise)  # scatter has no size that could be left open
         if not order:
             return 0.0
         rest = self.beside(order[:-1])
@@ -310,8 +304,8 @@ class MoveSearch:
         if given or changes:
             every, covariance = with_sizes([*given, *changes], now, self.plain.null)
             given, changes = every[: len(given)], every[len(given) :]
-        stages = self.plain, self.beside([]), now
-        return FoundChanges(tuple(changes), tuple(given), covariance, found.log_e, aside, stages, tuple(self.asked))
+        states = self.plain, self.beside([]), now
+        return FoundChanges(tuple(changes), tuple(given), covariance, found.log_e, aside, *states, tuple(self.asked))
 
     def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
         """One of the changes that were picked, with what explains the readings as well."""
@@ -340,13 +334,13 @@ def with_sizes(changes: Sequence[FittedChange], now: CheckState, begin: NullMode
     wider spread, for it would have to explain them.
     """
     for change in changes:
-        if is_noise(change.judged):
-            begin = begin.with_noise(*change.judged.noise)
+        if change.judged.is_noise:
+            begin = begin.wider(begin.rows.extra(*change.judged.noise))
     judge, member = ChangeJudge(begin), now.judge.best
     columns = [now.turned(f.hypothesis.curve) if f.hypothesis.free else f.columns for f in now.fits]
     J = judge.whitened(np.concatenate(columns, axis=1), member)
     covariance = np.asarray(np.linalg.pinv(J.T @ J, hermitian=True), dtype=float)
-    last = covariance @ (J.T @ judge.whitened(now.residual, member))  # of curves; of sizes it is none any more
+    last = covariance @ (J.T @ judge.whitened(now.view.residual, member))  # of curves; of sizes it is none any more
     owner = np.repeat(np.arange(len(columns)), [c.shape[1] for c in columns])
     out, sized = [], np.ones(len(owner), bool)
     for i, (change, fit) in enumerate(zip(changes, now.fits, strict=True)):

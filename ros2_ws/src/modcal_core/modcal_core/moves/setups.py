@@ -103,14 +103,13 @@ class SetupReadings:
 
     def both(self, rows: np.ndarray) -> Setup:
         """Bases and tools that the readings of these rows (..., n) show best, in closed form."""
-        if rows.ndim == 1:
-            one = self.both(rows[None])
-            return Setup(one.D[0], one.X[0])
-        A, p = self.A[rows], self.B[rows, :3, 3]
+        A, B = self.A[rows], self.B[rows]
+        p, stacked = B[..., :3, 3], (-1, rows.shape[-1])
         if self.poses:
-            Y, X = base_and_tool_turns(A[..., :3, :3], self.B[rows, :3, :3])
+            Y, X = base_and_tool_turns(A[..., :3, :3], B[..., :3, :3])
         else:
-            Y, X = base_by_positions(A, p), self.setup.X[:3, :3]
+            Y, X = base_by_positions(A.reshape(*stacked, 4, 4), p.reshape(*stacked, 3)), self.setup.X[:3, :3]
+            Y = Y.reshape(*rows.shape[:-1], 3, 3)
         _, x, t = tool_and_place(Y, A, p)
         return Setup(se3.transform(Y, t), se3.transform(np.broadcast_to(X, Y.shape), x))
 

@@ -12,23 +12,21 @@ from functools import cached_property
 
 import numpy as np
 
-from modcal_core.calibration import Model, ModelParameter, RowView
-from modcal_core.geometry import Array, error_values, se3
+from modcal_core.calibration import Model, RowView
+from modcal_core.geometry import Array, combined, error_values, se3
 from modcal_core.measurements import Samples
 from modcal_core.measurements.kinds import is_direct
-from modcal_core.moves.evidence import ChangeCandidate, ChangeJudge, JudgedChange, is_noise
-from modcal_core.moves.noise import FrozenKnowledge, NullModel, RowKinds, null, parameter_rows
-from modcal_core.moves.rows import (
-    BASE,
-    NOISE,
-    TOOL,
-    CellChange,
-    composed,
+from modcal_core.moves.likelihood import (
+    ChangeCandidate,
+    ChangeJudge,
+    FrozenKnowledge,
+    JudgedChange,
+    NullModel,
+    RowKinds,
     curve_root,
-    hypothesis_columns,
-    log_priors,
-    put_in,
+    null,
 )
+from modcal_core.moves.rows import BASE, NOISE, TOOL, CellChange, composed, hypothesis_columns, log_priors, put_in
 from modcal_core.moves.setups import SetupReadings
 
 _STEPS = 15  # of a fit; of changes that are small one is enough
@@ -47,12 +45,7 @@ class CheckState:
     """
 
     def __init__(
-        self,
-        model: Model,
-        samples: Samples,
-        known: FrozenKnowledge,
-        of: NullModel | None = None,
-        linear: bool = False,
+        self, model: Model, samples: Samples, known: FrozenKnowledge, of: NullModel | None = None, linear: bool = False
     ) -> None:
         self.model, self.samples, self.known, self.linear = model, samples, known, linear
         self.drivers = model.drivers(samples)
@@ -81,15 +74,6 @@ class CheckState:
         """One over the standard deviation of each row by the spread alone, (n,)."""
         return np.asarray(1.0 / np.sqrt(RowKinds.of(self.samples, self.known.noise).variance))
 
-    def parameter_rows(self, parameters: tuple[ModelParameter, ...]) -> Array:
-        """Derivatives of the predictions by these parameters of the geometry, (P, n)."""
-        return parameter_rows(self.model, self.view, self.drivers, parameters, ())
-
-    @property
-    def residual(self) -> Array:
-        """Residuals of the readings, (n,), in the rows of the linearisation."""
-        return np.concatenate([self.view.position.ravel(), self.view.rotation.ravel()])
-
     def turned(self, joint: int) -> Array:
         """What readings move by per unit of a joint's angle or travel at each station, (n, S)."""
         chain, station = self.model.chain, np.unique(self.samples.station, return_inverse=True)[1]
@@ -99,22 +83,17 @@ class CheckState:
     def columns(self, hypothesis: CellChange) -> Array:
         """Columns of a change at this model; none for noise, which has no size."""
         if hypothesis.kind == NOISE:
-            return np.zeros((len(self.residual), 0))
+            return np.zeros((len(self.view.residual), 0))
         if hypothesis.free:
             return self.turned(hypothesis.curve) @ curve_root(hypothesis.curve, self.model, self.samples)
         return hypothesis_columns(hypothesis, self.model, self.view, self.drivers)
 
     def judge_all(self, asked: Sequence[CellChange], bent: bool = False) -> tuple[list[JudgedChange], Array]:
-        """What speaks for each, and the logarithms of their prior probabilities. bent: fit each by itself where changes
-        are so large that their motions bend.
+        """What speaks for each, and the logarithms of their prior probabilities. bent: fit each by itself where what is
+        missed is so large that the motions by a change are no longer in proportion to it.
         """
-        large = bent and self._bends
+        large = bent and not self.linear and self.judge.square > _LARGE * len(self.null.residual)
         return [self._judge_one(h, large and (h.sizes > 0 or h.free)) for h in asked], log_priors(asked)
-
-    @property
-    def _bends(self) -> bool:
-        """Whether what is missed is so large that the motions by a change are no longer in proportion to it."""
-        return not self.linear and self.judge.square > _LARGE * len(self.null.residual)
 
     def _judge_one(self, h: CellChange, alone: bool) -> JudgedChange:
         key = id(h), alone
@@ -123,10 +102,9 @@ class CheckState:
                 judged = self.judge.noisier(h)
             elif alone and h.free:  # a curve is a small change, or in proportion it would take up anything
                 judged = JudgedChange(h, -np.inf, -np.inf, 1.0)
-            elif alone:
-                judged = self.judge.judged(fitted([h], self)[0][0])
             else:
-                judged = self.judge.judged(ChangeCandidate(h, self.null.residual, self.columns(h)))
+                plain = ChangeCandidate(h, self.null.residual, self.columns(h))
+                judged = self.judge.judged(fitted([h], self)[0][0] if alone else plain)
             self._judged[key] = h, judged
         return self._judged[key][1]
 
@@ -137,19 +115,18 @@ class CheckState:
         fits, now = fitted([p.hypothesis for p in picked], self)
         opened = replace(self.null, residual=fits[0].residual)
         for judged, candidate in zip(picked, fits, strict=True):
-            if is_noise(judged):
-                opened = opened.with_noise(*judged.noise)
+            if judged.is_noise:
+                opened = opened.wider(opened.rows.extra(*judged.noise))
                 continue
-            columns, n = candidate.columns, len(opened.residual)
+            columns, size = candidate.columns, judged.size * np.sqrt(len(opened.residual))
             A = opened.whitened(columns)
             if judged.hypothesis.free:
-                scale = judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300))
+                columns = size / np.sqrt(max(float(np.sum(A**2)), 1e-300)) * columns
             else:
                 _, s, Vt = np.linalg.svd(A, full_matrices=False)
                 keep = s > 1e-9 * max(float(s.max(initial=0.0)), 1e-300)
-                columns = columns @ (Vt[keep].T / s[keep])
-                scale = _WIDE * judged.size * np.sqrt(n / max(int(keep.sum()), 1))
-            opened = opened.with_more(columns, scale)
+                columns = _WIDE * size / np.sqrt(max(int(keep.sum()), 1)) * columns @ (Vt[keep].T / s[keep])
+            opened = opened.wider(columns @ columns.T)
         state = CheckState(now.model, now.samples, now.known, opened, now.linear)
         state.fits = fits
         return state
@@ -174,11 +151,10 @@ def fitted(asked: Sequence[CellChange], state: CheckState) -> tuple[list[ChangeC
     if model is not state.model:
         now = CheckState(model, state.samples, state.known, state.null)
     for _ in range(_STEPS if sized else 0):
-        z = judge.whitened(now.residual, member)
+        z = judge.whitened(now.view.residual, member)
         square = float(z @ z)
         A = judge.whitened(np.concatenate([now.columns(h) for h in sized], axis=1), member)
-        scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-        by = np.linalg.lstsq(A / scale, z, rcond=1e-8)[0] / scale
+        by = combined(A, z)
         gain = float(np.linalg.norm(A @ by))
         if gain < max(_END, _SHARE * np.sqrt(square)) or square > 4.0 * before:
             break
@@ -189,7 +165,7 @@ def fitted(asked: Sequence[CellChange], state: CheckState) -> tuple[list[ChangeC
             model = put_in(h, model, shorter * parts[i])
             totals[i] = composed(h, totals[i], shorter * parts[i])
         now = CheckState(model, state.samples, state.known, state.null)
-    found, residual, none = iter(totals), now.residual, np.empty(0)
+    found, residual, none = iter(totals), now.view.residual, np.empty(0)
     return [ChangeCandidate(h, residual, now.columns(h), next(found) if h.sizes else none) for h in asked], now
 
 

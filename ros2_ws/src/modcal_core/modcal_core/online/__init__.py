@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.online.change_detector import ChangeHypothesis
-    from modcal_core.online.estimator import Estimator, RandomWalk, joined
+    from modcal_core.online.estimator import Estimator, RandomWalk
     from modcal_core.online.stream import SampleStream
     from modcal_core.online.supervisor import ASKED, BETTER, SUSPECTED, Policy, Supervisor
 else:
@@ -13,4 +13,4 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ASKED", "BETTER", "SUSPECTED", "ChangeHypothesis", "Estimator", "Policy", "RandomWalk", "SampleStream"]
-__all__ += ["Supervisor", "joined"]
+__all__ += ["Supervisor"]

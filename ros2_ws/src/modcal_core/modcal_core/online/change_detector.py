@@ -35,7 +35,7 @@ from modcal_core.moves import (
     hypotheses,
     named,
 )
-from modcal_core.online.fixed_linearisation import FixedLinearisation, spread
+from modcal_core.online.estimator import FixedLinearisation, spread
 
 POSTURES = 48  # distinct postures that are remembered
 _SAME = 0.03  # rad or m; postures closer than this are one
@@ -46,20 +46,6 @@ ALARM = 60.0
 _MIN = 3  # postures that must agree
 _KINDS = (BASE, FRAME, TOOL, ZERO, LENGTH, LOAD, PAYLOAD)  # what happens within hours, and shows at a few postures
 _MIN_GAP = 0.2  # s between samples of an arm in motion, whose residuals are alike
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What the watch remembers of one sample: the row, its residual (6,) and the motions (6, C), both whitened."""
-
-    sample: Samples
-    residual: Array
-    motions: Array
-
-    @property
-    def stamp(self) -> float:
-        """[s]."""
-        return float(self.sample.stamps[0])
 
 
 class ChangeDetector:
@@ -76,33 +62,37 @@ class ChangeDetector:
         names, self.directions = list(every), tuple(every.values())
         self._known = np.array([names.index(_key(parameters[i])) for i in moving], dtype=int)
         own = covariance[np.ix_(moving, moving)]
-        self.known = FrozenKnowledge(tuple(parameters[i] for i in moving), own, (), noise)
+        self.known = FrozenKnowledge(noise, tuple(parameters[i] for i in moving), own)
         self._frozen = FixedLinearisation(model, self.directions, np.zeros(len(self.directions)))
-        self.seen: list[Seen] = []
+        self.seen: list[Samples] = []  # of the postures that are remembered, a row each
         self.largest = 0.0
         C = len(self.directions)
         self._q, self._b, self._A = np.empty((0, model.chain.n)), np.empty((0, C)), np.empty((0, C))
 
     def add(self, sample: Samples) -> float | None:
         """Take in one sample; returns the stamp since when something is different, or None."""
-        if self.seen and sample.moving[0] and 0.0 <= sample.stamps[0] - self.seen[-1].stamp < _MIN_GAP:
+        if self.seen and sample.moving[0] and 0.0 <= sample.stamps[0] - self.seen[-1].stamps[0] < _MIN_GAP:
             return None
-        new = self._whitened(sample)
+        residual, motions = self._whitened(sample)
         far = np.flatnonzero(np.abs(self._q - sample.q).max(axis=1) > _SAME)[-POSTURES + 1 :]
-        self.seen = [*(self.seen[i] for i in far), new]
-        said = new.residual * min(1.0, _MAX_SAID / max(float(np.linalg.norm(new.residual)), 1e-300))
+        self.seen = [*(self.seen[i] for i in far), sample]
+        said = residual * min(1.0, _MAX_SAID / max(float(np.linalg.norm(residual)), 1e-300))
         self._q = np.concatenate([self._q[far], sample.q])
-        self._b = np.concatenate([self._b[far], said[None] @ new.motions])
-        self._A = np.concatenate([self._A[far], np.sum(new.motions**2, axis=0)[None]])
+        self._b = np.concatenate([self._b[far], said[None] @ motions])
+        self._A = np.concatenate([self._A[far], np.sum(motions**2, axis=0)[None]])
         return self._since()
 
-    def _whitened(self, sample: Samples) -> Seen:
+    def samples(self, since: float) -> Samples:
+        """What is remembered of the samples since a stamp [s]."""
+        return reduce(Samples.followed_by, [row for row in self.seen if row.stamps[0] >= since])
+
+    def _whitened(self, sample: Samples) -> tuple[Array, Array]:
+        """(residual (3 or 6,), motions by all directions (3 or 6, C)) of a sample in standard deviations."""
         r, J = self._frozen(sample)
-        variance = np.concatenate(spread(self.known.noise, sample)).repeat([3, len(r) - 3]) ** 2
-        part, none = J[:, self._known], np.zeros((6 - len(r), J.shape[1] + 1))
-        L = np.linalg.cholesky(part @ self.known.covariance @ part.T + np.diag(variance))
-        rows = np.concatenate([np.linalg.solve(L, np.c_[r, J]), none])
-        return Seen(sample, rows[:, 0], rows[:, 1:])
+        part = J[:, self._known]
+        L = np.linalg.cholesky(part @ self.known.covariance @ part.T + np.diag(spread(self.known.noise, sample) ** 2))
+        rows = np.linalg.solve(L, np.c_[r, J])
+        return rows[:, 0], rows[:, 1:]
 
     def _since(self) -> float | None:
         if len(self.seen) < _MIN:
@@ -113,7 +103,7 @@ class ChangeDetector:
         if self.largest < ALARM:
             return None
         suffix = int(np.argmax(gain.max(axis=1))) + _MIN
-        return self.seen[-suffix].stamp
+        return float(self.seen[-suffix].stamps[0])
 
 
 def _key(parameter: ModelParameter) -> tuple[int, int, int]:
@@ -151,8 +141,7 @@ class ChangeHypothesis:
 
 def find_change(detector: ChangeDetector, since: float) -> ChangeHypothesis:
     """The row of the catalogue that explains best what the watch has seen since this stamp [s]."""
-    model = detector.model
-    samples = reduce(Samples.followed_by, [s.sample for s in detector.seen if s.stamp >= since])
+    model, samples = detector.model, detector.samples(since)
     # in proportion: what grows with time has no size that a model could take
     state = CheckState(model, samples, detector.known, linear=True)
     rows = [h for h in hypotheses(model, samples) if h.kind in _KINDS]

@@ -9,36 +9,44 @@ What is known of x is kept as an upper triangular R and a vector z with ``R x = 
 for the signs of its rows, the Cholesky factor of the information matrix, so nothing is squared and an estimate stays
 positive definite however long it runs (Bierman 1977, *Factorization Methods for Discrete Sequential Estimation*). New
 rows are taken in by one orthogonal triangularisation, which gives what a batch solution of all rows would.
+
+A linearisation of many samples inserts the values again in every call. Here that is done once, and a sample costs one
+pass along the chain and a few small products. What a place does to the tool is first seen at the root's origin: the
+adjoint matrix of the place's frame carries its twists there, and the way from there to the tool is the same for all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import sqrt
-from typing import Any
 
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
 
 from modcal_core.calibration import (
     HUBER_Z,
+    INSTRUMENT,
+    Deviations,
     Model,
     ModelParameter,
     NoiseModel,
     RowView,
     View,
+    deviations,
     general_samples,
+    geometry_rows,
     linearise,
     model_at,
     robust_weights,
     score_of_one,
 )
-from modcal_core.effects import place_index
-from modcal_core.geometry import Array
-from modcal_core.measurements import POSE, SHARED, Samples
-from modcal_core.online.fixed_linearisation import FixedLinearisation, spread
+from modcal_core.effects import all_columns, motion, place_index
+from modcal_core.geometry import HAT, Array, combined, local_twists, se3, so3
+from modcal_core.measurements import POSE, Samples
+from modcal_core.robots import Chain, frames, is_serial_arm
 
+_EYE = np.eye(6)
 _PANEL = 8  # columns that are eliminated together
 
 
@@ -64,7 +72,7 @@ class Information:
     def of_prior(cls, mean: Array, covariance: Array) -> Information:
         """What a mean (P,) and a covariance (P, P) say."""
         L = np.linalg.cholesky(covariance)
-        R = triangular(solve_triangular(L, np.eye(len(mean)), lower=True))
+        R = np.asarray(np.linalg.qr(solve_triangular(L, np.eye(len(mean)), lower=True), mode="r"))
         return cls.of(R, R @ mean)
 
     @property
@@ -106,7 +114,7 @@ class Information:
         stacked[:m, :m] = np.diag(1.0 / np.sqrt(np.asarray(variance)[moving]))
         stacked[m:, :m] = -self.R @ G[:, moving]
         stacked[m:, m : m + P], stacked[m:, m + P] = self.R, self.z
-        rest = triangular(stacked)[m : m + P, m:]
+        rest = np.asarray(np.linalg.qr(stacked, mode="r"))[m : m + P, m:]
         return Information.of(rest[:, :P], rest[:, P])
 
     @property
@@ -116,26 +124,80 @@ class Information:
         return np.asarray(lapack.dtrtrs(self.triangle[:, :-1], self.z)[0])
 
     @property
-    def covariance(self) -> Array:
-        """Covariance of the estimate, (P, P)."""
-        inverse = self.root
-        return inverse @ inverse.T
-
-    @property
     def root(self) -> Array:
         """A square root S of the covariance, ``S Sᵀ``, (P, P)."""
         return np.asarray(solve_triangular(self.R, np.eye(len(self.z)), check_finite=False))
 
 
-def triangular(rows: Array) -> Array:
-    """The upper triangle that an orthogonal transformation makes of rows (m, n); (min(m, n), n)."""
-    return np.asarray(np.linalg.qr(rows, mode="r"))
+class FixedLinearisation:
+    """Residual and derivatives of single samples at these values of a model's parameters and effects."""
+
+    def __init__(self, start: Model, parameters: Sequence[ModelParameter], values: Array) -> None:
+        """values: of the parameters, and behind them those of the effects; left out, effects stay as they are."""
+        now = self._model = model_at(start, parameters, values)
+        self._start, self._parameters, self._values = start, parameters, values
+        self._effects = len(values) > len(parameters)
+        self._chain: Chain | None = None
+        if not is_serial_arm(now.chain):  # of closed chains nothing can be carried from joint to joint
+            return
+        errors, chain = deviations(start, parameters, values[: len(parameters)]), now.serial
+        self._twists = [_twists(now, parameters, errors, frame) for frame in range(len(now.frames))]
+        self._T_root_frame = se3.inverse(now.T_frame_base @ chain.T_base_root)
+        rooted = np.array(chain.origins)
+        rooted[0] = se3.inverse(se3.transform(chain.joint_basis[0]))
+        rooted[-1] = rooted[-1] @ now.T_tip_tool
+        self._chain = chain.with_origins(rooted)
+
+    def __call__(self, sample: Samples) -> tuple[Array, Array]:
+        """(residual (3,) or (6,): position [m] then rotation [rad], its negative derivative (3 or 6, P)) of one row."""
+        at, pose = self._model.drivers(sample), np.flatnonzero(sample.is_pose)
+        if self._chain is None:
+            view = RowView.of(self._model, sample, at)
+            J = geometry_rows(view, self._start, self._parameters, self._values)
+        else:
+            twists, scale = motion(self._model.effects, at)
+            f = frames(self._chain, sample.q, twists)
+            T = np.concatenate([f.transform(k) for k in range(len(f.p))])
+            T_root_frame, p = self._T_root_frame[sample.frame[0]], T[-1, :3, 3]
+            R_root_frame = T_root_frame[:3, :3]
+            reading = R_root_frame @ (sample.reading[0] / scale[0])
+            turned = so3.log(R_root_frame @ sample.R[pose] @ T[-1, :3, :3].T)
+            view = RowView(
+                sample, pose, f, (reading + T_root_frame[:3, 3] - p)[:, None], turned.reshape(-1, 3).T, reading[:, None]
+            )
+            to_tool = _EYE.copy()
+            to_tool[3:, :3] = (p @ HAT).reshape(3, 3)
+            towards = np.swapaxes(se3.adjoint(T), -1, -2).reshape(-1, 6)  # from each place, seen at the root's origin
+            J = self._twists[sample.frame[0]] @ towards @ to_tool[:, : 6 if len(pose) else 3]
+        if self._effects:
+            J = np.concatenate([J, *(view.moved_by(terms)[None] for terms in all_columns(self._model.effects, at))])
+        return view.residual, J.T
+
+
+def _twists(now: Model, parameters: Sequence[ModelParameter], errors: Deviations, frame: int) -> Array:
+    """The twist per unit of each parameter in the frame of its place, (P, 6 (n + 1)); for readings in a frame."""
+    of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
+    out = np.zeros((len(parameters), now.serial.n + 1, 6))
+    with_it = (frame, now.leader(frame))
+    for j, p in enumerate(parameters):
+        if p.place == INSTRUMENT:
+            continue  # of an instrument whose readings do not come here: nothing moves with it
+        if p.place:
+            out[j, p.place] = of_places[p.place - 1][p.direction]
+        elif p.frame in with_it:  # of a frame that does not lead this one, readings in this one say nothing
+            out[j, 0] = of_frames[p.frame][p.direction]
+    return out.reshape(len(parameters), -1)
+
+
+def spread(noise: NoiseModel, sample: Samples) -> Array:
+    """Standard deviations of the rows of one sample, (3,) or (6,): of the noise and what the reading states."""
+    own = np.nan_to_num(np.r_[sample.sigma_position, sample.sigma_rotation])
+    return np.hypot((noise.position, noise.rotation), own).repeat(3)[: 6 if sample.is_pose[0] else 3]
 
 
 KEPT = 512  # samples that can be linearised again
 _MOVED = 0.02  # standard deviations; an estimate that moved further is linearised again
 _FAR = 0.5  # the same, a parameter: before the oldest are let go, whose error goes with the square of it
-_ROUNDS = 20  # iterations
 Rows = Array  # [A b] of A x = b, with noise of unit variance, (m, P + 1)
 
 
@@ -164,7 +226,7 @@ class RandomWalk:
         seen = RowView.of(bare, samples, bare.drivers(samples))
         moved = [seen.unit_column(place_index(place, model.chain), d) for place in self.places for d in range(6)]
         directions = np.zeros((count, len(moved)))
-        directions[: len(parameters)] = np.linalg.lstsq(J.T, np.stack(moved, axis=1), rcond=1e-9)[0]
+        directions[: len(parameters)] = combined(J.T, np.stack(moved, axis=1))
         return directions, np.tile([self.metres] * 3 + [self.radians] * 3, len(self.places))
 
 
@@ -198,11 +260,8 @@ class Estimator:
         begin = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
         self._now = self._before = Information.of_prior(begin, covariance)
         self.values = begin
-        self._point = begin  # where samples are linearised
-        self._frozen: FixedLinearisation | None = None
-        self._kept: list[Samples] = []
-        self._weights: list[float] = []
-        self._rows: list[Rows] = []  # of each that is kept, linearised at the point
+        self._stand_at(begin)
+        self._kept: list[tuple[Samples, float, Rows]] = []  # each with its weight, and its rows at the point
         views = [View(kind, f) for f in range(len(model.frames))]
         self._directions = random_walk.directions(model, self.parameters, len(begin), views) if random_walk else None
         self._stamp = -np.inf
@@ -211,7 +270,7 @@ class Estimator:
     @property
     def covariance(self) -> Array:
         """Covariance of the values, (P, P)."""
-        return self._now.covariance
+        return self._now.root @ self._now.root.T
 
     @property
     def std(self) -> Array:
@@ -226,11 +285,7 @@ class Estimator:
     def update(self, sample: Samples) -> float:
         """Take in one sample (a row); returns its weight, 1 for one that is taken in full and 0 for a rejected one."""
         self._grow_covariance(float(sample.stamps[0]))
-        if self._frozen is None:
-            self._frozen = FixedLinearisation(self.start, self.parameters, self._point)
-        residual, J = self._frozen(sample)
-        rows = np.concatenate([J, (residual + J.dot(self._point))[:, None]], axis=1)
-        rows /= np.concatenate(spread(self.noise, sample)).repeat([3, len(residual) - 3])[:, None]
+        rows = self._rows(sample)
         now = self._now.with_rows(rows)
         score = score_of_one(now.innovation, len(rows))
         sure = score <= HUBER_Z or not self._robust
@@ -245,14 +300,6 @@ class Estimator:
             self._keep(sample, weight, rows)
         return weight
 
-    def relinearise(self) -> int:
-        """Linearise the kept samples again until the estimate stands; returns how often that was needed."""
-        for done in range(_ROUNDS):
-            if not self._kept or self._apart(self.values - self._point) < 1e-3 * _MOVED:
-                return done
-            self._again()
-        return _ROUNDS
-
     def _grow_covariance(self, stamp: float) -> None:
         passed = stamp - self._stamp
         self._stamp = max(stamp, self._stamp)
@@ -262,52 +309,35 @@ class Estimator:
 
     def _keep(self, sample: Samples, weight: float, rows: Rows) -> None:
         if self._directions is not None:
-            if self._apart(self.values - self._point) > _MOVED:
+            if self._apart() > _MOVED:
                 self._stand_at(self.values)
             return
-        self._kept.append(sample)
-        self._weights.append(weight)
-        self._rows.append(rows)
+        self._kept.append((sample, weight, rows))
         if len(self._kept) >= KEPT:
-            if self._apart(self.values - self._point) > _FAR * sqrt(len(self.values)):
-                self._again()
+            if self._apart() > _FAR * sqrt(len(self.values)):
+                self.linearise_again()
             half = len(self._kept) // 2
-            self._before = self._before.with_rows(np.concatenate(self._rows[:half]))
-            del self._kept[:half], self._weights[:half], self._rows[:half]
-        elif (self.taken & (self.taken - 1)) == 0 and self._apart(self.values - self._point) > _MOVED:
-            self._again()  # at every doubling: an estimate moves less and less
+            self._before = self._before.with_rows(np.concatenate([rows for *_, rows in self._kept[:half]]))
+            del self._kept[:half]
+        elif (self.taken & (self.taken - 1)) == 0 and self._apart() > _MOVED:
+            self.linearise_again()  # at every doubling: an estimate moves less and less
 
-    def _again(self) -> None:
+    def linearise_again(self) -> None:
+        """Linearise the kept samples at the present estimate: one Gauss–Newton step of a batch fit."""
         self._stand_at(self.values)
-        self._rows = self._linearised()
-        self._now = self._before.with_rows(np.concatenate(self._rows))
+        self._kept = [(sample, weight, sqrt(weight) * self._rows(sample)) for sample, weight, _ in self._kept]
+        self._now = self._before.with_rows(np.concatenate([rows for *_, rows in self._kept]))
         self.values = self._now.mean
 
     def _stand_at(self, values: Array) -> None:
-        self._point, self._frozen = values, None
+        """Linearise samples about these values from now on."""
+        self._point, self._frozen = values, FixedLinearisation(self.start, self.parameters, values)
 
-    def _linearised(self) -> list[Rows]:
-        together = joined(self._kept)
-        at = linearise(self.start, self.parameters, self.values, together)
-        N, pose = len(together), together.is_pose
-        position, rotation = (np.sqrt(self._weights) / each for each in spread(self.noise, together))
-        scale = np.concatenate([np.tile(position, 3), np.tile(rotation[pose], 3)])
-        b = at.residual + self.values @ at.J
-        rows = np.concatenate([at.J, b[None]]).T * scale[:, None]
-        owner = np.concatenate([np.tile(np.arange(N), 3), np.tile(np.flatnonzero(pose), 3)])
-        order, cuts = np.argsort(owner, kind="stable"), np.cumsum(np.bincount(owner))[:-1]
-        return np.split(rows[order], cuts)
+    def _rows(self, sample: Samples) -> Rows:
+        residual, J = self._frozen(sample)
+        rows = np.concatenate([J, (residual + J.dot(self._point))[:, None]], axis=1)
+        return np.asarray(rows / spread(self.noise, sample)[:, None])
 
-    def _apart(self, step: Array) -> float:
-        return float(np.linalg.norm(self._now.R @ step))
-
-
-def joined(samples: Sequence[Samples]) -> Samples:
-    """Samples of the same cell, one after the other."""
-    first = samples[0]
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(s, name) for s in samples])
-        for name in first.__dataclass_fields__
-        if name not in SHARED
-    }
-    return replace(samples[-1], **arrays)
+    def _apart(self) -> float:
+        """How far the estimate is from where samples are linearised, in standard deviations."""
+        return float(np.linalg.norm(self._now.R @ (self.values - self._point)))

@@ -102,6 +102,7 @@ _EITHER_SIDE = 2  # ... and, where joint states are farther apart, so many on ei
 _UNIT = 1e-3  # how far from 1 a quaternion's norm may be; drivers round to four digits at worst
 _STEPS = 15  # between joint states, whose median is the usual one: a silence is none
 _STANDS = 40  # of late, by which it is known how long this arm stands
+_AVERAGED = ("q", "reading", "R", "sigma_position", "sigma_rotation")
 _BEFORE = 1.0  # s of joint states before a stand that its beginning is looked for in
 
 
@@ -118,7 +119,6 @@ class Counts:
 class _Readings:
     """Readings of one frame that are not used up."""
 
-    kind: str
     waiting: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_HELD))
     last: float = -np.inf
 
@@ -205,7 +205,7 @@ class SampleStream:
             )
         if frame not in self.frames:
             self.frames.append(frame)
-        readings = self._readings.setdefault((kind, frame), _Readings(kind))
+        readings = self._readings.setdefault((kind, frame), _Readings())
         if stamp < readings.last - _JUMP:
             readings.waiting.clear()
         elif stamp <= readings.last:
@@ -217,8 +217,8 @@ class SampleStream:
 
     def take(self) -> list[Samples]:
         """The samples that have become whole since the last time, one row each, in the order of their stamps."""
-        for (_, frame), readings in self._readings.items():
-            self._pair_or_interpolate(frame, readings)
+        for (kind, frame), readings in self._readings.items() if len(self._states) > 1 else ():
+            self._pair_or_interpolate(kind, frame, readings.waiting)
         out, self._ready = self._ready, []
         return out
 
@@ -287,72 +287,58 @@ class SampleStream:
                 self._average_dwell(ended, (start, end), t, q, effort)
 
     def _average_dwell(self, ended: _Ended, span: tuple[float, float], t: Array, q: Array, effort: Array) -> None:
-        made = False
+        before, mean = len(self._ready), effort[(t >= span[0]) & (t <= span[1])].mean(axis=0)
         for (kind, frame), readings in self._readings.items():
             inside = [(s, v) for s, v in readings.waiting if span[0] <= s <= span[1]]
             if not inside:
                 continue
             stamps, values = np.array([s for s, _ in inside]), np.stack([v for _, v in inside])
             piece = averaged(ReadingTrack(kind, frame, stamps, values, stamps), t, q, np.array([span]))
-            if not len(piece.q):
-                continue
-            made = True
-            fields = {
-                name: getattr(piece, name)[0] for name in ("q", "reading", "R", "sigma_position", "sigma_rotation")
-            }
-            mean = effort[(t >= span[0]) & (t <= span[1])].mean(axis=0)
-            self._emit(
-                kind, frame, 0.5 * sum(span), span, **fields, effort=mean, approach=ended.approach, path=ended.path
-            )
-        if made:
+            if len(piece.q):
+                one = {name: getattr(piece, name)[0] for name in _AVERAGED}
+                came = {"approach": ended.approach, "path": ended.path}
+                self._emit(kind, frame, 0.5 * sum(span), span, **one, **came, effort=mean)
+        if len(self._ready) > before:
             self._station += 1
             self._stood = ended.stamp
 
-    def _pair_or_interpolate(self, frame: str, readings: _Readings) -> None:
-        if len(self._states) < 2:
-            return
+    def _pair_or_interpolate(self, kind: str, frame: str, waiting: deque[tuple[float, Array]]) -> None:
         t = self._states.t
         sparse = self._step > self._rules.window
         moving = not sparse and t[-1] - max(self._stood, self._began) > _RESTLESS
-        while readings.waiting:
-            stamp, values = readings.waiting[0]
+        while waiting:
+            stamp, values = waiting[0]
             if stamp > t[-1] - (0.0 if sparse else _STENCIL) or (moving and stamp > t[-_EITHER_SIDE]):
                 return  # the joint states around it have not come yet
-            if not sparse and not moving and stamp >= self._since:
+            if not (sparse or moving) and (stamp >= self._since or t[-1] - stamp < _LONGEST + self._rules.settle):
                 return  # it may belong to a stand
-            if not sparse and not moving and t[-1] - stamp < _LONGEST + self._rules.settle:
-                return
-            readings.waiting.popleft()
-            if sparse:
-                self._pair(frame, readings.kind, stamp, values, t)
-            elif moving:
-                self._interpolate(frame, readings.kind, stamp, values, t)
+            waiting.popleft()
+            if sparse or moving:
+                posture = self._paired(stamp, t) if sparse else self._interpolated(stamp, t)
+                if posture is None:
+                    self.counts.unpaired += 1
+                    continue
+                reading: dict[str, Any] = {"reading": values[:3], "sigma_position": np.nan, "sigma_rotation": np.nan}
+                reading["R"] = so3.from_quaternion(values[3:]) if kind == POSE else np.eye(3)
+                self._emit(kind, frame, stamp, (stamp, stamp), **reading, **posture)
+                self._station += 1
 
-    def _pair(self, frame: str, kind: str, stamp: float, values: Array, t: Array) -> None:
+    def _paired(self, stamp: float, t: Array) -> dict[str, Any] | None:
+        """The posture of the joint state with a reading's stamp; None where there is none."""
         row = int(np.searchsorted(t, stamp))
-        if row == len(t) or t[row] != stamp:
-            self.counts.unpaired += 1
-            return
-        fields = {"q": self._q[row], "effort": self._effort[row]}
-        self._emit(kind, frame, stamp, (stamp, stamp), **_parts(kind, values), **fields)
-        self._station += 1
+        return None if row == len(t) or t[row] != stamp else {"q": self._q[row], "effort": self._effort[row]}
 
-    def _interpolate(self, frame: str, kind: str, stamp: float, values: Array, t: Array) -> None:
+    def _interpolated(self, stamp: float, t: Array) -> dict[str, Any] | None:
         """The posture at a reading's stamp: a cubic through the joint states around it, by least squares."""
         first, at, last = np.searchsorted(t, (stamp - _STENCIL, stamp, stamp + _STENCIL))
-        first, last = min(first, max(0, at - _EITHER_SIDE)), min(max(last, at + _EITHER_SIDE), len(t))
-        u = t[first:last] - stamp
+        rows = slice(min(first, max(0, at - _EITHER_SIDE)), min(max(last, at + _EITHER_SIDE), len(t)))
+        u = t[rows] - stamp
         if len(u) < 2 * _EITHER_SIDE or u[0] > 0.0 or u[-1] < 0.0 or np.diff(u).max() > self._rules.gap:
-            self.counts.unpaired += 1
-            return
+            return None
         scale = max(-u[0], u[-1])
-        powers = np.vander(u / scale, 4, increasing=True)
-        rows = slice(first, last)
-        c = np.linalg.lstsq(powers, self._q[rows], rcond=None)[0]
+        c = np.linalg.lstsq(np.vander(u / scale, 4, increasing=True), self._q[rows], rcond=None)[0]
         motion = {"velocity": c[1] / scale, "acceleration": 2.0 * c[2] / scale**2, "approach": np.sign(c[1])}
-        fields = {"q": c[0], "effort": self._effort[rows].mean(axis=0), "moving": True}
-        self._emit(kind, frame, stamp, (stamp, stamp), **_parts(kind, values), **fields, **motion)
-        self._station += 1
+        return {"q": c[0], "effort": self._effort[rows].mean(axis=0), "moving": True, **motion}
 
     def _emit(self, kind: str, frame: str, stamp: float, span: tuple[float, float], **fields: Any) -> None:
         """Make a sample of one row. span: that commands count of [s]. fields: of the samples, of one row each."""
@@ -364,9 +350,3 @@ class SampleStream:
         arrays: dict[str, Any] = {name: np.array(value)[None] for name, value in {**usual, **fields}.items()}
         kinds = np.array([kind], dtype=KIND_NAMES)
         self._ready.append(Samples(names=self.names, frames=tuple(self.frames), kind=kinds, **arrays))
-
-
-def _parts(kind: str, values: Array) -> dict[str, Any]:
-    """A single reading as fields of a sample."""
-    R = so3.from_quaternion(values[3:]) if kind == POSE else np.eye(3)
-    return {"reading": values[:3], "R": R, "sigma_position": np.nan, "sigma_rotation": np.nan}

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 
@@ -29,12 +28,11 @@ _UNTOLD = "readings in another unit or convention"
 _STRANGE = 3  # readings in a row from an unknown frame, after which it stands for a known one
 
 
-def or_misread(change: ChangeHypothesis, model: Model, rows: Sequence[Samples], noise: NoiseModel) -> ChangeHypothesis:
-    """The change; the mistake in its place, where the samples (rows) since then are of the arm once that is undone.
+def or_misread(change: ChangeHypothesis, model: Model, samples: Samples, noise: NoiseModel) -> ChangeHypothesis:
+    """The change; the mistake in its place, where the samples since then are of the arm once that is undone.
 
     While there are too few to tell, a change that is larger than an arm's own is said to be either.
     """
-    samples = reduce(Samples.followed_by, rows)
     off, reach = errors(model, samples), model.chain.reach()
     if len(samples) < MIN:
         turned = float(np.median(off.rotation_norm)) if samples.is_pose.all() else 0.0
@@ -104,10 +102,9 @@ class Live:
         self.since += 1
         # asked again as samples come in: the first answer rests on very few
         if self.hypothesis is None or (self.since & (self.since - 1)) == 0:
-            since = min(self.changed, self.detector.seen[-1].stamp)
-            rows = [seen.sample for seen in self.detector.seen if seen.stamp >= since]
-            change = find_change(self.detector, since)
-            self.hypothesis = or_misread(change, self.detector.model, rows, self.calibration.noise)
+            since, model = min(self.changed, float(self.detector.seen[-1].stamps[0])), self.detector.model
+            change, samples = find_change(self.detector, since), self.detector.samples(since)
+            self.hypothesis = or_misread(change, model, samples, self.calibration.noise)
 
 
 ASKED, BETTER = "asked", "better"
@@ -135,20 +132,17 @@ class Supervisor:
         self.candidate: Calibration | None = None
         self.stations = 0
         self._last_station = -1
-        self._wait = policy.first_solve
-
-    def follow(self, policy: Policy) -> None:
-        """Go by another policy from now on; what it counts begins with the last solve, or the last change."""
-        old = self._every
-        self.policy = policy
-        if old != self._every:
-            since = self._wait - old if old else 0  # stations that had been counted when the wait began
-            self._wait = max(since, 0) + self._every if self._every else 0
+        self._begun = 0  # stations, or those since a change, at the last solve that brought nothing
 
     @property
     def _every(self) -> int:
         """Stations after which a solve begins by itself; 0: none does."""
         return self.policy.first_solve if self.live is None else self.policy.after_change
+
+    @property
+    def _count(self) -> int:
+        """Stations that count towards it."""
+        return self.stations if self.live is None else self.live.since
 
     @property
     def trusted(self) -> Calibration | None:
@@ -183,10 +177,10 @@ class Supervisor:
     def wants_solve(self) -> bool:
         """Whether it is time to calibrate again."""
         if self.live is None:
-            return 0 < self._wait <= self.stations and self.candidate is None
-        if self.hypothesis is None or self.hypothesis.mistake:  # of readings that are written wrongly nothing is solved
-            return False
-        return 0 < self._wait <= self.live.since
+            wanted = self.candidate is None
+        else:  # of readings that are written wrongly nothing is solved
+            wanted = self.hypothesis is not None and not self.hypothesis.mistake
+        return wanted and 0 < self._every <= self._count - self._begun
 
     def solved(self, calibration: Calibration, better: bool) -> bool:
         """Take a result; returns whether it is trusted from now on."""
@@ -198,8 +192,7 @@ class Supervisor:
 
     def failed(self) -> None:
         """A solve brought nothing: wait for as many stations again."""
-        count = self.stations if self.live is None else self.live.since
-        self._wait = count + self._every if self._every else 0
+        self._begun = self._count
 
     def accept(self) -> bool:
         """Trust the candidate; returns whether there was one."""
@@ -211,12 +204,11 @@ class Supervisor:
         """Trust this calibration, and watch it from now on."""
         self.live = Live(calibration, self._random_walk)
         self.candidate = None
-        self._wait = self.policy.after_change
+        self._begun = 0
 
     def reset(self) -> None:
         """Forget the candidate and what was suspected; what is trusted stays."""
         self.candidate = None
-        self.stations = 0
-        self._wait = self.policy.first_solve
+        self.stations = self._begun = 0
         if self.live is not None:
             self.trust(self.live.calibration)

@@ -9,15 +9,15 @@ if TYPE_CHECKING:
     from modcal_core.outcome.entries import Finding, at_tool, findings, load_findings, parameters
     from modcal_core.outcome.joint_offsets import offsets_of
     from modcal_core.outcome.notes import counted, description_note, instrument_notes, load_notes, moved_note
-    from modcal_core.outcome.notes import not_asked_note, readmitted_note, residual_notes, unproved_note
-    from modcal_core.outcome.notes import stated_note, unseen_note
+    from modcal_core.outcome.notes import not_asked_note, one_instrument_notes, readmitted_note, residual_notes
+    from modcal_core.outcome.notes import stated_note, unproved_note, unseen_note
     from modcal_core.outcome.difference import ToolDifference, tool_difference
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["STAGES", "Finding", "Outcome", "Step", "ToolDifference", "Trace", "at_tool", "counted"]
-__all__ += ["description_note", "findings", "instrument_notes", "iso_date", "load_findings", "load_notes"]
-__all__ += ["moved_note", "not_asked_note", "offsets_of", "parameters", "readmitted_note", "residual_notes"]
-__all__ += ["stated_note", "tool_difference", "unproved_note", "unseen_note"]
+__all__ = ["STAGES", "Finding", "Outcome", "Step", "ToolDifference", "Trace", "at_tool", "counted", "description_note"]
+__all__ += ["findings", "instrument_notes", "iso_date", "load_findings", "load_notes", "moved_note", "not_asked_note"]
+__all__ += ["offsets_of", "one_instrument_notes", "parameters", "readmitted_note", "residual_notes", "stated_note"]
+__all__ += ["tool_difference", "unproved_note", "unseen_note"]

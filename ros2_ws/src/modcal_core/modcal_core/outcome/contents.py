@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -38,6 +38,9 @@ from modcal_core.verdict import (
     interval_of_rms,
 )
 from modcal_core.version import __version__
+
+if TYPE_CHECKING:
+    from modcal_core.calibration import ByDistances
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,7 @@ class Outcome:
     - distances: known distances as fitted. loads: gravity and payloads that the data showed.
     - grounds: further input of the verdict. judged: the verdict, None until there is one.
     - offsets: joint offsets of the calibration that is written or judged; None where they do not apply.
+    - by_distances: a Delta from distances alone, where that was asked for.
     - notes: sentences on the recording. claim: what may be said of the tool; None if nothing was calibrated.
     """
 
@@ -152,6 +156,7 @@ class Outcome:
     trace: Trace = field(default_factory=Trace)
     readmitted: Readmitted = field(default_factory=Readmitted)
     claim: Claim | None = None
+    by_distances: ByDistances | None = None
 
     @property
     def measurement(self) -> str:

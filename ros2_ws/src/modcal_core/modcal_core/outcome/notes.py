@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
 from modcal_core.calibration import Calibration, Errors, Fit, Readmitted
 from modcal_core.diagnosis import Loads
+from modcal_core.geometry import error_values, se3
 from modcal_core.hypotheses import LIMIT_OF_REACH
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.measurements.kinds import kinds
@@ -28,6 +30,29 @@ def instrument_notes(fit: Fit) -> tuple[str, ...]:
         kind = kinds()[name]
         said = f"{1e3 * size:.3g} mm" if kind.unit == "m" else f"{1e6 * size:.3g} µrad"
         out.append(f"Readings of kind {name} scatter about the model by {said}.")
+    return tuple(out)
+
+
+_ALIKE = 5e-3  # m, rad: no two instruments stand so close, and turned so alike
+
+
+def one_instrument_notes(fit: Fit) -> tuple[str, ...]:
+    """A sentence for two frames with the same coordinates, surely: those of one instrument under two names have."""
+    model, out = fit.model, []
+    row = {(p.frame, p.direction): i for i, p in enumerate(fit.parameters) if p.place == 0}
+    for a, b in combinations(range(len(model.frames)), 2):
+        if model.leader(a) == model.leader(b):
+            continue
+        apart = np.abs(error_values(se3.inverse(model.T_frame_base[a]) @ model.T_frame_base[b]))
+        own = [[row[model.leader(f), d] for f in (a, b) if (model.leader(f), d) in row] for d in range(6)]
+        signs = np.array([1.0, -1.0])
+        std = [float(np.sqrt(signs[: len(i)] @ fit.covariance[np.ix_(i, i)] @ signs[: len(i)])) for i in own]
+        if (apart + 2.0 * np.array(std) < _ALIKE).all():
+            out.append(
+                f"Frames {model.frames[a]} and {model.frames[b]} have the same coordinates, to "
+                f"{1e3 * np.linalg.norm(apart[:3]):.2g} mm: give the readings of one instrument one frame_id; now each "
+                "frame has a place of its own."
+            )
     return tuple(out)
 
 

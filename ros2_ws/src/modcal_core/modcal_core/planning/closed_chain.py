@@ -15,8 +15,8 @@ thousandths. With R the frame in front of a parameter's motion, o its origin and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -64,6 +64,24 @@ class ClosedChain:
         if name not in self.names:
             raise BadTable(f"parameter '{name}'", "is not one of the chain's", f"choose from {', '.join(self.names)}")
         return self.names.index(name)
+
+    def only(self, patterns: Sequence[str]) -> ClosedChain:
+        """The same chain with the parameters that these names or patterns name, the others taken as known; with all of
+        them where there are no patterns. Raises BadTable for one that names nothing.
+        """
+        kept = sorted({k for pattern in patterns for k in self.matching(pattern)})
+        if not kept:
+            return self
+        return replace(
+            self, factors=tuple(self.factors[k] for k in kept), jacobian=lambda q: self.jacobian(q)[..., kept]
+        )
+
+    def matching(self, pattern: str) -> list[int]:
+        """Numbers of the parameters that a name or pattern names. Raises BadTable where there are none."""
+        hit = [k for k, name in enumerate(self.names) if fnmatchcase(name, pattern)]
+        if not hit:
+            raise BadTable(f"pattern '{pattern}'", "matches no parameter", f"choose from {', '.join(self.names)}")
+        return hit
 
 
 _DH = (("theta", 5), ("d", 2), ("a", 0), ("alpha", 3))  # in the order in which a row moves the frame
@@ -147,11 +165,7 @@ def sizes_of(closed: ClosedChain, length: float, angle: float, tolerances: Mappi
     """
     out = np.array([length if f.is_length else angle for f in closed.factors])
     for pattern, size in (tolerances or {}).items():
-        hit = [k for k, name in enumerate(closed.names) if fnmatchcase(name, pattern)]
-        if not hit:
-            said = f"choose from {', '.join(closed.names)}"
-            raise BadTable(f"tolerance of '{pattern}'", "matches no parameter", said)
-        out[hit] = size
+        out[closed.matching(pattern)] = size
     bad = np.flatnonzero(~np.isfinite(out) | (out < 0.0))
     if len(bad):
         name = closed.names[bad[0]]

@@ -34,7 +34,7 @@ from modcal_core.effects import ReportEntry, family_named
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.outcome import STAGES, Trace, at_tool, parameters
-from modcal_core.report.as_json import FORMAT, finite, sizes_to_json, tolerance_data, unexplained
+from modcal_core.report.as_json import FORMAT, finite, in_mm, picked, sizes_to_json, tolerance_data, unexplained
 from modcal_core.report.blocks import SummaryLine, VerbResult
 from modcal_core.report.camera_page import camera_charts, camera_sentences, to_html
 from modcal_core.report.report import model_files
@@ -50,7 +50,7 @@ def moved_data(solution: CameraSolution) -> dict[str, Any] | None:
     return {
         "what": moved.what,
         "before_image": solution.fit.table.names[int(moved.since)],
-        "shift_mm": 1e3 * moved.shift_m,
+        **in_mm(moved, shift_mm="shift_m"),
         "turn_deg": float(np.degrees(moved.turn_rad)),
         "focal_percent": 100.0 * moved.focal,
     }
@@ -79,18 +79,6 @@ def further_data(solution: CameraSolution) -> list[dict[str, Any]]:
         }
         for one, state, std, rms_px in list(every)[1:]
     ]
-
-
-def rests_on_data(solution: CameraSolution) -> dict[str, float] | None:
-    """What the stated size of the target is worth, None where the images show it."""
-    rests = solution.claim.rests_on
-    if rests is None:
-        return None
-    return {
-        "images_percent": 100.0 * rests.images_std,
-        "mm_per_percent": 10.0 * rests.per_unit_m,
-        "if_wrong_high95_mm": 1e3 * rests.if_wrong_m,
-    }
 
 
 _NAMED = 3  # markers that are named in a sentence, those that are farthest off
@@ -249,7 +237,7 @@ def camera_data(
     solution: CameraSolution, robot: Robot, images: int, left_out: Mapping[str, str], met: Tolerance | None = None
 ) -> dict[str, Any]:
     """The data of ``report.json``: the keys of every report, and ``camera``. left_out: images no corners came from."""
-    fit, decision = solution.fit, solution.claim.decision
+    fit, decision, rests = solution.fit, solution.claim.decision, solution.claim.rests_on
     P = fit.poses.count
     R = P + 1 + READOUT
     std = fit.std[0]
@@ -282,11 +270,14 @@ def camera_data(
         "tolerance": tolerance_data(met),
         "trace": asdict(trace),
         "camera": {
-            "decision": decision.word,
-            "because": list(decision.because),
-            "chance_worse": decision.chance_worse,
+            **picked(decision, "because", "chance_worse", decision="word"),
             "metric": list(solution.claim.metric),
-            "rests_on_size": rests_on_data(solution),
+            "rests_on_size": rests
+            and {
+                "images_percent": 100.0 * rests.images_std,
+                "mm_per_percent": 10.0 * rests.per_unit_m,
+                "if_wrong_high95_mm": 1e3 * rests.if_wrong_m,
+            },
             "mounting": "tip" if fit.poses.camera_on_tip else "world",
             "rival_mounting": float(solution.camera.mounting.rival),
             "target": solution.camera.given.target.label,
@@ -319,7 +310,7 @@ def camera_data(
             "further": further_data(solution),
         },
         "parameters": [
-            {"name": p.name, "value": float(v), "std": float(s), "unit": p.unit}
+            {**picked(p, "name", "unit"), "value": float(v), "std": float(s)}
             for p, v, s in zip(fit.poses.parameters, values, std, strict=False)
         ],
         "notes": list(notes(solution)),

@@ -10,7 +10,7 @@ import numpy as np
 from modcal_core.checkup import Checked
 from modcal_core.files import to_json
 from modcal_core.moves import NamedChange, SizeFound
-from modcal_core.report.as_json import claim_data, finite, tolerance_data
+from modcal_core.report.as_json import claim_data, finite, picked, tolerance_data
 from modcal_core.report.blocks import Figures, Listing, Section, Summary, SummaryLine, TableBlock, VerbResult, tone_of
 from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel
 from modcal_core.report.page import Page, files_section
@@ -30,45 +30,31 @@ def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
     return {
         "modcal_check": 1,
         "calibration": calibration,
-        "robot": found.report.trace.robot,
-        "date": found.report.trace.date,
-        "status": found.status,
-        "verdict": found.sentence,
-        "stations": found.stations,
-        "set_aside": list(found.aside),
+        **picked(found.report.trace, "robot", "date"),
+        **picked(found, "status", "stations", "convention", "notes", verdict="sentence", set_aside="aside"),
         "chance_of_false_alarm_below": found.chance,
         "changes": [_change(c) for c in found.changes],
         "error_mm": {"frozen": found.before[0], "expected": found.expected[0], "with_changes": found.after[0]},
         "error_deg": {"frozen": found.before[1], "expected": found.expected[1], "with_changes": found.after[1]},
         "would_have_been_noticed_mm": {n.label: finite(n.mm) for n in found.noticed},
         "not_noticed": [label for n in found.noticed for label in n.unseen],
-        "action": found.advice.action,
-        "advice": found.advice.sentence,
+        **picked(found.advice, "action", advice="sentence"),
         "stations_to_add": [
             {name: float(x) for name, x in zip(found.joints, q, strict=True)} for q in found.advice.stations
         ],
         "repaired": found.repaired is not None,
         **claim_data(found.report.claim),
-        "convention": found.convention,
         "tolerance": tolerance_data(found.report.tolerance),
-        "notes": list(found.notes),
     }
 
 
 def _change(c: NamedChange) -> dict[str, Any]:
     return {
-        "kind": c.kind,
-        "place": c.place,
-        "label": c.label,
-        "sentence": c.sentence,
-        "sizes": [{"name": s.name, "value": s.value, "ci95": [s.low, s.high], "unit": s.unit} for s in c.sizes],
+        **picked(c, "kind", "place", "label", "sentence", "turned_deg", "probability", "same_as", "repairable"),
+        "sizes": [{**picked(s, "name", "value", "unit"), "ci95": [s.low, s.high]} for s in c.sizes],
         "moved_mm": {"rms": c.moved_mm[0], "ci95": [c.moved_mm[1], c.moved_mm[2]]},
-        "turned_deg": c.turned_deg,
-        "probability": c.probability,
-        "same_as": list(c.same_as),
         "same_at_every_posture": bool(c.alike),
         "same_orientation": c.alike == "poses",
-        "repairable": c.repairable,
     }
 
 

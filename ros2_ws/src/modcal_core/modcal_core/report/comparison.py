@@ -14,7 +14,7 @@ from modcal_core.effects import Sizes, claimed
 from modcal_core.errors import BadRobot, NotEnoughData
 from modcal_core.files import to_json
 from modcal_core.outcome import ToolDifference, tool_difference
-from modcal_core.report.as_json import sizes_to_json
+from modcal_core.report.as_json import picked, sizes_to_json
 from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, VerbResult, legend, tone_of
 from modcal_core.report.page import scaled
 
@@ -76,7 +76,7 @@ def compare(first: Side, second: Side, tolerance_mm: float | None = None) -> Ver
         remedy = "give folders of modcal calibrate or modcal evaluate"
         raise NotEnoughData(" and ".join(without), "holds no error to compare", remedy)
     result, sentence = _judged_tool(tool, tolerance_mm) if tool is not None else _judged_errors(first, second)
-    in_one, in_two = (_effects_of(side) for side in (first, second))
+    sides = {"first": _effects_of(first), "second": _effects_of(second)}
     of_base_or_tool = frozenset() if tool is None else tool.of_base_or_tool
     data = {
         "modcal_comparison": 1,
@@ -89,16 +89,18 @@ def compare(first: Side, second: Side, tolerance_mm: float | None = None) -> Ver
         else {
             "postures": len(tool.q),
             "mm": asdict(tool.size_mm),
-            "deg": None if tool.size_deg is None else asdict(tool.size_deg),
-            "expected_rms_mm": tool.expected_mm,
+            "deg": tool.size_deg and asdict(tool.size_deg),
+            **picked(tool, "left_out", expected_rms_mm="expected_mm"),
             "base_to_tip_as_they_are_mm": asdict(tool.as_they_are_mm),
-            "left_out": list(tool.left_out),
         },
         "of_base_or_tool": sorted(of_base_or_tool),
         "parameters": _parameters(first, second, of_base_or_tool),
         "effects": [
-            {"effect": name, "first": _sizes(in_one.get(name)), "second": _sizes(in_two.get(name))}
-            for name in {**in_one, **in_two}
+            {
+                "effect": name,
+                **{w: None if name not in side else sizes_to_json(side[name]) for w, side in sides.items()},
+            }
+            for name in {**sides["first"], **sides["second"]}
         ],
         "notes": list(_notes(first, second, tool)),
     }
@@ -233,18 +235,12 @@ def _side(side: Side) -> dict[str, Any]:
     trace = report.get("trace") or {}
     return {
         "name": side.name,
-        "date": trace.get("date"),
-        "version": trace.get("version"),
-        "robot": trace.get("robot"),
+        **{name: trace.get(name) for name in ("date", "version", "robot")},
         "stations": (report.get("recording") or {}).get("stations"),
         "status": report.get("status"),
         "error_mm": _final(side),
         "tolerance": (report.get("tolerance") or {}).get("result"),
     }
-
-
-def _sizes(sizes: Sizes | None) -> dict[str, Any] | None:
-    return None if sizes is None else sizes_to_json(sizes)
 
 
 def _summary(data: Mapping[str, Any]) -> list[Summary]:

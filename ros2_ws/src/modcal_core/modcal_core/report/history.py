@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from modcal_core.checking import Series
 from modcal_core.files import to_json
+from modcal_core.moves import Series
+from modcal_core.report.as_json import picked
 from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, VerbResult
 
 _MAX_SAID = 90  # characters of a verdict in a table
@@ -63,9 +64,12 @@ def history_report(found: Sequence[History]) -> VerbResult:
 def _series(s: Series) -> dict[str, Any]:
     trend = None
     if (t := s.trend) is not None:
-        trend = {"change": t.change, "ci95": [t.low, t.high], "share": t.share, "days": t.days, "sentence": s.sentence}
-    points = [{"entry": p.entry, "value": p.value, "std": p.std} for p in s.points]
-    return {"name": s.name, "unit": s.unit, "points": points, "trend": trend}
+        trend = {**picked(t, "change", "share", "days"), "ci95": [t.low, t.high], "sentence": s.sentence}
+    return {
+        **picked(s, "name", "unit"),
+        "points": [picked(p, "entry", "value", "std") for p in s.points],
+        "trend": trend,
+    }
 
 
 def _shown(h: History) -> list[Summary]:

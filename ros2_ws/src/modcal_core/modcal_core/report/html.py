@@ -34,7 +34,7 @@ from modcal_core.report.figures import (
 )
 from modcal_core.report.page import Page, files_section, parameter_tables, size_tables
 from modcal_core.report.scene import scene
-from modcal_core.report.tables import account_tables, effects_table, error_tables, span
+from modcal_core.report.tables import account_tables, distances_table, effects_table, error_tables, span
 from modcal_core.report.words import STATISTICS, STATUS_WORDS, sentence
 
 _MAX_COLUMNS = 28  # drivers of a map
@@ -353,7 +353,7 @@ class _Sections:
         return Section("evidence", "Evidence: place, direction, driver", out)
 
     def distances(self) -> Section | None:
-        """Known distances, as stated and as found."""
+        """Known distances, as stated and as found; what distances alone make of a Delta."""
         rows = tuple(
             (
                 d["name"],
@@ -364,7 +364,10 @@ class _Sections:
             for d in self.data["known_distances"]
         )
         header = ("between", "stated, mm", "misfit of the fit, mm", "by the readings alone, mm")
-        return _section("distances", "Known distances", [TableBlock("Known distances", header, rows)] if rows else [])
+        known: list[Block] = [TableBlock("Known distances", header, rows)] if rows else []
+        alone = distances_table(self.report.by_distances)
+        known += [b if isinstance(b, TableBlock) else Paragraph(b.text) for b in alone]
+        return _section("distances", "Distances", known)
 
     def identifiability(self) -> Section | None:
         """What the stations determine."""

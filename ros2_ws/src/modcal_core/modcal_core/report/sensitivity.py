@@ -110,7 +110,7 @@ def sensitivity_sentences(study: Study) -> list[str]:
         f"{_assumed(study, lengths)} the point misses by {1e3 * joint.before.rms:.3f} mm RMS; "
         f"the largest shares of its square: {strongest}."
     )
-    out = [said, _about_lengths(study, lengths, constant)]
+    out = [said, _about_lengths(study, lengths, constant)] if lengths.any() else [said]
     if (~lengths).any():
         steady = [names[k] for k in np.flatnonzero(~lengths & constant)]
         varying, angles = int((~lengths & ~constant).sum()), int((~lengths).sum())
@@ -143,7 +143,7 @@ def _assumed(study: Study, lengths: np.ndarray) -> str:
 def _about_lengths(study: Study, lengths: np.ndarray, constant: np.ndarray) -> str:
     count = int(lengths.sum())
     single = study.indices.single[:, lengths] / np.maximum(study.indices.sizes[lengths], 1e-300)
-    if count and constant[lengths].all() and np.ptp(single) <= _SAME * single.max():
+    if constant[lengths].all() and np.ptp(single) <= _SAME * single.max():
         return f"All {count} translation parameters move the point by their own error, at every pose."
     return f"{int((lengths & constant).sum())} of {count} translation parameters have the same influence at every pose."
 

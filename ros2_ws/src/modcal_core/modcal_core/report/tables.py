@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
+from typing import TYPE_CHECKING
 
 from modcal_core.geometry import Array
 from modcal_core.outcome import STAGES, Outcome
-from modcal_core.report.blocks import TableBlock, legend
+from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, legend
 from modcal_core.report.words import STATISTICS
+from modcal_core.robots import PARAMETERS
 from modcal_core.verdict import Row, Verdict
+
+if TYPE_CHECKING:
+    from modcal_core.calibration import ByDistances
 
 _EFFECT_COLUMNS = {
     "place": "where the error arises",
@@ -78,25 +83,42 @@ def _account(unit: str, rows: Sequence[Row], floor_known: bool, fold: bool) -> T
     total = sum(row.value for row in rows)
     small = [row for row in rows if row.what.startswith(_EFFECT) and abs(row.value) < _SMALL * total]
     small = small if fold and len(small) >= _MANY else []
+    # parts that overlap by more than the whole, or that leave more of it than there was, are no shares of it
+    divided = all(abs(row.value) <= (1.0 + _ROUNDING) * total for row in rows)
     cells = []
     for row in rows:
         known = floor_known or row.what not in _OF_FLOOR
         if row not in small:
-            sizes = (*_sizes(row.value, total), span(row.ci95)) if known else ("not known", "", "", "")
+            sizes = (*_sizes(row.value, total, divided), span(row.ci95)) if known else ("not known", "", "", "")
             cells.append((_words(row.what), *sizes))
         elif row is small[-1]:
             words = f"{len(small)} effects of less than {_SMALL:.0%} each, in report.json"
-            cells.append((words, *_sizes(sum(one.value for one in small), total), ""))
+            cells.append((words, *_sizes(sum(one.value for one in small), total, divided), ""))
     cells.append(("nominal model", *_sizes(total, total), ""))
     header = ("account of the squared error", f"{unit}²", "of the nominal", f"root, {unit}", f"95 % interval, {unit}²")
     return TableBlock(f"Account in {unit}²", header, tuple(cells))
 
 
-def _sizes(value: float, total: float) -> tuple[str, str, str]:
-    """A part of the squared error: itself, as a share, and its root with its sign."""
+def distances_table(found: ByDistances | None) -> list[Summary]:
+    """A Delta from distances alone, method by method, and what distances cannot tell; nothing where not asked for."""
+    if found is None:
+        return []
+    rows = tuple((m.name, f"{1e3 * m.f:.4f}", f"{1e3 * m.held_out:.4f}", f"{m.evaluations}") for m in found.methods)
+    header = ("by distances alone", "RMS of fitted distances, mm", "held-out RMS, mm", "evaluations")
+    said = (
+        f"Of the Delta's {PARAMETERS} parameters distances between {found.points} points show {found.seen.rank}; not "
+    )
+    lines = [f"{said}shown, and left nominal: {'; '.join(found.seen.unseen) or 'none'}."]
+    lines += [f"Ended at a bound of what is allowed: {', '.join(found.at_bound)}."] * bool(found.at_bound)
+    return [TableBlock("By distances alone", header, rows), *map(SummaryLine, lines)]
+
+
+def _sizes(value: float, total: float, divided: bool = True) -> tuple[str, str, str]:
+    """A part of the squared error: itself, as a share where the whole can be divided, and its root with its sign."""
     value = 0.0 if abs(value) < _ROUNDING * total else value
     root = abs(value) ** 0.5 * (-1.0 if value < 0.0 else 1.0)
-    return f"{value:.4g}", f"{round(100.0 * value / max(total, 1e-300), 2) + 0.0:.2f} %", f"{root:.4f}"
+    share = f"{round(100.0 * value / max(total, 1e-300), 2) + 0.0:.2f} %" if divided else "cannot be divided"
+    return f"{value:.4g}", share, f"{root:.4f}"
 
 
 def _words(what: str) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from modcal_core.outcome import Outcome
 from modcal_core.report.blocks import Summary, SummaryLine, legend, tone_of
-from modcal_core.report.tables import account_tables, effects_table, error_tables
+from modcal_core.report.tables import account_tables, distances_table, effects_table, error_tables
 from modcal_core.report.words import MAX_REASONS, sentence
 
 # What stands in the tables, below them
@@ -38,6 +38,7 @@ def _blocks(report: Outcome) -> Iterator[Summary]:
         yield from map(SummaryLine, report.story)
     for note in report.notes:
         yield SummaryLine(note, "doubt")
+    yield from distances_table(report.by_distances)
     yield from account_tables(report.judged, fold=True)
     yield SummaryLine(sentence(report), tone_of(report.status))
     for reason in report.open_because[MAX_REASONS:]:

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.bodies import DOWN, STANDARD_GRAVITY, HeldWeight, Payload, chain_gravity_wrench
     from modcal_core.robots.bodies import equivalent_inertia, mass_matrix, with_payload
     from modcal_core.robots.chain import Chain, Follower, JointColumns, rotation_to_axis
-    from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DELTA_UNITS, DISTAL, OFFSET, PARAMETERS, PROXIMAL
+    from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DISTAL, LEAN, OFFSET, PARAMETERS, PROXIMAL
     from modcal_core.robots.delta import RATIO, ZERO, Delta, delta_from_data, delta_to_data
     from modcal_core.robots.delta_kinematics import delta_inverse, position_jacobians, reachable, tool_pose
     from modcal_core.robots.delta_kinematics import tool_positions
@@ -37,7 +37,7 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
+__all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DISTAL", "DOWN", "LEAN", "NO_HASH", "OFFSET"]
 __all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain"]
 __all__ += ["CollisionShape", "Delta", "Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight"]
 __all__ += ["Inertias", "JointColumns", "JointPath", "LoadedArm", "Mechanism", "NearestTable", "Payload", "Stands"]

@@ -1,4 +1,4 @@
-"""The Delta robot: three arms that carry a platform by parallelograms, and a shaft that turns the tool.
+"""The Delta robot: three arms, or carriages on towers, hold a platform by parallelograms; a shaft turns the tool.
 
 Base frame: origin in the middle of the fixed platform, z up; the moving platform hangs below. Arm i stands in the
 upright plane at azimuth α_i and turns about the horizontal tangent there: at θ_i = 0 it points outwards, and a positive
@@ -9,6 +9,12 @@ from the elbow to the platform's centre, once the platform's own radius has been
     |p − C_i| = L2_i,    C_i = Rz(α_i) (dB_i + L1_i cos θ_i, 0, −L1_i sin θ_i),    i = 1, 2, 3,
 
 and the tool stands at ``Trans(p) Rz(φ) T_tip_tool``, φ = k_s q_4 for the telescopic shaft, 0 where there is none.
+
+A linear Delta has a carriage at height h_i = k_i q_i + q_zero,i [m] of tower i, which leans outwards by λ_i:
+
+    C_i = Rz(α_i) (dB_i + h_i sin λ_i, 0, h_i cos λ_i),
+
+so that of its six constants q_zero is a length, and λ stands in the place of L1. Everything else is the same.
 
 Rods of a pair that differ in length by δ, at a spacing of d, tilt the platform: with R its orientation, t_i the tangent
 along which the rods of arm i stand apart, u_i the way outwards, r the platform's radius and s_i along the rods,
@@ -28,7 +34,7 @@ diagnosis names it (a gear ratio at the shaft).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -43,12 +49,16 @@ from modcal_core.robots.kinematics import LoopShare, Tilt
 from modcal_core.schema import NUMBER, TEXT, Schema, list_of, record, require, stated
 
 ARMS = 3
-CONSTANTS = ("zero", "ratio", "azimuth", "offset", "proximal", "distal")
-DELTA_UNITS = ("rad", "1", "rad", "m", "m", "m")
-ZERO, RATIO, AZIMUTH, OFFSET, PROXIMAL, DISTAL = range(6)
+CONSTANTS = 6
+ZERO, RATIO, AZIMUTH, OFFSET, PROXIMAL, DISTAL = range(CONSTANTS)
+LEAN = PROXIMAL  # of a tower
+# Names and units of an arm's constants, and of a tower's
+_OF_ARM = {"zero": "rad", "ratio": "1", "azimuth": "rad", "offset": "m", "proximal": "m", "distal": "m"}
+_OF_TOWER = {"zero": "m", "ratio": "1", "azimuth": "rad", "offset": "m", "lean": "rad", "distal": "m"}
 TOOL = ("x", "y", "z", "rx", "ry", "rz")
-PARAMETERS = ARMS * len(CONSTANTS) + len(TOOL)
-LOWER, UPPER = -0.7, 1.3  # rad; limits of an arm where none are stated
+PARAMETERS = ARMS * CONSTANTS + len(TOOL)
+_MAX_LEAN = 1.4  # rad from upright; a rail that lies flat moves the platform sideways alone
+_LIMITS = {False: (-0.7, 1.3), True: (-0.5, 0.5)}  # rad of an arm, m of a carriage, where none are stated
 
 
 @dataclass(frozen=True)
@@ -56,7 +66,8 @@ class Delta:
     """A Delta robot. Immutable; arrays are read-only.
 
     names: joints of arms 1, 2, 3 and, where there is one, of the shaft. constants: of the arms, (6, 3), rows as in
-    ``CONSTANTS``: q_zero [rad], k [1], α [rad], dB, L1, L2 [m]. lower, upper: limits of the joints [rad], (n,).
+    ``constant_names``: q_zero [rad], k [1], α [rad], dB, L1, L2 [m]. lower, upper: limits of the joints [rad, m], (n,).
+    linear: whether carriages slide on towers in place of arms that turn: q_zero is in m, and for L1 stands λ [rad].
     tool: where the drawing puts the tool in the tip, (6,): x y z [m] rx ry rz [rad], as ``Trans Rot(exp)``.
     shaft_ratio: turns of the tool per turn of the shaft's joint, −1 where it counts the other way. platform_radius: of
     the moving platform [m], 0 where nothing states it; it shows only where a platform tilts.
@@ -71,6 +82,7 @@ class Delta:
     base: str = "base"
     tip: str = "tip"
     platform_radius: float = 0.0
+    linear: bool = False
 
     @classmethod
     def build(
@@ -89,10 +101,11 @@ class Delta:
         base: str = "base",
         tip: str = "tip",
         platform_radius: float = 0.0,
+        linear: bool = False,
     ) -> Delta:
         """A Delta from its constants [m, rad], one number for all arms or one each. Raises BadRobot for what cannot be.
 
-        lower, upper: of all joints, in the order of the names.
+        lower, upper: of all joints, in the order of the names. proximal: of a linear one how far towers lean [rad].
         """
         n = len(names)
         if n not in (ARMS, ARMS + 1) or len(set(names)) != n:
@@ -100,8 +113,8 @@ class Delta:
             raise BadRobot(f"delta with joints {', '.join(names) or 'none'}", f"it {said}", "correct the names")
         rows = [np.broadcast_to(np.asarray(row, dtype=float), ARMS) for row in
                 (zero, ratio, azimuth, offset, proximal, distal)]  # fmt: skip
-        wide = np.r_[np.full(ARMS, LOWER), np.full(n - ARMS, -np.pi)]
-        far = np.r_[np.full(ARMS, UPPER), np.full(n - ARMS, np.pi)]
+        wide, far = (np.r_[np.full(ARMS, end), np.full(n - ARMS, turn)]
+                     for end, turn in zip(_LIMITS[linear], (-np.pi, np.pi), strict=True))  # fmt: skip
         out = cls(
             tuple(names),
             read_only(np.stack(rows)),
@@ -112,6 +125,7 @@ class Delta:
             base,
             tip,
             float(platform_radius),
+            linear,
         )
         _require_sound(out)
         return out
@@ -122,14 +136,33 @@ class Delta:
         return len(self.names)
 
     @property
+    def own(self) -> np.ndarray:
+        """Which joints follow no other, (n,) bool: all."""
+        return np.ones(self.n, bool)
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of these joints."""
+        return self.names
+
+    def followed(self, q: Array) -> Array:
+        """The positions themselves, as no joint follows another."""
+        return q
+
+    @property
     def has_shaft(self) -> bool:
         """Whether a shaft turns the tool."""
         return self.n > ARMS
 
     @property
     def revolute(self) -> np.ndarray:
-        """True: every joint turns, (n,)."""
-        return np.ones(self.n, bool)
+        """Whether each joint turns, (n,): all do, but for carriages on towers."""
+        return (np.arange(self.n) >= ARMS) | (not self.linear)
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Names of the constants of an arm, in their order, each with its unit."""
+        return _OF_TOWER if self.linear else _OF_ARM
 
     @property
     def links(self) -> tuple[str, ...]:
@@ -174,13 +207,13 @@ class Delta:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the entries of :attr:`vector`, as reports have them."""
-        arms = [f"{name}/{constant}" for constant in CONSTANTS for name in self.names[:ARMS]]
+        arms = [f"{name}/{constant}" for constant in self.units for name in self.names[:ARMS]]
         return (*arms, *(f"tool/{d}" for d in TOOL))
 
     def with_vector(self, X: ArrayLike) -> Delta:
         """The same robot with other structural parameters (24,)."""
         X = np.asarray(X, dtype=float)
-        return replace(self, constants=read_only(X[:-6].reshape(len(CONSTANTS), ARMS)), tool=read_only(X[-6:]))
+        return replace(self, constants=read_only(X[:-6].reshape(CONSTANTS, ARMS)), tool=read_only(X[-6:]))
 
     def moved(self, deviation: ArrayLike) -> Delta:
         """The same robot with its arms' constants changed by these amounts, (6, 3)."""
@@ -204,7 +237,9 @@ class Delta:
 
     def reach(self) -> float:
         """An upper bound on the distance from the base to the tip [m], used to recognise wrong units."""
-        return float(np.sum(np.abs(self.constants[[OFFSET, PROXIMAL, DISTAL]]), axis=0).max())
+        ends = np.abs(self.constants[RATIO]) * np.maximum(np.abs(self.lower), np.abs(self.upper))[:ARMS]
+        arm = ends + np.abs(self.constants[ZERO]) if self.linear else self.constants[PROXIMAL]
+        return float((np.sum(np.abs(self.constants[[OFFSET, DISTAL]]), axis=0) + arm).max())
 
 
 def _require_sound(delta: Delta) -> None:
@@ -217,11 +252,14 @@ def _require_sound(delta: Delta) -> None:
             raise BadRobot(name, f"{what} must be {wanted[0]} numbers", "correct the file")
     if not all(np.isfinite(a).all() for a in (delta.constants, delta.lower, delta.upper, delta.tool)):
         raise BadRobot(name, "has a constant or limit that is not finite", "correct the file")
-    for row in (PROXIMAL, DISTAL):
+    for row in (DISTAL,) if delta.linear else (PROXIMAL, DISTAL):
         for arm, length in zip(delta.names, delta.constants[row], strict=False):
             if not 1e-3 < length < 10.0:
-                limit = f"{CONSTANTS[row]} length {length:g} m, 0.001 to 10 m is allowed"
+                limit = f"{tuple(delta.units)[row]} length {length:g} m, 0.001 to 10 m is allowed"
                 raise BadRobot(f"arm {arm}", limit, "give metres")
+    if delta.linear and np.abs(delta.constants[LEAN]).max() > _MAX_LEAN:
+        said = f"leans by {np.abs(delta.constants[LEAN]).max():g} rad, {_MAX_LEAN} is allowed"
+        raise BadRobot(name, f"a tower {said}", "give radians from upright")
     if (delta.constants[RATIO] == 0.0).any() or delta.shaft_ratio == 0.0:
         raise BadRobot(name, "a ratio of 0 moves nothing", "give the ratio, 1 where angles are those of the arm")
     if not (delta.lower < delta.upper).all():
@@ -360,16 +398,20 @@ def tilted_shares(
 # --- A Delta as plain data, the way its YAML file holds it: docs/delta.md describes every key
 
 _FORMAT = 1
-_ROWS = ("zero_rad", "ratio", "azimuth_rad", "offset_m", "proximal_m", "distal_m")  # in the order of CONSTANTS
+_ROWS = ("zero_rad", "ratio", "azimuth_rad", "offset_m", "proximal_m", "distal_m")  # in the order of constants
+_TOWER_ROWS = ("zero_m", "ratio", "azimuth_rad", "offset_m", "lean_rad", "distal_m")
 _RADII = ("fixed_radius_m", "platform_radius_m")
 _EACH: Schema = {"type": ["number", "array"], "items": NUMBER, "minItems": ARMS, "maxItems": ARMS}
+_LIMITED: Schema = {"type": "object", "additionalProperties": list_of(NUMBER, 2, 2)}
 _SCHEMA = record(
-    ("modcal_delta", "joints", "arms"),
+    ("modcal_delta", "joints"),
     modcal_delta={"enum": [_FORMAT]},
     joints=list_of(TEXT, ARMS, ARMS + 1),
     arms=record(("proximal_m", "distal_m"), **dict.fromkeys((*_ROWS, *_RADII), _EACH)),
+    towers=record(("distal_m",), **dict.fromkeys((*_TOWER_ROWS, *_RADII), _EACH)),
     shaft_ratio=NUMBER,
-    limits_rad={"type": "object", "additionalProperties": list_of(NUMBER, 2, 2)},
+    limits_rad=_LIMITED,
+    limits_m=_LIMITED,
     tool=record((), position_m=list_of(NUMBER, 3, 3), rotation_rad=list_of(NUMBER, 3, 3)),
     base=TEXT,
     tip=TEXT,
@@ -385,16 +427,25 @@ def delta_from_data(data: Any, source: str) -> Delta:
     """
     top = stated(data)
     require(top, _SCHEMA, source, _SEE)
-    names, limits, tool = top["joints"], top.get("limits_rad", {}), top.get("tool", {})
-    arms = {key: np.broadcast_to(np.array(value, dtype=float), ARMS) for key, value in top["arms"].items()}
+    if len(kind := [key for key in ("arms", "towers") if key in top]) != 1:
+        raise BadTable(source, "needs either arms, which turn, or towers, on which carriages slide", _SEE)
+    part, linear, tool = kind[0], kind[0] == "towers", top.get("tool", {})
+    names, turning = top["joints"], top["joints"][ARMS:] if linear else top["joints"]
+    arms = {key: np.broadcast_to(np.array(value, dtype=float), ARMS) for key, value in top[part].items()}
     if all(key in arms for key in _RADII) and "offset_m" not in arms:
         arms["offset_m"] = arms[_RADII[0]] - arms[_RADII[1]]
     elif "offset_m" not in arms or _RADII[0] in arms:
-        raise BadTable(f"{source}: arms", f"needs either offset_m, or both {' and '.join(_RADII)}", _SEE)
-    if strangers := [name for name in limits if name not in names]:
-        raise BadTable(f"{source}: limits_rad", f"{strangers[0]} is no joint of it", f"name {', '.join(names)}")
+        raise BadTable(f"{source}: {part}", f"needs either offset_m, or both {' and '.join(_RADII)}", _SEE)
+    limits: dict[str, Any] = {}
+    for key, own in (("limits_rad", turning), ("limits_m", [name for name in names if name not in turning])):
+        limits |= top.get(key, {})
+        if strangers := [name for name in top.get(key, {}) if name not in own]:
+            said = ("turns" if strangers[0] in turning else "slides") if strangers[0] in names else "is no joint of it"
+            raise BadTable(f"{source}: {key}", f"{strangers[0]} {said}", f"name {', '.join(own) or 'none'}")
     radius = arms.pop("platform_radius_m", np.zeros(ARMS)).mean().round(12)
-    constants = {key.partition("_")[0]: arms[key] for key in _ROWS if key in arms}
+    constants = {key.partition("_")[0]: arms[key] for key in (*_ROWS, *_TOWER_ROWS) if key in arms}
+    if linear:
+        constants["proximal"] = constants.pop("lean", np.zeros(ARMS))
     made = Delta.build(
         names,
         **constants,
@@ -403,6 +454,7 @@ def delta_from_data(data: Any, source: str) -> Delta:
         base=top.get("base", "base"),
         tip=top.get("tip", "tip"),
         platform_radius=float(radius),
+        linear=linear,
     )
     usual = zip(made.lower, made.upper, strict=True)
     ends = np.array([limits.get(name, pair) for name, pair in zip(names, usual, strict=True)], dtype=float)
@@ -415,16 +467,17 @@ def delta_to_data(delta: Delta) -> dict[str, Any]:
     """The data that :func:`delta_from_data` reads back as the same Delta, no digit lost."""
     shaft = {"shaft_ratio": delta.shaft_ratio} if delta.has_shaft else {}
     radius = {"platform_radius_m": delta.platform_radius} if delta.platform_radius else {}
+    part, rows = ("towers", _TOWER_ROWS) if delta.linear else ("arms", _ROWS)
+    limits: dict[str, dict[str, list[float]]] = {}
+    for name, turns, *ends in zip(delta.names, delta.revolute, delta.lower, delta.upper, strict=True):
+        limits.setdefault("limits_rad" if turns else "limits_m", {})[name] = [float(end) for end in ends]
     return {
         "modcal_delta": _FORMAT,
         "base": delta.base,
         "tip": delta.tip,
         "joints": list(delta.names),
-        "arms": {**{key: row.tolist() for key, row in zip(_ROWS, delta.constants, strict=True)}, **radius},
+        part: {**{key: row.tolist() for key, row in zip(rows, delta.constants, strict=True)}, **radius},
         **shaft,
-        "limits_rad": {
-            name: [float(low), float(high)]
-            for name, low, high in zip(delta.names, delta.lower, delta.upper, strict=True)
-        },
+        **limits,
         "tool": {"position_m": delta.tool[:3].tolist(), "rotation_rad": delta.tool[3:].tolist()},
     }

@@ -6,8 +6,8 @@ columns of S⁻¹,
 
     δp = Σ_i g_i (s_i · δC_i + δL2_i).
 
-So a small twist (v, ω) at a shoulder A_i with its elbow at E_i moves the tool by g_i s_i · (v + ω × (E_i − A_i)):
-a column like any other of the error model (:class:`Loop`).
+So a small twist (v, ω) at a shoulder A_i, or a tower's foot, with its elbow or carriage at E_i moves the tool by
+g_i s_i · (v + ω × (E_i − A_i)): a column like any other of the error model (:class:`Loop`).
 
 Two things can go wrong. The platform is *loose* where the three rods lie in one plane: det S = 0, and the arms do not
 hold it. An arm is *stretched* where it lies in line with its rod: s_i · ∂C_i/∂θ_i = 0, and its motor moves nothing.
@@ -29,6 +29,7 @@ from modcal_core.robots.delta import (
     CONSTANTS,
     DISTAL,
     OFFSET,
+    PARAMETERS,
     PROXIMAL,
     RATIO,
     ZERO,
@@ -54,12 +55,13 @@ def frames(
     T_tip_tool: Array | None = None,
     loops: bool = True,
 ) -> Frames:
-    """Frames of every place in the base for joint positions q (N, n) [rad]: base, shoulders, shaft, tool.
+    """Frames of every place in the base for joint positions q (N, n) [rad, m]: base, shoulders, shaft, tool.
 
     twists: small motions (6, N) [m, rad] put in at places, each in the frame of its place; of an arm, five rows more
     say how its two rods differ (see RODS). T_tip_tool: puts the tool's place at the tool instead of the tip. loops:
-    whether it is asked how the arms move the tool. A shoulder's frame has x outwards and z along the axis. Postures
-    that no platform can take are NaN; :func:`forward` refuses them.
+    whether it is asked how the arms move the tool. A shoulder's frame has x outwards and z along the axis;
+    that of a tower, at its foot, has z along the rail. Postures that no platform can take are NaN; :func:`forward`
+    refuses them.
     """
     twists = twists or {}
     q = np.asarray(q, dtype=float)
@@ -79,10 +81,14 @@ def frames(
         flat = axes[0].reshape(3, 3 * N)
         axes[1 + i] = stands[i] = (local @ flat).reshape(3, 3, N)
         p[1 + i] = p[0] + offset[i] * axes[1 + i, 0]
+        if delta.linear:
+            c, s = np.cos(proximal[i]), np.sin(proximal[i])
+            out, down, tangent = stands[i]
+            axes[1 + i] = c * out + s * down, tangent, s * out - c * down
         if 1 + i in twists:
             moved_frame(axes[1 + i], p[1 + i], twists[1 + i])
-        x, y = axes[1 + i, :2]
-        arm[i] = proximal[i] * (np.cos(theta[i]) * x + np.sin(theta[i]) * y)
+        x, y, z = axes[1 + i]
+        arm[i] = theta[i] * z if delta.linear else proximal[i] * (np.cos(theta[i]) * x + np.sin(theta[i]) * y)
         centre[i] = p[1 + i] + arm[i]
     platform = _meeting_point(centre, distal, axes[0, 2])
     tip = axes[0].copy()
@@ -143,9 +149,12 @@ def looseness(f: Frames) -> Array:
 
 
 def stretch(delta: Delta, f: Frames) -> Array:
-    """Sines of the angles between each arm and its rod as the motor sees them, (3, N); 0 where an arm is stretched."""
-    rates = [np.abs(f.loops[1 + i].rates[ZERO]) / delta.constants[PROXIMAL, i] for i in range(ARMS)]
-    return np.stack(rates)
+    """Sines of the angles between each arm and its rod as the motor sees them, (3, N); 0 where an arm is stretched.
+
+    Of a linear Delta the cosines of those between a tower and its rod, negative where the rod leads upwards.
+    """
+    rates = np.stack([f.loops[1 + i].rates[ZERO] for i in range(ARMS)])
+    return -rates if delta.linear else np.abs(rates) / delta.constants[PROXIMAL, :, None]
 
 
 def delta_inverse(delta: Delta, position: ArrayLike, yaw: float = 0.0) -> Array:
@@ -160,6 +169,14 @@ def delta_inverse(delta: Delta, position: ArrayLike, yaw: float = 0.0) -> Array:
     for i, (zero, ratio, azimuth, offset, L1, L2) in enumerate(delta.constants.T):
         c, s = np.cos(azimuth), np.sin(azimuth)
         x, y, z = c * at[0] + s * at[1] - offset, c * at[1] - s * at[0], at[2]
+        if delta.linear:  # a carriage h (sin λ, 0, cos λ) is L2 away, above the platform
+            lean = np.array([np.sin(L1), np.cos(L1)])
+            along, apart = float(lean @ [x, z]), float(np.hypot(lean @ [-z, x], y))
+            if apart > L2:
+                said = f"{1e3 * (apart - L2):.1f} mm too far away for tower {delta.names[i]}"
+                raise NotReachable(where, said, "ask for a position within reach", position=apart - L2)
+            theta[i] = (along + np.sqrt(L2 * L2 - apart * apart) - zero) / ratio
+            continue
         # the elbow L1 (cos θ, 0, −sin θ) is L2 away:  x cos θ − z sin θ = (x² + y² + z² + L1² − L2²) / 2 L1
         far = float(np.hypot(x, z))
         wanted = (x * x + y * y + z * z + L1 * L1 - L2 * L2) / (2.0 * L1)
@@ -174,7 +191,8 @@ def delta_inverse(delta: Delta, position: ArrayLike, yaw: float = 0.0) -> Array:
     for j, name in enumerate(delta.names):
         beyond = max(float(delta.lower[j] - q[j]), float(q[j] - delta.upper[j]))
         if beyond > 1e-9:
-            said = f"joint {name} would be at {q[j]:.4f} rad, {beyond:.4f} rad beyond its limits"
+            unit = "rad" if delta.revolute[j] else "m"
+            said = f"joint {name} would be at {q[j]:.4f} {unit}, {beyond:.4f} {unit} beyond its limits"
             raise NotReachable(where, said, "ask for a position within the limits", posture=q)
     f = frames(delta, q[None])
     _require_held(delta, q[None], f)
@@ -205,11 +223,11 @@ def position_jacobians(delta: Delta, q: ArrayLike) -> tuple[Array, Array, Array]
     q = np.asarray(q, dtype=float)
     f = frames(delta, q, T_tip_tool=delta.T_tip_tool)
     N, last = len(q), delta.tool_place
-    of_parameters = np.zeros((N, 3, len(delta.vector)))
+    of_parameters = np.zeros((N, 3, PARAMETERS))
     of_joints = np.zeros((N, 3, delta.n))
     for i in range(ARMS):
         loop = f.loops[1 + i]
-        for row in range(len(CONSTANTS)):
+        for row in range(CONSTANTS):
             of_parameters[:, :, row * ARMS + i] = (loop.gain * loop.rates[row]).T
         of_joints[:, :, i] = delta.constants[RATIO, i] * (loop.gain * loop.rates[ZERO]).T
     if delta.has_shaft:
@@ -268,15 +286,16 @@ def _loops(
     along = (platform - centre) / distal[:, None, None] if stand is None else stand.along  # (3 arms, 3, N)
     gains = inverse_rows(along)
     up = axes[0, 2]
-    rates, ends = np.empty((ARMS, len(CONSTANTS), q.shape[0])), np.zeros((ARMS, len(CONSTANTS), 3, q.shape[0]))
+    rates, ends = np.empty((ARMS, CONSTANTS, q.shape[0])), np.zeros((ARMS, CONSTANTS, 3, q.shape[0]))
     for i in range(ARMS):
         axis, lever = axes[1 + i, 2], arm[i]
-        ends[i, ZERO] = cross(axis, lever)
+        ends[i, ZERO] = axis if delta.linear else cross(axis, lever)
         ends[i, RATIO] = q[:, i] * ends[i, ZERO]
         ends[i, AZIMUTH] = cross(up, centre[i] - p[0])
         out = np.cos(delta.constants[AZIMUTH, i]) * axes[0, 0] + np.sin(delta.constants[AZIMUTH, i]) * axes[0, 1]
         ends[i, OFFSET] = out
-        ends[i, PROXIMAL] = lever / delta.constants[PROXIMAL, i]
+        leant = (q[:, i] * delta.constants[RATIO, i] + delta.constants[ZERO, i]) * axes[1 + i, 0]
+        ends[i, PROXIMAL] = leant if delta.linear else lever / delta.constants[PROXIMAL, i]
         rates[i] = np.einsum("cn,kcn->kn", along[i], ends[i])
         rates[i, DISTAL] = 1.0
     if stand is None:
@@ -303,7 +322,7 @@ def _require_held(delta: Delta, q: Array, f: Frames) -> None:
 
 def _posture(delta: Delta, q: Array, count: int) -> str:
     values = ", ".join(f"{name} {x:.3f}" for name, x in zip(delta.names, q, strict=True))
-    return f"posture {values} rad" + (f" and {count - 1} more" if count > 1 else "")
+    return f"posture {values} {'m' if delta.linear else 'rad'}" + (f" and {count - 1} more" if count > 1 else "")
 
 
 def _shortfall(delta: Delta, q: Array) -> float:
@@ -311,7 +330,7 @@ def _shortfall(delta: Delta, q: Array) -> float:
     low, high = 0.0, delta.reach()
     for _ in range(60):
         middle = 0.5 * (low + high)
-        longer = delta.moved(np.outer(np.eye(len(CONSTANTS))[DISTAL], np.full(ARMS, middle)))
+        longer = delta.moved(np.outer(np.eye(CONSTANTS)[DISTAL], np.full(ARMS, middle)))
         fits = np.isfinite(frames(longer, q[None]).p[-1]).all()
         low, high = (low, middle) if fits else (middle, high)
     return high

@@ -20,7 +20,7 @@ from modcal_core.robots.kinematics import Frames
 from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 Mechanism: TypeAlias = Chain | Delta
-_STEP = 0.1  # rad, on a way that is looked at
+_STEP, _SLID = 0.1, 0.02  # rad, m; on a way that is looked at
 
 
 def is_serial_arm(robot: Mechanism) -> TypeGuard[Chain]:
@@ -91,7 +91,7 @@ def passable(robot: Mechanism, start: Array, end: Array) -> bool:
     """Whether a robot can go straight from one posture (n,) to another: a Delta's platform must fit all the way."""
     if not robot.closed:
         return True
-    steps = max(int(np.ceil(np.abs(end - start).max() / _STEP)), 1)
+    steps = max(int(np.ceil((np.abs(end - start) / np.where(robot.revolute, _STEP, _SLID)).max())), 1)
     between = start + np.linspace(0.0, 1.0, steps + 1)[:, None] * (end - start)
     return bool(takes(robot, between).all())
 

@@ -196,8 +196,9 @@ def _digits(written: _Written, of: float) -> tuple[str, ...]:
 def _written(samples: Samples, chain: Mechanism) -> _Written:
     """The last digits of these samples. A number is as wrong as one between two steps, step / √12."""
     position = samples.reading
-    step = max(_step(position), min(_lattice(column) for column in position.T))
-    made, how = step / 2.0, f"{1e3 * step:.3g} mm"
+    each = np.array([max(_step(column), _lattice(column)) for column in position.T])
+    step, own = float(each.max()), " and ".join("xyz"[k] for k in np.flatnonzero(each))
+    made, how = float(np.sqrt(np.sum(each**2) / 12.0)), f"{1e3 * step:.3g} mm{'' if each.all() else f' in {own}'}"
     if bits := _bits(position):
         last = 2.0 ** (np.floor(np.log2(np.maximum(np.abs(position), 1e-12))) - bits)
         by_bits = float(np.sqrt(np.mean(np.sum(last**2, axis=1)) / 12.0))
@@ -249,7 +250,7 @@ def _step_of_joints(q: Array) -> float:
 
 
 def _step(position: Array) -> float:
-    """The power of ten [m] that the readings are rounded to; 0 where there is none."""
+    """The power of ten [m] that readings are rounded to; 0 where there is none."""
     for step in _STEPS:
         u = position / step
         if len(u) and np.abs(u - np.round(u)).max() < _SAME:

@@ -99,6 +99,7 @@ class PlaceDrivers:
         self.rng = np.random.default_rng(0)
         # order in time of each sample's station, 0 … 1
         self.rank = station_numbers(rest.samples) / max(rest.samples.stations - 1, 1)
+        self.later = 1.0 * (self.rank > np.arange(1, 10)[:, None] / 10.0)  # than a tenth, two, ... of them
         self.axes = [rest.axis(j) for j in range(self.chain.n)]
         self.base, self.tool = rest.body(0), rest.body(self.chain.tool_place)
         self.turn = np.moveaxis(rest.view.f.rotation(-1), 0, -1)  # orientations of the tip, (3, 3, N)
@@ -236,7 +237,7 @@ class PlaceDrivers:
             yield _part(order, "the tracker's orientations alone", order, alone, number)
         if len(waves) > _SLOW:
             yield _part(f"fast waves over {order}", "the base", order, self.base, waves[_SLOW:])
-        hats = np.concatenate([_hats(self.rank), self.rank > np.arange(1, 10)[:, None] / 10.0])
+        hats = np.concatenate([_hats(self.rank), self.later])
         for who, body in self.ends:
             yield _part(f"stretches and steps of {order}", who, order, body, hats)
 
@@ -271,6 +272,10 @@ class PlaceDrivers:
             yield _part(group, f"joint {name}", f"the load of {name}", [self.axes[j]], number)
             across = self._directions(j, axis=False)
             yield _part(group, "", "", across[3:] if len(across) > 3 else across, number[: len(kinds)])
+        names = self.chain.names
+        weighs = [u * self.at.values(f"payload:{name}") for u, name in zip(self.axes, names, strict=True)]
+        driver = "another load from some station on (a payload)"
+        yield _part(f"{group}, another from some station on", "all joints", driver, weighs, self.later)
 
     def _signals(self) -> Iterator[Part]:
         """Base, tool and joints with each recorded signal, its waves, and what of it the posture does not tell."""

@@ -41,7 +41,7 @@ class Rest:
         samples = case.samples.select(rows)
         view = RowView.of(case.model, samples, case.model.drivers(samples))
         weight = weights(case.noise, samples)
-        flat = np.concatenate([view.position.ravel(), view.rotation.ravel()])
+        flat = view.residual
         raw = by_sample(flat, view.pose, len(samples)) * weight
         size = np.linalg.norm(raw, axis=0)
         limit = _FARTHEST * float(np.median(size)) if len(size) else 0.0

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Stated
-from modcal_core.measurements import MIN_RETURNS
+from modcal_core.hypotheses import disagreement
+from modcal_core.measurements import MIN_RETURNS, spread_rows
 from modcal_core.robots import is_serial_arm
 from modcal_core.verdict.account import Contribution, account, contributions_of, mean_square
 from modcal_core.verdict.case import Case
@@ -31,6 +32,9 @@ MAX_TURNED = 1.0  # deg; the same of orientations, which coarse instruments know
 MAX_OVERSTATED = 4.0  # times what is left, in RMS; data sheets give what is never exceeded, some three times the usual
 _BOUNDED = 4.0  # of floor and parameters together, in E², that a few stations must surely lie below: twice in RMS
 MAX_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS, about what six returns know a floor to (sweep)
+
+
+_BESIDE, _LEAST_BESIDE = 4, 12  # stations that agree, for each that does not and at the least, which a search sees
 
 
 @dataclass(frozen=True)
@@ -138,6 +142,19 @@ def _rejected_at_a_joint(seen: Findings) -> Iterator[str]:
         )
 
 
+def _rejected_alike(seen: Findings) -> Iterator[str]:
+    """Rejected stations that one mistake explains, beside some others: those are no single wrong readings."""
+    case, wrong = seen.case, np.flatnonzero(seen.case.wrong & ~seen.case.samples.moving)
+    if len(wrong) < 2 or not is_serial_arm(case.model.chain) or too_many(case.wrong, case.samples):
+        return
+    others = np.flatnonzero(~case.wrong)
+    others = others[spread_rows(len(others), max(_BESIDE * len(wrong), _LEAST_BESIDE))]
+    found = disagreement(case.samples.select(np.sort(np.r_[wrong, others])), case.model.chain)
+    if found is not None and 1 < found.stations <= len(wrong):
+        what = f"{found.stations} of {len(wrong)} stations that were rejected are no single wrong readings"
+        yield f"{what}: {found.what}. {found.remedy[0].upper()}{found.remedy[1:]}."
+
+
 def _not_applied(seen: Findings) -> Iterator[str]:
     square = float(mean_square(seen.case.errors["final"], angle=False).mean())
     for item in seen.grounds.not_applied:
@@ -153,13 +170,13 @@ def _contradicted(seen: Findings) -> Iterable[str]:
 
 
 def _loose(seen: Findings) -> Iterator[str]:
-    """Returns that differ by more than arms do, unless it was stated that this one does."""
+    """Returns that surely differ by more than arms do, unless it was stated that this one does."""
     limit = 1e3 * MAX_OF_REACH * seen.case.model.chain.reach()
     for floor, most, own, unit in (
         (seen.known.seen[0], limit, seen.stated.rms_mm, " mm"),
         (seen.known.seen[1], MAX_TURNED, seen.stated.repeatability_deg, "°"),
     ):
-        if floor is None or own is not None or floor.rms <= most:
+        if floor is None or own is not None or floor.interval[0] <= most**2:  # few returns know it to a half
             continue
         yield (
             f"Postures that were visited again differ by {floor.rms:.3g}{unit} RMS; an arm of this size repeats to "
@@ -260,6 +277,7 @@ CHECKS = (
     Check("rejected", _many_rejected),
     Check("rejected", _rejected_in_sequence),
     Check("rejected", _rejected_at_a_joint, unless=(_rejected_in_sequence,)),
+    Check("rejected", _rejected_alike),
     Check("not_applied", _not_applied),
     Check("contradiction", _contradicted),
     Check("contradiction", _loose),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.robots import Chain, Inertias, chain_gravity_wrench
+from modcal_core.robots import Inertias, Mechanism, gravity_wrench
 from modcal_msgs_py.tables.columns import LabelledJoints, Numbers, is_counter
 from modcal_msgs_py.tables.fits import Fitted, JointChoice
 from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label, grouped, words
@@ -66,7 +66,7 @@ class Surroundings:
     """
 
     numbers: Numbers
-    chain: Chain
+    chain: Mechanism
     choice: JointChoice
     fitted: Fitted | None
     taken: set[int]
@@ -195,13 +195,13 @@ def _effort(out: OtherColumns, around: Surroundings, some: Sequence[LabelledJoin
         return
 
 
-def _holds(chain: Chain, inertias: Inertias | None, q: Array, effort: Array) -> float:
+def _holds(chain: Mechanism, inertias: Inertias | None, q: Array, effort: Array) -> float:
     """Correlation of efforts (N, n) with what holds the bodies up against gravity; 0 where these are not known."""
     rows = np.isfinite(q).all(axis=1) & np.isfinite(effort).all(axis=1)
     if inertias is None or not inertias.known or rows.sum() < _MIN_MOVING:
         return 0.0
     turning = np.asarray(chain.revolute, bool)
-    wrench = chain_gravity_wrench(chain, inertias, q[rows])
+    wrench = gravity_wrench(chain, inertias, q[rows])
     asked = -np.where(turning[:, None], wrench[:, 5], wrench[:, 2]).T
     a, b = (x - x.mean(axis=0) for x in (asked[:, chain.own], effort[rows]))
     size = float(np.linalg.norm(a) * np.linalg.norm(b))

@@ -65,6 +65,16 @@ class Numbers:
         """Columns that hold numbers that change."""
         return [k for k in self.filled if float(np.nanmax(self.values[:, k]) - np.nanmin(self.values[:, k])) > 1e-9]
 
+    @property
+    def seldom(self) -> list[int]:
+        """Columns with some numbers, that change."""
+        several = np.isfinite(self.values).sum(axis=0) >= 3
+        return [
+            int(k)
+            for k in np.flatnonzero(several)
+            if float(np.nanmax(self.values[:, k]) - np.nanmin(self.values[:, k])) > 1e-9
+        ]
+
     @cached_property
     def filled(self) -> list[int]:
         """Columns that hold numbers; constants may be part of a pose, too: an angle that never changed."""

@@ -91,6 +91,7 @@ _TABLE = mapping(
 SCHEMA = mapping(
     {
         "urdf": {"type": ["string", "null"], "description": "robot description, beside the mapping or in --data"},
+        "delta": {"type": "string", "description": "description of a Delta, beside the mapping, in place of urdf"},
         "base": {"type": ["string", "null"], "description": "link where the arm begins. Default: the root"},
         "tip": {"type": ["string", "null"], "description": "link where it ends. Default: behind most joints"},
         "undecided": {
@@ -120,7 +121,7 @@ def require_mapping(stated: Any, source: str) -> Mapping[str, Any]:
     for i, table in enumerate(stated["tables"]):
         for part, what, remedy in (*_faulty(table), *_faulty_form(table, "")):
             raise BadTable(f"{source}: tables, entry {i + 1}{part}", what, remedy)
-    if not any("joints" in table for table in stated["tables"]):
+    if not any("joints" in table or "ray" in table for table in stated["tables"]):
         raise BadTable(source, "no table has joints", "state joints: {unit, columns} of one of them")
     return stated
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import BEYOND_DOUBT, EULER, LENGTHS, MATRIX, QUATERNION, Judged
-from modcal_core.robots import Chain
+from modcal_core.robots import Mechanism
 from modcal_msgs_py.tables.columns import Body, LabelledJoints, Numbers
 from modcal_msgs_py.tables.proof import JointCounting
 
@@ -36,22 +36,22 @@ class JointChoice:
     length: str
     counted: JointCounting = field(default_factory=lambda: JointCounting({}, ""))
 
-    def scales(self, chain: Chain) -> Array:
+    def scales(self, chain: Mechanism) -> Array:
         """What a unit of each joint that has a column is in rad or m."""
         angle = np.pi / 180.0 if self.angle == "deg" else 1.0
         return np.where(chain.revolute[chain.own], angle, LENGTHS[self.length])
 
-    def postures(self, chain: Chain, values: Array) -> Array:
+    def postures(self, chain: Mechanism, values: Array) -> Array:
         """Joint positions (N, n) [rad, m] of rows of all columns."""
         q = np.zeros((len(values), chain.n))
         q[:, chain.own] = self.scales(chain) * values[:, list(self.joints.columns)]
         return self.counted.applied(q, chain)
 
-    def units(self, chain: Chain) -> str:
+    def units(self, chain: Mechanism) -> str:
         """The unit of the joints, of turning ones where there are such."""
         return self.angle if np.any(chain.revolute[chain.own]) else self.length
 
-    def entry(self, numbers: Numbers, chain: Chain) -> dict[str, Any]:
+    def entry(self, numbers: Numbers, chain: Mechanism) -> dict[str, Any]:
         """The joints as a mapping states them."""
         out: dict[str, Any] = {"unit": self.units(chain)}
         sliding = np.array(chain.names)[chain.own & ~chain.revolute].tolist()
@@ -65,7 +65,7 @@ class JointChoice:
         return out
 
 
-def choices_of(chain: Chain, joints: LabelledJoints, values: Array) -> list[JointChoice]:
+def choices_of(chain: Mechanism, joints: LabelledJoints, values: Array) -> list[JointChoice]:
     """Units that the joints may be in, of turning and of sliding ones."""
     turning = chain.revolute[chain.own]
     largest = float(np.abs(values[:, list(joints.columns)][:, turning]).max(initial=0.0))
@@ -87,7 +87,7 @@ class JointsAlone:
     zeros: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, numbers: Numbers, chain: Chain, joints: LabelledJoints) -> JointsAlone:
+    def of(cls, numbers: Numbers, chain: Mechanism, joints: LabelledJoints) -> JointsAlone:
         """The rows in which every joint has a number, in the unit that labels or sizes tell."""
         rows = np.flatnonzero(np.isfinite(numbers.values[:, list(joints.columns)]).all(axis=1))
         told = {numbers.labels[k].unit for k in joints.columns} - {None}
@@ -101,7 +101,7 @@ class JointsAlone:
         """The readings as a mapping states them: none."""
         return {}
 
-    def proved(self, numbers: Numbers, chain: Chain) -> list[str]:
+    def proved(self, numbers: Numbers, chain: Mechanism) -> list[str]:
         """What the data shows: nothing, as no reading goes with the joints."""
         return []
 
@@ -164,7 +164,7 @@ class Fitted:
             stated["conjugate"] = True
         return {"pose": {**reading, turning.form: stated, **({"inverse": True} if meaning.inverse else {})}}
 
-    def proved(self, numbers: Numbers, chain: Chain) -> list[str]:
+    def proved(self, numbers: Numbers, chain: Mechanism) -> list[str]:
         """What the data shows, with what came second."""
         best, body = self.best, self.body
         direction = "the tracker in the tool (inverse)" if best.meaning.inverse else "the tool in the tracker"

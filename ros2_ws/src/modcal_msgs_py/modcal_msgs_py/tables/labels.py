@@ -105,6 +105,8 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
                     r"^(?P<axis>d)(?: \w+)?$"), barred=_ROLE_WORDS[OTHER] | {"x", "y", "z"}),),
     "touch": (Rule((r"\b(?P<axis>height|plane|dial|indicator|gap|clearance|gauge|standoff)\b",),
                    barred=_ROLE_WORDS[OTHER] | {"x", "y", "z"}),),
+    "ray": (Rule((r"\b(?P<axis>ray|laser|beam|tof|lidar|sonar|ultrasonic)\b",),
+                 barred=_ROLE_WORDS[OTHER] | words("x y z tracker")),),
     "deviation": (Rule((r"\b(?:s|sd|std|sigma|u)(?P<axis>[xyz])\b", r"\b(?P<axis>rx|ry|rz|roll|pitch|yaw|[xyz])\b",
                         r"(?P<axis>)$"), (*_XYZ, *_ANGLE_ORDERS[:2], ("",))),),
     "family": (Rule((r"(?P<axis>\d{1,4})(?=\D*$)",)),),
@@ -168,7 +170,7 @@ class Label:
     @property
     def of_instrument(self) -> bool:
         """Whether it is one of a distance, a direction or a height."""
-        return any(self.axis(kind) for kind in ("range", "bearing", "touch"))
+        return any(self.axis(kind) for kind in ("range", "bearing", "touch", "ray"))
 
     @property
     def plainly_turned(self) -> bool:

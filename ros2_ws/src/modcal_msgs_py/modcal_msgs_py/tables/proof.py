@@ -17,7 +17,7 @@ import numpy as np
 from modcal_core.geometry import Array, so3
 from modcal_core.hypotheses import BEYOND_DOUBT, HandEye, Judged, Postures, judge, placed, rivals, same_poses, turnings
 from modcal_core.measurements import spread_rows
-from modcal_core.robots import Chain, forward
+from modcal_core.robots import Mechanism, forward, takes
 from modcal_msgs_py.tables.readings import joint_map
 
 _ROUNDS = 3  # mistakes in how joints are counted that are looked for, one after the other
@@ -42,7 +42,7 @@ class JointCounting:
     stated: Mapping[str, Any]
     words: str
 
-    def applied(self, q: Array, chain: Chain) -> Array:
+    def applied(self, q: Array, chain: Mechanism) -> Array:
         """Positions (N, n) [rad, m] of what a table holds."""
         M, offset = joint_map({"unit": "rad", **self.stated}, chain.names)
         return chain.followed(q @ M.T + offset)
@@ -55,7 +55,7 @@ class JointCounting:
         return JointCounting(merged, "; ".join(w for w in (self.words, other.words) if w))
 
 
-def _corrections(chain: Chain) -> Iterator[JointCounting]:
+def _corrections(chain: Mechanism) -> Iterator[JointCounting]:
     """Every joint the other way round, with another zero, and counted together with another."""
     names = np.array(chain.names)[chain.own & chain.revolute].tolist()
     for name in chain.own_names:
@@ -74,7 +74,7 @@ _Way = tuple[int, JointCounting]  # number of the choice of postures, and how it
 
 
 def corrected(
-    chain: Chain, choices: Sequence[Postures], position: Array
+    chain: Mechanism, choices: Sequence[Postures], position: Array
 ) -> tuple[int, JointCounting, list[JointCounting]] | None:
     """Which choice of postures, counted how, makes points (N, 3) fit, and what fits as well; None: nothing does.
 
@@ -87,9 +87,10 @@ def corrected(
         if best is None or best.explained(chain):
             break
         tried = [(k, counted.joined(c)) for k, counted in ways for c in _corrections(chain)]
+        tried = [(k, c) for k, c in tried if takes(chain, c.applied(choices[k].q, chain)).all()]
         tried = _likeliest(chain, choices, tried, position)
         found = _all(chain, choices, tried, position)
-        top = found[0]
+        top = found[0] if found else best
         if top.match.score - best.match.score <= BEYOND_DOUBT or top.share > _HALF * best.share:
             break
         k = tried[top.meaning.postures][0]
@@ -101,7 +102,7 @@ def corrected(
     return (k, counted_so, alike) if counted_so.stated and not others and best is not None and best.near else None
 
 
-def _distinct(chain: Chain, counted: Sequence[JointCounting], q: Array) -> list[JointCounting]:
+def _distinct(chain: Mechanism, counted: Sequence[JointCounting], q: Array) -> list[JointCounting]:
     """The same without those that are the first one said otherwise, of which the plainest is kept.
 
     A joint between two others that turns the other way is one with half a turn added to its neighbours.
@@ -113,7 +114,7 @@ def _distinct(chain: Chain, counted: Sequence[JointCounting], q: Array) -> list[
     return [first, *(c for c in counted if c not in same)]
 
 
-def _likeliest(chain: Chain, choices: Sequence[Postures], tried: list[_Way], position: Array) -> list[_Way]:
+def _likeliest(chain: Mechanism, choices: Sequence[Postures], tried: list[_Way], position: Array) -> list[_Way]:
     """The ways of counting that leave least of the positions, whatever base, tool and unit are.
 
     A coordinate of a point of the tool is linear in the tip's turn, its place and 1.
@@ -130,14 +131,14 @@ def _likeliest(chain: Chain, choices: Sequence[Postures], tried: list[_Way], pos
     return [tried[i] for i in np.argsort(left, kind="stable")[:_TRIED]]
 
 
-def _all(chain: Chain, choices: Sequence[Postures], ways: Sequence[_Way], position: Array) -> list[Judged]:
+def _all(chain: Mechanism, choices: Sequence[Postures], ways: Sequence[_Way], position: Array) -> list[Judged]:
     """The meanings of points, of these postures counted in these ways, best first."""
     rows = spread_rows(len(position), _MAX)
     postures = [Postures(c.applied(choices[k].q[rows], chain), choices[k].name) for k, c in ways]
     return judge(chain, postures, position[rows], None)
 
 
-def by_target(chain: Chain, q: Array, position: Array, columns: Mapping[int, Sequence[str]]) -> int | None:
+def by_target(chain: Mechanism, q: Array, position: Array, columns: Mapping[int, Sequence[str]]) -> int | None:
     """The column whose texts tell which of several targets points (N, 3) [m] are of, beyond doubt; None: no column."""
     case = HandEye.of_arrays(chain, q, position)
     plain = placed(case)
@@ -177,7 +178,7 @@ def _of_one_target(case: HandEye, of: np.ndarray) -> HandEye:
     return case.read(case.p - (R @ (x[of] - x[0])[..., None])[..., 0] @ Y.T)
 
 
-def astray(chain: Chain, q: Array, position: Array) -> list[tuple[int, int | None]]:
+def astray(chain: Mechanism, q: Array, position: Array) -> list[tuple[int, int | None]]:
     """Rows of points (N, 3) [m] that fit no base and tool of the others, each with the row that it seems to be of."""
     case = HandEye.of_arrays(chain, q, position)
     fit = placed(case)

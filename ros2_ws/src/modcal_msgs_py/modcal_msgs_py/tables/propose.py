@@ -30,7 +30,7 @@ from modcal_core.hypotheses import (
     same_poses,
 )
 from modcal_core.measurements import spread_rows
-from modcal_core.robots import Chain, Inertias
+from modcal_core.robots import Inertias, Mechanism, is_serial_arm
 from modcal_msgs_py.tables.beside import OtherColumns, Surroundings, find_beside
 from modcal_msgs_py.tables.columns import (
     Body,
@@ -59,7 +59,7 @@ from modcal_msgs_py.tables.labels import MEASURED
 from modcal_msgs_py.tables.moments import RowTimes, find_time, stamps_of
 from modcal_msgs_py.tables.proof import astray, by_target, corrected
 from modcal_msgs_py.tables.readings import rigid_poses
-from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, sight_columns
+from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, ray_of, sight_columns
 from modcal_msgs_py.tables.table import Table
 from modcal_msgs_py.tables.together import Together, together
 
@@ -97,13 +97,13 @@ class MeasuredArm:
     named them, as a mapping states them.
     """
 
-    chain: Chain
+    chain: Mechanism
     inertias: Inertias | None = None
     bystanders: Mapping[str, bool] = field(default_factory=dict)
     stated: Mapping[str, str] = field(default_factory=dict)
 
 
-def find(paths: Sequence[Path], arm: MeasuredArm | Chain, watch: Watch = lambda stage: None) -> Proposal:
+def find(paths: Sequence[Path], arm: MeasuredArm | Mechanism, watch: Watch = lambda stage: None) -> Proposal:
     """A mapping for a file; of several, joined by a column that they share, or by their order where the arm then fits.
 
     Raises BadTable where no reading of the columns has to do with the arm at all.
@@ -125,8 +125,35 @@ def find(paths: Sequence[Path], arm: MeasuredArm | Chain, watch: Watch = lambda 
     return min(found, key=lambda made: len(made.open))
 
 
+def _rays_alone(way: Together, numbers: Numbers, names: Sequence[str]) -> Proposal | None:
+    """The mapping of a table that has lengths of rays and no joints, as of boxes in a gripper; None for another one."""
+    time = find_time(numbers, set())
+    rays = [ray_of(numbers, one) for one in sight_columns(numbers, set(time.columns)) if len(one.columns) == 1]
+    joints = [j for j in joint_columns(numbers, names) if not all(numbers.labels[k].of_instrument for k in j.columns)]
+    if not rays or joints or len(rays) + len(time.columns) < len(numbers.usable):
+        return None
+    units = [numbers.labels[one.columns[0]].unit for one in rays]
+    asked = tuple(
+        {
+            f"cannot tell the unit of {numbers.shown(*one.columns)}: no label says"
+            for one, unit in zip(rays, units, strict=True)
+            if not unit
+        }
+    )
+    rows = [
+        {"frame": r.frame, "unit": u or "mm", "column": numbers.key(r.columns[0])}
+        for r, u in zip(rays, units, strict=True)
+    ]
+    form = way.sheet.form.entry()
+    entry = {"files": way.sheet.path.name, **form, "missing": "skip", "time": time.stated, "ray": rows}
+    said = (time.said, "lengths without joints are rays of sensors on the gripper, for `modcal measure-object`")
+    return Proposal({**({"undecided": list(asked)} if asked else {}), "tables": [entry]}, (), said, asked)
+
+
 def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     numbers, chain = Numbers.of(way.sheet), arm.chain
+    if (rays := _rays_alone(way, numbers, chain.own_names)) is not None:
+        return rays
     if len(numbers.values) < MIN_ROWS:
         said = f"has {len(numbers.values)} rows, {MIN_ROWS} are needed to tell what its columns are"
         raise BadTable(way.sheet.path.name, said, "write a mapping, see docs/import.md")
@@ -176,7 +203,7 @@ class _Search:
     """Likely places of the readings in a table, with what they may mean. measured: joints by their labels."""
 
     def __init__(
-        self, numbers: Numbers, chain: Chain, measured: Sequence[LabelledJoints], time: set[int], watch: Watch
+        self, numbers: Numbers, chain: Mechanism, measured: Sequence[LabelledJoints], time: set[int], watch: Watch
     ) -> None:
         self._numbers, self._chain, self.measured = numbers, chain, measured
         self._time, self._watch = time, watch
@@ -204,9 +231,11 @@ class _Search:
                 fits += self._searched(left)
             elif measured:
                 fits += self._fits(left, measured)
-            if instruments and measured and not any(f.best.explained(self._chain) and not f.computed for f in fits):
+            chain = self._chain
+            told = any(f.best.explained(chain) and not f.computed for f in fits)
+            if instruments and measured and is_serial_arm(chain) and not told:
                 self._watch("comparing what distances and directions may mean")
-                if (sighted := find_sights(numbers, self._chain, measured, instruments)) is not None:
+                if (sighted := find_sights(numbers, chain, measured, instruments)) is not None:
                     return sighted
                 instruments = ()
         return fits
@@ -254,7 +283,7 @@ class _Search:
         columns = pool(numbers, taken)
         used = sorted({*columns, *(k for triple in triples for k in triple)})
         whole = np.isfinite(numbers.values[:, used]).all(axis=1)
-        if not triples or not whole.any() or chain.led:  # a joint that follows has no column
+        if not triples or not whole.any() or not is_serial_arm(chain) or chain.led:  # what follows has no column
             return []
         values = np.where(np.isfinite(numbers.values), numbers.values, 0.0)[whole]
         largest = float(np.median(np.abs(values[:, columns]).max(axis=0))) if columns else 0.0
@@ -355,7 +384,7 @@ def _covers(known: Body, body: Body) -> bool:
 
 
 def _decided(
-    numbers: Numbers, chain: Chain, fits: Sequence[Fitted], labelled: Sequence[LabelledJoints]
+    numbers: Numbers, chain: Mechanism, fits: Sequence[Fitted], labelled: Sequence[LabelledJoints]
 ) -> tuple[Fitted, list[str], list[str]]:
     """The place that is proposed, what is to be asked, and what is to be said."""
 
@@ -401,7 +430,7 @@ def _decided(
     return chosen, list(dict.fromkeys(questions)), list(dict.fromkeys((*assumed, *_astray(numbers, chain, chosen))))
 
 
-def _astray(numbers: Numbers, chain: Chain, chosen: Fitted) -> Iterator[str]:
+def _astray(numbers: Numbers, chain: Mechanism, chosen: Fitted) -> Iterator[str]:
     """Rows that fit no base and tool of the others."""
     rows = chosen.rows[spread_rows(len(chosen.rows), _MAX)]
     if chosen.target is not None or len(rows) != len(chosen.best.position):
@@ -452,6 +481,10 @@ def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
         said.append(f"the text is not UTF-8 and is read as {sheet.form.encoding}")
     if lacking := len(numbers.values) - len(read.rows):
         entry["missing"] = "skip"
+    if np.isnan(numbers.values[np.ix_(read.rows, np.array(read.columns, dtype=int))]).any():
+        entry["missing"] = "skip"
+        said.append("an instrument whose cell is empty read nothing in that row")
+    if lacking:
         said.append(f"{lacking} of {len(numbers.values)} rows lack a number that is needed, and are left out")
     if odd := sorted({text for k in used for text in numbers.odd.get(k, ()) if k != getattr(read, "target", None)}):
         entry["missing_values"] = odd
@@ -485,7 +518,11 @@ def _unused(numbers: Numbers, taken: set[int]) -> Iterator[str]:
     for why, some in (
         ("", [k for k in rest if k in numbers.usable]),
         (" (constant)", [k for k in rest if k in numbers.filled and k not in numbers.usable]),
-        (" (no numbers)", [k for k in rest if k not in numbers.filled and any(numbers.sheet.column(k))]),
+        (
+            " (numbers in few rows)",
+            [k for k in rest if k not in numbers.filled and np.isfinite(numbers.values[:, k]).any()],
+        ),
+        (" (no numbers)", [k for k in rest if np.isnan(numbers.values[:, k]).all() and any(numbers.sheet.column(k))]),
     ):
         if some:
             yield f"not used: {numbers.shown(*some)}{why}"

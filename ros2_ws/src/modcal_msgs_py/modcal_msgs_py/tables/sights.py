@@ -11,8 +11,9 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
-from modcal_core.measurements import BEARING, RANGE, TOUCH
-from modcal_core.robots import Chain
+from modcal_core.measurements import BEARING, RANGE, RAY, TOUCH
+from modcal_core.measurements.kinds import kinds
+from modcal_core.robots import Chain, Mechanism
 from modcal_msgs_py.tables.columns import LabelledJoints, Numbers
 from modcal_msgs_py.tables.fits import JointChoice, choices_of
 from modcal_msgs_py.tables.labels import grouped, words
@@ -21,7 +22,8 @@ from modcal_msgs_py.tables.readings import UNITS, direction
 _ANGLES = ("deg", "rad", "gon")
 _MAX_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees or gon
 _VECTOR = 2e-3  # by which a direction's length may be off: exports have three digits
-_WORDS = {RANGE: "distances", BEARING: "directions", TOUCH: "heights above a plane"}
+_WORDS = {RANGE: "distances", BEARING: "directions", TOUCH: "heights above a plane", RAY: "rays of the gripper"}
+_JUDGED = 2  # rays that are judged, those with most readings: each is located anew in every trial
 _FRAMES = {RANGE: "anchor", BEARING: "station", TOUCH: "plane"}
 _EMPTY = words("angle to sensor reading above x ux dx nx direction dir u unit vector")  # of an instrument
 
@@ -93,7 +95,7 @@ class Sighted:
             out.setdefault("plane" if one.kind == TOUCH else one.kind, []).append(stated)
         return {key: stated[0] if len(stated) == 1 else stated for key, stated in out.items()}
 
-    def proved(self, numbers: Numbers, chain: Chain) -> list[str]:
+    def proved(self, numbers: Numbers, chain: Mechanism) -> list[str]:
         """What the data shows, with what came second."""
         out = []
         for kind, ways in self.found.items():
@@ -107,7 +109,9 @@ class Sighted:
 
 
 def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:
-    """Columns that labels call distances, directions or heights; directions by three columns also by their numbers."""
+    """Columns that labels call distances, directions, heights or rays, where some rows have numbers that change;
+    directions by three columns also by their numbers.
+    """
     free = {k: numbers.labels[k] for k in numbers.usable if k not in taken}
     found = [(BEARING, columns) for columns in grouped(free, BEARING)]
     used = {k for _, columns in found for k in columns}
@@ -118,8 +122,10 @@ def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:
             if len(length) >= MIN_ROWS and (np.abs(length - 1.0) < _VECTOR).mean() > 0.9:
                 found.append((BEARING, triple))
                 used |= set(triple)
-    for kind in (RANGE, TOUCH):
-        found += [(kind, columns) for columns in grouped({k: free[k] for k in free if k not in used}, kind)]
+    some = {k: numbers.labels[k] for k in numbers.seldom if k not in taken | used}  # a sensor sees at times only
+    for kind in (RAY, RANGE, TOUCH):
+        found += [(kind, columns) for columns in grouped({k: some[k] for k in some if k not in used}, kind)]
+        used |= {k for _, columns in found for k in columns}
     return list(_framed(numbers, found))
 
 
@@ -127,6 +133,9 @@ def _framed(numbers: Numbers, found: Sequence[tuple[str, tuple[int, ...]]]) -> I
     """Instruments by what their labels say besides; no two of a kind share a name, a range and a bearing may."""
     seen: set[tuple[str, str]] = set()
     for kind, columns in found:
+        if kind == RAY:
+            yield ray_of(numbers, SightColumns("", RAY, columns))
+            continue
         axis = numbers.labels[columns[0]].axis(kind)
         words = (axis[1] if axis is not None else numbers.labels[columns[0]].name).split()
         stem = "_".join(w for w in words if w not in _EMPTY)
@@ -139,12 +148,18 @@ def _framed(numbers: Numbers, found: Sequence[tuple[str, tuple[int, ...]]]) -> I
         yield SightColumns(name, kind, columns)
 
 
+def ray_of(numbers: Numbers, one: SightColumns) -> SightColumns:
+    """A length as that of a ray, called as its column is, so that all tables of a gripper agree."""
+    return SightColumns("_".join(numbers.labels[one.columns[0]].words), RAY, one.columns)
+
+
 def find_sights(
     numbers: Numbers, chain: Chain, joints: Sequence[LabelledJoints], instruments: Sequence[SightColumns]
 ) -> Sighted | None:
     """What columns of distances, directions and heights mean; None if no reading of any of them fits the arm."""
-    used = [k for columns in (*(i.columns for i in instruments), *(j.columns for j in joints)) for k in columns]
-    rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
+    known = np.isfinite(numbers.values)
+    read = np.any([known[:, list(i.columns)].all(axis=1) for i in instruments], axis=0)
+    rows = np.flatnonzero(read & known[:, [k for j in joints for k in j.columns]].all(axis=1))
     if len(rows) < MIN_ROWS:
         return None
     values = numbers.values[rows]
@@ -154,14 +169,13 @@ def find_sights(
     questions: list[str] = []
     for kind in dict.fromkeys(one.kind for one in instruments):
         mine = [one for one in instruments if one.kind == kind]
-        ways = [
-            (way, _judged(chain, q, values, mine, way))
-            for c, q in enumerate(postures)
-            for way in _ways(c, values, mine)
-        ]
-        told = [pair for pair in ways if {pair[0].unit} == {numbers.labels[one.columns[0]].unit for one in mine}]
-        ways = told if any(match.explained(chain) for _, match in told) else ways
-        ways.sort(key=lambda pair: (not pair[1].explained(chain), -pair[1].score))
+        ways = _compared(numbers, chain, postures, values, mine)
+        if kind == RANGE and not ways[0][1].explained(chain):  # the sensors may be on the gripper, or stand on a plane
+            rays = [ray_of(numbers, one) for one in mine]
+            others = _compared(numbers, chain, postures, values, rays)
+            if others[0][1].explained(chain):
+                instruments = [one for one in instruments if one.kind != RANGE] + rays
+                kind, mine, ways = RAY, rays, others
         names = numbers.shown(*(k for one in mine for k in one.columns))
         if not ways[0][1].explained(chain):
             said = f"{names}: labels call them {_WORDS[kind]}, and no reading of them fits the arm; the best leaves "
@@ -182,12 +196,32 @@ def find_sights(
     return Sighted(tuple(choices), rows, found, kept, tuple(questions))
 
 
+def _compared(
+    numbers: Numbers, chain: Chain, postures: Sequence[Array], values: Array, mine: Sequence[SightColumns]
+) -> list[tuple[Way, SightMatch]]:
+    """What instruments of a kind may mean, the likeliest first."""
+    units = {numbers.labels[one.columns[0]].unit for one in mine}
+    if mine[0].kind == RAY:
+        mine = sorted(mine, key=lambda one: -int(np.isfinite(values[:, one.columns[0]]).sum()))[:_JUDGED]
+    some = [(q, way) for c, q in enumerate(postures) for way in _ways(c, values, mine)]
+    if mine[0].kind == RAY:
+        some = [(q, way) for q, way in some if {way.unit} == units] or some
+    if mine[0].kind != BEARING:  # no instrument of this arm reads so far
+        lengths = values[:, [one.columns[0] for one in mine]]
+        lengths, kind, reach = lengths[np.isfinite(lengths)][:, None], kinds()[mine[0].kind], chain.reach()
+        some = [(q, way) for q, way in some if kind.implausible(UNITS[way.unit] * lengths, reach).mean() < 0.5] or some
+    ways = [(way, _judged(chain, q, values, mine, way)) for q, way in some]
+    told = [pair for pair in ways if {pair[0].unit} == units]
+    ways = told if any(match.explained(chain) for _, match in told) else ways
+    return sorted(ways, key=lambda pair: (not pair[1].explained(chain), -pair[1].score))
+
+
 def _ways(choice: int, values: Array, instruments: Sequence[SightColumns]) -> Iterator[Way]:
     angles = [one for one in instruments if len(one.columns) == 2]
     if not angles:
         yield from (Way(choice, unit) for unit in (LENGTHS if instruments[0].kind != BEARING else [""]))
         return
-    largest = max(float(np.abs(values[:, list(one.columns)]).max()) for one in angles)
+    largest = max(float(np.nanmax(np.abs(values[:, list(one.columns)]))) for one in angles)
     some = [unit for unit in _ANGLES if unit != "rad" or largest < _MAX_RAD]
     yield from (Way(choice, *read) for read in product(some, (False, True), (False, True)))
 

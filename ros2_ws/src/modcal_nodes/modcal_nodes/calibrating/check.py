@@ -73,7 +73,7 @@ class CheckService:
     def __init__(self, node: GuardedNode, worker: SolveWorker, outputs: Publishers, begin: Callable[[], str]) -> None:
         """begin: calls :meth:`begin` with what is to be checked; returns why it cannot, or nothing."""
         self._node, self._worker, self._outputs, self._begun = node, worker, outputs, 0.0
-        self._action = Action(node, "Check", begin, self._cancel, self._progress)
+        self._action = Action(node, "Check", begin, self.cancel, self._progress)
         self._ask = begin
         node.create_service(Trigger, "~/check", self._on_check, callback_group=ReentrantCallbackGroup())
 
@@ -94,9 +94,11 @@ class CheckService:
         self._worker.give(_CHECK, live_check, *work, finish=self._found, fail=partial(self._action.end, FAILED))
         return ""
 
-    def _cancel(self) -> None:
-        self._worker.drop()
-        self._action.end(FAILED, "cancelled")
+    def cancel(self, why: str = "cancelled") -> None:
+        """End the check that is being made, if one is."""
+        if self._worker.doing == _CHECK:
+            self._worker.drop()
+            self._action.end(FAILED, why)
 
     def _progress(self, feedback: Any) -> None:
         feedback.phase, feedback.elapsed_s = "checking", time.monotonic() - self._begun
@@ -109,4 +111,4 @@ class CheckService:
             log.warning(said)
         else:
             log.info(said)
-        self._action.end(DONE, check.sentence, checked=message)
+        self._action.end(DONE, f"{check.sentence} {self._outputs.about()}", checked=message)

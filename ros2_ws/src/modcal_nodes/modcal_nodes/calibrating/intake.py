@@ -26,6 +26,11 @@ from modcal_nodes.calibrating.corners import CornerIntake
 from modcal_nodes.calibrating.diagnostics import Times
 from modcal_nodes.ros import LATCHED, SENSOR, GuardedNode, MonitoredSubscription
 
+_ANOTHER = (
+    "robot_description has changed, and is not that of the arm that was recorded: clean up and configure this node, or "
+    "restart it, to calibrate another robot"
+)
+
 
 class KnownArm:
     """description: URDF text, empty while unknown. chain, stream: None until the arm is known. trouble: why not."""
@@ -51,12 +56,13 @@ class KnownArm:
 
     def describe(self, text: str) -> None:
         """Take a description that was published. Another one, later, is refused: that is another robot."""
-        if self._given or self.delta is not None or text == self.description:
+        if self._given or self.delta is not None:
             return
         if self.chain is None:
             self.description = text
-        elif not self._is_the_same(text):
-            self.trouble = "robot_description has changed while running: restart this node to calibrate another robot"
+        else:
+            same = text == self.description or self._is_the_same(text)
+            self.trouble = "" if same else _ANOTHER
 
     def _is_the_same(self, text: str) -> bool:
         assert self.chain is not None
@@ -249,7 +255,9 @@ _NO_CORNERS = "corners: not received yet: start board_detector, or remap its top
 
 
 def lacking(arm: KnownArm, inputs: Iterable[MonitoredSubscription], by_camera: bool) -> str:
-    """What must come before stations can be cut, or images be kept; empty: nothing."""
+    """What must come before stations can be cut, or images be kept, or keeps them from being used; empty: nothing."""
+    if arm.chain is not None and arm.trouble:
+        return arm.trouble
     if arm.chain is None:
         if not arm.description and arm.delta is None:
             return _NO_DESCRIPTION

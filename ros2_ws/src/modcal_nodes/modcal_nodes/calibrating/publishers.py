@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,15 +14,18 @@ from modcal_core.camera import Moved
 from modcal_core.files import parse_yaml
 from modcal_core.online import ChangeHypothesis, Estimator
 from modcal_core.recalibrate import ModelComparison
-from modcal_msgs_py import fill_calibration, fill_change, fill_checked, fill_estimate, fill_verdict
+from modcal_core.robots import Mechanism
+from modcal_msgs_py import fill_calibration, fill_change, fill_checked, fill_estimate, fill_identity, fill_verdict
 from modcal_nodes.ros import LATCHED, GuardedNode, interface
 
 
 class Publishers:
-    """The calibrator's publishers. All are latched but the running estimate. base: link that headers name."""
+    """The calibrator's publishers. All are latched but the running estimate."""
 
     def __init__(self, node: GuardedNode) -> None:
-        self._node, self.base = node, ""
+        self._node = node
+        self._chain: Mechanism | None = None
+        self._observers: Callable[[], Sequence[str]] = tuple
         self._types = {name: interface(name) for name in ("Calibration", "Change", "Checked", "Estimate", "Verdict")}
         self._model, self._report, self._change, self._checked = (
             node.create_publisher(self._types[name], topic, LATCHED)
@@ -36,11 +39,28 @@ class Publishers:
         self._residual = node.create_publisher(Float64, "~/residual", LATCHED)
         self._before = node.create_publisher(Float64, "~/residual_before", LATCHED)
         self._trusted = node.create_publisher(Bool, "~/trusted", LATCHED)
-        self._trusted.publish(Bool(data=False))  # until there is a model: who asks is not left waiting
+        self._holds = False  # whether a model is trusted
 
-    def _message(self, name: str) -> Any:
+    def identify(self, chain: Mechanism, observers: Callable[[], Sequence[str]]) -> None:
+        """Speak of this arm from now on, as seen in the frames that observers gives at any time."""
+        self._chain, self._observers = chain, observers
+
+    def about(self, observers: Sequence[str] = ()) -> str:
+        """What an answer is about, in words. observers: frames that led to it; empty: those that are read."""
+        told = self._message("Verdict", observers).about
+        return f"[robot {told.robot}, {told.base} to {told.tip}, seen by {', '.join(told.observers)}]"
+
+    def hold(self, holds: bool | None = None) -> None:
+        """Publish whether a model is trusted; None: as it was, so that who asks is not left waiting for one."""
+        self._holds = self._holds if holds is None else holds
+        self._trusted.publish(Bool(data=self._holds))
+
+    def _message(self, name: str, observers: Sequence[str] = ()) -> Any:
         message = self._types[name]()
-        message.header.frame_id, message.header.stamp = self.base, self._node.get_clock().now().to_msg()
+        if hasattr(message, "about"):
+            fill_identity(message.about, self._chain, observers or self._observers())
+        message.header.frame_id = "" if self._chain is None else self._chain.base
+        message.header.stamp = self._node.get_clock().now().to_msg()
         return message
 
     def model(self, files: Mapping[str, str], calibration: Mapping[str, Any] | None = None) -> None:
@@ -53,11 +73,11 @@ class Publishers:
             self._model.publish(fill_calibration(self._message("Calibration"), Parameter, calibration))
         if "report.json" in files:
             self._report.publish(self.verdict(files["report.json"]))
-        self._trusted.publish(Bool(data=True))
+        self.hold(True)
 
-    def verdict(self, report: str) -> Any:
-        """What the text of a report.json says of its model, as a Verdict."""
-        return fill_verdict(self._message("Verdict"), json.loads(report))
+    def verdict(self, report: str, observers: Sequence[str] = ()) -> Any:
+        """What the text of a report.json says of its model, as a Verdict. observers: frames that led to it."""
+        return fill_verdict(self._message("Verdict", observers), json.loads(report))
 
     def result(self, rms: float | None, comparison: ModelComparison) -> None:
         """Publish how large the error is on stations that the fit has not seen, and was before [m]."""
@@ -80,7 +100,7 @@ class Publishers:
 
     def check(self, found: Mapping[str, Any]) -> Any:
         """Publish what a check has found, the data of check.json; returns the message."""
-        message = fill_checked(self._message("Checked"), self._types["Change"], found)
+        message = fill_checked(self._message("Checked"), lambda: self._message("Change"), found)
         self._checked.publish(message)
         return message
 
@@ -98,7 +118,7 @@ class Publishers:
 
     def _suspect(self, **change: Any) -> None:
         self._change.publish(fill_change(self._message("Change"), change))
-        self._trusted.publish(Bool(data=False))
+        self.hold(False)
 
     def no_change(self) -> None:
         """Publish that nothing is suspected any more."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
+import traceback
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Future
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from threading import Thread
 from typing import Any
 
 import rclpy
@@ -15,6 +16,7 @@ import rclpy
 from modcal_core.calibration import Calibration
 from modcal_core.errors import ModcalError
 from modcal_core.measurements import Dropped, Samples
+from modcal_core.outcome import one_instrument_notes
 from modcal_core.recalibrate import Job, ModelComparison, Recalibration, SampleMemory, recalibrate
 from modcal_core.report import calibration_files, sentence
 from modcal_core.robots import Mechanism
@@ -29,6 +31,7 @@ class Solved:
     """What a solve brings back: the calibration, the texts of its files, the comparison, and what was found.
 
     verdict: its sentence. standing: what may be said of the model. rms: on stations that the fit has not seen [m].
+    doubled: sentences on frames that may be one instrument's.
     """
 
     calibration: Calibration
@@ -38,6 +41,7 @@ class Solved:
     standing: Standing
     story: tuple[str, ...]
     rms: float | None
+    doubled: tuple[str, ...]
 
 
 def solve(job: Job, urdf: str, page: bool = True) -> Solved:
@@ -53,6 +57,7 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
         standing_of(report),
         report.story,
         None if size is None else 1e-3 * size.rms,
+        one_instrument_notes(resolved.result.scored),
     )
 
 
@@ -75,8 +80,42 @@ class _Work:
     fail: Callable[[str], None]
 
 
+class WorkerEnded(Exception):
+    """The process ended before its work was done."""
+
+
+def _serve(calls: Connection) -> None:
+    """Work on one call after the other, in the worker's process."""
+    settle_in(_YIELDING)
+    while True:
+        work, arguments = calls.recv()
+        try:
+            calls.send((work(*arguments), None))
+        except Exception as error:
+            error.add_note(traceback.format_exc())
+            calls.send((None, error))
+
+
+def _exchange(calls: Connection, work: Callable[..., Any], arguments: tuple[Any, ...], future: Future[Any]) -> None:
+    """Hand over a call and wait for what comes back, in a thread: neither fits into a pipe at once."""
+    try:
+        calls.send((work, arguments))
+        result, error = calls.recv()
+    except (EOFError, OSError):
+        result, error = None, WorkerEnded("the solver process has ended")
+    except Exception as unsent:
+        result, error = None, unsent
+    if error is None:
+        future.set_result(result)
+    else:
+        future.set_exception(error)
+
+
 class SolveWorker:
-    """One process that works on one thing at a time. It ends with its parent, however that ends."""
+    """One process that works on one thing at a time. It ends with its parent, however that ends.
+
+    A pool of the standard library hangs where its process is ended while it hands over a result.
+    """
 
     def __init__(self, say: Callable[[str], object]) -> None:
         """say: where faults of our own are told."""
@@ -85,10 +124,11 @@ class SolveWorker:
         self._start()
 
     def _start(self) -> None:
-        self._pool = ProcessPoolExecutor(
-            1, multiprocessing.get_context("spawn"), initializer=settle_in, initargs=(_YIELDING,)
-        )
-        self._pool.submit(os.getpid)  # the first piece of work does not wait for the process to start
+        context = multiprocessing.get_context("spawn")
+        self._calls, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,))
+        self._process.start()
+        theirs.close()  # so that its end is heard when it ends
 
     @property
     def doing(self) -> str:
@@ -105,12 +145,11 @@ class SolveWorker:
     ) -> None:
         """Have this done; arguments and result travel between processes. One of finish and fail is called by poll."""
         assert self._work is None
-        try:
-            future = self._pool.submit(work, *arguments)
-        except BrokenProcessPool:  # it was killed while it had nothing to do
+        if not self._process.is_alive():  # it was killed while it had nothing to do
             self._say(f"the solver process has ended; a new one is started for {name}")
             self._start()
-            future = self._pool.submit(work, *arguments)
+        future = Future[Any]()
+        Thread(target=_exchange, args=(self._calls, work, arguments, future), daemon=True).start()
         self._work = _Work(name, future, finish, fail)
 
     def poll(self) -> bool:
@@ -128,16 +167,17 @@ class SolveWorker:
             work.finish(work.future.result())
         except ModcalError as error:
             work.fail(str(error))
+        except WorkerEnded as error:
+            self._say(f"{work.name} failed: {error}")
+            work.fail(f"internal error: {error}")
         except OSError as error:
             work.fail(f"{error.filename or 'file system'}: {error.strerror}: make room, or check its permissions")
         except Exception as error:  # a fault of ours must not leave the caller waiting
             if isinstance(error, RuntimeError) and not rclpy.ok():
                 raise  # the node is told to stop, and nobody waits any more (see running.py)
-            where = f"\n{error.__cause__}" if error.__cause__ is not None else ""  # the other process's traceback
+            where = "\n".join(("", *getattr(error, "__notes__", ())))  # the other process's traceback
             self._say(f"{work.name} failed: {error!r}{where}")
             work.fail(f"internal error: {error!r}")
-            if isinstance(error, BrokenProcessPool):
-                self._start()
 
     def drop(self) -> None:
         """End what is being worked on without a result; neither finish nor fail is called."""
@@ -146,7 +186,6 @@ class SolveWorker:
         self._start()
 
     def close(self) -> None:
-        """Drop what is waiting, and end what is being worked on."""
-        for process in list((self._pool._processes or {}).values()):
-            process.terminate()
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        """End what is being worked on."""
+        self._process.kill()
+        self._process.join()

@@ -8,10 +8,10 @@ from typing import Any
 import click
 
 from modcal_core.calibration import Calibration
-from modcal_core.checking import pattern_of
 from modcal_core.checkup import Checked
 from modcal_core.errors import BadTable, ModcalError
 from modcal_core.files import read_json
+from modcal_core.moves import pattern_of
 from modcal_core.public import check
 from modcal_core.report import calibration_files, checkup_report, report_files
 from modcal_core.robots import is_serial_arm, read_chain

@@ -12,10 +12,10 @@ from typing import Any
 import click
 
 from modcal_core.calibration import Calibration, fingerprint
-from modcal_core.checking import Values, series_of, values_of
 from modcal_core.errors import BadTable
 from modcal_core.files import read_json
 from modcal_core.measurements import require
+from modcal_core.moves import Values, series_of, values_of
 from modcal_core.outcome import offsets_of
 from modcal_core.report import History, HistoryEntry, Side, compare, history_report
 from modcal_nodes.cli.certificate import UNMET

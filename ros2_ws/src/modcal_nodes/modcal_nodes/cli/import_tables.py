@@ -38,7 +38,7 @@ def is_kinematic(path: Path) -> bool:
     return {"a", "d", "alpha"} <= labels or ("name" in labels and bool({"theta", "bx", "alpha"} & labels))
 
 
-def proposed(tables: Sequence[Path], urdf: Path, options: ImportOptions, output: Output) -> tuple[Proposal, Path]:
+def proposed(tables: Sequence[Path], described: Path, options: ImportOptions, output: Output) -> tuple[Proposal, Path]:
     """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way."""
     out, path = options.out, options.mapping or Path(f"{tables[0].stem}.yaml")
     folders = {table.resolve().parent for table in tables}
@@ -48,13 +48,13 @@ def proposed(tables: Sequence[Path], urdf: Path, options: ImportOptions, output:
     again = f"modcal import {path}{data}" + (f" --out {out}" if out else "")
     if path.exists():
         raise BadTable(str(path), "exists already", f"import it ({again}), give --mapping another name, or remove it")
-    robot = Robot.from_urdf(urdf, options.base, options.tip)
+    is_delta = described == options.delta
+    robot = Robot.from_delta(described) if is_delta else Robot.from_urdf(described, options.base, options.tip)
     ends = {end: name for end, name in (("base", options.base), ("tip", options.tip)) if name is not None}
     with output.working() as watch:
-        where = os.path.relpath(urdf.resolve(), path.resolve().parent)
-        made = find(
-            tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), {"urdf": where, **ends}), watch
-        )
+        where = os.path.relpath(described.resolve(), path.resolve().parent)
+        stated = {"delta" if is_delta else "urdf": where, **ends}
+        made = find(tables, MeasuredArm(robot.mechanism, robot.inertias, _bystanders(robot), stated), watch)
     write_file(path, made.text(", ".join(table.name for table in tables)))
     following = f"answer, then: {again}" if made.open else f"after an edit: {again}" if out else f"next: {again}"
     lines = [
@@ -72,8 +72,10 @@ def proposed(tables: Sequence[Path], urdf: Path, options: ImportOptions, output:
 
 def _bystanders(robot: Robot) -> dict[str, bool]:
     """Joints of the robot description that are not the arm's, each with whether it turns."""
+    if robot.description is None:
+        return {}
     kinds = {"revolute": True, "continuous": True, "prismatic": False}
-    joints = parse(robot.description or "").joints
+    joints = parse(robot.description).joints
     own = robot.chain.own_names
     return {joint.name: kinds[joint.kind] for joint in joints if joint.kind in kinds and joint.name not in own}
 
@@ -93,6 +95,7 @@ class ImportOptions(ChainOptions):
 
     data: Path | None = option("Folder of the tables. Default: the folder of MAPPING.")
     urdf: Path | None = option("Robot description to put into the bag, and to prove a mapping by.")
+    delta: Path | None = option("Description of a Delta robot, to prove a mapping by instead.")
     mapping: Path | None = option(
         "For tables without a mapping: the mapping to write. Default: FILE.yaml.", type=click.Path(path_type=Path)
     )
@@ -116,19 +119,22 @@ class ImportOptions(ChainOptions):
 def import_command(sources: tuple[Path, ...], output: Output, options: ImportOptions) -> None:
     """Convert CSV tables into a bag, as described by MAPPING (a YAML file).
 
-    Without a mapping, FILE.csv and the robot's --urdf are enough: separator, units, columns and conventions are found
-    out, proved by the nominal arm that fits, and written as a mapping to edit. What the data cannot tell is asked,
-    with exit code 3. Further files are joined by a column that they share.
+    Without a mapping, FILE.csv and the robot's --urdf or --delta are enough: separator, units, columns and conventions
+    are found out, proved by the nominal arm that fits, and written as a mapping to edit. What the data cannot tell is
+    asked, with exit code 3. Further files are joined by a column that they share.
 
     A kinematic table (.csv, or .yaml that states a convention: dh, mdh or cpc) becomes a URDF, which every other verb
     takes; so does UR's calibration.conf, beside the --urdf of its model.
     """  # fmt: skip
     first, urdf, out = sources[0], options.urdf, options.out
+    if options.delta is not None and (urdf or options.base or options.tip):
+        raise BadTable(f"--delta {options.delta}", "cannot be combined with --urdf, --base or --tip", "leave them out")
+    robot = options.delta or urdf
     if first.suffix.lower() == ".conf":
         _write_arm(first, _of_conf(first, urdf), out, output)
         return
-    if first.suffix.lower() not in _YAML and urdf is not None and not is_kinematic(first):
-        made, path = proposed(sources, urdf, options, output)
+    if first.suffix.lower() not in _YAML and robot is not None and not is_kinematic(first):
+        made, path = proposed(sources, robot, options, output)
         if made.open:
             raise SystemExit(3)
         if out is not None:
@@ -175,7 +181,8 @@ def _import(mapping: Path, options: ImportOptions, out: Path, output: Output) ->
         tables = read_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
         recording = tables.recording
         recording = replace(recording, warnings=(f"{IMPORTED}{mapping.name}.", *recording.warnings))
-        urdf = urdf or _stated_urdf(stated, mapping, folder)
+        delta = options.delta or _stated_robot("delta", stated, mapping, folder)
+        urdf = urdf or _stated_robot("urdf", stated, mapping, folder)
         if urdf is not None:
             recording = replace(recording, robot_description=urdf.read_text(encoding="utf-8"))
             arm = options.base or stated.get("base"), options.tip or stated.get("tip")
@@ -188,7 +195,10 @@ def _import(mapping: Path, options: ImportOptions, out: Path, output: Output) ->
     left_out = [note for note in recording.warnings if "left out" in note]
     found = {"bag": str(out), "stations": stations, "frames": frames, "left_out": left_out}
     line = f"{out}: {stations} stations, {len(frames)} frame{'s' * (len(frames) != 1)}; next: modcal calibrate {out}"
-    if not stations:
+    line += f" --delta {delta}" if delta is not None else ""
+    if not recording.joints:
+        line = f"{out}: {stations} readings of {len(frames)} sensors; next: modcal measure-object CALIBRATION {out}"
+    elif not stations:
         line = f"{out}: {sum(len(t.stamps) for t in recording.joints)} joint states; next: modcal articulate {out}"
     output.result(found, [*left_out, line])
 
@@ -223,11 +233,11 @@ def _proved(recording: Recording, stated: Mapping[str, Any], arm: tuple[str | No
     return replace(recording, warnings=(*recording.warnings, note))
 
 
-def _stated_urdf(stated: dict[str, object], mapping: Path, folder: Path) -> Path | None:
-    name = stated.get("urdf")
+def _stated_robot(key: str, stated: dict[str, object], mapping: Path, folder: Path) -> Path | None:
+    name = stated.get(key)
     if name is None:
         return None
     for root in (mapping.parent, folder):
         if (root / str(name)).is_file():
             return root / str(name)
-    raise BadTable(f"{mapping.name}: urdf {name}", "is neither beside the mapping nor in --data", "correct the path")
+    raise BadTable(f"{mapping.name}: {key} {name}", "is neither beside the mapping nor in --data", "correct the path")

@@ -47,7 +47,12 @@ GROUPS = {
     },
     "Use the result": {
         "export": ("export", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
+        "measure-object": ("measure_object", "Measure the box in the gripper, and where to put it down."),
+    },
+    "Running nodes": {
         "watch": ("watch", "Show the status of all nodes of a cell, live."),
+        "call": ("call", "Call a service or an action of a node, and print its answer."),
+        "play": ("play", "Publish the messages of BAG again."),
     },
     "Doors and drawers": {
         "articulate": ("articulate", "Identify how the handle in BAG moves, and write it as a URDF."),
@@ -84,7 +89,9 @@ class _Verbs(click.Group):
         """The command of a verb, or None."""
         if cmd_name not in VERBS:
             return None
-        found = getattr(import_module(f"modcal_nodes.cli.{VERBS[cmd_name][0]}"), f"{cmd_name}_command")
+        found = getattr(
+            import_module(f"modcal_nodes.cli.{VERBS[cmd_name][0]}"), f"{cmd_name.replace('-', '_')}_command"
+        )
         assert isinstance(found, click.Command)
         return found
 
@@ -165,7 +172,9 @@ def _source_of(module: str) -> str | None:
     if module in _EXTRAS:
         return f"pip install 'modcal[{_EXTRAS[module]}]'"
     if module in _ROS or module.endswith(("_msgs", "_interfaces", "_srvs")):
-        return "source a ROS 2 installation, such as /opt/ros/jazzy/setup.bash; only door and watch need one"
+        return (
+            "source a ROS 2 installation, such as /opt/ros/jazzy/setup.bash; only call, door, play and watch need one"
+        )
     return None
 
 

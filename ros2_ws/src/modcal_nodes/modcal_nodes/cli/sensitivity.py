@@ -29,7 +29,7 @@ from modcal_core.robots import Mechanism, is_serial_arm, vector
 from modcal_nodes.cli.console import Output, saving
 from modcal_nodes.cli.inputs import arm_line, read_robot, read_stations
 from modcal_nodes.cli.options import EXISTING, given
-from modcal_nodes.io import ChainOptions, option
+from modcal_nodes.io import ChainOptions, option, repeated
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,9 @@ class SensitivityOptions(ChainOptions):
     length_mm: float = option("Errors of lengths.", default=0.5, low=0.0)
     angle_mrad: float = option("Errors of angles.", default=1.0, low=0.0)
     sizes: Path | None = option("YAML of other sizes, {NAME or PATTERN: SI}.")
+    only: tuple[str, ...] = repeated(
+        "Study only parameters of this name or pattern, e.g. '*/theta'; the others are known. Repeatable.", "NAME"
+    )
     base_factor: str | None = option("Parameter that the others are compared with. Default: base/x.", metavar="NAME")
     bins: int | None = option("Intervals of the multi-point weights.", low=1, high=1000)
     stations: Path | None = option(
@@ -79,7 +82,7 @@ class SensitivityOptions(ChainOptions):
         q = design(chain, kind, rng, self.levels, self.postures or (512 if self.thorough else 64))
         stations = read_stations(self.stations, chain) if self.stations else q
         measured = Measured(stations, self.reading, 1e-3 * self.noise_mm, 1e-3 * self.noise_mrad)
-        factor = self.base_factor or next(f.name for f in closed.factors if f.is_length)
+        factor = self.base_factor or next((f.name for f in closed.factors if f.is_length), closed.names[0])
         return Studied(kind, q, sizes, factor, measured, self.bins, 4 * ARMS if self.thorough else ARMS)
 
 
@@ -90,7 +93,7 @@ class SensitivityOptions(ChainOptions):
 def sensitivity_command(robot: Path, output: Output, options: SensitivityOptions) -> None:
     """Report which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
     arm = read_robot(robot, options.base, options.tip)
-    closed = _closed_chain(arm.mechanism, options.parameters, options.tool, options.reading)
+    closed = _closed_chain(arm.mechanism, options.parameters, options.tool, options.reading).only(options.only)
     rng = np.random.default_rng(options.seed)
     studied = options.studied(closed, rng)
     with output.working() as watch:

@@ -5,23 +5,20 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import click
-import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from rich.live import Live
 
 from modcal_core.errors import BadRecording, plain
 from modcal_nodes.cli.console import Terminal
 from modcal_nodes.cli.options import Decimal, Whole
+from modcal_nodes.ros import interrupt, joined, stopped_by
 from modcal_nodes.watching import Changes, Heard, Listener, table
 
 _PATIENCE = 8.0  # s without a word after which it says what to check
@@ -58,7 +55,12 @@ def watch_command(once: bool, as_json: bool, domain: int, namespace: str, lastin
     terminal, a line is written only when something gets better or worse. Ctrl-C ends it.
     """
     heard, console = Heard(namespace), Terminal(markup=False)
-    with contextlib.suppress(KeyboardInterrupt), _left_alone(), _stopped_politely(), _listening(heard, domain) as spin:
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        _left_alone(),
+        stopped_by(interrupt),
+        _listening(heard, domain) as spin,
+    ):
         if not once:
             _go_on(heard, spin, _output(as_json, console), lasting, every, (domain, namespace))
             return
@@ -109,27 +111,18 @@ def _nothing(domain: int, namespace: str, seconds: float) -> tuple[str, str, str
 @contextlib.contextmanager
 def _listening(heard: Heard, domain: int) -> Iterator[Callable[[float], None]]:
     """A node in this domain, and a function that lets it listen for so many seconds."""
-    context = Context()
-    rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    node = Listener(heard, context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
+    with joined(partial(Listener, heard), domain) as (node, turn):
 
-    def spin(seconds: float) -> None:
-        end = time.monotonic() + seconds
-        due = 0.0
-        while (left := end - time.monotonic()) > 0.0:
-            if time.monotonic() >= due:
-                due = time.monotonic() + _FOLLOW
-                node.follow()
-            executor.spin_once(timeout_sec=min(left, _SPIN))
+        def spin(seconds: float) -> None:
+            end = time.monotonic() + seconds
+            due = 0.0
+            while (left := end - time.monotonic()) > 0.0:
+                if time.monotonic() >= due:
+                    due = time.monotonic() + _FOLLOW
+                    node.follow()
+                turn(min(left, _SPIN))
 
-    try:
         yield spin
-    finally:
-        executor.shutdown(timeout_sec=1.0)
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
 
 
 @contextlib.contextmanager
@@ -139,20 +132,6 @@ def _left_alone() -> Iterator[None]:
         yield
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is flushed at exit goes nowhere
-
-
-@contextlib.contextmanager
-def _stopped_politely() -> Iterator[None]:
-    """SIGTERM ends it as Ctrl-C does, so that the terminal is given back as it was."""
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 @contextlib.contextmanager

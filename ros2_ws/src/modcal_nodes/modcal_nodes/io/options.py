@@ -107,6 +107,9 @@ class RobotOptions:
 class Options(SplitOptions, RobotOptions):
     """What is asked of a calibration, beside the recording: the options of ``modcal calibrate`` under their names."""
 
+    by_distances: bool = option(
+        "Of a Delta: compare least squares and simulated annealing on distances alone.", default=False
+    )
     factory_kinematics: Path | None = option(
         "What the manufacturer's tool took from this arm: kinematics.yaml keeps its form and hash.", metavar="FILE"
     )

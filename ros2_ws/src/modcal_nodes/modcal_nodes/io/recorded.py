@@ -57,6 +57,9 @@ def calibrate_bag(bag: Path, options: Options, more: tuple[Path, ...] = (), watc
             tolerance_of=options.tolerance_of,
             progress=watch,
         )
+    if options.by_distances:
+        watch("fitting distances alone")
+        result = result.with_distances(options.seed)
     watch("writing the report")
     with about(str(options.factory_kinematics)) if factory is not None else nullcontext():
         return Calibrated(result, result.files(factory))

@@ -43,7 +43,7 @@ from modcal_core.planning import (
     with_limits,
 )
 from modcal_core.robot import Robot
-from modcal_core.robots import forward, read_drives
+from modcal_core.robots import Mechanism, forward, read_drives
 from modcal_nodes.measuring.collision import CollisionModel, has_shapes
 from modcal_nodes.measuring.folder import Folder, StoredSession
 from modcal_nodes.measuring.runner import (
@@ -432,6 +432,11 @@ class StationSequence:
         self._send(TimedMotion(np.array([0.0, _STOPPING]), np.array([hold.q, hold.q]), np.array([still, still])))
 
     # what it knows
+
+    @property
+    def chain(self) -> Mechanism | None:
+        """The arm; None while it is not known."""
+        return None if self._place is None else self._place.robot.mechanism
 
     @property
     def running(self) -> bool:

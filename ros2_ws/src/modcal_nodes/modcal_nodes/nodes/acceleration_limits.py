@@ -20,37 +20,33 @@ _REST = 0.004  # s
 _NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
-class AccelerationLimits(ros.GuardedNode):
+class AccelerationLimits(ros.ManagedNode):
     """Publishes upper and lower bounds of every joint's acceleration from joint states and a payload."""
 
+    _described: LoadedArm | None = None
+
     def __init__(self) -> None:
-        super().__init__("acceleration_limits")
-        self._chosen = ros.declare(self, ros.ACCELERATION_LIMITS)
-        require_method(self._chosen["method"])
-        _payload(self._chosen)
-        ros.follow(self, ros.ACCELERATION_LIMITS, self._chosen, self._check, self._take_parameters)
-        self._described: LoadedArm | None = None
+        super().__init__("acceleration_limits", ros.ACCELERATION_LIMITS)
+
+    def _configure(self) -> None:
+        self._described = None
         self._arm: LoadedArm | None = None
         self._joints: JointInput | None = None
         self._names: frozenset[str] = frozenset()
         self._urdf, self._refusal = self._chosen["robot_description"], _NO_ROBOT_YET
         self._last, self._count = 0, 0  # stamp [ns] of the last bounds, and how many there were
-        self._refusals = ros.Refusals(self, lambda: self._health.publish_if_changed())
 
         self._upper = self.create_publisher(JointTrajectory, "~/upper", 10)
         self._lower = self.create_publisher(JointTrajectory, "~/lower", 10)
-        heard = self._refusals.guarded("joint_states", self._take_joints)
+        always = {"needed": True, "single": True, "replaced": ros.always}
         self._inputs = [
-            ros.MonitoredSubscription(
-                self, JointState, "joint_states", heard, ros.FRESH, needed=True, single=True, replaced=ros.always
-            ),
-            ros.MonitoredSubscription(
-                self, String, "robot_description", self._take_description, ros.LATCHED, needed=not self._urdf
-            ),
+            self.hear(JointState, "joint_states", self._take_joints, ros.FRESH, **always),
+            self.hear(String, "robot_description", self._take_description, ros.LATCHED, needed=not self._urdf),
         ]
-        self._health = ros.Health(self, self._report)
         if self._urdf and self._chosen["tip"]:
             self._recognise()
+
+    def _activate(self) -> None:
         # apart from the subscriptions: a machine that is too busy for this rate must not work through old ticks
         tick = self._refusals.guarded("limits", self._tick)
         self.create_timer(

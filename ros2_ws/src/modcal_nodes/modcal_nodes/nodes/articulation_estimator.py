@@ -20,11 +20,11 @@ from modcal_core.robots import Chain, chain_forward, read_chain
 from modcal_msgs_py import (
     JointInput,
     fill_expected,
+    fill_identity,
     fill_markers,
     fill_object_state,
     fill_object_status,
     nanoseconds,
-    seconds,
     seen,
     status_values,
     wrench_numbers,
@@ -44,17 +44,19 @@ _SILENT = 1.0  # s without a pose, after which the estimate is said to be old
 _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
 
 
-class ArticulationEstimator(ros.GuardedNode):
+class ArticulationEstimator(ros.ManagedNode):
     """Publishes the object as a one-joint URDF, its state, its axis, where it will be, and whether to trust it."""
 
     def __init__(self) -> None:
-        super().__init__("articulation_estimator")
-        self._chosen = chosen = ros.declare(self, ros.ARTICULATION_ESTIMATOR)
-        if chosen["input"] not in (_JOINTS, *_POSES):
-            raise BadCommand(
-                f"parameter input {chosen['input']!r}", "is not an input", f"use {_JOINTS}, {', '.join(_POSES)}"
-            )
-        ros.follow(self, ros.ARTICULATION_ESTIMATOR, chosen)
+        super().__init__("articulation_estimator", ros.ARTICULATION_ESTIMATOR)
+
+    def _check(self, new: dict[str, Any]) -> None:
+        if new["input"] not in (_JOINTS, *_POSES):
+            known = f"use {_JOINTS}, {', '.join(_POSES)}"
+            raise BadCommand(f"parameter input {new['input']!r}", "is not an input", known)
+
+    def _configure(self) -> None:
+        chosen = self._chosen
         self._tracker = Tracker(
             TrackerSettings(
                 tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"], trust_after_m=chosen["trust_after_m"]
@@ -66,7 +68,6 @@ class ArticulationEstimator(ros.GuardedNode):
         self._names: frozenset[str] = frozenset()
         self._urdf, self._refusal = chosen["robot_description"], ""
         self._forget()
-        self._refusals = ros.Refusals(self)
         self._rest: list[Array] = []
         self._offset = np.zeros(3)
         self._load = Load(chosen["tool_mass"])
@@ -74,35 +75,29 @@ class ArticulationEstimator(ros.GuardedNode):
 
         self._description = self.create_publisher(String, "~/object_description", ros.LATCHED)
         self._object = self.create_publisher(JointState, "~/object_state", 10)
-        self._status_type = ros.interface("ObjectState")
+        self._status_type, self._about = ros.interface("ObjectState"), ros.interface("Identity")()
+        fill_identity(self._about, None, [chosen["input"]])
         self._status = self.create_publisher(self._status_type, "~/object_status", 10)
         self._expected = self.create_publisher(PoseStamped, "~/expected_pose", 10)
         self._axis = self.create_publisher(MarkerArray, "~/object_axis", 10)
         topic = chosen["input"]
-        take = self._refusals.guarded(topic, self._take_joints if topic == _JOINTS else self._take_pose)
+        kind, take = (JointState, self._take_joints) if topic == _JOINTS else (_POSES[topic], self._take_pose)
         self._inputs = [
-            ros.MonitoredSubscription(
-                self,
-                JointState if topic == _JOINTS else _POSES[topic],
-                topic,
-                take,
-                ros.FRESH,
-                needed=True,
-                single=True,
-                replaced=self._soon,
-            ),
-            ros.MonitoredSubscription(
-                self, WrenchStamped, "wrench", self._refusals.guarded("wrench", self._take_wrench), ros.FRESH
-            ),
+            self.hear(kind, topic, take, ros.FRESH, needed=True, single=True, replaced=self._soon),
+            self.hear(WrenchStamped, "wrench", self._take_wrench, ros.FRESH),
         ]
         if topic == _JOINTS:
             needed = not chosen["robot_description"]
-            heard = self._refusals.guarded("robot_description", self._take_description)
-            self._inputs.append(
-                ros.MonitoredSubscription(self, String, "robot_description", heard, ros.LATCHED, needed=needed)
-            )
-        self._health = ros.Health(self, self._report)
+            take = self._take_description
+            self._inputs.append(self.hear(String, "robot_description", take, ros.LATCHED, needed=needed))
         self.create_service(Trigger, "~/reset", self._reset)
+
+    def _deactivate(self) -> None:
+        """What is held is another object, or another grasp of it, when the node is active again."""
+        if self._told is not None:
+            self._description.publish(String(data=""))
+        self._forget()
+        self._rest.clear()
 
     def _forget(self) -> None:
         self._tracker.reset()
@@ -140,6 +135,7 @@ class ArticulationEstimator(ros.GuardedNode):
         except ModcalError as error:
             self._chain, self._refusal = None, str(error)
             return
+        fill_identity(self._about, self._chain, [self._chosen["input"]])
         self._joints = JointInput(self._chain.names, self._chain.lower, self._chain.upper, self._chain.follows)
 
     def _take_joints(self, message: JointState) -> None:
@@ -213,7 +209,7 @@ class ArticulationEstimator(ros.GuardedNode):
             self.get_logger().warning(f"{self._chosen['input']}, {state.written}")
         if state.event is not None or state.written != before:
             self._health.publish_if_changed()
-        self._status.publish(fill_object_status(self._status_type(), frame, self._exact, state))
+        self._status.publish(fill_object_status(self._status_type(about=self._about), frame, self._exact, state))
         if state.model is None:
             return
         T = se3.transform(R if state.follows else None, p)
@@ -282,9 +278,6 @@ class ArticulationEstimator(ros.GuardedNode):
                 "model to be trusted"
             )
         return ""
-
-    def _now(self) -> float:
-        return seconds(self.get_clock().now().to_msg())
 
 
 def _said(state: TrackerState) -> str:

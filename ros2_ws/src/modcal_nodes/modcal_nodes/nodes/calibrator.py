@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,18 +30,22 @@ _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
 
 
-class Calibrator(ros.GuardedNode):
+class Calibrator(ros.ManagedNode):
     """``~/solve`` calibrates, ``~/accept`` trusts the result, ``~/save`` keeps it on disk, ``~/reset`` forgets;
     ``~/check`` says by a few stations what has changed since.
     """
 
     def __init__(self) -> None:
-        super().__init__("calibrator")
-        self._chosen = chosen = ros.declare(self, ros.CALIBRATOR)
-        calibrating.require_policy(chosen)
-        ros.follow(self, ros.CALIBRATOR, chosen, calibrating.require_policy, self._take_parameters)
+        super().__init__("calibrator", ros.CALIBRATOR)
+
+    def _check(self, new: dict[str, Any]) -> None:
+        calibrating.require_policy(new)
+
+    def _configure(self) -> None:
+        chosen = self._chosen
         self._cell = read_cell(Path(chosen["cell"]) if chosen["cell"] else None, tuple(f for f in chosen["fixed"] if f))
         self._folder = calibrating.StateFolder(chosen["state"], self.get_logger())
+        self.held.callback(self._folder.release)
         state = self._folder.read()
         self._buffer = calibrating.Buffer(chosen["buffer_s"])
         self._buffer.samples = state.samples
@@ -60,7 +64,7 @@ class Calibrator(ros.GuardedNode):
 
         self._outputs = calibrating.Publishers(self)
         self._tf = ros.Broadcaster(self, static=True) if chosen["publish_tf"] else None
-        self._lacked, self._steps = "", 0
+        self._lacked, self._steps, self._framed = "", 0, 0
         corners = calibrating.CornerIntake.of(chosen)
         self._camera: calibrating.ByCamera | None = None
         if corners is not None:
@@ -71,9 +75,10 @@ class Calibrator(ros.GuardedNode):
         heard = () if corners is None else corners.topics
         self._inputs = calibrating.listen(self, self._intake, self._describe, patience, described, heard)
         self._commands = calibrating.CommandSubscription(self, self._intake.command)
-        self._health = ros.Health(self, self._statuses)
+        self.held.callback(self._keep)
         self._worker = calibrating.SolveWorker(self.get_logger().error)
-        self._check = calibrating.CheckService(self, self._worker, self._outputs, self._begin_check)
+        self.held.callback(self._worker.close)
+        self._checks = calibrating.CheckService(self, self._worker, self._outputs, self._begin_check)
         self._solve = ros.Action(self, "Solve", self._begin_solve, self._cancel_solve, self._progress)
         self._solve_next, self._begun = False, 0.0
         # a group of its own: while a solve is awaited, its group takes no other callback
@@ -81,24 +86,37 @@ class Calibrator(ros.GuardedNode):
         self.create_service(Trigger, "~/accept", self._on_accept)
         self.create_service(Trigger, "~/save", self._on_save)
         self.create_service(Trigger, "~/reset", self._on_reset)
+
+    def _activate(self) -> None:
+        self._outputs.hold()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_POLL, self._poll, clock=steady)
         self.create_timer(1.0, self._tell, clock=steady)
 
+    def _deactivate(self) -> None:
+        """End what the worker does, and keep all messages so far."""
+        if self._solve_next or self._worker.doing == _SOLVE:
+            self._answer(False, "the node was deactivated")
+        self._checks.cancel("the node was deactivated")
+        self._solve_next = False
+        if self._worker.doing:
+            self._worker.drop()
+
     def _take_parameters(self) -> None:
-        self._supervisor.follow(calibrating.policy(self._chosen))
+        self._supervisor.policy = calibrating.policy(self._chosen)
         for subscription in self._inputs:
             subscription.patience = self._chosen["silence_timeout_s"]
 
     def _describe(self, message: String) -> None:
         self._arm.describe(message.data)
-        self._recognise()
+        if self.active:
+            self._recognise()
 
     def _recognise(self) -> None:
         """Go on with the model that was saved, once it is known that this is its arm."""
         if not self._arm.recognise(self._buffer.joint_names()) or self._arm.chain is None:
             return
-        self._outputs.base = self._arm.chain.base
+        self._outputs.identify(self._arm.chain, self._observers)
         if self._camera is not None:
             self._camera.restore(self._arm, self._buffer, self._worker)
         restored, self._restored = self._restored, None
@@ -126,11 +144,17 @@ class Calibrator(ros.GuardedNode):
         self._verdict = "continuing with the saved model"
         self._standing = calibrating.standing_of_json(self._files.get("report.json"))
 
+    def _observers(self) -> Sequence[str]:
+        """Frames that are read; of images, the topics of their corners."""
+        read = self._arm.stream.frames if self._arm.stream else ()
+        return read or (self._camera.intake.topics if self._camera is not None else ())
+
     def _broadcast(self) -> None:
         if self._tf is not None and self._supervisor.trusted is not None:
             self._tf.publish(ros.static_frames(self._supervisor.trusted), self.get_clock().now().to_msg())
 
     def _lacks(self) -> str:
+        """Why nothing can be solved or checked; empty: it can."""
         return calibrating.lacking(self._arm, self._inputs, self._camera is not None)
 
     def _expect_frames(self) -> None:
@@ -171,7 +195,7 @@ class Calibrator(ros.GuardedNode):
         if self._solve_next or self._worker.doing == _SOLVE:
             return "a solve is running already"
         self._recognise()
-        if self._arm.chain is None:
+        if self._arm.chain is None or self._arm.trouble:
             return self._lacks()
         if not self._solve_next:
             self._begun = time.monotonic()
@@ -201,11 +225,11 @@ class Calibrator(ros.GuardedNode):
         trusted, chain, chosen = self._supervisor.trusted, self._arm.chain, self._chosen
         if trusted is None:
             return "no model is trusted yet: solve and accept one, or set the parameter state"
-        if chain is None:
+        if chain is None or self._arm.trouble:
             return self._lacks()
         since = self._supervisor.changed
         heard = self._buffer.collected()
-        return self._check.begin(heard, chain, trusted, chosen["clock_limit_s"], chosen["check_stations"], since)
+        return self._checks.begin(heard, chain, trusted, chosen["clock_limit_s"], chosen["check_stations"], since)
 
     def _answer_camera(self, success: bool, message: str) -> None:
         self._verdict = message
@@ -246,8 +270,8 @@ class Calibrator(ros.GuardedNode):
             self._folder.save_samples(self._buffer.samples)
 
     def _solved(self, then: int, solved: calibrating.Solved) -> None:
-        if then != self._buffer.forgotten:
-            self._answer(False, "the data it was solved from have been cleared since")
+        if then != self._buffer.forgotten or self._arm.trouble:
+            self._answer(False, self._arm.trouble or "the data it was solved from have been cleared since")
             return
         if self._chosen["out"]:
             write_folder(Path(self._chosen["out"]), solved.files)
@@ -263,25 +287,28 @@ class Calibrator(ros.GuardedNode):
         self.get_logger().info(self._verdict)
         if self._chosen["out"]:
             self.get_logger().info(f"written to {self._chosen['out']}: {', '.join(sorted(solved.files))}")
-        self._answer(True, self._verdict, solved.files["report.json"])
+        frames = solved.calibration.calibrated.frames
+        told = " ".join((self._verdict, *solved.doubled, self._outputs.about(frames)))
+        self._answer(True, told, verdict=self._outputs.verdict(solved.files["report.json"], frames))
 
-    def _answer(self, success: bool, message: str, report: str = "") -> None:
+    def _answer(self, success: bool, message: str, **found: Any) -> None:
         if not success:
             self._verdict = message
             self._supervisor.failed()
-        found = {"verdict": self._outputs.verdict(report)} if report else {}
         self._solve.end(ros.DONE if success else ros.FAILED, message, **found)
         self._health.publish()
 
     def _on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._camera is not None and self._camera.accept():
-            response.success, response.message = True, "accepted"
+        if self._camera is not None and not self._arm.trouble and self._camera.accept():
+            response.success, response.message = True, f"accepted {self._outputs.about()}"
             return response
-        response.success = self._candidate is not None and self._supervisor.accept()
-        response.message = "nothing to accept: the last result is trusted already, or there is none"
+        response.message = (
+            self._arm.trouble or "nothing to accept: the last result is trusted already, or there is none"
+        )
+        response.success = self._candidate is not None and not self._arm.trouble and self._supervisor.accept()
         if response.success and self._candidate is not None:
             self._trusted(self._candidate)
-            response.message = "accepted"
+            response.message = f"accepted {self._outputs.about()}"
         return response
 
     def _trusted(self, solved: calibrating.Solved) -> None:
@@ -299,9 +326,8 @@ class Calibrator(ros.GuardedNode):
         )
         return response
 
-    def close(self) -> None:
-        """Keep the stations and images heard so far, and end the worker."""
-        self._worker.close()
+    def _keep(self) -> None:
+        """Keep the stations and images heard so far."""
         if self._camera is not None:
             self._camera.keep()
         if self._folder.path and self._arm.chain is not None:
@@ -313,7 +339,6 @@ class Calibrator(ros.GuardedNode):
             except ModcalError as error:
                 self.get_logger().warning(f"the last messages are not kept: {error}")
             self._folder.save_samples(self._buffer.samples)
-        self._folder.release()
 
     def _tell(self) -> None:
         """Once a second: what is missing, how far collecting is, the running estimate, and what has changed."""
@@ -323,6 +348,7 @@ class Calibrator(ros.GuardedNode):
                 "all inputs are received"
             )
             self._health.publish()
+        self._tell_frames()
         if self._supervisor.stations // _STEP != self._steps:
             self._steps = self._supervisor.stations // _STEP
             self.get_logger().info(calibrating.collected(self._supervisor))
@@ -339,7 +365,17 @@ class Calibrator(ros.GuardedNode):
             self._said = live.hypothesis
             self._health.publish()
 
-    def _statuses(self) -> Iterable[ros.Status]:
+    def _tell_frames(self) -> None:
+        """Say that readings come in a frame that is new: it gets a place of its own."""
+        frames = self._arm.stream.frames if self._arm.stream else []
+        self._framed = min(self._framed, len(frames))
+        for new in frames[self._framed :]:
+            if self._framed:
+                known = ", ".join(frames[: self._framed])
+                self.get_logger().info(f"frame '{new}' is read beside {known}: an instrument or socket of its own")
+            self._framed += 1
+
+    def _report(self) -> Iterable[ros.Status]:
         heard = ros.subscription_status(self._inputs)
         yield heard if self._camera is not None else ros.tracker_status(heard, self._inputs)
         if self._camera is not None:

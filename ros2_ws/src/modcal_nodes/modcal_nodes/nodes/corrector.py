@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState, Temperature
+from sensor_msgs.msg import JointState, Range, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -19,32 +20,49 @@ from modcal_core.correction import (
     CalibratedRobot,
     Commander,
     CommanderSettings,
+    GripperRays,
     JointSetpoint,
     corrected_urdf,
     finite,
+    held_box,
+    placing,
+    rests,
 )
 from modcal_core.errors import BadCommand, BadTable, ModcalError
-from modcal_core.measurements import Approach
+from modcal_core.measurements import RAY, Approach, ReadingTrack
 from modcal_core.robots import followers_of
-from modcal_msgs_py import JointInput, SignalsHeard, desired_pose, fill_pose, require_new, set_nanoseconds, set_seconds
+from modcal_msgs_py import (
+    JointInput,
+    SignalsHeard,
+    asked_of_box,
+    desired_pose,
+    fill_held_box,
+    fill_pose,
+    require_new,
+    seconds,
+    set_nanoseconds,
+    set_seconds,
+)
 from modcal_nodes import ros
 from modcal_nodes.io import calibration_of, read_calibration, read_delta
 
 # The newest is all that counts: a queue would only make it old.
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+_MOST_RANGES = 20_000  # readings of range sensors that are kept
+_SECONDS = 1.0  # of them that count for a box, where a request does not say
 _REST = 0.004  # s, little beside the tenth of a second that a setpoint looks ahead
 _NOTHING_YET = "no calibration yet: set the parameter calibration, or publish the topic calibration"
 _NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
-class Corrector(ros.GuardedNode):
+class Corrector(ros.ManagedNode):
     """Publishes true poses, effective joint states, the corrected URDF, and commands for desired true poses."""
 
     def __init__(self) -> None:
-        super().__init__("corrector")
-        self._chosen = ros.declare(self, ros.CORRECTOR)
+        super().__init__("corrector", ros.CORRECTOR)
+
+    def _configure(self) -> None:
         self._commander = Commander(_settings(self._chosen))
-        ros.follow(self, ros.CORRECTOR, self._chosen, _settings, self._take_parameters)
         self._calibration: Calibration | None = None
         self._heard: Any = None  # the last message of a calibration
         self._refusal = _NOTHING_YET
@@ -52,9 +70,9 @@ class Corrector(ros.GuardedNode):
         self._delta = read_delta(Path(self._chosen["delta"])) if self._chosen["delta"] else None
         self._joints: JointInput | None = None
         self._approach, self._signals = Approach(), SignalsHeard()
+        self._ranges: deque[tuple[str, float, float]] = deque(maxlen=_MOST_RANGES)
         self._announced: CalibratedRobot | None = None
         self._last = -np.inf
-        self._refusals = ros.Refusals(self, lambda: self._health.publish_if_changed())
         self._counts = {"poses": 0, "commands": 0}
 
         self._pose = self.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
@@ -62,33 +80,29 @@ class Corrector(ros.GuardedNode):
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
         self._corrected = self.create_publisher(String, "~/robot_description", ros.LATCHED)
         self._tf = ros.Broadcaster(self, static=False) if self._chosen["publish_tf"] else None
-        guarded = self._refusals.guarded
         self._inputs = [
-            ros.MonitoredSubscription(
-                self,
-                JointState,
-                "joint_states",
-                guarded("joint_states", self._take_joints),
-                ros.FRESH,
-                needed=True,
-                replaced=ros.always,
-            ),
-            ros.MonitoredSubscription(
-                self, Temperature, "temperature", guarded("temperature", self._take_temperature), ros.FRESH
-            ),
-            ros.MonitoredSubscription(
-                self, PoseStamped, "desired_pose", guarded("desired_pose", self._take_desired), _NEWEST, single=True
-            ),
-            ros.MonitoredSubscription(self, String, "robot_description", self._take_description, ros.LATCHED),
-            ros.MonitoredSubscription(
-                self, ros.interface("Calibration"), "calibration", self._take_calibration, ros.LATCHED
-            ),
+            self.hear(JointState, "joint_states", self._take_joints, ros.FRESH, needed=True, replaced=ros.always),
+            self.hear(Temperature, "temperature", self._take_temperature, ros.FRESH),
+            self.hear(PoseStamped, "desired_pose", self._take_desired, _NEWEST, single=True),
+            self.hear(Range, "gripper/range", self._take_range, ros.SENSOR),
+            self.hear(String, "robot_description", self._take_description, ros.LATCHED),
+            self.hear(ros.interface("Calibration"), "calibration", self._take_calibration, ros.LATCHED),
         ]
         if self._chosen["calibration"]:
             self._calibration = read_calibration(Path(self._chosen["calibration"]))
-        self._health = ros.Health(self, self._report)
         self._meet()
         self.create_service(Trigger, "~/reset", self._reset)
+        self.create_service(ros.interface("MeasureObject"), "~/measure_object", self._measure_object)
+
+    def _activate(self) -> None:
+        self._approach, self._announced = Approach(), None
+        self._announce()
+
+    def _deactivate(self) -> None:
+        self._withdraw()
+
+    def _check(self, new: dict[str, Any]) -> None:
+        _settings(new)
 
     def _take_parameters(self) -> None:
         self._commander.settings = _settings(self._chosen)
@@ -152,7 +166,7 @@ class Corrector(ros.GuardedNode):
 
     def _announce(self) -> None:
         robot = self._commander.robot
-        if robot is not None and robot is not self._announced:
+        if self.active and robot is not None and robot is not self._announced:
             self._announced = robot
             if urdf := corrected_urdf(robot, self._urdf):
                 self._corrected.publish(String(data=urdf))
@@ -162,12 +176,40 @@ class Corrector(ros.GuardedNode):
         self._refusal = why
         self._commander.drop()
         self._announced = None
+        self._withdraw()
+
+    def _withdraw(self) -> None:
         # a late listener must not find the URDF of a calibration that is no longer trusted
         self.destroy_publisher(self._corrected)
         self._corrected = self.create_publisher(String, "~/robot_description", ros.LATCHED)
 
     def _take_temperature(self, message: Temperature) -> None:
         self._signals.hear_temperature(message, self._now())
+
+    def _take_range(self, message: Range) -> None:
+        if 0.0 < message.range < np.inf:
+            self._ranges.append((message.header.frame_id, seconds(message.header.stamp), message.range))
+
+    def _measure_object(self, request: Any, answer: Any) -> Any:
+        """The box that rests in the gripper now."""
+        since = self._now() - (request.seconds or _SECONDS)
+        heard = [(name, at, length) for name, at, length in self._ranges if at >= since]
+        try:
+            if self._calibration is None:
+                raise BadCommand("measure_object", self._refusal, "provide a valid calibration first")
+            size, place = asked_of_box(request)
+            rays = GripperRays.of(self._calibration, self._chosen["target"])
+            readings = [
+                ReadingTrack(RAY, name, t, np.array([d for n, _, d in heard if n == name])[:, None], t)
+                for name in sorted({name for name, _, _ in heard})
+                for t in [np.array([t for n, t, _ in heard if n == name])]
+            ]
+            held = held_box(rays, readings, rests(rays, readings)[-1], rays.faces(request.faces), size)
+        except ModcalError as error:
+            answer.done, answer.message = False, str(error)
+            return answer
+        put = None if place is None else placing(held, place)
+        return fill_held_box(answer, held, put, self._calibration.calibrated.chain.base)
 
     def _take_joints(self, message: JointState) -> None:
         if self._joints is None:

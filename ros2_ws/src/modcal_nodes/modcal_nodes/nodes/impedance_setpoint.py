@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
-from lifecycle_msgs.srv import ChangeState
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
@@ -22,7 +20,7 @@ from std_srvs.srv import Trigger
 from modcal_core.articulation import frames, read
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.impedance import ArmSetpoint, Operation, Stop, Wait
-from modcal_msgs_py import ObjectInput
+from modcal_msgs_py import ObjectInput, fill_identity
 from modcal_nodes import ros
 from modcal_nodes.setpoint import (
     ArmInputs,
@@ -36,13 +34,11 @@ from modcal_nodes.setpoint import (
 
 _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes
-_RCLError = rclpy_implementation.RCLError
-
 _REST = 0.004  # s, while nothing is pulled
 _LATE = 1.5  # periods between two ticks
 
 
-class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
+class ImpedanceSetpoint(ros.StatedNode):
     """Publishes what an arm is to do while it pulls; nothing while it is inactive, and nothing that it should not."""
 
     def __init__(self) -> None:
@@ -65,9 +61,6 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         self._before = 0.0
         self._health = ros.Health(self, self._report)
         ros.follow(self, ros.IMPEDANCE_SETPOINT, self._chosen, self._check, self._restrict)
-        changes = self._service_change_state
-        self._change_state = changes.callback.callback  # without its guard: what is illegal is no fault
-        changes.callback = self.guarded_service("change_state", self._transit)
         self._action = ros.Action(self, "Pull", self._begin_pull, partial(self._let_go, "cancelled"), self._progress)
         self.create_service(Trigger, "~/pull", self._pull)
         self.create_service(Trigger, "~/stop", self._stop)
@@ -84,19 +77,11 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
             if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
                 self.trigger_activate()
 
-    def _transit(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
-        """Change the state; what cannot be done from here is answered, and nothing goes on being pulled."""
-        try:
-            response = self._change_state(request, response)
-        except _RCLError:
-            response.success = False
-        if not response.success:
-            asked, state = request.transition, self._state_machine.current_state[1]
-            said = f"transition {asked.label or asked.id} is refused in state {state}"
-            if self._operation is not None:
-                self._let_go(said)
-            self._refusals.refuse("lifecycle", f"{said}: see ~/get_available_transitions")
-        return response
+    def _refused(self, said: str) -> None:
+        """What cannot be done from here is answered, and nothing goes on being pulled."""
+        if self._operation is not None:
+            self._let_go(said)
+        self._refusals.refuse("lifecycle", f"{said}: see ~/get_available_transitions")
 
     def _check(self, new: dict[str, Any]) -> None:
         """Raises BadCommand for a change that would have no effect now, BadTable for values that cannot be."""
@@ -348,18 +333,14 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         self._operation = None
         self._tell(ros.OK if stop.done else ros.ERROR, stop.why)
         ended = ros.DONE if stop.done else ros.FAILED
-        self._action.end(ended, stop.why, opened=float(stop.opened), largest_force_n=self._largest)
+        chain = None if self._arm is None else self._arm.chain
+        about = fill_identity(ros.interface("Identity")(), chain, ["object_status"])
+        self._action.end(ended, stop.why, opened=float(stop.opened), largest_force_n=self._largest, about=about)
         self._health.publish()
 
     def _tell(self, level: bytes, said: str) -> None:
         if (level, said) != (self._level, self._said):
-            log = self.get_logger()  # of one severity a line: rclpy remembers each caller's
-            if level == ros.OK:
-                log.info(said)
-            elif level == ros.WARN:
-                log.warning(said, throttle_duration_sec=1.0)
-            else:
-                log.error(said)
+            ros.log_at(self, level, said)
         self._level, self._said = level, said
 
     def _report(self) -> list[ros.Status]:

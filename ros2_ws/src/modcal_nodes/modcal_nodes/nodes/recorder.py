@@ -23,13 +23,18 @@ _MB = 1e6
 _ROOM = "make room on the disk, or lower min_free_mb"
 
 
-class Recorder(ros.GuardedNode):
-    """Subscribes to topics as they appear, with every QoS that their publishers offer."""
+class Recorder(ros.ManagedNode):
+    """Subscribes to topics as they appear, with every QoS that their publishers offer. Each activation begins a bag."""
+
+    _bag: BagWriter
+    _bags = 0  # begun so far
+    _trouble: ModcalError | None = None
 
     def __init__(self) -> None:
-        super().__init__("recorder")
-        self._chosen = chosen = ros.declare(self, ros.RECORDER)
-        ros.follow(self, ros.RECORDER, chosen, take=self._take_parameters)
+        super().__init__("recorder", ros.RECORDER)
+
+    def _configure(self) -> None:
+        chosen = self._chosen
         optional = {self.resolve_topic_name(name) for name in chosen["optional"] if name}
         self._recorders = [
             ros.TopicRecorder(self, topic, self._take, topic not in optional, chosen["patience_s"])
@@ -37,25 +42,32 @@ class Recorder(ros.GuardedNode):
         ]
         self._early: list[ros.Taken] = []
         self._early_since = 0.0
-        self._trouble: ModcalError | None = None
         self._said: dict[str, str] = {}
         self._unheard: set[str] = set()
-        self._measured = (time.monotonic(), 0)
         self._bytes_per_second = 0.0
-        self._started = time.monotonic()
         self._base = Path(chosen["out"] or time.strftime("modcal_%Y_%m_%d-%H_%M_%S"))
-        self._free = _free_bytes(self._base)
+        self.create_service(Trigger, "~/save", self._save)
+        self.create_service(Trigger, "~/reset", self._reset)
+
+    def _activate(self) -> None:
+        self._free, self._started, self._trouble = _free_bytes(self._base), time.monotonic(), None
         if (shortage := self._shortage()) is not None:
             raise shortage
-        self._bag = BagWriter(self._base) if chosen["out"] else _next_bag(self._base)
-        self._health = ros.Health(self, self._report)
+        self._open(_next_bag(self._base) if self._bags or not self._chosen["out"] else BagWriter(self._base))
         # a simulation that stands still must not keep messages from the disk
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_SECONDS, self._tick, clock=steady)
         self.create_timer(_MEASURE_SECONDS, self._measure, clock=steady)
-        self.create_service(Trigger, "~/save", self._save)
-        self.create_service(Trigger, "~/reset", self._reset)
-        self.get_logger().info(f"recording into {self._bag.folder}")
+
+    def _open(self, bag: BagWriter) -> None:
+        """Record into this bag from now on; what is latched is true there too."""
+        self._bag, self._bags, self._measured = bag, self._bags + 1, (time.monotonic(), 0)
+        for recorder in self._recorders:
+            if recorder.type_name is not None:
+                bag.add_topic(recorder.topic, recorder.type_name, recorder.profiles())
+            for taken in recorder.kept:
+                self._take(taken._replace(received_ns=self._now()))
+        self.get_logger().info(f"recording into {bag.folder}")
 
     def _take_parameters(self) -> None:
         for recorder in self._recorders:
@@ -77,7 +89,7 @@ class Recorder(ros.GuardedNode):
             self._end(error)
 
     def _take(self, taken: ros.Taken) -> None:
-        if self._trouble is not None:
+        if self._trouble is not None or not self.active:
             return
         try:
             if not self.get_clock().ros_time_is_active:
@@ -165,7 +177,8 @@ class Recorder(ros.GuardedNode):
             )
 
     def _report(self) -> Iterator[ros.Status]:
-        yield self._bag_status()
+        if self._bags:
+            yield self._bag_status()
         complaints = [complaint for _, complaint in self._complaints()]
         said = "; ".join(c.text for c in complaints) or "everything that is needed is recorded"
         facts: dict[str, object] = {}
@@ -208,25 +221,18 @@ class Recorder(ros.GuardedNode):
         return response
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Close this bag and begin the next; what is latched is true there too."""
+        """Close this bag and begin the next."""
         try:
-            self.close()
+            self._deactivate()
             closed, count = self._bag.folder, self._bag.count
-            self._bag = _next_bag(self._base)
-            self._measured = (time.monotonic(), 0)
-            for recorder in self._recorders:
-                if recorder.type_name is not None:
-                    self._bag.add_topic(recorder.topic, recorder.type_name, recorder.profiles())
-                for taken in recorder.kept:
-                    self._take(taken._replace(received_ns=self._now()))
+            self._open(_next_bag(self._base))
             response.success = True
             response.message = f"closed {closed} with {count} messages, recording into {self._bag.folder}"
-            self.get_logger().info(f"recording into {self._bag.folder}")
         except ModcalError as error:
             self._trouble, response.message = error, str(error)
         return response
 
-    def close(self) -> None:
+    def _deactivate(self) -> None:
         """Write the bag's index and metadata; nothing, when the disk has refused before."""
         if self._bag.broken:
             return

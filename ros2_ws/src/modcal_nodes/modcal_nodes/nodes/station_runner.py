@@ -8,105 +8,63 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.clock import Clock, ClockType
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from modcal_core.errors import ModcalError
+from modcal_core.errors import BadTable, ModcalError
 from modcal_core.planning import TimedMotion
-from modcal_msgs_py import seconds, set_seconds
+from modcal_msgs_py import fill_identity, seconds, set_seconds
 from modcal_nodes import ros
 from modcal_nodes.measuring import StationSequence
 
 _NOT_REACHED = 5  # outcome of Measure: it has ended, and the accuracy is not proven
+_READINGS = {"pose": (PoseStamped, "tracker/pose"), "point": (PointStamped, "tracker/point")}
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)  # a simulated time that stands must not keep an arm from being held
 
 
-class StationRunner(ros.GuardedNode, LifecycleNode):
+class StationRunner(ros.ManagedNode):
     """Moves an arm from station to station. Nothing moves at launch, and nothing before a dry run was accepted."""
 
     def __init__(self) -> None:
-        super().__init__("station_runner")
-        self._chosen = ros.declare(self, ros.STATION_RUNNER)
+        super().__init__("station_runner", ros.STATION_RUNNER)
+
+    def _check(self, new: dict[str, Any]) -> None:
+        if new["measurement"] not in _READINGS:
+            raise BadTable(f"measurement '{new['measurement']}'", "must be pose or point", "set one of them")
+
+    def _configure(self) -> None:
+        """Begin to listen."""
         self._sequence = StationSequence(self._chosen, self._send, self._tell, self._now)
+        self.held.callback(self._sequence.close)
         self._said, self._level = "not configured", ros.OK
-        self._timer: Timer | None = None
-        self._inputs: list[ros.MonitoredSubscription] = []
-        self._refusals = ros.Refusals(self)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
-        self._health = ros.Health(self, self._report)
-        ros.follow(self, ros.STATION_RUNNER, self._chosen)
         self.create_service(Trigger, "~/dry_run", self._show_dry_run)
         self._action = ros.Action(self, "Measure", self._begin, self._cancel, self._progress)
         self.create_service(Trigger, "~/start", self._start)
         self.create_service(Trigger, "~/stop", self._stop)
-        self._auto: Timer | None = self.create_timer(0.0, self._begin_itself, clock=_STEADY)
-
-    def _begin_itself(self) -> None:
-        """Configure and activate: it listens and makes its dry run, and moves nothing."""
-        if self._auto is not None:
-            self._auto.cancel()
-            self._auto = None
-            if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-                self.trigger_activate()
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to listen."""
-        if not self._inputs:
-            pose = self._chosen["measurement"] == "pose"
-            kind, topic = (PoseStamped, "tracker/pose") if pose else (PointStamped, "tracker/point")
-            heard: list[tuple[type, str, Callable[[Any], None], Any, bool]] = [
-                (JointState, "joint_states", self._sequence.take_joints, ros.FRESH, True),
-                (kind, topic, self._take_reading, ros.FRESH, True),
-            ]
-            if self._chosen["robot_description"]:
-                self._sequence.describe(self._chosen["robot_description"])
-            else:
-                heard.append(
-                    (String, "robot_description", lambda m: self._sequence.describe(m.data), ros.LATCHED, True)
-                )
-            self._inputs = [
-                ros.MonitoredSubscription(self, k, t, self._refusals.guarded(t, f), qos, needed=needed, single=True)
-                for k, t, f, qos, needed in heard
-            ]
+        kind, topic = _READINGS[self._chosen["measurement"]]
+        heard: list[tuple[type, str, Callable[[Any], None], Any]] = [
+            (JointState, "joint_states", self._sequence.take_joints, ros.FRESH),
+            (kind, topic, self._take_reading, ros.FRESH),
+        ]
+        if self._chosen["robot_description"]:
+            self._sequence.describe(self._chosen["robot_description"])
+        else:
+            heard.append((String, "robot_description", lambda m: self._sequence.describe(m.data), ros.LATCHED))
+        self._inputs = [self.hear(*one, needed=True, single=True) for one in heard]
         self._tell(ros.OK, "waiting for the robot description and joint states")
-        return super().on_configure(state)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Check every period from here on."""
+    def _activate(self) -> None:
+        """Check every period from here on: it makes its dry run, and moves nothing."""
         self._sequence.activate()
-        self._timer = self.create_timer(1.0 / self._chosen["rate_hz"], self._tick, clock=_STEADY)
-        return super().on_activate(state)
+        self.create_timer(1.0 / self._chosen["rate_hz"], self._tick, clock=_STEADY)
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Hold the arm; a new dry run has to be accepted before it moves again."""
-        self._rest("deactivated")
-        return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the dry run; what was measured is in the folder."""
-        self._rest("cleaned up")
-        return super().on_cleanup(state)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Hold the arm."""
-        self._rest("shut down")
-        return super().on_shutdown(state)
-
-    def close(self) -> None:
-        """Hold the arm, and end."""
-        self._rest("the node is shutting down")
-        self._sequence.close()
-
-    def _rest(self, why: str) -> None:
-        self._sequence.rest(why)
+    def _deactivate(self) -> None:
+        """Hold the arm; a new dry run has to be accepted before it moves again. What was measured is in the folder."""
+        self._sequence.rest("deactivated")
         self._see_end()
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = None
 
     def _show_dry_run(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """What the arm would do first; calling ~/start after this accepts it."""
@@ -144,7 +102,9 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
         if advice is not None and advice.outcome is not None:
             ended = ros.DONE if advice.outcome.ending == "proven" or self._chosen["goal_mm"] == 0.0 else _NOT_REACHED
         proven = _known(None if advice is None else advice.status.bound)
-        self._action.end(ended, self._said, stations=self._sequence.measured, proven_m=proven)
+        about = ros.interface("Identity")()
+        fill_identity(about, self._sequence.chain, [f"tracker/{self._chosen['measurement']}"])
+        self._action.end(ended, self._said, stations=self._sequence.measured, proven_m=proven, about=about)
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = True, "held" if self._sequence.stop() else "nothing moved"
@@ -182,13 +142,7 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
 
     def _tell(self, level: bytes, said: str) -> None:
         if (level, said) != (self._level, self._said):
-            log = self.get_logger()
-            if level == ros.OK:
-                log.info(said)
-            elif level == ros.WARN:
-                log.warning(said)
-            else:
-                log.error(said)
+            ros.log_at(self, level, said)
         self._level, self._said = level, said
 
     def _report(self) -> list[ros.Status]:

@@ -26,8 +26,8 @@ _FEEDBACK = 0.2  # s
 
 
 def interface(name: str) -> Any:
-    """The message or action of that name. Raises BadTable where modcal_interfaces is not built."""
-    for kind in ("msg", "action"):
+    """The message, action or service of that name. Raises BadTable where modcal_interfaces is not built."""
+    for kind in ("msg", "action", "srv"):
         try:
             found = getattr(import_module(f"modcal_interfaces.{kind}"), name, None)
         except ImportError as error:
@@ -93,7 +93,7 @@ class Action:
         self._goal = goal
         try:
             require_version(goal.request, self.name)
-            if refusal := self._begin():
+            if refusal := self._node.idle or self._begin():
                 self.end(REFUSED, refusal)
         except ModcalError as error:
             self.end(REFUSED, str(error))

@@ -151,6 +151,7 @@ class GuardedNode(Node):
     _faults: CallbackFaults | None = None
     parameters_without_effect = ""  # what is said of those that no node knows (see declaring.py)
     most_at_once = 100  # messages of one topic before others have their turn
+    active: bool = True  # whether messages are taken; of a managed node, see lifecycle.py
     heard_by_executor = False  # whether something is subscribed to that no poller takes (see resting.py)
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -171,6 +172,11 @@ class GuardedNode(Node):
     def hurried(self) -> bool:
         """Whether it has no time to rest now (see resting.py)."""
         return False
+
+    @property
+    def idle(self) -> str:
+        """Why no service or action begins anything now; empty: they do."""
+        return ""
 
     def _now(self) -> float:
         return 1e-9 * self.get_clock().now().nanoseconds
@@ -273,7 +279,7 @@ class GuardedNode(Node):
         """A service's callback; after a fault the caller is told no."""
         if _is_guarded(callback):
             return callback
-        guarded = Guarded(self, f"service {name}", callback, _refusal)
+        guarded = Guarded(self, f"service {name}", callback, refusal)
         return guarded.awaited() if inspect.iscoroutinefunction(callback) else guarded
 
 
@@ -286,7 +292,7 @@ def _is_guarded(callback: Any) -> bool:
     return isinstance(callback, Guarded) or hasattr(callback, "guarded")
 
 
-def _refusal(request: Any, response: Any, said: str) -> Any:
+def refusal(request: Any, response: Any, said: str) -> Any:
     """An answer that says no, as far as its type can."""
     answer = type(response)()
     if hasattr(answer, "success"):

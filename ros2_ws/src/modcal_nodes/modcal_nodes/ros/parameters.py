@@ -22,16 +22,19 @@ class Parameter:
     live: bool = False
 
 
+_MANAGED = {"autostart": Parameter(True, "Whether the node configures and activates itself when it starts.")}
+
 RECORDER = {
+    **_MANAGED,
     "out": Parameter("", "Folder of the bag; must not exist. Empty: modcal_ and the time of day."),
     "topics": Parameter(
         ["joint_states", "robot_description", "tracker/pose", "tracker/point", "tracker/range", "tracker/bearing",
-         "tracker/plane", "joint_commands", "temperature", "wrench"],
+         "tracker/plane", "gripper/range", "joint_commands", "temperature", "wrench"],
         "Topics to record, relative to the node's namespace, each as soon as a publisher exists.",
     ),
     "optional": Parameter(
-        ["tracker/pose", "tracker/point", "tracker/range", "tracker/bearing", "tracker/plane", "joint_commands",
-         "temperature", "wrench"],
+        ["tracker/pose", "tracker/point", "tracker/range", "tracker/bearing", "tracker/plane", "gripper/range",
+         "joint_commands", "temperature", "wrench"],
         "Topics that may be missing without a warning.",
     ),
     "patience_s": Parameter(5.0, "Seconds without a message after which a warning is given.", 0.1, 3600.0),
@@ -41,6 +44,7 @@ RECORDER = {
 }  # fmt: skip
 
 CALIBRATOR = {
+    **_MANAGED,
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
     "delta": Parameter("", "File of a nominal Delta robot, instead of a robot_description; empty: none."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
@@ -81,6 +85,7 @@ BOARD_DETECTOR = {
 }
 
 CORRECTOR = {
+    **_MANAGED,
     "calibration": Parameter("", "Folder or file of a calibration; empty: take it from the latched topic calibration."),
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
     "delta": Parameter("", "File of a nominal Delta robot, instead of a robot_description; empty: none."),
@@ -194,6 +199,7 @@ SIMULATED_FURNITURE = {
 
 
 ACCELERATION_LIMITS = {
+    **_MANAGED,
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
     "tip": Parameter("", "Link that carries the payload; empty: the link behind most published joints."),
@@ -245,6 +251,7 @@ TRAJECTORY_SENDER = {
 }
 
 STATION_RUNNER = {
+    **_MANAGED,
     "out": Parameter("", "Folder of the session and its results; a session that is there goes on."),
     "robot_description": Parameter("", "URDF to use in place of the topic robot_description."),
     "base": Parameter("", "First link of the arm; empty: the root."),
@@ -275,6 +282,7 @@ STATION_RUNNER = {
 }
 
 ARTICULATION_ESTIMATOR = {
+    **_MANAGED,
     "input": Parameter(
         "joint_states", "Source of the handle's pose: joint_states, tool_pose, tracker/pose, tracker/point."
     ),
@@ -375,6 +383,7 @@ IMPEDANCE_SETPOINT = {
 # May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is
 # not configured.
 _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
+    "board_detector": (BOARD_DETECTOR, ""),
     "recorder": (RECORDER, "patience_s min_free_mb"),
     "calibrator": (
         CALIBRATOR,

@@ -36,6 +36,16 @@ class Status:
     values: Mapping[str, object] = field(default_factory=dict)
 
 
+def log_at(node: Node, level: bytes, said: str) -> None:
+    """Log at the severity of a status; each has a line of its own, for rclpy remembers each caller's."""
+    if level == OK:
+        node.get_logger().info(said)
+    elif level == WARN:
+        node.get_logger().warning(said, throttle_duration_sec=1.0)
+    else:
+        node.get_logger().error(said)
+
+
 class Health:
     """Publishes a node's statuses. ``report`` is asked for them."""
 
@@ -136,7 +146,7 @@ class MonitoredSubscription:
         self._last = time.monotonic()
         self._kind, self._qos = kind, qos
         self._read = _READ[kind](partial(deserialize_message, message_type=kind)) if kind in _READ else None
-        self._replaced = replaced
+        self._replaced, self._always = replaced, is_latched(qos)
         # no more than can have waited: those that come while others are taken must not hold up what comes beside
         self._most = min(node.most_at_once, qos.depth or node.most_at_once)
         self._subscriptions = [self._subscribe(topic, qos)]
@@ -169,7 +179,8 @@ class MonitoredSubscription:
         for message in messages:
             self.count += 1
             self._last = time.monotonic()
-            self._callback(message if self._read is None else self._read(message))
+            if self._node.active or self._always:
+                self._callback(message if self._read is None else self._read(message))
 
     def _mismatch(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         try:
@@ -216,8 +227,7 @@ class MonitoredSubscription:
             return ERROR, f"{self.topic}: {self.incompatible}"
         if self._single and publishers > 1:
             return WARN, f"{self.topic}: {publishers} publishers at once: give each robot a namespace, or remap"
-        latched = self._qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        if self.needed and self.silence > self.patience and not (latched and self.count):
+        if self.needed and self.silence > self.patience and not (self._always and self.count):
             level = ERROR if self.count == 0 else WARN
             if publishers == 0:
                 return level, f"{self.topic}: no node publishes it: start the driver, or remap the topic"

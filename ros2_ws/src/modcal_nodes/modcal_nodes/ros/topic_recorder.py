@@ -12,7 +12,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from functools import partial
-from importlib import import_module
 from typing import Any, NamedTuple
 
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks, UnsupportedEventTypeError
@@ -21,6 +20,7 @@ from rclpy.subscription import Subscription
 
 from modcal_msgs_py import READINGS, TYPES, learn, qos_profile
 from modcal_nodes.ros.guarded import GuardedNode, waiting
+from modcal_nodes.ros.joining import type_of
 from modcal_nodes.ros.subscriptions import ERROR, WARN
 
 # Five seconds of a fast driver may wait while this process gets no time.
@@ -193,7 +193,7 @@ class TopicRecorder:
     def _recordable(self) -> str | None:
         """The type to record, of those that are published now: the contract's, else the first that is known here."""
         expected = {type_name for role, type_name in TYPES.items() if self.topic.endswith("/" + role)}
-        known = [name for name in sorted(self._types) if learn(name, _message_class)]
+        known = [name for name in sorted(self._types) if learn(name, type_of)]
         return next((name for name in known if name in expected), known[0] if known else None)
 
     def _subscribe(self, offer: Offer) -> Subscription:
@@ -205,7 +205,7 @@ class TopicRecorder:
         assert self.type_name is not None
         make = partial(
             self._node.create_subscription,
-            _message_class(self.type_name),
+            type_of(self.type_name),
             self.topic,
             partial(self._hear, offer, box := list[Subscription]()),
             qos,
@@ -273,11 +273,3 @@ class TopicRecorder:
 
     def _count_lost(self, event: QoSMessageLostInfo) -> None:
         self._told_lost += event.total_count_change
-
-
-def _message_class(name: str) -> Any:
-    package, _, message = name.partition("/msg/")
-    try:
-        return getattr(import_module(f"{package}.msg"), message, None)
-    except ImportError:
-        return None

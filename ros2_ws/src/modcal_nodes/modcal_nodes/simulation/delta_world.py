@@ -18,9 +18,8 @@ from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots import (
     ARMS,
     AZIMUTH,
-    CONSTANTS,
-    DELTA_UNITS,
     DISTAL,
+    LEAN,
     OFFSET,
     PROXIMAL,
     RATIO,
@@ -44,28 +43,33 @@ def arm_joint(i: int) -> str:
 
 
 def delta_mjcf(true: Delta, T_tip_tool: Array, at: float, unequal: ArrayLike = 0.0) -> str:
-    """MJCF text of a Delta with these constants, drawn with all three arms at an angle ``at`` [rad].
+    """MJCF text of a Delta with these constants, drawn with arms at an angle, or carriages at a height, ``at``.
 
     unequal: by how much the right rod of each arm is longer than the left one [m]; the constants have their mean.
     Gravity is along −z of the base; the arms and rods weigh nothing, the platform ``PLATFORM_KG``.
     """
-    L1, L2 = true.constants[PROXIMAL], true.constants[DISTAL]
-    elbow = float(np.mean(true.constants[OFFSET] + L1 * np.cos(at)))
-    height = -float(np.mean(L1)) * np.sin(at) - float(np.sqrt(np.mean(L2) ** 2 - elbow**2))
+    constants, L2 = true.constants, true.constants[DISTAL]
+    arm = np.array([[0.0, 0.0, at]] * ARMS) if true.linear else np.array([[L1, 0.0, 0.0] for L1 in constants[PROXIMAL]])
+    drawn = so3.exp(np.outer(constants[LEAN] if true.linear else np.full(ARMS, at), [0.0, 1.0, 0.0]))
+    ends = np.einsum("aij,aj->ai", drawn, arm) + np.outer(
+        constants[OFFSET], [1.0, 0.0, 0.0]
+    )  # of the rods, each arm along x
+    elbow, high = ends.mean(axis=0)[[0, 2]]
+    height = float(high) - float(np.sqrt(np.mean(L2) ** 2 - elbow**2))
     inertia = f'<inertial pos="0 0 0" mass="{NO_MASS}" diaginertia="{NO_MASS} {NO_MASS} {NO_MASS}"/>'
     longer = np.broadcast_to(np.asarray(unequal, dtype=float), ARMS)
+    joint = 'type="slide" axis="0 0 1"' if true.linear else 'type="hinge" axis="0 1 0"'
     bodies, anchors, links = [], [], []
     for i in range(ARMS):
         turn = so3.exp([0.0, 0.0, true.constants[AZIMUTH, i]])
-        shoulder = se3.transform(turn, turn @ [PLATFORM_RADIUS + true.constants[OFFSET, i], 0.0, 0.0])
+        stand = turn @ drawn[i] if true.linear else turn
+        shoulder = se3.transform(stand, turn @ [PLATFORM_RADIUS + true.constants[OFFSET, i], 0.0, 0.0])
         rods = []
         for side in (-1, 1):
             name = f"rod_{i}_{'left' if side < 0 else 'right'}"
-            # nominal, each arm turned by ``at`` about its y: the rod leads from the elbow towards the platform
-            here = np.array([L1[i], side * ROD_SPACING, 0.0])
-            drawn = so3.exp([0.0, at, 0.0])
-            towards = np.array([-true.constants[OFFSET, i], side * ROD_SPACING, height])
-            way = drawn.T @ (towards - drawn @ here)
+            # the rod leads towards the platform from an arm turned by ``at`` about its y, or from a tower as it leans
+            here = np.array([0.0 if true.linear else arm[i, 0], side * ROD_SPACING, 0.0])
+            way = drawn[i].T @ ([0.0, 0.0, height] - ends[i])
             rods.append(
                 f'<body name="{name}" {placed(se3.transform(_along(way), here))}><joint type="ball"/>{inertia}'
                 f'<site name="{name}_end" pos="{L2[i] + 0.5 * side * longer[i]:.17g} 0 0"/></body>'
@@ -74,9 +78,7 @@ def delta_mjcf(true: Delta, T_tip_tool: Array, at: float, unequal: ArrayLike = 0
             anchors.append(f'<site name="{name}_anchor" pos="{text(point)}"/>')
             links.append(f'<connect site1="{name}_end" site2="{name}_anchor"/>')
         bodies.append(
-            f'<body {placed(shoulder)}><joint name="{arm_joint(i)}" type="hinge" axis="0 1 0"/>{inertia}'
-            + "".join(rods)
-            + "</body>"
+            f'<body {placed(shoulder)}><joint name="{arm_joint(i)}" {joint}/>{inertia}' + "".join(rods) + "</body>"
         )
     shaft = (
         f'<body name="{SHAFT}"><joint name="{SHAFT}" type="hinge" axis="0 0 1"/>{inertia}'
@@ -103,7 +105,7 @@ def _along(way: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-_LONGEST = 0.4  # rad, of a step towards another posture
+_LONGEST = 0.4  # rad, or carriages at a tenth of it in m, of a step towards another posture
 _SHORTEST = 1e-3  # of that, below which a platform that does not follow is stuck
 _CLOSED = 1e-12  # m, the largest gap of a closed chain
 _MAX_STEPS = 30
@@ -128,7 +130,7 @@ class DeltaWorld(Machine):
         first = float(np.clip(0.3, true.lower[:ARMS].max(), true.upper[:ARMS].min()))
         tool = true.T_tip_tool if T_tip_tool is None else T_tip_tool
         super().__init__(true.names, delta_mjcf(true, tool, first, unequal), T_tracker_base, compliance)
-        self._true = true
+        self._true, self._longest = true, 0.1 * _LONGEST if true.linear else _LONGEST
         joints = [self.model.joint(arm_joint(i)) for i in range(ARMS)] + [self.model.joint(SHAFT)]
         self._at = np.array([j.qposadr[0] for j in joints])
         driven = np.array([j.dofadr[0] for j in joints])
@@ -137,7 +139,10 @@ class DeltaWorld(Machine):
         self._lift = self.model.joint(PLATFORM).dofadr[0] + 2
         at = self.model.joint(PLATFORM).qposadr[0]
         self._platform = slice(at, at + 3)
-        self._farthest = float(true.constants[PROXIMAL].mean())  # that the platform goes in one step on its own side
+        half = 0.5 * true.constants[DISTAL]
+        self._farthest = float(
+            (half if true.linear else true.constants[PROXIMAL]).mean()
+        )  # that the platform goes in one step on its own side
         self.data.qpos[self._at[:ARMS]] = first
         self._close()
 
@@ -161,7 +166,7 @@ class DeltaWorld(Machine):
             theta[ARMS] = true.shaft_ratio * q[ARMS]
         kept = self.data.qpos.copy()
         here = kept[self._at]
-        steps = max(int(np.ceil(np.abs(theta - here)[:ARMS].max() / _LONGEST)), 1)
+        steps = max(int(np.ceil(np.abs(theta - here)[:ARMS].max() / self._longest)), 1)
         done, step = 0.0, 1.0 / steps
         while done < 1.0:
             before = self.data.qpos.copy()
@@ -224,5 +229,5 @@ def require_drivable(delta: Delta) -> None:
 
 def displaced(nominal: Delta, rng: np.random.Generator, length_std: float, angle_std: float) -> Delta:
     """A Delta as it may have been built: every constant off by these standard deviations [m; rad, and for ratios 1]."""
-    scale = np.array([length_std if DELTA_UNITS[row] == "m" else angle_std for row in range(len(CONSTANTS))])
-    return nominal.moved(scale[:, None] * rng.standard_normal((len(CONSTANTS), ARMS)))
+    scale = np.array([length_std if unit == "m" else angle_std for unit in nominal.units.values()])
+    return nominal.moved(scale[:, None] * rng.standard_normal((len(scale), ARMS)))

@@ -75,8 +75,10 @@ class Machine(ABC):
 
     def carry(self, mass: float) -> None:
         """Hang a mass [kg] at the tip, a point at its origin."""
+        here = self.data.qpos.copy()
         self.model.body_mass[self._payload] = mass + NO_MASS
-        mujoco.mj_setConst(self.model, self.data)
+        mujoco.mj_setConst(self.model, self.data)  # leaves every joint at zero, where closed chains are open
+        self.data.qpos[:] = here
 
     def bump(self, move: ArrayLike, turn: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Displace the tool by move (3,) [m] and the rotation vector turn (3,) [rad], along the axes that it had.

@@ -9,7 +9,6 @@ import numpy as np
 
 from modcal_core.correction import ArmState, Correction, Residuals, arm_state_of, known_to, residuals
 from modcal_core.measurements import Samples, SignalTrack
-from modcal_core.online import joined
 
 _MIN_GAP = 0.2  # s between readings of an arm in motion that are kept
 
@@ -59,10 +58,10 @@ class Stations:
         """
         if not self._kept:
             return None
-        calibration = correction.calibration
+        calibration, (*before, last) = correction.calibration, self._kept
         of_frame = [s.frames[int(s.frame[0])] for s in self._kept]
         strangers = tuple(sorted(set(of_frame) - set(calibration.calibrated.frames)))
-        samples = replace(known_to(calibration.calibrated, joined(list(self._kept))), signals=signals)
+        samples = replace(known_to(calibration.calibrated, last.join(*before)), signals=signals)
         if not len(samples):
             return JudgedStations(_NOTHING, _NOTHING, (), strangers)
         moments = tuple(arm_state_of(samples.select(np.array([i])), signals) for i in range(len(samples)))

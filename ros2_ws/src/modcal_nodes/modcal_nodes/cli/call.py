@@ -1,0 +1,162 @@
+"""``modcal call``: a service or an action of a running node, from a shell that has no ``ros2``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import click
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+from rclpy.action.graph import get_action_server_names_and_types_by_node
+from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.task import Future
+
+from modcal_core.errors import BadCommand, plain
+from modcal_core.files import parse_yaml, to_yaml
+from modcal_core.report import Summary, SummaryLine
+from modcal_msgs_py import fill_message, message_data
+from modcal_nodes.cli.certificate import UNMET
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.options import Decimal
+from modcal_nodes.ros import MUTUAL, interrupt, joined, passing, stopped_by, type_of
+
+_SPIN = 0.05  # s
+_KNOWN = 2.0  # s from a node's discovery, after which all that it offers is known
+_GONE = 5.0  # s without the server, after which no answer will come
+_TOLD = 2.0  # s between two lines of feedback in which only numbers have changed
+_SAID = ("outcome", "message", "success")  # of a result, in the first line
+
+
+@click.command("call")
+@click.argument("node")
+@click.argument("name", metavar="SERVICE|ACTION")
+@click.option("--goal", "written", default="{}", metavar="YAML", help="Fields of the goal, or of the request.")
+@click.option("--patience", type=Decimal(0.1), default=10.0, metavar="S", help="Time in which NODE must be found.")
+@speaking
+def call_command(node: str, name: str, written: str, patience: float, output: Output) -> int:
+    """Call a service or an action of a running NODE, and print the answer.
+
+    A name that is both is taken for the action. Its feedback is printed on stderr, and Ctrl-C cancels the goal. Exit
+    code 0: done; 3: refused, cancelled or failed; 2: there is no such node or name, or the goal does not fit its type.
+    """
+    fields = parse_yaml(written, "--goal") or {}
+    with joined(passing) as (here, turn), stopped_by(interrupt):
+        full, type_name = _found(here, turn, f"/{node.strip('/')}", name.removeprefix("~/"), patience)
+        if (kind := type_of(type_name)) is None:
+            remedy = "source the workspace that has it; in a clone run make build"
+            raise BadCommand(full, f"its type {type_name} is not installed here", remedy)
+        if "/srv/" in type_name:
+            service, request = here.create_client(kind, full), fill_message(kind.Request(), fields, "--goal")
+            result = _Server(turn, full, service.service_is_ready).answer(service.call_async(request))
+            parts = [result, *getattr(result, "results", ()), getattr(result, "result", None)]  # of many; of one
+            done = all(getattr(part, yes, True) for part in parts for yes in ("success", "successful"))
+        else:
+            action, goal = ActionClient(here, kind, full), fill_message(kind.Goal(), fields, "--goal")
+            result, done = _performed(action, _Server(turn, full, action.server_is_ready), goal)
+    names = {value: key for key, value in vars(type(result)).items() if isinstance(value, int) and "__" not in key}
+    outcome = names.get(getattr(result, "outcome", -1))
+    data = {"modcal_call": 1, "name": full, "type": type_name, "done": done, "outcome": outcome}
+    said = ": ".join(filter(None, [outcome, getattr(result, "message", "")])) or ("done" if done else "refused")
+    shown: list[str | Summary] = [SummaryLine(said, "good" if done else "bad")]
+    if rest := {key: value for key, value in _news(result).items() if key not in _SAID}:
+        shown.append(to_yaml(rest).rstrip())
+    output.result({**data, "result": message_data(result)}, shown)
+    return 0 if done else UNMET
+
+
+def _found(here: Node, turn: Callable[[float], None], node: str, name: str, patience: float) -> tuple[str, str]:
+    """Full name and type of what a node is asked for. Raises BadCommand where it is not there."""
+    space, _, leaf = node.rpartition("/")
+    offered: dict[str, str] = {}
+    end = time.monotonic() + patience
+    while time.monotonic() < end:
+        turn(_SPIN)
+        with suppress(NodeNameNonExistentError):
+            found = here.get_service_names_and_types_by_node(leaf, space or "/")
+            found += get_action_server_names_and_types_by_node(here, leaf, space or "/")
+            if found and not offered:
+                end = min(end, time.monotonic() + _KNOWN)
+            offered = {each.removeprefix(f"{node}/"): types[0] for each, types in found}
+        if name in offered:
+            return name if name.startswith("/") else f"{node}/{name}", offered[name]
+    if offered:
+        own = [each for each, kind in offered.items() if "/" not in each and not kind.startswith("rcl_interfaces")]
+        raise BadCommand(f"{node}/{name}", "is neither a service nor an action", f"there are {', '.join(sorted(own))}")
+    nodes = [f"{where.rstrip('/')}/{one}" for one, where in here.get_node_names_and_namespaces()]
+    there = ", ".join(one for one in nodes if one != here.get_fully_qualified_name()) or "none: see ROS_DOMAIN_ID"
+    raise BadCommand(node, f"no such node was found in {patience:g} s", f"there are {there}")
+
+
+class _Server:
+    """Who answers, as long as it is there."""
+
+    def __init__(self, turn: Callable[[float], None], name: str, ready: Callable[[], bool]) -> None:
+        """Wait for the server to be found, and to have found this node."""
+        self.name, self._spin, self._ready, self._seen = name, turn, ready, time.monotonic()
+        while not ready():
+            self._turn()
+        end = time.monotonic() + MUTUAL
+        while time.monotonic() < end:
+            self._turn()
+
+    def _turn(self) -> None:
+        self._spin(_SPIN)
+        if self._ready():
+            self._seen = time.monotonic()
+        elif time.monotonic() > self._seen + _GONE:
+            raise BadCommand(self.name, "its node has ended", "look at its log, and start it again")
+
+    def answer(self, future: Future, meanwhile: Callable[[], None] = lambda: None) -> Any:
+        """The result of a future. meanwhile: called at every turn. Raises BadCommand where none will come."""
+        while not future.done():
+            self._turn()
+            meanwhile()
+        return future.result()
+
+
+def _performed(client: ActionClient, server: _Server, goal: Any) -> tuple[Any, bool]:
+    """The result of an action, and whether it succeeded."""
+    asked: list[bool] = []  # for an end; whether that was passed on
+    last: tuple[float, Any] = (0.0, None)  # feedback: when, and texts in it
+
+    def stop() -> None:
+        if asked:
+            interrupt()
+        asked.append(False)
+
+    def tell(message: Any) -> None:
+        nonlocal last
+        data, now = _news(message.feedback), time.monotonic()
+        texts = [value for value in data.values() if isinstance(value, str | bool)]
+        if texts != last[1] or now > last[0] + _TOLD:
+            last = now, texts
+            click.echo(plain(", ".join(f"{key} {value}" for key, value in data.items())), err=True)
+
+    def cancel() -> None:
+        if asked == [False]:
+            asked[0] = True
+            click.echo("modcal: cancelling; Ctrl-C again leaves at once", err=True)
+            handle.cancel_goal_async()
+
+    with stopped_by(stop):
+        handle = server.answer(client.send_goal_async(goal, feedback_callback=tell))
+        if not handle.accepted:
+            raise BadCommand(server.name, "the goal is not accepted", "look at the node's log")
+        ended = server.answer(handle.get_result_async(), cancel)
+    return ended.result, ended.status == GoalStatus.STATUS_SUCCEEDED
+
+
+def _news(message: Any) -> dict[str, Any]:
+    """The fields of a message in which it says more than an empty one, numbers with six digits."""
+
+    def brief(value: Any, empty: Any) -> Any:
+        if isinstance(value, dict):
+            return {k: brief(v, empty and empty[k]) for k, v in value.items() if not empty or v not in (None, empty[k])}
+        if isinstance(value, list):
+            return [brief(one, None) for one in value]
+        return float(f"{value:.6g}") if isinstance(value, float) else value
+
+    return dict(brief(message_data(message), message_data(type(message)())))

@@ -1,0 +1,243 @@
+"""Managed nodes: the lifecycle of ROS 2, kept by the services of lifecycle_msgs, or by the node with ``autostart``.
+
+What a node hears, serves and publishes is made when it is configured. While it is not active it publishes nothing but
+its health, answers its services with a no, and takes only what is latched, which nobody would repeat. Cleaned up, it
+hears nothing; its services go on to say no until it is configured again, so that nobody waits for an answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from typing import Any
+
+from lifecycle_msgs.srv import ChangeState
+from rclpy.action import ActionServer
+from rclpy.executors import await_or_execute
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile
+
+from modcal_core.errors import ModcalError
+from modcal_nodes.ros.declaring import declare, follow
+from modcal_nodes.ros.guarded import GuardedNode, Refusals, described, refusal
+from modcal_nodes.ros.parameters import Parameter
+from modcal_nodes.ros.subscriptions import OK, WARN, Health, Status
+from modcal_nodes.ros.subscriptions import MonitoredSubscription as Monitored
+
+_HEARING, _SERVING = ("timer", "subscription", "publisher"), ("service",)
+
+
+class StatedNode(GuardedNode, LifecycleNode):
+    """A lifecycle node that answers a transition which its state does not allow; rclpy raises for it."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        changes = self._service_change_state
+        self._change_state = changes.callback.callback  # without its guard: what is illegal is no fault
+        changes.callback = self.guarded_service("change_state", self._transit)
+
+    @property
+    def state(self) -> str:
+        """Label of the present state."""
+        return str(self._state_machine.current_state[1])
+
+    def _transit(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+        try:
+            response = self._change_state(request, response)
+        except rclpy_implementation.RCLError:
+            response.success = False
+        if not response.success:
+            asked = request.transition
+            self._refused(f"transition {asked.label or asked.id} is refused in state {self.state}")
+        return response
+
+    def _refused(self, said: str) -> None:
+        """Called after a transition that was not made."""
+
+
+def _transition(name: str, act: str, refused: Any = TransitionCallbackReturn.FAILURE) -> Any:
+    """Callback of a transition, made by a method. refused: its outcome after a ModcalError or OSError."""
+
+    def transition(self: ManagedNode, _: LifecycleState) -> TransitionCallbackReturn:
+        if name != "recovery":  # from the transition that failed, which stays said
+            self._why, self._outcome = None, ""
+        try:
+            getattr(self, act)()
+        except (ModcalError, OSError) as error:
+            self._why, self._outcome = error, f"{name} failed: {described(error)}"
+            if not self._chosen["autostart"] or self.configured:  # else the node ends with this line
+                self.get_logger().error(self._outcome)
+            return refused
+        except Exception as error:
+            self._why, self._outcome = error, self.faults.note(name, error)
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    return transition
+
+
+class ManagedNode(StatedNode):
+    """Base of a managed node: parameters, health and refusals are there in every state, the rest follows the state.
+
+    A subclass makes everything else in :meth:`_configure`; what is to be closed with it goes into ``held``. Timers made
+    in :meth:`_activate` end when the node is deactivated. A ModcalError or OSError in these methods refuses the
+    transition; at a start by ``autostart`` it ends the node.
+    """
+
+    active = configured = False
+    _own: frozenset[int] | None = None  # entities of every state, by id
+
+    def __init__(self, name: str, parameters: dict[str, Parameter]) -> None:
+        super().__init__(name)
+        self._chosen = declare(self, parameters)
+        self._check(self._chosen)
+        take = lambda: self.configured and self._take_parameters()  # noqa: E731
+        follow(self, parameters, self._chosen, self._check, take)
+        self.held = ExitStack()
+        self._why: Exception | None = None  # of the last transition that failed
+        self._outcome = ""
+        self._ticking: set[Any] = set()
+        self._health = Health(self, self._statuses)
+        self._refusals = Refusals(self, self._health.publish_if_changed)
+        self._own = frozenset(id(entity) for kind in (*_HEARING, *_SERVING) for entity in getattr(self, f"{kind}s"))
+        if self._chosen["autostart"]:
+            for transition in (self.trigger_configure, self.trigger_activate):
+                if transition() != TransitionCallbackReturn.SUCCESS and self._why is not None:
+                    raise self._why
+
+    def _check(self, new: dict[str, Any]) -> None:
+        """Raises ModcalError for parameters that cannot be."""
+
+    def _take_parameters(self) -> object:
+        """Called after a change of parameters while the node is configured."""
+
+    def _configure(self) -> None:
+        """Make what the node hears, serves and publishes."""
+
+    def _activate(self) -> None:
+        """Begin; messages are taken and published from now on."""
+
+    def _deactivate(self) -> None:
+        """End what is going on; nothing is published afterwards."""
+
+    def _report(self) -> Iterable[Status]:
+        """The health of a configured node."""
+        return ()
+
+    def hear(self, kind: type, topic: str, take: Callable[[Any], None], qos: QoSProfile, **options: Any) -> Monitored:
+        """A subscription whose refusals are said and counted. options: of MonitoredSubscription."""
+        return Monitored(self, kind, topic, self._refusals.guarded(topic, take), qos, **options)
+
+    def _statuses(self) -> Iterator[Status]:
+        if self.configured:
+            yield from self._report()
+        yield Status("lifecycle", OK if self.active else WARN, self._outcome or self.state)
+
+    @property
+    def idle(self) -> str:
+        """Why nothing is begun now; empty: something can be."""
+        return "" if self.active else f"{self.get_name()} is {self.state}: activate it first"
+
+    on_configure = _transition("configure", "_configuring")
+    on_activate = _transition("activate", "_activating")
+    on_deactivate = _transition("deactivate", "_deactivating")
+    on_cleanup = _transition("cleanup", "_cleaning", TransitionCallbackReturn.ERROR)
+    on_shutdown = _transition("shutdown", "close")
+    on_error = _transition("recovery", "_cleaning", TransitionCallbackReturn.ERROR)
+
+    def close(self) -> None:
+        """End what is going on, and close what is held."""
+        try:
+            if self.active:
+                self._deactivate()
+        finally:
+            self._pause()
+            self.configured = False
+            self.held.close()
+
+    def _configuring(self) -> None:
+        for waitable in [w for w in self.waitables if isinstance(w, ActionServer)]:
+            waitable.destroy()
+        self._destroy(_SERVING)
+        try:
+            self._configure()
+        except Exception:
+            self._cleaning()
+            raise
+        self.configured = True
+
+    def _activating(self) -> None:
+        self.active, before = True, set(self.timers)
+        for publisher in self._managed_entities:
+            publisher.on_activate(None)
+        try:
+            try:
+                self._activate()
+            finally:
+                self._ticking = set(self.timers) - before
+        except Exception:
+            self._pause()
+            raise
+
+    def _deactivating(self) -> None:
+        self._deactivate()
+        self._pause()
+
+    def _pause(self) -> None:
+        self.active = False
+        for publisher in self._managed_entities:
+            publisher.on_deactivate(None)
+        for timer in self._ticking:
+            self.destroy_timer(timer)
+        self._ticking.clear()
+
+    def _cleaning(self) -> None:
+        self._pause()
+        self.configured = False
+        try:
+            self.held.close()
+        finally:
+            self.pollers.clear()
+            self._destroy(_HEARING)
+
+    def _destroy(self, kinds: Iterable[str]) -> None:
+        """Destroy what was made for the present configuration."""
+        for kind in kinds:
+            for entity in list(getattr(self, f"{kind}s")):
+                if id(entity) not in (self._own or ()):
+                    getattr(self, f"destroy_{kind}")(entity)
+
+    def _refused(self, said: str) -> None:
+        if self._why is None:
+            self._outcome = f"{said}: see ~/get_available_transitions"
+            self.get_logger().warning(self._outcome)
+        self._why = None
+        self._health.publish()
+
+    def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, *args: Any, **options: Any) -> Any:
+        """Same as in GuardedNode; what is published while the node is not active is dropped."""
+        if self._own is None:
+            return super().create_publisher(msg_type, topic, qos_profile, *args, **options)
+        options["publisher_class"] = LifecyclePublisher
+        publisher = super().create_publisher(msg_type, topic, qos_profile, *args, **options)
+        self.add_managed_entity(publisher)
+        if self.active:
+            publisher.on_activate(None)
+        return publisher
+
+    def destroy_publisher(self, publisher: Any) -> bool:
+        """Same as in Node."""
+        self._managed_entities.discard(publisher)
+        return bool(super().destroy_publisher(publisher))
+
+    def create_service(self, srv_type: Any, srv_name: str, callback: Any, *args: Any, **options: Any) -> Any:
+        """Same as in GuardedNode; while the node is not active, callers are told so."""
+
+        async def gated(request: Any, response: Any) -> Any:
+            if self.idle:
+                return refusal(request, response, self.idle)
+            return await await_or_execute(callback, request, response)
+
+        gated_or_own = callback if self._own is None else gated
+        return super().create_service(srv_type, srv_name, gated_or_own, *args, **options)
