@@ -32,11 +32,15 @@ EXACT: dict[str, Any] = {"noise_mm": 0.0, "noise_mrad": 0.0, "repeat": 0.0}
 
 @dataclass(frozen=True)
 class Stations:
-    """Postures q (m, n) [rad], times t (m,) since the session began [s], way each joint came (m, n): −1 or 1."""
+    """Postures q (m, n) [rad], times t (m,) since the session began [s], way each joint came (m, n): −1 or 1.
+
+    path: times and postures on the way; None: straight from station to station.
+    """
 
     q: Array
     t: Array
     came: Array
+    path: tuple[Array, Array] | None = None
 
 
 class Deviation:

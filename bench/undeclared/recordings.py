@@ -126,7 +126,8 @@ def make(scenario: str, robot: str, seed: int, folder: Path, stations: int = STA
     bare = not moving and rng.random() < 1 / 3
 
     def plan_of(seconds: float, count: int, begin: float) -> Plan:
-        return sites.course(cell, rng, seconds, begin) if moving else sites.point_to_point(cell.arm, rng, count, begin)
+        plan = sites.course(cell, rng, seconds, begin) if moving else sites.point_to_point(cell.arm, rng, count, begin)
+        return replace(plan, stations=replace(plan.stations, path=(plan.t, plan.q)))
 
     plan = plan_of(COURSE, stations, 0.0)
     faults = plant(cell, makers, rng, float(plan.t[-1]))

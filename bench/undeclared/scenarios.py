@@ -167,6 +167,35 @@ def approach_backlash(draw: Draw) -> Fault:
     return Fault(("backlash",), (name,), (f"direction:{name}",), f"{1e3 * play:.2f} mrad", bend)
 
 
+def hysteresis(draw: Draw) -> Fault:
+    """Friction on a spring that a cable or a flexspline is: of Bouc and Wen, or of LuGre, integrated along the path."""
+    i, size, scale = draw.joint(), draw.uniform(2e-4, 5e-4), draw.uniform(0.1, 0.7)
+    bouc, hard, beta = draw.rng.random() < 0.5, draw.uniform(1.0, 2.0), draw.uniform(0.4, 1.0)
+    begin, name = draw.uniform(-1.0, 1.0), draw.arm.names[i]
+
+    def state(s: Any) -> Array:
+        t, q = s.path or (s.t, s.q)
+        z, out, slow = begin, np.full(len(t), begin), np.diff(t)
+        for k, dx in enumerate(np.diff(q[:, i])):
+            steps = int(np.ceil(abs(dx) / (0.02 * scale)))
+            for _ in range(steps):
+                by, way = dx / steps / scale, np.sign(dx)
+                if bouc:
+                    z += by * (1.0 - abs(z) ** hard * (beta * np.sign(way * z) + 1.0 - beta))
+                else:
+                    z += by * (1.0 - way * z / (1.0 + 0.3 * np.exp(-((dx / slow[k] / 0.1) ** 2))))
+            out[k + 1] = z
+        return np.interp(s.t, t, out)
+
+    what = f"{1e3 * size:.2f} mrad over {scale:.2f} rad, {'Bouc-Wen' if bouc else 'LuGre'}"
+    return Fault(("hysteresis",), (name,), (f"path:{name}",), what, turned(i, lambda s: -size * state(s)))
+
+
+def hysteresis_moving(draw: Draw) -> Fault:
+    """The same, read in motion."""
+    return hysteresis(draw)
+
+
 def thermal_sensor(draw: Draw) -> Fault:
     """A link grows with a temperature that a sensor sees late: a warm-up under a duty that changes."""
     i, places = draw.link()
@@ -308,11 +337,12 @@ def tracker_outliers(draw: Draw) -> Fault:
 
 
 Maker = Callable[[Draw], Fault]
-MOVING = latency, joint_lag
+MOVING = latency, joint_lag, hysteresis_moving
 SINGLE: tuple[Maker, ...] = (
     compliance, compliance_all, hardening_spring, bearing_tilt, gear_harmonic, gear_harmonic_2n, encoder_eccentricity,
     load_backlash, approach_backlash, thermal_sensor, thermal_none, tripod_settling, tool_bump, wrist_coupling, latency,
     tracker_scale, hose_drag, triangular_wave, gear_ratio, axis_wobble, payload, tracker_outliers, joint_lag,
+    hysteresis, hysteresis_moving,
 )  # fmt: skip
 TWO: tuple[tuple[Maker, ...], ...] = (
     (gear_harmonic, compliance), (approach_backlash, gear_harmonic), (thermal_none, compliance),

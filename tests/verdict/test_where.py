@@ -12,11 +12,11 @@ from cells import Recorded, record, samples_of, ur10
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.stated import Stated
-from modcal_core.diagnosis.hysteresis import play
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
+from modcal_core.measurements.path import ahead
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case
 from modcal_core.verdict.drivers import PlaceDrivers
@@ -93,8 +93,8 @@ def test_a_loose_tool_falls_to_its_lower_side(made: Recorded) -> None:
 
 @pytest.mark.slow
 def test_a_joint_with_a_wide_hysteresis(made: Recorded) -> None:
-    ahead = play(made.samples, (0.8,))[2, 0]
-    text = said(with_error(made, 2, 8e-4 * ahead))
+    behind = ahead(made.samples.q, np.array([0.8]), np.arange(len(made.samples))).mean(axis=2)[:, 2, 0]
+    text = said(with_error(made, 2, 8e-4 * behind))
     assert "how elbow_joint arrived" in text
     assert "as an error of joint elbow_joint" in text
 

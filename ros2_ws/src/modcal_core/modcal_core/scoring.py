@@ -20,6 +20,7 @@ from modcal_core.calibration import (
     rejected,
     right_after_all,
     runs_of,
+    squared_residuals,
 )
 from modcal_core.claim import Claim, claim_at_tool, settled
 from modcal_core.diagnosis import located
@@ -93,9 +94,9 @@ def supported(task: Task, fits: Fits) -> Fits:
     final, alone, chose = fits.final, fits.geometric, task.sets.explain
     wrong = [rejected(fit, task.samples, task.sets.train, task.cell.distances)[chose] for fit in (alone, final)]
     counted = task.explain.select(~np.all(wrong, axis=0))
-    with_them, without = (np.sum(errors(fit.model, counted).position_norm ** 2) for fit in (final, alone))
+    left = [squared_residuals(errors(fit.model, counted), counted, alone.noise) for fit in (final, alone)]
     stated = replace(fits.diagnosis, fit=alone, causes=fits.diagnosis.causes[: len(alone.model.effects)])
-    return fits if with_them <= without else replace(fits, final=alone, diagnosis=stated, together=False)
+    return fits if left[0].sum() <= left[1].sum() else replace(fits, final=alone, diagnosis=stated, together=False)
 
 
 def scored(task: Task, fits: Fits, drawn: Task, seen_by: Fits) -> tuple[Outcome, Calibration]:

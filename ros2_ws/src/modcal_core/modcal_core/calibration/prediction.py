@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.calibration.model import Model
-from modcal_core.effects import STEPS, DriverLimits, Effect, NominalArm, Shape
+from modcal_core.effects import STEPS, DriverLimits, Effect, NominalArm, Shape, undelayed
 from modcal_core.errors import BadRecording, BadTable, MissingDriver
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
@@ -44,10 +44,13 @@ def averaged(effect: Effect, mean: Array) -> Effect:
 
 
 def driver_ranges(model: Model, samples: Samples) -> dict[str, tuple[float, float]]:
-    """Smallest and largest value, at the samples, of each temperature and signal that the model's effects go by."""
+    """Smallest and largest value, at the samples, of each temperature and signal that the model's effects go by, with
+    the lag that an effect undoes.
+    """
     drivers = model.drivers(samples)
-    names = {part for e in model.effects for part in outside_drivers(e) if part.startswith(_HEARD)}
-    return {name: (float(x.min()), float(x.max())) for name in sorted(names) if len(x := drivers.values(name))}
+    parts = [(part, min(e.lag, 0.0)) for e in model.effects for part in outside_drivers(e) if part.startswith(_HEARD)]
+    seen = {undelayed(name, lag): drivers.values(name, lag) for name, lag in sorted({*parts})}
+    return {name: (float(x.min()), float(x.max())) for name, x in seen.items() if len(x)}
 
 
 def typical_sizes(model: Model, samples: Samples) -> tuple[TypicalDriver | None, ...]:

@@ -12,7 +12,7 @@ drifts, and a tracker's scale, show in tracker frames only; a tracker's delay sh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -43,7 +43,7 @@ from modcal_core.effects import (
 )
 from modcal_core.errors import BadTable, MissingDriver, NotReachable
 from modcal_core.geometry import Array, error_transform, se3, so3
-from modcal_core.measurements import POSE, TRAVEL, Samples, SignalTrack
+from modcal_core.measurements import POSE, TRAVEL, Samples, SignalTrack, went_on
 from modcal_core.robots import Frames, Mechanism, frames, gravity_wrench, is_serial_arm, tool_frames
 
 
@@ -53,7 +53,8 @@ class ArmState:
 
     stamp: [s]. q: where the joints were reported (n,), which efforts belong to. velocity: (n,) [rad/s, m/s]. approach:
     direction each joint last moved in, −1, 0 (unknown) or 1, (n,). effort: (n,) [N m, N], NaN where unknown. signals:
-    what was received of everything else, up to now.
+    what was received of everything else, up to now. path: how far joints are ahead of followers with play, at least
+    and at most, (n, 2, widths); empty where unknown.
     """
 
     stamp: float
@@ -62,6 +63,7 @@ class ArmState:
     approach: Array
     effort: Array
     signals: tuple[SignalTrack, ...] = ()
+    path: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     @classmethod
     def at_rest(
@@ -76,7 +78,7 @@ class ArmState:
         """The moment of arrival at q (n,), straight from here: at rest, each joint from the side it comes from."""
         way = q - self.q
         approach = np.where(np.abs(way) > TRAVEL, np.sign(way), self.approach)
-        return ArmState(self.stamp, self.q, np.zeros_like(self.velocity), approach, self.effort, self.signals)
+        return replace(self, velocity=np.zeros_like(self.velocity), approach=approach)
 
     def samples(self, chain: Mechanism, postures: Array, arm: NominalArm) -> Samples:
         """Samples of postures (N, n) under these conditions, for a model to predict.
@@ -109,6 +111,7 @@ class ArmState:
             moving=np.zeros(N, bool),
             acceleration=np.zeros_like(postures),
             approach=same(self.approach),
+            path=went_on(self.path, postures - self.q) if len(self.path) else self.path,
             effort=effort,
             signals=self.signals,
         )

@@ -66,7 +66,7 @@ def residuals(model: Model, samples: Samples, noise: NoiseModel) -> Residuals:
 def arm_state_of(sample: Samples, signals: tuple[SignalTrack, ...] = ()) -> ArmState:
     """The moment at which one sample (a row) was taken, with what was received of everything else."""
     row = sample.q[0], sample.velocity[0], sample.approach[0], sample.effort[0]
-    return ArmState(float(sample.stamps[0]), *row, signals)
+    return ArmState(float(sample.stamps[0]), *row, signals, sample.path[0])
 
 
 def joint_axes(chain: Chain, q: Array) -> tuple[Array, Array]:

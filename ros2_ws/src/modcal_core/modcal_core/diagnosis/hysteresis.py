@@ -1,8 +1,4 @@
-"""What joints remember: how they arrived at each station, and hysteresis of any width.
-
-A hysteresis is a sum of play operators of different widths (Prandtl 1928, Ishlinskii 1944): each follows the joint only
-where it would otherwise lag by more than its width. A joint is taken to go straight from station to station.
-"""
+"""What stations remember: how joints arrived at each, and what slipped under an earlier load."""
 
 from __future__ import annotations
 
@@ -10,10 +6,9 @@ import numpy as np
 
 from modcal_core.effects import Drivers
 from modcal_core.geometry import Array
-from modcal_core.measurements import Samples
+from modcal_core.measurements import UNKNOWN, WIDTHS, Samples, ahead
 
-WIDTHS = (0.05, 0.15, 0.4, 0.9, 1.8)  # rad or m; half the slack
-LOADS = (0.3, 0.7, 1.3)  # of a load's spread; the same of what holds by friction
+LOADS = np.array([0.3, 0.7, 1.3])  # of a load's spread; half the slack of what holds by friction
 
 
 def last_moves(samples: Samples) -> Array:
@@ -24,34 +19,27 @@ def last_moves(samples: Samples) -> Array:
     return step
 
 
-def play(samples: Samples, widths: tuple[float, ...] = WIDTHS) -> Array:
-    """How far each joint is ahead of a follower with play, (n, widths, N) [rad, m], at most the width."""
-    return ahead(samples, samples.q.T, widths)
-
-
-def ahead(samples: Samples, numbers: Array, widths: tuple[float, ...]) -> Array:
-    """The same of any numbers (k, N) of the samples, (k, widths, N), taken to go straight from station to station."""
+def paths(samples: Samples) -> Array:
+    """The paths of the joints, (N, n, 2, widths); straight from station to station where none is known."""
+    if (samples.path != UNKNOWN).any():
+        return samples.path
     order = np.argsort(samples.stamps, kind="stable")
-    x = np.repeat(numbers.T[order, :, None], len(widths), axis=2)
-    least, most = x - widths, x + widths
-    held = np.empty_like(x)
-    now = x[0].copy()
-    for low, high, out in zip(least, most, held, strict=True):
-        np.maximum(now, low, out=now)
-        np.minimum(now, high, out=now)
-        out[...] = now
-    ahead_of = np.empty((len(numbers), len(widths), len(samples)))
-    ahead_of[..., order] = (x - held).transpose(1, 2, 0)
-    return ahead_of
+    out = np.empty_like(samples.path)
+    out[order] = ahead(samples.q[order], WIDTHS, np.arange(len(samples)))
+    return out
 
 
 def slipped(samples: Samples, loads: Array) -> Array:
     """How far loads (k, N) are ahead of followers with play of several widths, (k × widths, N), in their spreads.
 
-    What holds by friction and slips where its load grows too large (bolts, a clamp) keeps the rest.
+    What holds by friction and slips where its load grows too large (bolts, a clamp) keeps the rest. Loads are taken to
+    go straight from station to station.
     """
     size = np.maximum(loads.std(axis=1, keepdims=True), 1e-12)
-    return ahead(samples, loads / size, LOADS).reshape(-1, len(samples))
+    order = np.argsort(samples.stamps, kind="stable")
+    out = np.empty((len(loads), len(LOADS), len(samples)))
+    out[..., order] = ahead((loads / size).T[order], LOADS, np.arange(len(samples))).mean(axis=2).transpose(1, 2, 0)
+    return out.reshape(-1, len(samples))
 
 
 def moments_on_base(drivers: Drivers) -> Array:

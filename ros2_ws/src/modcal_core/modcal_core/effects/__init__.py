@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.effects.drivers import Carried, DriverLimits, Drivers, NominalArm, drivers_at, public_driver
-    from modcal_core.effects.drivers import remembered
+    from modcal_core.effects.drivers import remembered, undelayed
     from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, JOINTS, LENGTH, PAIRS
     from modcal_core.effects.effect import RADIAL, READING, RODS, SHIFT, STEPS, Effect, Knots, Term, all_columns
     from modcal_core.effects.effect import columns, is_large_move, is_move, is_turned, knots_of, motion, place_index
@@ -30,5 +30,14 @@ __all__ += ["ReportEntry", "Setting", "Shape", "ShapeKind", "Sizes", "Term", "al
 __all__ += ["carried_signals", "claimed", "columns", "companionless", "complexity", "component_names", "curve"]
 __all__ += ["curve_sizes", "drivers_at", "family_named", "is_large_move", "is_move", "is_turned", "knots_of"]
 __all__ += ["known_families", "motion", "nothing_plainer", "one_motion", "periodic", "place_index", "plain_columns"]
-__all__ += ["prior_stds", "public_driver", "put_back_first", "remembered", "require_known", "shape_columns", "unit_of"]
+__all__ += [
+    "prior_stds",
+    "public_driver",
+    "put_back_first",
+    "remembered",
+    "require_known",
+    "shape_columns",
+    "undelayed",
+    "unit_of",
+]
 __all__ += ["value", "with_companions"]

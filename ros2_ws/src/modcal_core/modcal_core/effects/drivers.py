@@ -2,10 +2,10 @@
 
 A driver has the name that people and reports use: ``position:J``, ``load:J``, ``direction:J``, ``velocity``, ``time``,
 ``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``; ``following:J`` is the commanded position less the
-measured one. Others are ways to know a load and are reported as ``load:J``: ``effort:J`` is the torque that the
-actuator itself reports, ``payload:J`` that of 1 kg at the tip, ``offset_x:J`` … what it changes by for each metre
-beside the tip, and ``moment:J`` the two components across the axis; ``clock`` is the time of
-what does not move the arm. A family may bring more.
+measured one, ``path:J`` how far the joint is ahead of followers with play. Others are ways to know a load and are
+reported as ``load:J``: ``effort:J`` is the torque that the actuator itself reports, ``payload:J`` that of 1 kg at the
+tip, ``offset_x:J`` … what it changes by for each metre beside the tip, and ``moment:J`` the two components across the
+axis; ``clock`` is the time of what does not move the arm. A family may bring more.
 
 Time goes on for as long again as the recording lasted, for a session rarely ends with it; from there it returns to the
 recording's end, so that days later nothing is extrapolated. Temperatures go on for as far again as they were seen, for
@@ -26,7 +26,7 @@ import numpy as np
 
 from modcal_core.effects.shapes import Shape, brought_kind
 from modcal_core.geometry import Array
-from modcal_core.measurements import PART, Samples, is_told, others_by_name, staircase, told_at
+from modcal_core.measurements import PART, WIDTHS, Samples, is_told, others_by_name, staircase, told_at
 from modcal_core.robots import (
     DOWN,
     HeldBehind,
@@ -66,7 +66,8 @@ class Carried:
 @dataclass(frozen=True)
 class DriverLimits:
     """watched: first and last stamp [s] of the recording, None where unknown. clock: whether stamps are times; an order
-    of rows stands still at its middle. ranges: smallest and largest value of temperatures and signals by name.
+    of rows stands still at its middle. ranges: smallest and largest value of temperatures and signals by name, and of
+    those whose lag is undone by name and lag (:func:`undelayed`).
     """
 
     watched: tuple[float, float] | None = None
@@ -85,13 +86,21 @@ class DriverLimits:
         later = stamps - last
         return np.where(later <= length, np.maximum(stamps, first), last + np.maximum(2.0 * length - later, 0.0))
 
-    def value(self, name: str, x: Array) -> Array:
-        """Values of a temperature or signal, no further than they may be continued."""
-        if name not in self.ranges:
+    def value(self, name: str, lag: float, x: Array) -> Array:
+        """Values of a temperature or signal seen through a lag, no further than they may be continued.
+
+        An undone lag goes by a slope, of which another recording may hold any: it has a range of its own.
+        """
+        if (key := undelayed(name, lag)) not in self.ranges:
             return x
-        low, high = self.ranges[name]
+        low, high = self.ranges[key]
         beyond = high - low if name.startswith("temperature:") else 0.0
         return np.clip(x, low - beyond, high + beyond)
+
+
+def undelayed(name: str, lag: float) -> str:
+    """The name under which the range of a signal with a lag is kept: its own, where no lag is undone."""
+    return f"{name} with its lag of {-lag:.3g} s undone" if lag < 0.0 else name
 
 
 _LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
@@ -270,13 +279,14 @@ class Drivers:
                 keep = np.r_[True, np.diff(t) > 0.0] & np.isfinite(x)
                 t, x = t[keep], x[keep]
                 told = not name.startswith("temperature:") and is_told(x)
-                x = x if self.arm.limits is None else self.arm.limits.value(name, x)
                 if told and lag == 0.0:
-                    return told_at(t, x, stamps, self.samples.moving)
-                if told:
+                    out = told_at(t, x, stamps, self.samples.moving)
+                elif told:
                     step = float(t[-1] - t[0]) / _MAX_POINTS
-                    return delayed(*staircase(t, x, step), lag, stamps, step)
-                return delayed(t, x, lag, stamps) if len(t) > 1 else np.full(len(self), x[0] if len(x) else 0.0)
+                    out = delayed(*staircase(t, x, step), lag, stamps, step)
+                else:
+                    out = delayed(t, x, lag, stamps) if len(t) > 1 else np.full(len(self), x[0] if len(x) else 0.0)
+                return out if self.arm.limits is None else self.arm.limits.value(name, lag, out)
         return np.zeros(len(self))
 
 
@@ -348,6 +358,8 @@ KINDS: Mapping[str, DriverKind] = {
     "reading": lambda at, _: np.ones(len(at)),
     "position": lambda at, joint: at.samples.q[:, _column(at, joint)],
     "direction": lambda at, joint: at.samples.approach[:, _column(at, joint)],
+    # of followers with play, at the least and at the most, as shares of their widths, (2 widths, N)
+    "path": lambda at, joint: (at.samples.path[:, _column(at, joint)] / WIDTHS).reshape(len(at), -1).T,
     "following": lambda at, joint: np.asarray(np.nan_to_num(at.samples.following[:, _column(at, joint)])),
     "load": _load,
     "effort": _effort,

@@ -54,6 +54,7 @@ def brought_kind(what: str, name: str) -> Any:
 Settings = Mapping[str, float]
 SPLINE_DEGREE = 3  # continuous curvature, which is what a smooth cause has
 PERIODIC = ("sine", "turn", "double")
+SLOWEST = 240.0  # s; time constant of the slowest sensor whose lag is undone: glued to the outside of a casting
 WHOLE_CYCLES = 3  # up to here an error repeats a whole number of times a turn: encoders, eccentric gears
 _FINE = 32  # of a long list of cycles, that are products of one wave with few others
 
@@ -61,12 +62,14 @@ _FINE = 32  # of a long list of cycles, that are products of one wave with few o
 @dataclass(frozen=True)
 class Setting:
     """A number of a shape. expected: how far a refined one may lie from where the scan found it before its prior minds
-    (a standard deviation); None for half of its value. unit, name: as in reports, "" for the setting's own name.
+    (a standard deviation); None for half of its value. unit, name: as in reports, "" for the setting's own name. least:
+    what a refined one cannot be below.
     """
 
     expected: float | None = None
     unit: str = "1"
     name: str = ""
+    least: float = -np.inf
 
 
 @dataclass(frozen=True)
@@ -124,8 +127,12 @@ class Shape:
         return max(0.5 * abs(self.settings[name]), 1e-3) if stated is None else stated
 
     def with_settings(self, settings: Settings) -> Shape:
-        """The same kind of shape with some settings changed."""
-        return Shape(self.kind, {**self.settings, **settings})
+        """The same kind of shape with some settings changed, none below the least that it can be."""
+        changed = {**self.settings, **settings}
+        for name, own in self.of_kind.refined.items():
+            if name in changed:
+                changed[name] = max(changed[name], own.least)
+        return Shape(self.kind, changed)
 
     def basis(self, x: Array) -> Array:
         """Basis functions (b, N) at drivers x (N,), or (c, N) for a kind that follows c drivers.
@@ -243,7 +250,7 @@ _AT = {"at": Setting(unit="s")}
 KINDS: Mapping[str, ShapeKind] = {
     "linear": ShapeKind(lambda x, _: x[None]),
     # a signal that was delayed by the setting already
-    "lagged": ShapeKind(lambda x, _: x[None], refined={"lag": Setting(unit="s")}),
+    "lagged": ShapeKind(lambda x, _: x[None], refined={"lag": Setting(unit="s", least=-SLOWEST)}),
     "several": ShapeKind(lambda x, _: x, 2),
     "product": ShapeKind(lambda x, _: np.asarray((x[0] * x[1])[None])),
     "products": ShapeKind(lambda x, _: np.asarray(x[:3] * x[3]), 3),

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from modcal_core.measurements.inspection import inspect, out_of_time
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged, efforts_at_rest
+    from modcal_core.measurements.path import UNKNOWN, WIDTHS, ahead, went_on
     from modcal_core.measurements.recording import APART, BEARING, IMPORTED, ORDER_ONLY, PART, POINT, POSE, RANGE, RAY
     from modcal_core.measurements.recording import SOCKETS, TARGETS, TOUCH, UNREAD, JointTrack, Listed, ReadingTrack
     from modcal_core.measurements.recording import Recording, SignalTrack, Stretch, following, is_told, joints_by_time
@@ -33,12 +34,13 @@ else:
 __all__ = ["APART", "BEARING", "BETWEEN", "DAY", "ELSEWHEN", "GLITCHES", "IMPORTED", "LATE_STEPS", "LEFT", "LIMIT"]
 __all__ += ["FACES", "MAX_GLITCHES", "MIN_RETURNS", "NOISE_FACTOR", "ORDER_ONLY", "PART", "POINT", "POSE", "RANGE"]
 __all__ += ["RAY", "SAME", "SECOND_DIFFERENCE", "SHARED", "SHORTEST", "SOCKETS", "TARGETS", "TOUCH", "TRAVEL"]
-__all__ += ["UNREAD", "UNUSABLE", "Box", "Scan"]
+__all__ += ["UNKNOWN", "UNREAD", "UNUSABLE", "WIDTHS", "Box", "Scan"]
 __all__ += ["Approach", "Dropped", "JointTrack", "Listed", "Origin", "ReadingTrack", "Recording", "Samples", "Schema"]
-__all__ += ["SignalTrack", "StationRules", "Stretch", "added", "after", "align", "as_recording", "averaged", "between"]
+__all__ += ["SignalTrack", "StationRules", "Stretch", "added", "after", "ahead", "align", "as_recording", "averaged"]
+__all__ += ["between"]
 __all__ += ["cleaned", "cut_stations", "dropped", "dwells_of", "efforts_at_rest", "elsewhen", "explained_by_posture"]
 __all__ += ["find_dwells", "fitted_rules", "following", "hung", "inliers", "inspect", "is_told", "joint_limits"]
 __all__ += ["joints_by_time", "joints_instead", "marks_of", "measure_box"]
 __all__ += ["moving_beside", "other_joints", "others_at", "others_by_name", "out_of_time", "posture_numbers"]
 __all__ += ["remedies_of", "require", "require_new", "require_usable", "returns", "share_of_known", "shown"]
-__all__ += ["spoken_name", "spread_rows", "staircase", "together", "told", "told_at", "unexpected"]
+__all__ += ["spoken_name", "spread_rows", "staircase", "together", "told", "told_at", "unexpected", "went_on"]

@@ -22,6 +22,7 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.path import UNKNOWN, went_on
 from modcal_core.measurements.recording import ReadingTrack
 
 # --- Some rows of many, spread evenly over them, that no raster of postures meets
@@ -272,15 +273,22 @@ TRAVEL = 5e-4  # rad or m; a joint that is this far from where it was has come f
 
 @dataclass
 class Approach:
-    """Remembers which way each joint of an arm last went. Fed with every posture, in order of time."""
+    """Remembers which way each joint of an arm last went, and its path. Fed with every posture, in order of time.
+
+    path: how far joints are ahead of followers with play, (n, 2, widths); see :mod:`modcal_core.measurements.path`.
+    """
 
     direction: Array = field(default_factory=lambda: np.empty(0))
+    path: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
+    _last: Array = field(default_factory=lambda: np.empty(0))
     _anchor: Array = field(default_factory=lambda: np.empty(0))
 
     def update(self, q: Array) -> Array:
         """The directions (n,), −1, 0 (unknown) or 1, now that the joints are at q (n,)."""
         if self._anchor.shape != q.shape:
-            self._anchor, self.direction = q.copy(), np.zeros(len(q))
+            self._anchor, self._last, self.direction = q.copy(), q, np.zeros(len(q))
+            self.path = np.tile(UNKNOWN, (len(q), 1, 1))
+        self.path, self._last = self.path_at(q), q.copy()
         way = q - self._anchor
         moved = np.abs(way) > TRAVEL
         self.direction = np.where(moved, np.sign(way), self.direction)
@@ -288,6 +296,10 @@ class Approach:
         onward = moved | (way * self.direction > 0.0)
         self._anchor = np.where(onward, q, self._anchor)
         return self.direction
+
+    def path_at(self, q: Array) -> Array:
+        """The path (n, 2, widths) once the joints have gone straight to q (n,) from where they were last."""
+        return went_on(self.path, q - self._last)
 
 
 # --- Postures that were left and come back to from another side: what shows how well an arm repeats

@@ -26,6 +26,7 @@ from modcal_core.measurements.dwells import (
 )
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.path import at_samples
 from modcal_core.measurements.recording import (
     POSE,
     ReadingTrack,
@@ -91,6 +92,7 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
         "kind": np.repeat(np.array([track.kind for track in tracks], dtype=KIND_NAMES), counts),
         "moving": moving,
         "approach": _approach(whole["stamps"], whole["q"], whole["velocity"], moving, t, q),
+        "path": at_samples(whole["stamps"], whole["q"], t, q),
         "effort": _held(whole["stamps"], moving, t, effort, rules),
         "following": following(recording.commands, names, t, q, np.concatenate([p.spans for p in pieces])),
         "signals": recording.signals,

@@ -20,6 +20,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, se3, so3, view
 from modcal_core.measurements.dwells import StationRules, spread_rows
 from modcal_core.measurements.pairing import paired_columns
+from modcal_core.measurements.path import UNKNOWN
 from modcal_core.measurements.recording import (
     ORDER_ONLY,
     PART,
@@ -81,7 +82,8 @@ class Samples:
     velocity: of the joints [rad/s, m/s], (N, n), zero in a dwell, NaN where unknown. moving: taken in motion.
 
     What led up to a sample and went on beside it, where it is known: acceleration: of the joints, (N, n), zero where
-    unknown. approach: the direction each joint last moved in, −1, 0 (unknown) or 1, (N, n). effort: torque or force of
+    unknown. approach: the direction each joint last moved in, −1, 0 (unknown) or 1, (N, n). path: how far each joint is
+    ahead of followers with play at least and at most (measurements/path), (N, n, 2, widths). effort: torque or force of
     the actuators [N m, N], (N, n), NaN where not sent. following: commanded − measured position [rad, m], (N, n), NaN
     where no command is known. signals: whole tracks of everything else that was recorded.
 
@@ -104,6 +106,7 @@ class Samples:
     moving: np.ndarray
     acceleration: Array = field(default_factory=lambda: np.empty((0, 0)))
     approach: Array = field(default_factory=lambda: np.empty((0, 0)))
+    path: Array = field(default_factory=lambda: np.empty((0, 0, 0, 0)))
     effort: Array = field(default_factory=lambda: np.empty((0, 0)))
     following: Array = field(default_factory=lambda: np.empty((0, 0)))
     signals: tuple[SignalTrack, ...] = ()
@@ -116,6 +119,8 @@ class Samples:
         for name, unknown in (("acceleration", 0.0), ("approach", 0.0), ("effort", np.nan), ("following", np.nan)):
             if getattr(self, name).shape != self.q.shape:
                 object.__setattr__(self, name, np.full(self.q.shape, unknown))
+        if self.path.shape[:2] != self.q.shape:
+            object.__setattr__(self, "path", np.broadcast_to(UNKNOWN, (*self.q.shape, *UNKNOWN.shape)))
         for name in _ARRAYS:
             object.__setattr__(self, name, view(getattr(self, name)))
 
@@ -289,7 +294,7 @@ class Samples:
         return bool(np.ptp(self.reading[rows], axis=0).max() == 0.0)
 
 
-_BY_JOINT = ("q", "velocity", "acceleration", "approach", "effort", "following")
+_BY_JOINT = ("q", "velocity", "acceleration", "approach", "path", "effort", "following")
 _ARRAYS = tuple(f.name for f in fields(Samples) if f.name not in SHARED)
 
 

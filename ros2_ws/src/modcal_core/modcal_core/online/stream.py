@@ -125,11 +125,12 @@ class _Readings:
 
 @dataclass(frozen=True)
 class _Ended:
-    """A stand that has just ended, at a stamp [s], and the approach directions (n,) of the joints."""
+    """A stand that has just ended, at a stamp [s], the approach directions (n,) and the path of the joints."""
 
     since: float
     stamp: float
     approach: Array
+    path: Array
 
 
 class SampleStream:
@@ -225,7 +226,9 @@ class SampleStream:
         """Make a sample of the present stand, if it is long enough."""
         self._average_ended(np.inf)
         if len(self._states):
-            self._average(_Ended(self._since, float(self._states.t[-1]), self._approach.direction), np.inf)
+            self._average(
+                _Ended(self._since, float(self._states.t[-1]), self._approach.direction, self._approach.path), np.inf
+            )
 
     def _watch_motion(self, stamp: float, q: Array) -> None:
         if len(self._states) < 2:
@@ -249,12 +252,15 @@ class SampleStream:
                 times = np.array([length for _, length in self._stands])
                 self._rules = fitted_rules(self._asked, times, stamp - step - self._stands[0][0])
                 self._average_ended(np.inf)
-                self._ended = _Ended(self._since, stamp - step, self._approach.direction)
+                self._ended = _Ended(self._since, stamp - step, self._approach.direction, self._approach.path)
             self._begin_stand(stamp, q)
         else:
             self._low, self._high = low, high
             if stamp - self._since >= _LONGEST:
-                self._average(_Ended(self._since, stamp, self._approach.direction), stamp - 0.5 * self._rules.window)
+                self._average(
+                    _Ended(self._since, stamp, self._approach.direction, self._approach.path),
+                    stamp - 0.5 * self._rules.window,
+                )
                 self._since = stamp - self._rules.settle  # it stands already: nothing to settle
         # last, for a stand that has just ended was approached by the motion before this one
         self._approach.update(q)
@@ -290,7 +296,8 @@ class SampleStream:
             piece = averaged(ReadingTrack(kind, frame, stamps, values, stamps), t, q, np.array([span]))
             if len(piece.q):
                 one = {name: getattr(piece, name)[0] for name in _AVERAGED}
-                self._emit(kind, frame, 0.5 * sum(span), span, **one, effort=mean, approach=ended.approach)
+                came = {"approach": ended.approach, "path": ended.path}
+                self._emit(kind, frame, 0.5 * sum(span), span, **one, **came, effort=mean)
         if len(self._ready) > before:
             self._station += 1
             self._stood = ended.stamp
@@ -338,7 +345,7 @@ class SampleStream:
         still = np.zeros(len(self.names))
         usual: dict[str, Any] = {"velocity": still, "acceleration": still, "moving": False}
         usual |= {"stamps": stamp, "station": self._station, "frame": self.frames.index(frame)}
-        usual |= {"approach": self._approach.direction}
+        usual |= {"approach": self._approach.direction, "path": self._approach.path_at(fields["q"])}
         usual |= {"following": self._commands.following(self._states.t, self._q, span)}
         arrays: dict[str, Any] = {name: np.array(value)[None] for name, value in {**usual, **fields}.items()}
         kinds = np.array([kind], dtype=KIND_NAMES)

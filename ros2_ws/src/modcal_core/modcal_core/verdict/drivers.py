@@ -17,7 +17,7 @@ from typing import cast
 import numpy as np
 
 from modcal_core.calibration import station_numbers
-from modcal_core.diagnosis import last_moves, moments_on_base, play, slipped
+from modcal_core.diagnosis import last_moves, moments_on_base, paths, slipped
 from modcal_core.effects import periodic
 from modcal_core.geometry import Array
 from modcal_core.measurements import RANGE, moving_beside, others_at, spoken_name
@@ -34,6 +34,7 @@ OTHER_JOINTS = "the positions of the other joints"
 _MAX_SIGNALS, _MAX_BESIDE, _MAX_NAMED = 40, 14, 6  # signals, other joints, names in a sentence
 _CUTS = (0.25, 0.5, 0.75)  # of the order of the stations, at which everything may have become another
 _HATS = 9  # over a range
+_WIDTHS = slice(3, None, 2)  # of followers with play, that are asked for: every other, from 3° on
 MIN_OF_FRAME, _MAX_FRAMES = 12, 6  # readings of an instrument that tell its nine numbers of scale; instruments
 
 
@@ -245,12 +246,12 @@ class PlaceDrivers:
         s, group = self.samples, "how the joints arrived and moved"
         fast = [np.nan_to_num(s.velocity).T, np.nan_to_num(s.acceleration).T] if s.moving.any() else []
         own = [self.came, self.step, *(_standard(x) for x in fast), *(np.sign(x) for x in fast[:1])]
+        followed = paths(s).mean(axis=2)[:, :, _WIDTHS]
         near = [np.sign(self.step) * np.exp(-np.abs(last_moves(s).T) / width) for width in (0.2, 0.8)]
         own += [x for x in (_standard(s.following.T), *near) if x.any()]
-        slack: Sequence[Array] = () if s.moving.any() else tuple(play(s))
         for j, name in enumerate(self.chain.names):
             number = np.stack([x[j] for x in own])
-            number = np.concatenate([number, _standard(slack[j])]) if len(slack) else number
+            number = np.concatenate([number, _standard(followed[:, j].T)])
             driver = f"how {name} arrived (backlash, friction, hysteresis)"
             yield _part(group, f"joint {name}", driver, [self.axes[j]], number)
             yield _part(group, "", "", [self.axes[j]], self.came)

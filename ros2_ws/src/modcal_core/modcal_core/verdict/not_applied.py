@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Calibration, Model, averaged, cost_of_holding, outside_drivers
-from modcal_core.effects import STEPS, Effect, NominalArm
+from modcal_core.effects import STEPS, Effect, NominalArm, undelayed
 from modcal_core.measurements import Samples
 from modcal_core.verdict.grounds import NotApplied
 
@@ -147,12 +147,14 @@ def _limits_note(model: Model, calibration: Calibration, samples: Samples) -> tu
         first, last = calibration.watched
         hours = max(float(samples.stamps.max()) - last, first - float(samples.stamps.min())) / 3600.0
         beyond.append(f"time ({hours:.1f} h away)")
-    for track in samples.signals:
-        if track.name not in parts or track.name not in limits.ranges:
+    unlimited = replace(model, arm=replace(model.arm, limits=None)) if model.arm else model
+    at = unlimited.drivers(samples)
+    for name, lag in sorted({(part, min(e.lag, 0.0)) for e in model.effects for part in outside_drivers(e)}):
+        if (key := undelayed(name, lag)) not in limits.ranges or not len(samples):
             continue
-        x, (low, high) = track.values[:, 0], limits.ranges[track.name]
-        said = f"{track.name.replace(':', ' of ', 1)} (seen {low:.3g} … {high:.3g}, here {x.min():.3g} … {x.max():.3g})"
-        if (limits.value(track.name, x) != x).any():
+        x, (low, high) = at.values(name, lag), limits.ranges[key]
+        said = f"{key.replace(':', ' of ', 1)} (seen {low:.3g} … {high:.3g}, here {x.min():.3g} … {x.max():.3g})"
+        if (limits.value(name, lag, x) != x).any():
             beyond.append(said)
         elif x.min() < low or x.max() > high:
             continued.append(said)

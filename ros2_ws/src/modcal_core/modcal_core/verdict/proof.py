@@ -40,7 +40,8 @@ _SHARES = (0.05, 0.5)  # of the squares, which everything may be expected to mak
 _OWN_SHARE = 0.5  # the same of one effect
 _LIKE = 0.5  # share of an effect's motion that a place and driver must be able to make to be asked in its place
 _HELD = 1e-3  # ridge in units of a column's square
-_IN_WORDS = {"direction": "arrived", "time": "order"}  # drivers of effects, as drivers of parts are called
+# drivers of effects, as drivers of parts are called
+_IN_WORDS = {"direction": "arrived", "path": "arrived", "time": "order"}
 
 
 class Proofs:

@@ -283,7 +283,7 @@ class Corrector(ros.ManagedNode):
         needs = self._commander.robot.correction.needs if self._commander.robot else ()
         came = self._approach.direction if len(self._approach.direction) else np.zeros(len(joints.names))
         at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()
-        return ArmState(now, *at, self._signals.tracks(needs))
+        return ArmState(now, *at, self._signals.tracks(needs), self._approach.path.copy())
 
     def _report(self) -> list[ros.Status]:
         robot, counts = self._commander.robot, self._counts

@@ -248,7 +248,7 @@ class Viewer(ros.GuardedNode):
         came = self._approach.direction if len(self._approach.direction) else np.zeros(len(joints.names))
         needs = self._robot.correction.needs if self._robot else ()
         at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()
-        return ArmState(now, *at, self._signals.tracks(needs))
+        return ArmState(now, *at, self._signals.tracks(needs), self._approach.path.copy())
 
     def _report(self) -> list[ros.Status]:
         heard = ros.tracker_status(ros.subscription_status(self._inputs), self._inputs)

@@ -5,6 +5,6 @@ explain exactly as much; files that it does not list come behind, by name.
 """
 
 ORDER = (
-    *("compliance", "payload", "gear_ratio", "gear_harmonic", "backlash", "coupling", "axis_wobble", "thermal"),
-    *("drift", "step", "latency", "joint_lag", "scale", "outliers", "unknown", "residual"),
+    *("compliance", "payload", "gear_ratio", "gear_harmonic", "backlash", "hysteresis", "coupling"),
+    *("axis_wobble", "thermal", "drift", "step", "latency", "joint_lag", "scale", "outliers", "unknown", "residual"),
 )

@@ -10,10 +10,10 @@ from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import RADIAL, Effect
 from modcal_core.effects.family import PLAIN, Family, complexity_of_shape, over_time
 from modcal_core.effects.registry import base_and_tool, growing, signals, warm_ups
-from modcal_core.effects.shapes import Shape
+from modcal_core.effects.shapes import SLOWEST, Shape
 
 NAME = "thermal"
-LAGS = (-240.0, -120.0, -60.0, -30.0, 0.0, 30.0, 60.0, 120.0, 240.0, 480.0)  # s
+LAGS = (-SLOWEST, -120.0, -60.0, -30.0, 0.0, 30.0, 60.0, 120.0, 240.0, 480.0)  # s
 
 
 def candidates(drivers: Drivers) -> Iterator[Effect]:
