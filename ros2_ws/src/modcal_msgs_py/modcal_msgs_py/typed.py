@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modcal_core.calibration import fingerprint
-from modcal_core.correction import StackPlace
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3
 from modcal_msgs_py.commands import fill_pose, require_version
@@ -22,7 +21,7 @@ from modcal_msgs_py.readings import set_nanoseconds, set_seconds
 
 if TYPE_CHECKING:
     from modcal_core.articulation import TrackerState
-    from modcal_core.correction import HeldBox, Placing
+    from modcal_core.correction import HeldBox, Placing, StackPlace
     from modcal_core.robots import Mechanism
 
 _MOST = 200_000  # values of a calibration; one of an arm with all effects has some 2 000
@@ -121,6 +120,8 @@ def asked_of_box(request: Any) -> tuple[Array, StackPlace | None]:
 
     Raises BadCommand for another version, BadTable for a place that is none.
     """
+    from modcal_core.correction import StackPlace  # what measures boxes loads slowly, and few nodes are asked
+
     require_version(request, "measure_object")
     size = np.array([request.size.x, request.size.y, request.size.z])
     if not request.place:
