@@ -98,7 +98,7 @@ class PlaceDrivers:
         self.rng = np.random.default_rng(0)
         # order in time of each sample's station, 0 … 1
         self.rank = station_numbers(rest.samples) / max(rest.samples.stations - 1, 1)
-        self.later = 1.0 * (self.rank > np.arange(1, 10)[:, None] / 10.0)  # than a tenth, two, ... of them
+        self.later = (self.rank > np.arange(1, 10)[:, None] / 10.0).astype(float)  # than a tenth, two, ... of them
         self.axes = [rest.axis(j) for j in range(self.chain.n)]
         self.base, self.tool = rest.body(0), rest.body(self.chain.tool_place)
         self.turn = np.moveaxis(rest.view.f.rotation(-1), 0, -1)  # orientations of the tip, (3, 3, N)
