@@ -107,7 +107,7 @@ def test_a_file_is_one_family_of_the_report() -> None:
     built_in = {path.stem for path in (SRC / "modcal_core/modcal_core" / FAMILIES).glob("*.py")} - {"__init__"}
     contract = {
         *("compliance", "gear_harmonic", "gear_ratio", "backlash", "coupling", "axis_wobble", "thermal", "drift"),
-        *("step", "payload", "latency", "joint_lag", "scale", "outliers", "unknown", "parallelogram"),
+        *("step", "payload", "latency", "joint_lag", "scale", "outliers", "unknown", "parallelogram", "hysteresis"),
     }
     unnamed = {"residual"}  # stands in calibration.yaml, and in no report
     assert built_in == contract | unnamed

@@ -246,7 +246,7 @@ class JointForce:
 
     @property
     def surely(self) -> Array:
-        """The wrench (6,) less what its uncertainty may be: what a hand may give way to without going astray."""
+        """The wrench (6,) less what its uncertainty may be: what a hand may yield to without going astray."""
         out = self.wrench.copy()
         for part, times in ((slice(0, 3), _LIKELY), (slice(3, 6), _SURE)):
             size, deviation = self._size(part)
