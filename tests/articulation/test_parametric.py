@@ -74,7 +74,7 @@ def test_without_packages_nothing_has_changed(
     seen = noisy(ideal(kind, np.linspace(0.0, reach, 60), rng, 0.4, 0.08), rng, 1e-3, 0.005)
     found = choose(Track(seen.positions, seen.rotations if oriented else None))
     assert list(found.probabilities) == ["rigid", "prismatic", "revolute", "screw"]
-    assert list(found.probabilities.values()) == pytest.approx(list(probabilities), rel=1e-4)
+    assert list(found.probabilities.values()) == pytest.approx(list(probabilities), rel=1e-4, abs=1e-6)
     assert found.fit.log_likelihood == pytest.approx(log_likelihood, rel=1e-6)
     assert list(found.fits) == list(found.probabilities)
 

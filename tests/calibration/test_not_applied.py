@@ -92,11 +92,11 @@ def test_time_goes_on_for_a_session_and_stands_still_days_later() -> None:
     assert held.time(t).tolist() == [100.0, 100.0, 150.0, 200.0, 250.0, 300.0, 250.0, 200.0, 200.0]
     fine = np.linspace(0.0, 600.0, 6001)
     assert np.abs(np.diff(held.time(fine))).max() < 0.11, "a command never jumps"
-    assert held.value("temperature:arm", t).tolist() == t.tolist()
-    assert DriverLimits(ranges={"x": (1.0, 2.0)}).value("x", np.array([0.0, 1.5, 3.0])).tolist() == [1.0, 1.5, 2.0]
+    assert held.value("temperature:arm", 0.0, t).tolist() == t.tolist()
+    assert DriverLimits(ranges={"x": (1.0, 2.0)}).value("x", 0.0, np.array([0.0, 1.5, 3.0])).tolist() == [1.0, 1.5, 2.0]
     warm = DriverLimits(ranges={"temperature:arm": (20.0, 30.0)})
     # for as far again as was seen
-    assert warm.value("temperature:arm", np.array([5.0, 15.0, 25.0, 39.0, 60.0])).tolist() == [
+    assert warm.value("temperature:arm", 0.0, np.array([5.0, 15.0, 25.0, 39.0, 60.0])).tolist() == [
         10.0,
         15.0,
         25.0,

@@ -14,7 +14,7 @@ from modcal_core.planning import CRITERIA, DESIGNS, site_from_data, with_limits
 from modcal_core.robots import delta_from_data, forward
 from modcal_nodes.io.inputs import read_cell
 
-PROGRAMS = {"robots": 3, "acceleration_limits": 2, "delta": 2, "instruments": 2, "sensitivity": 2, "planning": 1}
+PROGRAMS = {"robots": 3, "acceleration_limits": 2, "delta": 2, "instruments": 1, "sensitivity": 2, "planning": 1}
 
 
 def page(name: str) -> str:
