@@ -59,7 +59,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "tests": (48610, 33540),
 }
 SOURCE = (93000, 60900)
-TEXT = 180200  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+TEXT = 180800  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 77
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

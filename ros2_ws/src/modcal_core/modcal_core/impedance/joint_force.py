@@ -43,8 +43,8 @@ _GOOD = 0.03  # of the full effort may be left of single joints, else friction b
 _FLOOR = 0.005  # of the full effort: torque sensors are no better when postures and loads change
 _MODEL = 0.01  # of the full effort: what masses off by 10 % and torque constants by 5 % leave once they were learned
 _TWICE = math.sqrt(2.0)  # a force is a difference of two readings
-# N, N m: what no pull comes to; a grasp that is fixed takes up half of the moment that is allowed
-_PRIOR = np.diag([200.0**-2.0] * 3 + [10.0**-2.0] * 3)
+# N, N m: what no pull comes to; a hand holds a handle some centimetres off its middle at most
+_PRIOR = np.diag([200.0**-2.0] * 3 + [3.0**-2.0] * 3)
 _CUTOFF = 30.0  # Hz, as the wrench is smoothed by default
 _EVERY = 8  # readings after which weight and levers are looked up again: 2 mm of the fastest pull
 _SLIDES = 3e-3  # rad/s or m/s at which half of a joint's friction is sure to act against its speed
