@@ -24,7 +24,7 @@ from modcal_nodes.setpoint.arm_inputs import ArmInputs
 
 CHOSEN: dict[str, Any] = {
     "base": "", "tip": PANDA.tip, "wrench_frame": "", "tool_mass": 0.0, "tool_centre": [0.0, 0.0, 0.0],
-    "cutoff_hz": 20.0, "wrench_by_tool": False, "timeout_s": 0.1, "calibrated": False,
+    "cutoff_hz": 20.0, "wrench": "sensor", "wrench_by_tool": False, "timeout_s": 0.1, "calibrated": False,
 }  # fmt: skip
 
 
@@ -33,11 +33,11 @@ def _heard(joints: float, wrench: float) -> ArmInputs:
     inputs = ArmInputs(URDF, CHOSEN)
     state = JointState(name=list(PANDA.names), position=READY.tolist())
     set_seconds(state.header.stamp, joints)
-    inputs.take_joints(state, joints)
+    inputs.take_joints(state, joints, pulls=False)
     force = WrenchStamped()
     force.header.frame_id = PANDA.tip
     set_seconds(force.header.stamp, wrench)
-    inputs.take_wrench(force, wrench)
+    inputs.take_wrench(force, wrench, pulls=False)
     return inputs
 
 
@@ -55,7 +55,7 @@ def test_a_wrist_that_has_never_spoken_is_no_force_sensor() -> None:
     inputs = ArmInputs(URDF, CHOSEN)
     state = JointState(name=list(PANDA.names), position=READY.tolist())
     set_seconds(state.header.stamp, 10.0)
-    inputs.take_joints(state, 10.0)
+    inputs.take_joints(state, 10.0, pulls=False)
     with pytest.raises(BadCommand, match="wrench"):
         inputs.require_fresh(10.0)
 
