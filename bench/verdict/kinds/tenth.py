@@ -175,7 +175,7 @@ S(pick(1, -1), joint(lambda c: 2e-3 * (c.t > 200.0)), 120, rows(lambda c: c.rows
 # memory
 K("joint_remembers_its_turns", "plays of three widths add up in one joint", J)
 S(pick(1, -1), joint(lambda c: 1.6e-4 * sum(play(c.x, w) / w for w in (0.2, 0.6, 1.2))), 130)
-K("joint_creeps_under_load", "a joint gives way to its load in 15 s", J, LOAD)
+K("joint_creeps_under_load", "a joint yields to its load in 15 s", J, LOAD)
 S(pick(1, 3), joint(lambda c: -6e-4 * relaxed(c.t, loaded(c), 15.0)), 130)
 K("rubber_under_the_target", "the target leans by its weight, ten seconds late", TARGET, no=ALL)
 S(

@@ -173,7 +173,7 @@ class ToolForce:
         return min(bounds, default=math.nan)
 
     def overload(self) -> BadCommand | None:
-        """Why to let go: what the efforts may leave unsaid is beyond the limit with what they say; None where not."""
+        """Why to let go: what the efforts may leave unsaid is beyond the limit with what they say, or None."""
         size = math.sqrt(self.felt[:3] @ self.felt[:3]) + self.unsure
         if not self.by_efforts or size <= self.limits.force:
             return None

@@ -23,7 +23,7 @@ _ANGLES = ("deg", "rad", "gon")
 _MAX_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees or gon
 _VECTOR = 2e-3  # by which a direction's length may be off: exports have three digits
 _WORDS = {RANGE: "distances", BEARING: "directions", TOUCH: "heights above a plane", RAY: "rays of the gripper"}
-_JUDGED = 2  # rays that are judged, those with most readings: each is located anew in every trial
+_JUDGED = 2  # rays that are judged, those with most readings: each is located again in every trial
 _FRAMES = {RANGE: "anchor", BEARING: "station", TOUCH: "plane"}
 _EMPTY = words("angle to sensor reading above x ux dx nx direction dir u unit vector")  # of an instrument
 
