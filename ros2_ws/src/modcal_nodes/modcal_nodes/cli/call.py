@@ -85,8 +85,8 @@ def _found(here: Node, turn: Callable[[float], None], node: str, name: str, pati
     if offered:
         own = [each for each, kind in offered.items() if "/" not in each and not kind.startswith("rcl_interfaces")]
         raise BadCommand(f"{node}/{name}", "is neither a service nor an action", f"there are {', '.join(sorted(own))}")
-    nodes = [f"{where.rstrip('/')}/{one}" for one, where in here.get_node_names_and_namespaces()]
-    there = ", ".join(one for one in sorted(nodes) if one != here.get_fully_qualified_name()) or "none: see ROS_DOMAIN_ID"
+    nodes = sorted(f"{where.rstrip('/')}/{one}" for one, where in here.get_node_names_and_namespaces())
+    there = ", ".join(one for one in nodes if one != here.get_fully_qualified_name()) or "none: see ROS_DOMAIN_ID"
     raise BadCommand(node, f"no such node was found in {patience:g} s", f"there are {there}")
 
 
