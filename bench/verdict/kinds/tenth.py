@@ -89,7 +89,7 @@ def meanwhile(c: Scene, order: Array, when: Of) -> None:
 
 
 def smoothed_joint(c: Scene, seconds: float) -> Any:
-    """The plan with the reported position of the joint that was drawn behind a filter."""
+    """The plan with the reported position of the chosen joint behind a filter."""
     return replace(c.plan, q=placed(c.plan.q, np.s_[:, c.i], relaxed(c.plan.t, c.plan.q[:, c.i], seconds)))
 
 

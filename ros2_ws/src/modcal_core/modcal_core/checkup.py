@@ -28,8 +28,8 @@ from modcal_core.moves import (
     in_known_frames,
     named,
     new_frames,
+    newly_placed,
     noticed,
-    placed_anew,
     repaired,
     require_accounted,
     search,
@@ -146,7 +146,7 @@ def checkup(
     inside = _where_curves_are_known(calibration, samples)
     part = calibration.with_scatter(spread_out(inside, MAX))
     try:
-        found = search(model, part, knowledge, placed_anew(part, new))
+        found = search(model, part, knowledge, newly_placed(part, new))
     except np.linalg.LinAlgError:  # so far apart that their likelihoods cannot be weighed
         raise BadRecording(
             "readings",

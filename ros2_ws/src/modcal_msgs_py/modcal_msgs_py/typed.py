@@ -48,7 +48,7 @@ def fill_change(message: Any, data: Mapping[str, Any]) -> Any:
 
 
 def fill_identity(message: Any, chain: Mechanism | None, observers: Sequence[str]) -> Any:
-    """An Identity of the arm that is described, None where none is, and of who looks at it."""
+    """An Identity of the described arm, which may be None, and of who looks at it."""
     if chain is not None:
         message.robot, message.base, message.tip = fingerprint(chain), chain.base, chain.tip
     message.observers = list(observers)

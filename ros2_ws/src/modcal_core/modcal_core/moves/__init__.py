@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_core.moves.history import Series, Values, series_of, values_of
     from modcal_core.moves.known import PATTERN, BeyondRanges, beyond_ranges, frozen, in_known_frames, new_frames
-    from modcal_core.moves.known import pattern_of, placed_anew, repaired, require_accounted, spread_out
+    from modcal_core.moves.known import pattern_of, newly_placed, repaired, require_accounted, spread_out
     from modcal_core.moves.known import with_new_frames
     from modcal_core.moves.naming import UNTRIED, NamedChange, Noticed, Recommendation, SizeFound, advise
     from modcal_core.moves.naming import alike_everywhere, named, noticed
@@ -28,8 +28,7 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["BASE", "FRAME", "LENGTH", "LOAD", "PATTERN", "PAYLOAD", "TOOL", "UNTRIED", "ZERO", "BeyondRanges"]
-__all__ += ["CheckState", "FoundChanges", "FrozenKnowledge", "MoveSearch", "NamedChange", "Noticed"]
-__all__ += ["Recommendation", "Series", "SizeFound", "Values", "advise", "alike_everywhere", "beyond_ranges"]
-__all__ += ["find_regimes", "frozen", "hypotheses", "in_known_frames", "moves_of", "named", "new_frames", "noticed"]
-__all__ += ["pattern_of", "placed_anew", "repaired", "require_accounted", "search", "series_of", "spread_out"]
-__all__ += ["values_of", "with_new_frames"]
+__all__ += ["CheckState", "FoundChanges", "FrozenKnowledge", "MoveSearch", "NamedChange", "Noticed", "Recommendation"]
+__all__ += ["Series", "SizeFound", "Values", "advise", "alike_everywhere", "beyond_ranges", "find_regimes", "frozen"]
+__all__ += ["hypotheses", "in_known_frames", "moves_of", "named", "new_frames", "newly_placed", "noticed", "pattern_of"]
+__all__ += ["repaired", "require_accounted", "search", "series_of", "spread_out", "values_of", "with_new_frames"]

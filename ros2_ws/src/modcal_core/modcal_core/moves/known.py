@@ -142,7 +142,7 @@ def with_new_frames(calibration: Calibration, applied: Model, samples: Samples, 
     return replace(calibration, nominal=nominal, calibrated=calibrated, geometric=geometric, uncertainty=known)
 
 
-def placed_anew(samples: Samples, new: tuple[str, ...]) -> tuple[CellChange, ...]:
+def newly_placed(samples: Samples, new: tuple[str, ...]) -> tuple[CellChange, ...]:
     """What is given of these frames: each stands elsewhere than at its first guess."""
 
     def motions(name: str) -> tuple[GeometryMotion, ...]:

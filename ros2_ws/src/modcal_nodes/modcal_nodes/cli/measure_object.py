@@ -45,7 +45,7 @@ class HeldOptions(TopicOptions):
 
     @property
     def place(self) -> StackPlace | None:
-        """Where the box shall stand; None where nobody asks."""
+        """Where the box shall stand, or None."""
         if self.stack is None:
             return None
         spread = np.diag(np.repeat([1e-3 * self.stack_mm, np.radians(self.stack_deg)], 3) ** 2)
