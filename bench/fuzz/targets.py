@@ -353,11 +353,15 @@ def make_images(rng: Rng) -> tuple[Any, Any, Any]:
     image = SimpleNamespace(**about, step=step, encoding=encoding, is_bigendian=0, data=data)
     names, fields = [*(CORNER.names or ()), "x"], []
     for i, name in enumerate(names):
-        said, offset = str(rng.choice(names)) if rng.random() < 0.1 else name, pick(4 * i, 4 * i, 4 * i, 1000, -4)
-        kind = 6 if rng.random() < 0.1 or name.startswith(("id", "image")) else 7
+        said = str(rng.choice(names)) if rng.random() < 0.05 else name
+        offset = pick(1000, -4) if rng.random() < 0.05 else 4 * i
+        kind = 6 if rng.random() < 0.05 or name.startswith(("id", "image")) else 7
         fields.append(SimpleNamespace(name=said, offset=offset, datatype=kind))
     about |= {"width": pick(0, 1, 4, 170, -1), "height": 1, "point_step": pick(0, 4, 24, 24, 24, 10**9)}
-    cloud = SimpleNamespace(**about, fields=fields, is_bigendian=False, data=data.tobytes())
+    corners = np.ones(4, CORNER)
+    corners["id"] = rng.integers(0, 9, 4)
+    held = corners.tobytes() if rng.random() < 0.5 else data.tobytes()
+    cloud = SimpleNamespace(**about, fields=fields, is_bigendian=False, data=held)
     numbers = rng.choice([0.0, 1.0, 500.0, np.nan, np.inf, -3.0], pick(9, 9, 0, 4))
     model = str(rng.choice(["plumb_bob", "fisheye"]))
     return image, cloud, SimpleNamespace(width=width, height=height, k=numbers, d=numbers[:5], distortion_model=model)

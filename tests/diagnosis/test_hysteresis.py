@@ -7,22 +7,21 @@ from dataclasses import replace
 import numpy as np
 from cells import record
 
-from modcal_core.diagnosis.hysteresis import WIDTHS, play
+from modcal_core.diagnosis.hysteresis import paths
+from modcal_core.measurements import WIDTHS
 
 
 def test_a_follower_moves_only_where_it_would_lag_by_more_than_its_play() -> None:
     samples = record(5, 60).samples
     rng = np.random.default_rng(2)
     samples = replace(samples, stamps=rng.permutation(samples.stamps))  # stations in any order
-    found = play(samples)
+    found = paths(samples).mean(axis=2)
     order = np.argsort(samples.stamps)
     for j in range(samples.q.shape[1]):
         for w, width in enumerate(WIDTHS):
-            follower = float(samples.q[order[0], j])
+            followers = samples.q[order[0], j] + np.array([width, -width])
             for k in order:
                 x = float(samples.q[k, j])
-                if x - follower > width:
-                    follower = x - width
-                elif follower - x > width:
-                    follower = x + width
-                assert abs(found[j, w, k] - (x - follower)) < 1e-12
+                for i in range(2):
+                    followers[i] = min(max(followers[i], x - width), x + width)
+                assert abs(found[k, j, w] - (x - followers.mean())) < 1e-12

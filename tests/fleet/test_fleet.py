@@ -45,9 +45,10 @@ def address() -> Iterator[str]:
     import dask
     from distributed import LocalCluster
 
-    # a recording that kills its worker is given up after the second, not the fourth: each takes seconds to start
+    # a recording that kills its worker is given up after the second, not the fourth: each takes seconds to start, and
+    # one that is killed while it starts may never come back, so there are two
     with dask.config.set({"distributed.scheduler.allowed-failures": 1}), LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", host="127.0.0.1"
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", host="127.0.0.1"
     ) as cluster:  # fmt: skip
         yield cluster.scheduler_address
 

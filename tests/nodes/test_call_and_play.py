@@ -86,7 +86,7 @@ def test_a_bag_that_is_played_gives_the_report_of_the_bag(tmp_path: Path) -> Non
         assert (code, out) == (3, "no folder: set the parameter state\n")
         for words, why in {
             ("calibrator", "solv"): "there are accept, change_state, check, ",
-            ("calibratr", "solve", "--patience=1"): "there are /calibrator",
+            ("calibratr", "solve", "--patience=4"): "there are /calibrator",
             ("calibrator", "solve", "--goal={versio: 1}"): "give some of {version: uint32}",
             ("calibrator", "solve", "--goal={version: -1}"): "-1 is no uint32",
         }.items():
