@@ -17,7 +17,6 @@ from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml
 from modcal_core.schema import require
 from modcal_msgs_py.tables.convert import SCHEMA
-from modcal_nodes.cli.main import run
 
 ROWS = "t;a;b;x;y;z;r;p;w\n" + "".join(f"{t};0,{t};0,2;1,0;2,0;3,{t};0,1;0,2;0,3\n" for t in range(1, 9))
 MAPPING: dict[str, Any] = {
@@ -92,12 +91,6 @@ def test_mappings_that_say_what_cannot_be(path: str, value: Any, said: str, tmp_
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(changed(path, value)))
     refused(["import", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "bag")], re.escape(said))
     assert not (tmp_path / "bag").exists()
-
-
-def test_the_mapping_itself_is_imported(tmp_path: Path) -> None:
-    (tmp_path / "rows.csv").write_text(ROWS)
-    (tmp_path / "m.yaml").write_text(yaml.safe_dump(MAPPING))
-    assert run(["import", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "bag")]) == 0
 
 
 @pytest.mark.parametrize("cell", ["nan", "inf", "1e300", "-5", "", "9e9"])

@@ -81,11 +81,3 @@ def test_a_report_is_traced_back_to_its_recording(folder: Path) -> None:
     lines = "".join(f"{hashlib.sha256(p.read_bytes()).hexdigest()}  {p.name}\n" for p in listed)
     assert trace["bag_sha256"] == hashlib.sha256(lines.encode()).hexdigest()
     assert digest(listed[0]) == hashlib.sha256(listed[0].read_bytes()).hexdigest()
-
-
-def test_two_runs_write_the_same_bytes_and_no_tolerance_ends_with_0(folder: Path, tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        assert run(["evaluate", str(folder / "a"), str(folder / "bag"), "--out", str(tmp_path / name)]) == 0
-    for name in ("report.json", "report.html"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-    assert report(tmp_path / "a")["tolerance"] is None

@@ -15,15 +15,10 @@ from camera.boards import BOARD, facing, views
 from cells import record
 from geometry_msgs.msg import PoseStamped
 from nodes.in_process import spun
-from nodes.processes import ROOT
 from sensor_msgs.msg import JointState
 
 from modcal_core.camera.target_file import scale_of_rulers
 from modcal_core.errors import BadTable
-from modcal_core.loop import calibrate
-from modcal_core.measurements.recording import SignalTrack
-from modcal_core.measurements.samples import Samples
-from modcal_core.report.report import calibration_files
 from modcal_msgs_py.readings import set_seconds
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.state import (
@@ -36,27 +31,6 @@ from modcal_nodes.calibrating.state import (
     write_state,
 )
 from modcal_nodes.nodes.calibrator import Calibrator
-
-
-@pytest.mark.slow
-def test_state_comes_back(tmp_path: Path) -> None:
-    cell = record(3, 60)
-    track = SignalTrack("temperature:arm", np.arange(5.0), np.arange(5.0)[:, None], "/temperature")
-    samples = Samples(**{**vars(cell.samples), "signals": (track,)})
-    result = calibrate(samples, cell.world.nominal, np.random.default_rng(0), look_for_effects=False)
-    urdf = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
-    files = calibration_files(result.calibration, result.report, cell.world.nominal, urdf)
-    write_state(tmp_path / "state", State(result.calibration, files, samples))
-    back = read_state(tmp_path / "state")
-    q = np.random.default_rng(1).uniform(-1.5, 1.5, (10, 6))
-    assert (back.calibration.calibrated.predict(q) == result.calibration.calibrated.predict(q)).all()
-    for name, value in vars(samples).items():
-        kept = getattr(back.samples, name)
-        if isinstance(value, np.ndarray):
-            assert np.array_equal(kept, value, equal_nan=value.dtype.kind == "f"), name
-    assert back.samples.signals[0].name == track.name
-    assert (back.samples.signals[0].values == track.values).all()
-    assert back.files["calibration.yaml"] == files["calibration.yaml"]
 
 
 def test_damaged_stations_are_refused(tmp_path: Path) -> None:

@@ -106,14 +106,6 @@ def test_orientations_that_drift_alone_are_open() -> None:
 
 
 @pytest.mark.slow
-def test_orientation_alone_can_be_open() -> None:
-    stated = Stated(repeatability_mm=0.05, instrument_mm=0.05, repeatability_deg=0.0005, instrument_deg=0.0005)
-    judged = verdict_of(visited(3, 80, 0), stated)
-    assert judged.status == "open"
-    assert all("Orientation" in said for said in judged.open_because)
-
-
-@pytest.mark.slow
 def test_readings_of_a_mixed_up_orientation_are_never_calm() -> None:
     """Every third quaternion conjugated: large orientation residuals on a sound position."""
     samples = visited(7, 100, 8)
