@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from modcal_core.calibration.noise import NoiseModel
 from modcal_core.claim.beyond import growth
 from modcal_core.claim.claim import expected_claim
 from modcal_core.claim.evidence import _values, draw, widths_of_links
-from modcal_core.claim.neighbourhood import LENGTH, arms_near, shows_base
+from modcal_core.claim.neighbourhood import LENGTH, Neighbourhood, arms_near, shows_base
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.kinds.kind import KIND_NAMES
@@ -27,6 +28,13 @@ from modcal_core.verdict.tolerance import Asked
 
 def calibrated(samples: Samples) -> Solution:
     return calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)
+
+
+@cache
+def near(seed: int, count: int, length: float = 5e-4, angle: float = 1e-3) -> Neighbourhood:
+    """The arms that are likely after readings of points."""
+    samples = record(seed, count, "point", length_std=length, angle_std=angle).samples
+    return arms_near(calibrated(samples).calibration.calibrated, ur10(), samples, Cell(), functions=False)
 
 
 def postures(samples: Samples, count: int = 300) -> Array:
@@ -156,21 +164,14 @@ def test_what_is_left_grows_outside_where_it_is_smooth_and_noise_does_not() -> N
 
 
 def test_arms_that_are_farther_off_are_found_to_be() -> None:
-    def width(length: float, angle: float) -> float:
-        cell = record(5, 60, "point", length_std=length, angle_std=angle)
-        fitted = calibrated(cell.samples).calibration.calibrated
-        about = arms_near(fitted, ur10(), cell.samples, Cell(), functions=False)
-        return float(np.median(list(widths_of_links(about).values())))
-
-    usual, far = width(5e-4, 1e-3), width(2e-3, 4e-3)
+    both = near(5, 60), near(5, 60, 2e-3, 4e-3)
+    usual, far = (float(np.median(list(widths_of_links(about).values()))) for about in both)
     assert 0.5 < usual < 2.0
     assert far > 2.0 * usual
 
 
 def test_draws_of_given_widths_are_those_of_the_posterior_written_out() -> None:
-    cell = record(7, 40, "point")
-    fitted = calibrated(cell.samples).calibration.calibrated
-    about = arms_near(fitted, ur10(), cell.samples, Cell(), functions=False)
+    about = near(7, 40)
     D, noise = 1.3 * about.std, np.array([1.1])
     _, drawn = _values(about, D, noise, 20_000, np.random.default_rng(0))
     C = np.linalg.inv(about.H[0] / 1.1**2 + np.diag(D**-2.0))
@@ -184,9 +185,7 @@ def test_draws_of_given_widths_are_those_of_the_posterior_written_out() -> None:
 
 def test_without_readings_widths_are_those_expected_and_with_them_the_noise_is_found() -> None:
     """The sampler by itself, of a model that says nothing, and of one that says all."""
-    cell = record(7, 40, "point")
-    fitted = calibrated(cell.samples).calibration.calibrated
-    about = arms_near(fitted, ur10(), cell.samples, Cell(), functions=False)
+    about = near(7, 40)
     silent = replace(about.unread(), H=0.0 * about.H, square=0.0 * about.square, rows=0.0 * about.rows)
     drawn = [draw(silent, 120, np.random.default_rng(seed)).widths[:, about.place >= 0] for seed in range(8)]
     logs = np.log(np.concatenate(drawn))
@@ -198,9 +197,7 @@ def test_without_readings_widths_are_those_expected_and_with_them_the_noise_is_f
 
 
 def test_noise_of_a_few_readings_that_a_fit_met_exactly_is_as_usual() -> None:
-    cell = record(4, 30, "point")
-    fitted = calibrated(cell.samples).calibration.calibrated
-    about = arms_near(fitted, ur10(), cell.samples, Cell(), functions=False)
+    about = near(4, 30)
     few = replace(about, square=np.zeros(1), rows=np.array([6.0]), g=0.0 * about.g, H=0.0 * about.H)
     assert 0.2 < float(draw(few, 120, np.random.default_rng(1)).noise[0] / about.usual[0]) < 1.5
 

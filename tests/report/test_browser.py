@@ -6,18 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from report.browser import Page, browser
+from report.browser import Page
 from report.test_page import page
 
 pytestmark = pytest.mark.slow
 
 HIDDEN = "getComputedStyle(document.querySelector({0!r})).display === 'none'"
-
-
-@pytest.fixture(scope="module")
-def tab() -> Iterator[Page]:
-    with browser() as opened:
-        yield opened
 
 
 @pytest.fixture

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from articulation.objects import Seen, ideal, noisy
-from report.browser import Page, browser
+from report.browser import Page
 
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.track import Track
@@ -54,12 +53,6 @@ def test_a_drawer_has_no_axis_to_turn_about() -> None:
     assert scene.to_data()["lines"] == []
     along = scene.points[-1] - scene.points[0]
     assert np.linalg.norm(np.cross(along, seen.axis)) < 0.01 * np.linalg.norm(along)
-
-
-@pytest.fixture(scope="module")
-def tab() -> Iterator[Page]:
-    with browser() as opened:
-        yield opened
 
 
 def test_the_slider_opens_the_door(tab: Page, tmp_path: Path) -> None:

@@ -7,25 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import Recorded, record, samples_of, ur10
+from cells import Recorded, samples_of, ur10
+from verdict.visits import said
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.distances import Distance
 from modcal_core.calibration.stated import Stated
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
-from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-
-
-@pytest.fixture(scope="module")
-def made() -> Recorded:
-    return record(33, 140)
-
-
-def said(samples: Samples, cell: Cell | None = None) -> str:
-    result = calibrate(samples, ur10(), np.random.default_rng(0), cell or Cell(), look_for_effects=False)
-    return " ".join(result.report.judged.open_because)
 
 
 def wires(made: Recorded, off: Array) -> Samples:

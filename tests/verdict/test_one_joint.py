@@ -7,28 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import Recorded, record, samples_of, ur10
+from cells import Recorded, samples_of, ur10
+from verdict.visits import judged, said
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.stated import Stated
-from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.verdict.verdict import Verdict
-
-
-@pytest.fixture(scope="module")
-def made() -> Recorded:
-    return record(33, 140)
-
-
-def judged(samples: Samples, cell: Cell | None = None) -> Verdict:
-    result = calibrate(samples, ur10(), np.random.default_rng(0), cell or Cell(), look_for_effects=False)
-    assert result.report.judged is not None
-    return result.report.judged
-
-
-def said(samples: Samples, cell: Cell | None = None) -> str:
-    return " ".join(judged(samples, cell).open_because)
 
 
 def scattered(made: Recorded, sizes: list[float], kind: str = "pose") -> Samples:

@@ -7,26 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import Recorded, record, samples_of, ur10
+from cells import Recorded, samples_of, ur10
+from verdict.visits import said
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 
 STAND, SEAT = "scatter of the base", "scatter of the tool"
-
-
-@pytest.fixture(scope="module")
-def made() -> Recorded:
-    return record(33, 140)
-
-
-def said(samples: Samples, cell: Cell | None = None) -> str:
-    result = calibrate(samples, ur10(), np.random.default_rng(0), cell or Cell(), look_for_effects=False)
-    return " ".join(result.report.judged.open_because)
 
 
 def moved(made: Recorded, twists: Array, tool: bool) -> Samples:
