@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cells import record
-from cli.recordings import START, URDF
+from cli.recordings import START, URDF, part
 from modcal_interfaces.msg import Calibration
 from nodes.beside_a_cell import (
     HEARING,
@@ -25,11 +25,10 @@ from nodes.beside_a_cell import (
     beside_a_cell,
     children,
     latched,
-    part,
     stations,
 )
 from nodes.cell import PlayedCell, call
-from nodes.processes import Process, Wait, fresh_domain, listener, running
+from nodes.processes import Process, Wait, beside, fresh_domain, listener, running
 from nodes.talking import BEST_EFFORT, Diagnostics
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -91,9 +90,7 @@ def test_joints_in_any_order_with_others_between_them(shared: Shared) -> None:
 
 
 def test_silence_is_said_by_topic(tmp_path: Path) -> None:
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, silence_timeout_s=1.0)
-    with running(calibrator), listener(domain) as (node, wait):
+    with beside(tmp_path, "calibrator", silence_timeout_s=1.0) as (calibrator, node, wait):
         said = Diagnostics(node)
         wait(lambda: said.level(HEARING) == 2, 60.0)
         assert "/joint_states: no node publishes it" in said.text(HEARING)
@@ -219,10 +216,8 @@ def test_an_unwritable_folder_is_said(shared: Shared) -> None:
 
 def test_any_quality_of_service_is_heard_and_a_mismatch_is_said(tmp_path: Path) -> None:
     """A description that is not latched, a tracker of best effort."""
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, effects=False)
     volatile = QoSProfile(depth=1, durability=DurabilityPolicy.VOLATILE)
-    with running(calibrator), listener(domain) as (node, wait):
+    with beside(tmp_path, "calibrator", effects=False) as (calibrator, node, wait):
         said = Diagnostics(node)
         cell = PlayedCell(node, description=volatile, tracker=BEST_EFFORT)
         wait(

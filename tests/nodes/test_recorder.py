@@ -13,7 +13,7 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Goals
 from nodes.cell import call
-from nodes.processes import Process, fresh_domain, listener, put, running
+from nodes.processes import Process, beside, fresh_domain, listener, put, running
 from nodes.talking import (
     BEST_EFFORT,
     LATCHED,
@@ -132,10 +132,8 @@ def test_when_room_gets_short_the_bag_is_closed_in_time(tmp_path: Path) -> None:
 
 
 def test_publishers_of_every_qos_are_heard_and_kept_once(tmp_path: Path) -> None:
-    domain = fresh_domain()
     bag = tmp_path / "bag"
-    recorder = Process("recorder", domain, tmp_path, out=bag)
-    with running(recorder), listener(domain) as (node, wait):
+    with beside(tmp_path, "recorder", out=bag) as (recorder, node, wait):
         reliable = node.create_publisher(JointState, "joint_states", RELIABLE)
         first = node.create_publisher(String, "robot_description", RELIABLE)
         wait(lambda: reliable.get_subscription_count() == 1 and first.get_subscription_count() == 1, 60.0)
@@ -201,10 +199,8 @@ def test_what_is_missing_or_cannot_be_recorded_is_said(tmp_path: Path) -> None:
 
 
 def test_simulated_time_that_begins_late_and_jumps_back(tmp_path: Path) -> None:
-    domain = fresh_domain()
     bag = tmp_path / "bag"
-    recorder = Process("recorder", domain, tmp_path, out=bag, use_sim_time="true", topics="[joint_states]")
-    with running(recorder), listener(domain) as (node, wait):
+    with beside(tmp_path, "recorder", out=bag, use_sim_time="true", topics="[joint_states]") as (recorder, node, wait):
         diagnostics = Diagnostics(node)
         clock = node.create_publisher(Clock, "/clock", RELIABLE)
         joints = node.create_publisher(JointState, "joint_states", RELIABLE)
