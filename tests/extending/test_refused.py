@@ -195,6 +195,40 @@ def test_a_way_to_move_that_cannot_be(said: Said, change: str, line: str) -> Non
     assert line in said("modcal.articulation", CHOSEN, package=MODEL.format(change=change))
 
 
+KIND = """
+from modcal_core.measurements.kinds.distance import DistanceKind
+
+class Sonar(DistanceKind):
+    name, topic, message = "{name}", "sonar/range", "{message}"
+
+ADDED = {made}
+"""
+HEARD = """
+from types import SimpleNamespace as N
+from modcal_core.measurements.kinds.registry import kinds
+from modcal_msgs_py.messages import RecordingBuilder
+builder, header = RecordingBuilder(), N(stamp=N(sec=5, nanosec=0), frame_id="reef")
+builder.add("/sonar/range", "sensor_msgs/msg/Range", N(header=header, range=1.25), 5.0)
+(track,) = builder.recording().readings
+print(track.kind, track.frame, track.values.tolist(), kinds()[track.kind].dimensions)
+"""
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({}, "sonar reef [[1.25]] 1"),
+        ({"name": "range"}, "entry point bend of modcal.measurement_kinds: its name or topic is already used: choose"),
+        ({"name": "a" * 33}, "entry point bend of modcal.measurement_kinds: name of 33 letters: use at most 32"),
+        ({"made": "3"}, "entry point bend of modcal.measurement_kinds: names a int: name a Kind"),
+        ({"message": "std_msgs/msg/Float64"}, "message std_msgs/msg/Float64: use geometry_msgs/msg/PoseStamped"),
+    ],
+)
+def test_a_kind_is_read_or_refused(said: Said, changes: dict[str, str], line: str) -> None:
+    good = {"name": "sonar", "message": "sensor_msgs/msg/Range", "made": "Sonar()"}
+    assert line in said("modcal.measurement_kinds", HEARD, package=KIND.format(**{**good, **changes}))
+
+
 TEXT = (ROOT / "docs" / "extending.md").read_text()
 
 
