@@ -2,18 +2,38 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from cells import record, ur10
-from checking.checks import FLOOR, FRESH, Cell, Poses, Seen, about, checked, missed, names, postures, readings, twist
+from cells import NOISE_M, record, ur10
+from checking.checks import (
+    FLOOR,
+    FRESH,
+    Cell,
+    Poses,
+    Seen,
+    about,
+    checked,
+    missed,
+    names,
+    postures,
+    readings,
+    rms,
+    twist,
+)
 
 from modcal_core.calibration.store import from_data, to_data
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.dwells import spread_rows
 from modcal_core.measurements.recording import SignalTrack
+from modcal_core.measurements.samples import Samples
+from modcal_core.moves.known import spread_out
+from modcal_core.moves.likelihood import witnesses
 from modcal_core.public import check
+from modcal_core.report.checkup import checkup_data
 from modcal_core.robots import forward
 
 pytestmark = pytest.mark.slow
@@ -208,3 +228,58 @@ def test_a_repaired_calibration_is_read_back_and_checks_clean(cell: Cell) -> Non
     assert again.uncertainty is not None
     assert cell[1].uncertainty is not None
     assert again.uncertainty.covariance.trace() > cell[1].uncertainty.covariance.trace()
+
+
+FIRST, LAST = "shoulder_pan_joint", "wrist_3_joint"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("joint", "place", "other", "name"), [(0, "base", "tracker", FIRST), (5, "tool", "target", LAST)]
+)
+def test_a_turn_about_an_outer_axis_is_put_back(cell: Cell, joint: int, place: str, other: str, name: str) -> None:
+    found = checked(cell, lambda q, world: world(q + about(joint, 1e-3)))
+    assert names(found) == {(place, place)}
+    assert found.changes[0].same_as[:2] == (other, f"zero of {name}")
+    assert found.changes[0].alike == "poses"
+    assert found.status == "changed"  # the repaired poses are the same
+    assert f"The {place} or the {other} has moved" in found.sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [8, 20])
+def test_points_turn_no_flange(cell: Cell, count: int) -> None:
+    """A target that was mounted a millimetre further round the last axis: the arm would be turned by degrees."""
+    at = cell[0].world.tool_in_tracker
+    angle = 1e-3 / (rms(at(FRESH + about(5, 1e-3)), at(FRESH)) / 1e-3)
+    found = checked(cell, lambda q, world: world(q + about(5, angle)), 3, count, "point")
+    assert names(found) == {("tool", "tool")}
+    assert {"target", f"zero of {LAST}"} <= set(found.changes[0].same_as)
+    assert found.changes[0].alike == "positions"
+    assert "orientations" in found.sentence
+    (said,) = checkup_data(found)["changes"]
+    assert (said["same_at_every_posture"], said["same_orientation"]) == (True, False)
+    assert found.repaired is not None
+    old, new = cell[1].predict(FRESH), found.repaired.predict(FRESH)
+    assert np.abs(so3.log(np.swapaxes(old[:, :3, :3], 1, 2) @ new[:, :3, :3])).max() < 1e-9
+    assert missed(cell, found.repaired, lambda q, world: world(q + about(5, angle))) < 3.0 * NOISE_M
+
+
+def raster(levels: int, joints: int) -> Samples:
+    """A raster of postures, the last joint fastest, read as points."""
+    q = np.array(list(itertools.product(np.linspace(-2.0, 2.0, levels), repeat=joints)))
+    return Samples.from_arrays(q, points=np.zeros((len(q), 3)), stamps=np.arange(len(q), dtype=float))
+
+
+def test_stations_of_a_raster_cover_every_joint_and_the_whole_time() -> None:
+    samples = raster(12, 3)  # 1 728 stations
+    part = spread_out(samples, 48)
+    assert part.stations == 48
+    for column in part.q.T:
+        assert np.ptp(column) > 3.9
+    gaps = np.diff(np.r_[-1, np.sort(part.stamps), len(samples)])
+    assert gaps.max() <= 2 * len(samples) / 48
+    every = samples.select(np.arange(0, len(samples), len(samples) // 48))
+    assert np.ptp(every.q[:, 2]) < 0.1  # every 36th has the last joint where it was
+    assert witnesses(part) > 2.0 * witnesses(every)
+    assert witnesses(part) > 1.2 * witnesses(samples.select(spread_rows(len(samples), 48)))

@@ -9,6 +9,7 @@ import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.measurements.dropouts import ALONE, BEYOND, ELSEWHEN, IMPLAUSIBLE
+from modcal_nodes.calibrating.intake import KnownArm
 from modcal_nodes.io.inputs import calibration_of
 
 pytestmark = pytest.mark.dds
@@ -320,3 +322,24 @@ def test_a_joint_that_logs_late_is_named(tmp_path: Path) -> None:
         "following:elbow_joint",
     )
     assert effect["parameters"]["stale_share"]["value"] == pytest.approx(1.0, abs=0.1)
+
+
+_JOINT = (
+    '<joint name="{0}" type="revolute"><parent link="l{1}"/><child link="l{2}"/><origin xyz="0 0 0.3"/>'
+    '<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/>{3}</joint>'
+)
+
+
+def test_the_calibrator_fills_it_in() -> None:
+    mimic = ("", "", '<mimic joint="a" multiplier="-1"/>')
+    links = "".join(f'<link name="l{i}"/>' for i in range(4))
+    joints = "".join(_JOINT.format(name, i, i + 1, mimic[i]) for i, name in enumerate("abc"))
+    arm = KnownArm(f'<robot name="r">{links}{joints}</robot>', "l0", "l3")
+    assert arm.recognise(frozenset("ab"))
+    stamp = SimpleNamespace(sec=1, nanosec=0)
+    q = np.array([0.4, 0.1]).tobytes()
+    message = SimpleNamespace(header=SimpleNamespace(stamp=stamp), name=["b", "a"], position=q, effort=b"")
+    arm.joint_state(message)
+    told = arm.position(message)
+    assert told is not None
+    assert np.allclose(told, [0.1, 0.4, -0.1])
