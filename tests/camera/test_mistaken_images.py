@@ -1,4 +1,4 @@
-"""What goes wrong while images are taken, or is misstated of them: named, left out or refused."""
+"""What goes wrong with images, target, camera and tables, or is misstated: named, left out or refused; the decision."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Targets: where corners are, and the files that describe them."""
+"""Targets: where corners are, the files that describe them, and sheets of another size than stated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a check names and repairs, by readings that MuJoCo makes of an arm in which one thing has changed."""
+"""What a check names and repairs when one thing has changed, what is put back by hand, and which stations it looks at."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The claim at the tool against arms whose error is known, and against formulas written out."""
+"""The claim at the tool against arms whose error is known; what a frozen calibration takes to other readings."""
 
 from __future__ import annotations
 

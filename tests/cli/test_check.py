@@ -1,4 +1,4 @@
-"""``modcal check``: its files, exit codes and refusals, by bags and by a folder of calibrate."""
+"""``modcal check``: its files, exit codes and refusals; of a calibration that a camera made, too."""
 
 from __future__ import annotations
 

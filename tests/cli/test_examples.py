@@ -1,4 +1,4 @@
-"""`modcal examples`: what README and documentation name, for those who have no checkout."""
+"""`modcal examples`: what pages name, for those who have no checkout; and hashes of what is installed."""
 
 from __future__ import annotations
 

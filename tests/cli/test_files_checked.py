@@ -1,4 +1,4 @@
-"""Files and options that say what cannot be: one line with the place in the file, and exit code 2."""
+"""Files and options that say what cannot be: one line with the place; what a cell file states is taken."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a verb says of the arm it took, of its tables and files, and which file a refusal is about."""
+"""What a verb says of arm, tables, files and verdict; and what comes out of a file does not steer the terminal."""
 
 from __future__ import annotations
 

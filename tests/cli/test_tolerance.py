@@ -1,4 +1,4 @@
-"""``--tolerance-mm`` and ``--certificate``, what is stated of arm and instrument, and what a report is traced back to."""
+"""Tolerances, certificates and what a report is traced back to; ``modcal compare``; options of ``modcal calibrate``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Corrected poses against the model that was fitted, their covariance against many recordings, commands against truth."""
+"""Corrected poses and their covariance, commands against truth, and a joint that drags a cable."""
 
 from __future__ import annotations
 

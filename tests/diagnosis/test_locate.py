@@ -1,4 +1,4 @@
-"""What a frozen model leaves over is placed: a joint that was adjusted since, a base that moved; noise is not."""
+"""What a frozen model leaves over is placed, noise is not; and recorded numbers that say what the arm carries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects that one scan shows together are those that are there; each is worth having, and what stands in for one gives way."""
+"""Effects that one scan shows are those that are there; stand-ins give way, and what is not needed goes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tracked pages of docs/reference say what the code says, and all of it; the others can be built."""
+"""The tracked pages say what the code says; pages and sentences are short; pictures show what the pages state."""
 
 from __future__ import annotations
 

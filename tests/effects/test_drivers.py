@@ -1,4 +1,4 @@
-"""What effects act on: lagging sensors, signals that hold until the next message, and what is remembered of samples."""
+"""What effects act on, and curves that are computed together against the same effects one by one."""
 
 from __future__ import annotations
 

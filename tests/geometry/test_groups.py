@@ -1,4 +1,4 @@
-"""Laws of SO(3) and SE(3), near zero and just below half a turn included."""
+"""Laws of SO(3) and SE(3), near zero and just below half a turn included; and the descent of all fits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A gauge block whose ends the tool touched gives bearings their scale; frames known in others are held to it."""
+"""Gauge blocks, frames known in others, planes alone, effects by every instrument, corrections by mixed ones."""
 
 from __future__ import annotations
 

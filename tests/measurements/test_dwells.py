@@ -1,4 +1,4 @@
-"""What a dwell leaves out, how well its mean is known, rows thinned evenly, and the side from which joints arrive."""
+"""Dwells and rows: what is left out, how well a mean is known, sides of arrival; and clocks that differ."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joint states read from their bytes are those that rclpy makes of the same bytes."""
+"""Quick ways to read: joint states from their bytes, rows of tracks that grow, bags in many small chunks."""
 
 from __future__ import annotations
 

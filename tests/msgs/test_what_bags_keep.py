@@ -1,4 +1,4 @@
-"""Times, names and silent topics: what a bag must hold besides the bytes of its messages."""
+"""What a bag must hold besides the bytes of its messages, captures of others, and a calibration as a message."""
 
 from __future__ import annotations
 

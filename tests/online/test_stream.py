@@ -1,4 +1,4 @@
-"""Samples from messages as they come are those that the whole recording gives."""
+"""Samples from messages as they come, commands included, are those that the whole recording gives."""
 
 from __future__ import annotations
 

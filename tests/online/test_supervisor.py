@@ -1,4 +1,4 @@
-"""What is trusted, and when it is time to calibrate again."""
+"""What is trusted, when it is time to calibrate again, and readings that are written in another way."""
 
 from __future__ import annotations
 

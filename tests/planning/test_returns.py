@@ -1,4 +1,4 @@
-"""Returns: postures that a tour comes back to, so that it is known what the arm does not repeat."""
+"""Returns of a tour, its way through stations, the designs of postures, and stations for a Delta."""
 
 from __future__ import annotations
 

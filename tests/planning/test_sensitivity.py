@@ -1,4 +1,4 @@
-"""The closed chain against arms written out by hand, against MuJoCo's arm, and against the calibration's derivatives."""
+"""The closed chain against arms written out by hand; what the source found, and laws of indices, variances and gains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What no arm has is named, and not used."""
+"""Parts of a report: what no arm has is not used, notes on loads and descriptions, charts, and joint offsets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tolerance: intervals that cover what they promise, and what stands in the way of a PASS."""
+"""Tolerance: intervals that cover what they promise, what stands in the way of a PASS, and what may be stated."""
 
 from __future__ import annotations
 

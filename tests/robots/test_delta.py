@@ -1,4 +1,4 @@
-"""A Delta against MuJoCo's closed chains, against differences, and against itself backwards; and what it refuses."""
+"""A Delta against MuJoCo's closed chains and six rods, differences, and itself backwards; and what it refuses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inertia matrices and torques against Pinocchio and MuJoCo, each with its own parser and its own mechanics."""
+"""Inertias and torques against Pinocchio and MuJoCo, each with its own parser and its own mechanics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may be named as a cause: what stations that were not used ask for, and nothing else takes the place of."""
+"""What may be named as a cause: what unused stations ask for, with its name, and columns that a fit comes to terms with."""
 
 from __future__ import annotations
 

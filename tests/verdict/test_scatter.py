@@ -1,4 +1,4 @@
-"""A base, a tool or a while that scatters by far more than the rest is named; joints and instruments are not."""
+"""What scatters or errs far more than the rest is named: a base, a tool, a while, a joint, an instrument, stamps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The status: which of three words, and why."""
+"""The status: which of three words, and why; both tails of what is left, and floors of exchangeable returns alone."""
 
 from __future__ import annotations
 
