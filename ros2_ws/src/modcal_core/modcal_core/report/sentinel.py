@@ -31,7 +31,11 @@ def sentinel_report(found: ArmVerdict, robot: str) -> VerbResult:
         f"Evidence: {found.log_e:.1f} nats of {found.asked:.1f} that a change needs (one false alarm in a hundred "
         f"hours), the recordings counting by the power {found.weight:.2g}.",
         f"These signals do not show: {', '.join(found.unseen) or 'nothing of what was asked'}.",
-        *([f"Outside the reference period, and not judged: {', '.join(found.untold)}."] if found.untold else []),
+        *(
+            [f"Not judged, outside the reference period or no torques: {', '.join(found.untold)}."]
+            if found.untold
+            else []
+        ),
         *([_LINKS] if found.changes else []),
     ]
     blocks: list[Block] = [
@@ -73,12 +77,18 @@ def _summary(found: ArmVerdict) -> tuple[Summary, ...]:
     if found.unseen:
         out.append(SummaryLine(f"These signals do not show: {', '.join(found.unseen)}.", "doubt"))
     if found.untold:
-        out.append(SummaryLine(f"Outside the reference period, and not judged: {', '.join(found.untold)}.", "doubt"))
+        out.append(
+            SummaryLine(_not_judged(found), "doubt")
+        )
     tone = {"unchanged": "good", "changed": "bad"}.get(found.status, "warn")
     out.append(SummaryLine(found.sentence, tone))  # type: ignore[arg-type]
     if found.changes:
         out.append(SummaryLine(_LINKS, "legend"))
     return tuple(out)
+
+
+def _not_judged(found: ArmVerdict) -> str:
+    return f"Not judged, for outside the reference period, or no torques: {', '.join(found.untold)}."
 
 
 def _noticed(found: ArmVerdict) -> TableBlock:

@@ -12,26 +12,13 @@ the joint's side play shows in following instead: two shapes of one change.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modcal_core import moves
 from modcal_core.geometry import Array, se3
-from modcal_core.moves import (
-    CAMERA,
-    EFFORT,
-    FRICTION,
-    GEAR,
-    LATENCY,
-    MASS,
-    OFFSET,
-    SERVO,
-    SLACK,
-    TAG,
-    ZERO,
-    CellChange,
-)
 from modcal_core.robots import (
     STANDARD_GRAVITY,
     Payload,
@@ -51,13 +38,7 @@ _GEOMETRY = 5e-3  # rad or m: standard deviation of a nominal arm's errors, each
 _STEP = 1e-3  # rad or m of a difference quotient
 _SOFT = 0.05  # of a joint's largest load: below it play rests on neither side
 _NEAR = 0.2  # rad or m: a tag that is farther from where it should be is another one
-CARRIED = {
-    "mass": 100.0,
-    "moment:0": 100.0,
-    "moment:1": 100.0,
-    "moment:2": 100.0,
-    "inertia": 10.0,
-}  # of a payload, wide
+CARRIED = ("mass", "moment:0", "moment:1", "moment:2", "inertia")  # columns of a payload
 
 
 @dataclass(frozen=True)
@@ -230,8 +211,12 @@ def _usable(rows: SignalRows, keep: np.ndarray) -> SignalRows:
 class Candidate:
     """A change that can be asked about. columns: sums of named columns, one for every size."""
 
-    change: CellChange
-    columns: tuple[Mapping[str, float], ...] = field(default=())
+    change: moves.CellChange
+    columns: tuple[Mapping[str, float], ...]
+
+
+_OF_JOINTS = {"zero": moves.ZERO, "ratio": moves.GEAR, "slack": moves.SLACK, "loose": moves.SLACK}
+_OF_JOINTS |= {"late": moves.LATENCY, "servo": moves.SERVO, "beside": moves.OFFSET}
 
 
 def candidates(arm: MonitoredArm, seen: Iterable[str], friction: Mapping[str, Mapping[str, float]]) -> list[Candidate]:
@@ -239,24 +224,14 @@ def candidates(arm: MonitoredArm, seen: Iterable[str], friction: Mapping[str, Ma
 
     friction: of each joint in the reference period, as a sum of columns, where it is known.
     """
-    known = set(seen)
 
-    def rows() -> Iterator[Candidate]:
-        for name in arm.names:
-            for kind, shapes in (
-                (ZERO, ("zero",)), (GEAR, ("ratio",)), (SLACK, ("slack", "loose")), (LATENCY, ("late",)),
-                (SERVO, ("servo",)), (OFFSET, ("beside",)),
-            ):  # fmt: skip
-                for shape in shapes:
-                    yield Candidate(CellChange(kind, name), ({f"{shape}:{name}": 1.0},))
-            yield Candidate(CellChange(EFFORT, name), ({f"gain:{name}": 1.0}, {f"bias:{name}": 1.0}))
-            if name in friction:
-                yield Candidate(CellChange(FRICTION, name), (friction[name],))
-        yield Candidate(CellChange(LATENCY, ALL_JOINTS), ({"late": 1.0},))
-        yield Candidate(CellChange(MASS, "tool"), ({"mass": 1.0},))
-        yield Candidate(CellChange(MASS, "tool"), tuple({column: 1.0} for column in CARRIED))
-        yield Candidate(CellChange(CAMERA, "camera"), tuple({f"camera:{k}": 1.0} for k in range(6)))
-        yield Candidate(CellChange(TAG, "tag"), tuple({f"tag:{k}": 1.0} for k in range(6)))
-        yield Candidate(CellChange(LATENCY, "camera"), ({"camera late": 1.0},))
+    def row(kind: str, place: str, *columns: str) -> Candidate:
+        return Candidate(moves.CellChange(kind, place), tuple({column: 1.0} for column in columns))
 
-    return [one for one in rows() if all(column and column.keys() <= known for column in one.columns)]
+    out = [row(kind, name, f"{shape}:{name}") for name in arm.names for shape, kind in _OF_JOINTS.items()]
+    out += [row(moves.EFFORT, name, f"gain:{name}", f"bias:{name}") for name in arm.names]
+    out += [Candidate(moves.CellChange(moves.FRICTION, name), (of,)) for name, of in friction.items()]
+    out += [row(moves.LATENCY, ALL_JOINTS, "late"), row(moves.LATENCY, "camera", "camera late")]
+    out += [row(moves.MASS, "tool", "mass"), row(moves.MASS, "tool", *CARRIED)]
+    out += [row(kind, kind, *(f"{kind}:{k}" for k in range(6))) for kind in (moves.CAMERA, moves.TAG)]
+    return [one for one in out if all(column.keys() <= set(seen) for column in one.columns)]

@@ -99,20 +99,18 @@ class _Asked:
     candidates: Sequence[Candidate]
     sums: Sequence[Array]
     log_prior: Array
-    weight: float = 1.0
 
     @classmethod
     def of(cls, normal: Normal, names: Sequence[str]) -> _Asked:
         every = candidates(normal.arm, names, normal.friction)
-        at = {name: k for k, name in enumerate(names)}
-        sums = []
-        for one in every:
-            B = np.zeros((len(names), len(one.columns)))
-            for i, column in enumerate(one.columns):
-                for name, weight in column.items():
-                    B[at[name], i] = weight
-            sums.append(B)
+        sums = [np.array([[c.get(name, 0.0) for c in one.columns] for name in names]) for one in every]
         return cls(every, sums, log_priors([one.change for one in every]))
+
+    def alone(self, h: int, said: Spoken) -> tuple[float, float]:
+        """Information on the one size of a candidate, and its estimate."""
+        B = self.sums[h]
+        A = (B.T @ said.information @ B).item()
+        return A, (B.T @ said.vector).item() / max(A, 1e-300)
 
     def judged(self, said: Spoken) -> list[JudgedChange]:
         """The Bayes factor of each candidate."""
@@ -157,9 +155,9 @@ def judge_bags(normal: Normal, bags: Sequence[Cells], other_payload: Collection[
     said = [spoken(normal, heard[s:]) for s in range(len(bags))]
     asked = _Asked.of(normal, said[0].names)
     values = _values(normal, asked, bags, heard)
-    untold = tuple(sorted(name for name in normal.signals if all(
+    untold = normal.dropped + tuple(sorted(name for name in normal.signals if all(
         name not in bag or bag[name].share < _SEEN for bag in heard)))  # fmt: skip
-    told = len(untold) < len(normal.signals)
+    told = len(untold) - len(normal.dropped) < len(normal.signals)
     changes: list[ChangeEstimate] = []
     log_e, since, rest, taken = -np.inf, 0, 0.0, list[int]()
     while told and len(changes) < _MOST:
@@ -262,10 +260,9 @@ def _values(
     for name, began, reference, of in every:
         said, values = spoken(normal, [of]), {}
         for h, label, factor, unit in _single(asked):
-            B = asked.sums[h]
-            A = (B.T @ said.information @ B).item()
+            A, size = asked.alone(h, said)
             if A > 0.0:
-                values[label] = (unit, factor * (B.T @ said.vector).item() / A, factor / float(np.sqrt(A)))
+                values[label] = (unit, factor * size, factor / float(np.sqrt(A)))
         share = float(np.mean([of[s].share if s in of else 0.0 for s in normal.signals]))
         out.append(BagValues(name, began, reference, share, values))
     return tuple(out)
@@ -278,8 +275,7 @@ def _noticed(asked: _Asked, said: Spoken, asked_for: float) -> tuple[dict[str, t
     """
     out, unseen = {}, []
     for h, label, factor, unit in _single(asked):
-        B = asked.sums[h]
-        A = (B.T @ said.information @ B).item()
+        A, _ = asked.alone(h, said)
         nats = (
             asked_for - float(asked.log_prior[h]) + float(np.log(len(_SIZES))) + 0.5 * float(np.log1p(_SIZES[1] ** 2))
         )

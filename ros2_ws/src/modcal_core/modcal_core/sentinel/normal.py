@@ -11,7 +11,7 @@ makes them larger (Student's t).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,8 +30,10 @@ _ROUNDS = 25  # of estimating variances and coefficients in turn
 _BEYOND = 2.0  # times the leverage of any cell of the reference period: the model was never asked so far out
 _MARGIN = 0.05  # of a joint's range, and of its top speed, that a recording may go beyond
 _MOST_ALIKE = 0.9  # correlation of neighbouring cells
+_HELD = 100.0  # kg, kg m, kg m²: of a payload that is declared to differ
 _LEAST = 1e-9  # of a signal's size: a scatter that no sensor goes below
 _NOTHING = 1e-9  # of a column: weight on a vertical axis, but for rounding
+_FACTOR = 0.5  # of what the stated weight asks, from which to its inverse efforts are torques
 _TAG_POSES = 120  # that camera and tag are placed by
 
 
@@ -53,6 +55,11 @@ class SignalNormal:
     width: Array
     names: tuple[str, ...]
 
+    @property
+    def torques(self) -> bool:
+        """Whether efforts grow with the arm's weight as torques do, where that loads the joint."""
+        return bool(self.width[3] < _NOTHING or _FACTOR < self.beta[3] < 1.0 / _FACTOR)
+
 
 @dataclass(frozen=True)
 class Moments:
@@ -65,7 +72,8 @@ class Moments:
 @dataclass(frozen=True)
 class Normal:
     """What is normal for an arm. placed: of a tag. lowest, highest, fastest (n,): joints and speeds of the reference.
-    moments: of each reference recording, by signal. bags: their names, with their beginnings [s].
+    moments: of each reference recording, by signal. bags: their names, with their beginnings [s]. dropped:
+    signals that are not what they should be: efforts that are no torques.
     """
 
     arm: MonitoredArm
@@ -76,6 +84,7 @@ class Normal:
     fastest: Array
     moments: tuple[Mapping[str, Moments], ...] = ()
     bags: tuple[tuple[str, float], ...] = ()
+    dropped: tuple[str, ...] = ()
 
     @classmethod
     def fit(cls, reference: Sequence[Cells], arm: MonitoredArm) -> Normal:
@@ -95,18 +104,19 @@ class Normal:
             said = "shows neither efforts of an arm with masses, commands, nor a tag"
             raise NotEnoughData("reference", said, "record efforts and commands, and give --urdf with masses")
         q, v = (np.concatenate([cells[key] for cells in reference]) for key in ("q", "v"))
-        out = cls(arm, signals, at, q.min(axis=0), q.max(axis=0), np.abs(v).max(axis=0))
-        moments = [{n: _moments(s[n], signals[n]) for n in signals if n in s} for s in every]
-        kept = tuple({n: m for n, m in of.items() if m is not None} for of in moments)
+        moments = tuple({n: _moments(s[n], signals[n]) for n in signals if n in s} for s in every)
         bags = tuple((cells.name, cells.began) for cells in reference)
-        return replace(out, moments=kept, bags=bags).solved(range(len(reference)))
+        ranges = (q.min(axis=0), q.max(axis=0), np.abs(v).max(axis=0))
+        out = cls(arm, signals, at, *ranges, moments, bags).solved(range(len(reference)))
+        odd = tuple(name for name, of in out.signals.items() if name.startswith("torque ") and not of.torques)
+        return replace(out, signals={n: of for n, of in out.signals.items() if n not in odd}, dropped=odd)
 
     def solved(self, bags: Sequence[int]) -> Normal:
         """The same by these reference recordings alone."""
         signals = {}
         for name, known in self.signals.items():
-            squares = [self.moments[b][name].square for b in bags if name in self.moments[b]]
-            signals[name] = _solved(known, squares)
+            heard = [self.moments[b][name] for b in bags if name in self.moments[b]]
+            signals[name] = _solved(known, [one.square for one in heard if one.share > 0.0])
         return replace(self, signals=signals)
 
     def of(self, cells: Cells, carries_other: bool = False) -> dict[str, Moments]:
@@ -125,8 +135,7 @@ class Normal:
             of = self.signals[name]
             keep = np.array([inside[t] for t in rows.t.tolist()], bool)
             keep &= np.einsum("np,pq,nq->n", rows.X, of.leverage, rows.X) < _BEYOND * of.limit
-            found = _moments(rows.rows(keep), of, carries_other) if keep.sum() >= _ROWS else None
-            out[name] = Moments(np.zeros((0, 0)), 0.0) if found is None else found
+            out[name] = _moments(rows.rows(keep), of, carries_other)
         return out
 
     @property
@@ -176,9 +185,10 @@ def _ridge(X: Array, y: Array, width: Array, sigma: float) -> Array:
 
 def _own(rows: SignalRows, width: Array) -> tuple[Array, np.ndarray]:
     """What a recording's own fit leaves, and which cells are no strays."""
-    keep = np.ones(len(rows.y), bool)
+    keep, left = np.ones(len(rows.y), bool), rows.y
+    if len(rows.y) < _ROWS:
+        return left, keep
     sigma = 0.1 * float(np.std(rows.y)) + 1e-12
-    left = rows.y
     for _ in range(3):
         left = rows.y - rows.X @ _ridge(rows.X[keep], rows.y[keep], width, sigma)
         sigma = max(1.4826 * float(np.median(np.abs(left[keep]))), 1e-12)
@@ -186,16 +196,13 @@ def _own(rows: SignalRows, width: Array) -> tuple[Array, np.ndarray]:
     return left, keep
 
 
-def _blocks(t: Array) -> tuple[np.ndarray, Array]:
-    """The number of each cell's block, and the cells of each."""
+def _blocks(F: Array, t: Array) -> tuple[Array, np.ndarray, Array]:
+    """The means of F (N, m) over blocks, the number of each cell's block, and the cells of each block."""
     _, at = np.unique(np.floor(t / BLOCK), return_inverse=True)
-    return at, np.bincount(at).astype(float)
-
-
-def _means(F: Array, at: np.ndarray, count: Array) -> Array:
-    out = np.zeros((len(count), *F.shape[1:]))
+    count = np.bincount(at).astype(float)
+    out = np.zeros((len(count), F.shape[1]))
     np.add.at(out, at, F)
-    return out / count.reshape(-1, *[1] * (F.ndim - 1))
+    return out / count[:, None], at, count
 
 
 def _noise(rows: Sequence[SignalRows]) -> SignalNormal:
@@ -211,18 +218,16 @@ def _noise(rows: Sequence[SignalRows]) -> SignalNormal:
     X, y = np.concatenate(Xs), np.concatenate(ys)
     left = y - X @ _ridge(X, y, width, 0.1 * float(np.std(y)) + 1e-12)
     parts = np.split(left, np.cumsum([len(one.y) for one in kept])[:-1])
-    within, shifted, both, means, counts = 0.0, 0.0, 0.0, [], []
+    within, shifted, means, counts = 0.0, 0.0, [], []
     for one, part in zip(kept, parts, strict=True):
-        at, count = _blocks(one.t)
-        mean = _means(part, at, count)
-        rest = part - mean[at]
-        same = at[1:] == at[:-1]
-        shifted, both = shifted + float(rest[1:][same] @ rest[:-1][same]), both + float(rest[1:][same] @ rest[1:][same])
+        mean, at, count = _blocks(part[:, None], one.t)
+        rest, same = part - mean[at, 0], at[1:] == at[:-1]
+        shifted += float(rest[1:][same] @ rest[:-1][same])
         within += float(rest @ rest)
-        means.append(mean)
+        means.append(mean[:, 0])
         counts.append(count)
     count, mean = np.concatenate(counts), np.concatenate(means)
-    alike = float(np.clip(shifted / max(both, 1e-300), 0.0, _MOST_ALIKE))
+    alike = float(np.clip(shifted / max(within, 1e-300), 0.0, _MOST_ALIKE))
     least = _LEAST * float(np.sqrt(np.mean(np.concatenate([one.y for one in kept]) ** 2))) + 1e-15
     cell = max(within / max(float((count - 1.0).sum()), 1.0) * (1.0 + alike) / (1.0 - alike), least**2)
     free = max(len(count) - len(width) - sum(one.loose for one in kept), 0.25 * len(count))
@@ -236,23 +241,21 @@ def _noise(rows: Sequence[SignalRows]) -> SignalNormal:
     return SignalNormal(*empty, float(np.sqrt(cell)), float(np.sqrt(block)), of_own, leverage, limit, width, names)
 
 
-def _moments(rows: SignalRows, of: SignalNormal, carries_other: bool = False) -> Moments | None:
-    """Fᵀ W⁻¹ F of a signal, W the scatter within a recording; None where it has too few cells."""
+def _moments(rows: SignalRows, of: SignalNormal, carries_other: bool = False) -> Moments:
+    """Fᵀ W⁻¹ F of a signal, W the scatter within a recording; no share where it has too few cells."""
+    cells, (left, keep) = max(rows.cells, 1), _own(rows, of.width)
+    rows = rows.rows(keep)
     if len(rows.y) < _ROWS:
-        return None
-    left, keep = _own(rows, of.width)
-    rows, cells = rows.rows(keep), max(rows.cells, 1)
-    if len(rows.y) < _ROWS:
-        return None
+        return Moments(np.zeros((0, 0)), 0.0)
     louder = max(float(np.std(left[keep])) / max(of.own, 1e-300), 1.0)
     F = np.column_stack([rows.X, *(rows.columns[name] for name in of.names), rows.y])
-    at, count = _blocks(rows.t)
+    mean, at, count = _blocks(F, rows.t)
     share = 1.0 - of.cell / np.sqrt(of.cell**2 + count * of.block**2)
-    F = (F - (share[:, None] * _means(F, at, count))[at]) / (of.cell * louder)
+    F = (F - (share[:, None] * mean)[at]) / (of.cell * louder)
     square = F.T @ F
     if carries_other:
-        held = {len(of.beta) + k: CARRIED[name] for k, name in enumerate(of.names) if name in CARRIED}
-        square = _freed(square, np.array([*held], int), np.array([*held.values()]) ** 2)
+        held = len(of.beta) + np.flatnonzero(np.isin(of.names, CARRIED))
+        square = _freed(square, held, np.full(len(held), _HELD**2))
     return Moments(square, len(rows.y) / cells)
 
 
@@ -291,7 +294,7 @@ class Spoken:
 
     names: tuple[str, ...]
     information: Array
-    vector: Array = field(default_factory=lambda: np.zeros(0))
+    vector: Array
 
 
 def spoken(normal: Normal, bags: Sequence[Mapping[str, Moments]]) -> Spoken:
