@@ -77,9 +77,7 @@ def _summary(found: ArmVerdict) -> tuple[Summary, ...]:
     if found.unseen:
         out.append(SummaryLine(f"These signals do not show: {', '.join(found.unseen)}.", "doubt"))
     if found.untold:
-        out.append(
-            SummaryLine(_not_judged(found), "doubt")
-        )
+        out.append(SummaryLine(_not_judged(found), "doubt"))
     tone = {"unchanged": "good", "changed": "bad"}.get(found.status, "warn")
     out.append(SummaryLine(found.sentence, tone))  # type: ignore[arg-type]
     if found.changes:

@@ -208,7 +208,7 @@ def _usable(rows: SignalRows, keep: np.ndarray) -> SignalRows:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ChangeColumns:
     """A change that can be asked about. columns: sums of named columns, one for every size."""
 
     change: moves.CellChange
@@ -219,18 +219,20 @@ _OF_JOINTS = {"zero": moves.ZERO, "ratio": moves.GEAR, "slack": moves.SLACK, "lo
 _OF_JOINTS |= {"late": moves.LATENCY, "servo": moves.SERVO, "beside": moves.OFFSET}
 
 
-def candidates(arm: MonitoredArm, seen: Iterable[str], friction: Mapping[str, Mapping[str, float]]) -> list[Candidate]:
+def candidates(
+    arm: MonitoredArm, seen: Iterable[str], friction: Mapping[str, Mapping[str, float]]
+) -> list[ChangeColumns]:
     """The changes that signals with these columns can be asked about.
 
     friction: of each joint in the reference period, as a sum of columns, where it is known.
     """
 
-    def row(kind: str, place: str, *columns: str) -> Candidate:
-        return Candidate(moves.CellChange(kind, place), tuple({column: 1.0} for column in columns))
+    def row(kind: str, place: str, *columns: str) -> ChangeColumns:
+        return ChangeColumns(moves.CellChange(kind, place), tuple({column: 1.0} for column in columns))
 
     out = [row(kind, name, f"{shape}:{name}") for name in arm.names for shape, kind in _OF_JOINTS.items()]
     out += [row(moves.EFFORT, name, f"gain:{name}", f"bias:{name}") for name in arm.names]
-    out += [Candidate(moves.CellChange(moves.FRICTION, name), (of,)) for name, of in friction.items()]
+    out += [ChangeColumns(moves.CellChange(moves.FRICTION, name), (of,)) for name, of in friction.items()]
     out += [row(moves.LATENCY, ALL_JOINTS, "late"), row(moves.LATENCY, "camera", "camera late")]
     out += [row(moves.MASS, "tool", "mass"), row(moves.MASS, "tool", *CARRIED)]
     out += [row(kind, kind, *(f"{kind}:{k}" for k in range(6))) for kind in (moves.CAMERA, moves.TAG)]

@@ -16,7 +16,7 @@ import numpy as np
 from modcal_core.geometry import Array
 from modcal_core.moves import AS_PROBABLE, KINDS, SIZES, JudgedChange, SizeFound, by_name, e_value, log_priors
 from modcal_core.sentinel.cells import Cells
-from modcal_core.sentinel.channels import Candidate, candidates
+from modcal_core.sentinel.channels import ChangeColumns, candidates
 from modcal_core.sentinel.normal import Moments, Normal, Spoken, spoken
 
 AN_HOUR = 0.01  # false alarms
@@ -96,7 +96,7 @@ class ArmVerdict:
 class _Asked:
     """Candidates with their columns as sums (K, k) of named ones, and their log priors (H,)."""
 
-    candidates: Sequence[Candidate]
+    candidates: Sequence[ChangeColumns]
     sums: Sequence[Array]
     log_prior: Array
 
@@ -118,7 +118,7 @@ class _Asked:
             self.candidates, self.sums, strict=True)]  # fmt: skip
 
 
-def _judged(candidate: Candidate, A: Array, b: Array) -> JudgedChange:
+def _judged(candidate: ChangeColumns, A: Array, b: Array) -> JudgedChange:
     """Over all sizes. A (k, k), b (k,): information on the sizes, in units of each that is seen alike."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
     squares, vectors = np.linalg.eigh(scale[:, None] * A * scale)
