@@ -126,8 +126,8 @@ class Normal:
         """
         out = {}
         room = _MARGIN * (self.highest - self.lowest)
-        within: np.ndarray = ((cells["q"] > self.lowest - room) & (cells["q"] < self.highest + room)).all(axis=1)
-        within &= (np.abs(cells["v"]) < (1.0 + _MARGIN) * self.fastest).all(axis=1)
+        within = np.all((cells["q"] > self.lowest - room) & (cells["q"] < self.highest + room), axis=1)
+        within &= np.all(np.abs(cells["v"]) < (1.0 + _MARGIN) * self.fastest, axis=1)
         inside = dict(zip(cells["t"].tolist(), within.tolist(), strict=True))
         for name, rows in signals_of(cells, self.arm, self.placed).items():
             if name not in self.signals:
