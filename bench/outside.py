@@ -76,7 +76,7 @@ def of_arrays(chain: Any, q: Array, read: Array, stamps: Array | None = None) ->
 def real(name: str, every: int) -> tuple[Any, Samples, dict[str, Any], int]:
     """Chain, samples, what a calibration is told, and how many joints are looked at."""
     if name in recorded.GRIDS:
-        chain = read_robot(harness.ROBOTS / f"{name}.yaml")
+        chain = read_robot(harness.ROBOTS / f"{name}.yaml").chain
         return chain, of_arrays(chain, *recorded.grid(name)), {}, len(chain.names)
     chain = read_chain((harness.ROBOTS / "ur10.urdf").read_text(encoding="utf-8"))
     if name == "cubes":

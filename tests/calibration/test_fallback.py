@@ -10,11 +10,11 @@ import pytest
 from cells import samples_of, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell, free_cell
-from modcal_core.calibration.final_fit import finalise
-from modcal_core.calibration.fit import identify
+from modcal_core.calibration.final_fit import as_used, finalise
+from modcal_core.calibration.fit import Fit, identify
 from modcal_core.calibration.model import BLEND
 from modcal_core.calibration.store import Calibration, from_data, to_data
-from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.calibration.structure import ParameterChoice, choose_parameters, views_of
 from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
@@ -65,13 +65,19 @@ def readings(
 
 def calibrated(curve: Curve, wrist: float = 0.0) -> Calibration:
     """The calibration with a curve over the elbow, of twelve functions, from half of its range; and with the wrist's."""
+    samples, choice, full, _ = fits(curve, wrist)
+    return finalise(samples, ur10(), choice, Cell(), None, full)
+
+
+def fits(curve: Curve, wrist: float = 0.0) -> tuple[Samples, ParameterChoice, Fit, Fit]:
+    """Samples from half of the elbow's range, what is free of geometry, the fit with the curve, and that without."""
     samples = readings(np.random.default_rng(0), LOW, HIGH, 150, curve, wrist)
     nominal = fit_cell(ur10(), samples, Cell())
     choice = choose_parameters(nominal.model, views_of(samples))
     choice = replace(choice, parameters=free_cell(choice.parameters, Cell()))
     effects = (CURVE.started(np.zeros(12)), *((TURNS.with_values(np.array([wrist, 0.0, 5.0])),) if wrist else ()))
-    start = nominal.model.with_effects(effects)
-    return finalise(samples, ur10(), choice, Cell(), None, identify(start, samples, choice.parameters))
+    full, alone = (identify(nominal.model.with_effects(e), samples, choice.parameters) for e in (effects, ()))
+    return samples, choice, full, alone
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +100,19 @@ def test_outside_geometry_alone_counts_where_it_is_better(made: Calibration, rng
     final, geometric = (report.size_mm(stage) for stage in ("final", "geometric"))
     assert final.rms == pytest.approx(geometric.rms)
     assert any("best alone" in note for note in report.notes)
+
+
+def test_what_is_scored_is_what_would_be_used(rng: np.random.Generator) -> None:
+    """Of fits to half of the elbow's range, at postures in all of it."""
+    samples, _, full, alone = fits(ripple)
+    at = readings(rng, LOW, 1.5, 60)
+    inside, beyond = at.q[:, ELBOW] < samples.q[:, ELBOW].max(), at.q[:, ELBOW] > HIGH + BLEND
+    used, fully, plainly = (
+        m.predict_samples(at) for m in (as_used(full, alone, samples, at, ()), full.model, alone.model)
+    )
+    np.testing.assert_array_equal(used[inside], fully[inside])
+    np.testing.assert_allclose(used[beyond], plainly[beyond], atol=1e-12)
+    assert as_used(full, alone, samples, at.select(inside), ()) is full.model
 
 
 def test_elsewhere_the_full_model_goes_on(rng: np.random.Generator) -> None:

@@ -11,6 +11,7 @@ from modcal_core.calibration import (
     Errors,
     KnownDistance,
     Model,
+    as_used,
     distances_of,
     errors,
     finalise,
@@ -83,7 +84,8 @@ class _Scored:
         accepted = task.held_out.select(~wrong[sets.held_out])
         bare = {"nominal": fits.nominal.model, "geometric": fits.geometric.model}
         bare = {stage: model.with_effects(_stated(model, task)) for stage, model in bare.items()}
-        return cls(wrong, accepted, {s: errors(m, accepted) for s, m in {**bare, "final": final.model}.items()})
+        used = as_used(final, fits.geometric, task.train, accepted, task.cell.distances)
+        return cls(wrong, accepted, {s: errors(m, accepted) for s, m in {**bare, "final": used}.items()})
 
 
 def supported(task: Task, fits: Fits) -> Fits:
@@ -94,7 +96,8 @@ def supported(task: Task, fits: Fits) -> Fits:
     final, alone, chose = fits.final, fits.geometric, task.sets.explain
     wrong = [rejected(fit, task.samples, task.sets.train, task.cell.distances)[chose] for fit in (alone, final)]
     counted = task.explain.select(~np.all(wrong, axis=0))
-    left = [squared_residuals(errors(fit.model, counted), counted, alone.noise) for fit in (final, alone)]
+    used = as_used(final, alone, task.train, counted, task.cell.distances)
+    left = [squared_residuals(errors(model, counted), counted, alone.noise) for model in (used, alone.model)]
     stated = replace(fits.diagnosis, fit=alone, causes=fits.diagnosis.causes[: len(alone.model.effects)])
     return fits if left[0].sum() <= left[1].sum() else replace(fits, final=alone, diagnosis=stated, together=False)
 

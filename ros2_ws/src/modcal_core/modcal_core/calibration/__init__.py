@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from modcal_core.calibration.delta_distances import fit_distances, max_deviations, objective, visibility
     from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance, distance_rows
     from modcal_core.calibration.equations import blocks_at, nonnegative, normal_equations
-    from modcal_core.calibration.final_fit import Readmitted, finalise, readmitted, right_after_all, sharpened
-    from modcal_core.calibration.final_fit import uncontradicted
+    from modcal_core.calibration.final_fit import Readmitted, as_used, finalise, readmitted, right_after_all
+    from modcal_core.calibration.final_fit import sharpened, uncontradicted
     from modcal_core.calibration.fit import EQUATIONS_PER_PARAMETER, FITTED, WHATS, Curvature, Fit, Move, What
     from modcal_core.calibration.fit import enough_for_effects, identify, identify_moved, priors, require_enough
     from modcal_core.calibration.initial import Known, base_and_tool_turns, base_by_positions, hand_eye
@@ -64,8 +64,8 @@ __all__ += ["Curvature", "Deviations", "Distance", "ErrorSize", "Errors", "Fit",
 __all__ += ["Identifiability", "Instrument", "Known", "KnownDistance", "Model", "ModelParameter", "Move", "NoiseModel"]
 __all__ += ["Pairs", "ParameterChoice", "Readmitted", "RejectedPlace", "RowView", "Schedule", "Split", "Stated"]
 __all__ += ["StatedPayload", "StatedTool", "StationDistance", "Uncertainty", "View", "What", "anneal_distances"]
-__all__ += ["apply_deviations", "as_normal", "averaged", "base_and_tool_turns", "base_by_positions", "between"]
-__all__ += ["beyond_chi2", "beyond_gumbel", "beyond_normal", "block_length", "blocks_at", "by_distances"]
+__all__ += ["apply_deviations", "as_normal", "as_used", "averaged", "base_and_tool_turns", "base_by_positions"]
+__all__ += ["between", "beyond_chi2", "beyond_gumbel", "beyond_normal", "block_length", "blocks_at", "by_distances"]
 __all__ += ["choose_parameters", "consecutive", "contradicted_places", "contradicted_together", "contradictions"]
 __all__ += ["cost_of_holding", "curved_joints", "deviations", "direction_names", "distance_rows", "distances_of"]
 __all__ += ["distinct", "drop_fixed", "enough_for_effects", "errors", "exact_samples", "exceeded_chi2", "finalise"]

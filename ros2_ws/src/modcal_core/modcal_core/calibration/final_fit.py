@@ -192,21 +192,56 @@ def finalise(
         settled = fitted(tidy, tolerance=10.0 * FITTED, reject=not decided)
         tidy, last = least_change(settled.model, chain), settled
         fits.append(settled)  # which goes on from where the fit before it ended
-    seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
-    kind = str(samples.kind[0])
-    few = samples.q[spread_rows(len(samples), _MAX_KEPT)]
-    covariance = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
-    left = errors(geometric, samples).position_norm  # not finite where readings show no positions
-    return Calibration(
-        *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.noise, covariance, watched),
+    made = _made((nominal.model, tidy, geometric), samples, choice.parameters, last, cell.distances)
+    return replace(
+        made,
+        parameters=parameter_table(fit),
+        kind=str(samples.kind[0]),
+        postures=samples.q[spread_rows(len(samples), _MAX_KEPT)],
+        noise=fit.noise,
+        watched=watched,
         scatter=typical_scatter(samples),
         converged=all(each.converged for each in fits),
         clock=samples.clock,
-        left_alone=float(np.sqrt(np.mean(left**2))) if np.isfinite(left).all() else 0.0,
-        geometry_outside=geometry_is_better(tidy, geometric, samples, choice.parameters, last, cell.distances),
         ranges=driver_ranges(tidy, samples),
         typical=typical_sizes(tidy, samples),
         marks=marks_of(samples),
+    )
+
+
+def as_used(full: Fit, alone: Fit, samples: Samples, at: Samples, distances: Sequence[AnyDistance]) -> Model:
+    """The full one of two models fitted to samples, as a calibration made of these would use it at others.
+
+    alone: geometry alone, which speaks outside of what was seen where it knows more there.
+    """
+    curved = curved_joints(full.model.effects, full.model.chain.names)
+    low, high = samples.q.min(axis=0), samples.q.max(axis=0)
+    if not ((at.q < low) | (at.q > high))[:, curved].any():
+        return full.model
+    made = _made((alone.model, full.model, alone.model), samples, full.parameters, full, distances)
+    beyond = made.fallback(full.model, alone.model)
+    return replace(full.model, fallback=None if beyond is None else replace(beyond, model=alone.model))
+
+
+def _made(
+    models: tuple[Model, Model, Model],
+    samples: Samples,
+    parameters: Sequence[ModelParameter],
+    fit: Fit,
+    distances: Sequence[AnyDistance],
+) -> Calibration:
+    """A calibration by these models (nominal, full, geometry alone), and how far the samples carry it. fit: the full
+    one's.
+    """
+    _, full, alone = models
+    left = errors(alone, samples).position_norm  # not finite where readings show no positions
+    return Calibration(
+        *models,
+        np.stack([samples.q.min(axis=0), samples.q.max(axis=0)]),
+        noise=fit.noise,
+        uncertainty=uncertainty(full, samples, parameters, fit, distances),
+        left_alone=float(np.sqrt(np.mean(left**2))) if np.isfinite(left).all() else 0.0,
+        geometry_outside=geometry_is_better(full, alone, samples, parameters, fit, distances),
     )
 
 
