@@ -27,7 +27,7 @@ def main(name: str, told: str, out: str) -> None:
     said: dict[str, object] = {"status": "ran"}
     arrays = {}
     try:
-        module, function = method.call.split(":")
+        module, function = method["call"].split(":")
         answer = getattr(import_module(f"league.methods.{module}"), function)(Task.read(Path(told)))
         arrays["T"] = answer.T
         if answer.radius95 is not None:
@@ -41,7 +41,7 @@ def main(name: str, told: str, out: str) -> None:
         traceback.print_exc()
     said["cpu_s"] = round(time.process_time() - begun, 2)
     said["memory_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
-    said["version"] = _version(method.package)
+    said["version"] = _version(method["package"])
     np.savez(out, said=json.dumps(said), **arrays)
 
 

@@ -19,21 +19,6 @@ HERE = Path(__file__).resolve().parent
 Row = dict[str, Any]
 OURS = "modcal"
 WIDTH, LINE, LEFT, RIGHT = 720, 22, 170, 130  # px of a plot, its rows, and what stands beside the bars
-STYLE = """
-:root { color-scheme: light dark; --ink: #1c2430; --soft: #566173; --line: #d5dae2; --ground: #fff; --ours: #0b6e4f;
-  --other: #8b97a8; --best: #dff2e8; --bad: #b3261e; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e8ecf2; --soft: #a9b3c2; --line: #3a4352; --ground: #14181f;
-  --ours: #4fc79a; --other: #7d8899; --best: #1d3a2f; --bad: #ff8a80; } a { color: #8ab4f8; } }
-body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--ground); margin: 0 auto;
-  padding: 16px; max-width: 1360px; }
-h1 { font-size: 26px; } h2 { font-size: 20px; margin-top: 36px; border-top: 1px solid var(--line); padding-top: 16px; }
-table { border-collapse: collapse; font-size: 13px; } .wide { overflow-x: auto; }
-th, td { padding: 3px 8px; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
-th:first-child, td:first-child, td.text { text-align: left; } td.text { white-space: normal; min-width: 22em; }
-td.best { background: var(--best); font-weight: 600; } .ours { color: var(--ours); font-weight: 600; }
-.bad { color: var(--bad); font-weight: 600; } .soft { color: var(--soft); }
-svg { width: 100%; max-width: 720px; height: auto; } svg text { font: 12px system-ui, sans-serif; fill: var(--ink); }
-"""
 INTRO = """<p>{} methods on {} tasks. Errors are distances at the tool in mm on rows that no method was given, and
 <b>every</b> such row counts, also those that a method would call wrong. Intervals are of 95 %: blocks of rows that
 belong together are drawn again. Simulated tasks (sim_) are scored on what is true. A green cell is the first of its
@@ -65,11 +50,12 @@ def page(rows: list[Row], reasons: dict[str, str]) -> str:
     met = dict.fromkeys(r["method"] for r in rows if not r["published"])
     methods = [m for m in METHODS if m in met] + [m for m in met if m not in METHODS]
     versions = {r["method"]: r.get("version", "") for r in rows if r["status"] == "ran"}
-    lines = ((f"{_e(m)} {_e(versions.get(m, ''))}", _e(METHODS[m].about if m in METHODS else "")) for m in methods)
+    lines = ((f"{_e(m)} {_e(versions.get(m, ''))}", _e(METHODS.get(m, {}).get("about", ""))) for m in methods)
     missing = ((_e(name), _e(why)) for name, why in MISSING.items())
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'><meta name='viewport' content='width=device-width'>",
-        f"<title>The league</title><style>{STYLE}</style><h1>Every method, the same recordings</h1>",
+        f"<title>The league</title><style>{(HERE / 'page.css').read_text()}</style>",
+        "<h1>Every method, the same recordings</h1>",
         INTRO.format(len(methods), len(tasks)),
         f"<h2>All tasks</h2>{_matrix(rows, tasks, methods)}",
         f"<h2>Where modcal is not first</h2>{_losses(rows, tasks, reasons)}",

@@ -34,12 +34,9 @@ SOURCES = [str(ROOT / "ros2_ws" / "src" / name) for name in ("modcal_core", "mod
 
 def answered(problem: Problem, method: str, patience: float) -> dict[str, Any]:
     """The result of a method on a task, by a process of its own that has one core and no scored reading."""
-    python = ENVIRONMENTS / METHODS[method].environment / "bin" / "python"
-    nothing = {"version": "", "cpu_s": 0.0, "memory_mb": 0.0}
-    if not python.exists():
-        return result(
-            problem, method, {"status": "not applicable", "remark": "could not be installed here", **nothing}, {}
-        )
+    python = ENVIRONMENTS / METHODS[method]["environment"] / "bin" / "python"
+    said: dict[str, Any] = {"status": "failed", "version": "", "cpu_s": 0.0, "memory_mb": 0.0}
+    arrays = {}
     with tempfile.TemporaryDirectory(prefix="league_") as folder:
         told, out = Path(folder) / "task.npz", Path(folder) / "answer.npz"
         problem.task.write(told)
@@ -53,17 +50,16 @@ def answered(problem: Problem, method: str, patience: float) -> dict[str, Any]:
             done = subprocess.run(
                 command, env=environment, cwd=folder, timeout=patience, capture_output=True, text=True
             )
+            said["remark"] = (done.stderr.strip().splitlines() or ["no answer"])[-1][:300]
+        except FileNotFoundError:
+            said |= {"status": "not applicable", "remark": "could not be installed here"}
         except subprocess.TimeoutExpired:
-            said = {"status": "stopped", "remark": f"not done after {patience:.0f} s", **nothing, "cpu_s": patience}
-            return result(problem, method, said, {})
-        if not out.exists():
-            last = (done.stderr.strip().splitlines() or ["the process ended"])[-1]
-            return result(problem, method, {"status": "failed", "remark": last[:300], **nothing}, {})
-        if done.stderr:
-            print(done.stderr[-2000:], file=sys.stderr)
-        with np.load(out) as data:
-            arrays = {name: data[name] for name in data.files if name != "said"}
-            return result(problem, method, json.loads(str(data["said"])), arrays)
+            said |= {"status": "stopped", "remark": f"not done after {patience:.0f} s", "cpu_s": patience}
+        if out.exists():
+            with np.load(out) as data:
+                arrays = {name: data[name] for name in data.files if name != "said"}
+                said |= json.loads(str(data["said"]))
+    return result(problem, method, said, arrays)
 
 
 def chosen(names: tuple[str, ...], only: list[str]) -> tuple[str, ...]:
