@@ -60,7 +60,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/sentinel": (1080, 770),
 }
 SOURCE = (94500, 61900)
-TEXT = 186000  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+TEXT = 186100  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 85
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
