@@ -48,20 +48,7 @@ def test_the_published_code_is_an_arm_and_comes_back(tmp_path: Path, capfd: pyte
     assert run(["assemble", str(spec), "--out", str(tmp_path / "arm")]) == 0
     assert f"code: {code}" in capfd.readouterr().out
     made = yaml.safe_load((tmp_path / "arm" / "assembly.yaml").read_text())
-    assert [m["module"] for m in made["modules"]] == [
-        "B",
-        "JR",
-        "LR-I",
-        "JR",
-        "LP",
-        "JR",
-        "LP",
-        "JR",
-        "LR-II",
-        "JR",
-        "LC",
-        "G",
-    ]
+    assert [m["module"] for m in made["modules"]] == "B JR LR-I JR LP JR LP JR LR-II JR LC G".split()
     spec.write_text(yaml.safe_dump({**made, "code": code[:-2] + "10"}))
     assert run(["assemble", str(spec), "--out", str(tmp_path / "other")]) == 2
     assert "modules and code differ from module 12 on" in capfd.readouterr().err

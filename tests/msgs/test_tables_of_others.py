@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgs.exported import BASE, CHAIN, TOOL, written
-from msgs.exported import postures as postures_of
+from msgs.exported import BASE, CHAIN, TOOL, postures, written
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
@@ -18,10 +17,6 @@ from modcal_core.robots import forward
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, import_tables
 
 J = tuple(CHAIN.names)
-
-
-def postures(rng: np.random.Generator, rows: int = 60) -> np.ndarray:
-    return postures_of(rng, rows)
 
 
 def seen(q: np.ndarray, tool: np.ndarray = TOOL, zeros: np.ndarray | float = 0.0) -> np.ndarray:
