@@ -65,12 +65,9 @@ def test_a_zero_that_is_five_degrees_off_is_no_refusal(joint: int, tmp_path: Pat
         (lambda q: q * [1, -1, 1, 1, 1, 1], {"sign": {J[1]: -1.0}}),
         (lambda q: q - [0, np.pi / 2, 0, 0, 0, 0], {"offset": {J[1]: 90.0}}),
         (lambda q: q - np.outer(q[:, 1], [0, 0, 1, 0, 0, 0]), {"coupled": {J[2]: {J[1]: 1.0}}}),
-        (
-            lambda q: q * [1, 1, 1, 1, -1, 1] - np.outer(q[:, 1], [0, 0, 1, 0, 0, 0]),
-            {"coupled": {J[2]: {J[1]: 1.0}}, "sign": {J[4]: -1.0}},
-        ),
+        (lambda q: q * [1, 1, 1, 1, -1, 1] - np.outer(q[:, 1], [0, 0, 1, 0, 0, 0]), {"coupled": {J[2]: {J[1]: 1.0}}, "sign": {J[4]: -1.0}}),
     ],
-)
+)  # fmt: skip
 def test_joints_that_are_counted_otherwise_are_stated(
     told: Any, stated: dict[str, Any], tmp_path: Path, rng: np.random.Generator
 ) -> None:
