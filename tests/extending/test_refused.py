@@ -101,8 +101,16 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Said]:
         forking.stdin.close()
 
 
-def test_one_that_can_be_is_scanned(said: Said) -> None:
-    assert said("modcal.effects", SCANNED).strip() == "[(20,)]"
+SQUARED = (
+    'Family("bend", candidates, {"bent": ShapeKind(bent)}, drivers={"slip": lambda d, j: d.values(f"position:{j}")**2})'
+)
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"driver": "slip:elbow_joint", "added": SQUARED}], ids=["usual", "its own driver"]
+)
+def test_one_that_can_be_is_scanned(said: Said, changes: dict[str, str]) -> None:
+    assert said("modcal.effects", SCANNED, **changes).strip() == "[(20,)]"
 
 
 @pytest.mark.parametrize(
