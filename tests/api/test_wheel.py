@@ -140,14 +140,7 @@ sys.exit(run(["watch"]))
 
 def test_colcon_does_not_take_the_root_for_a_package() -> None:
     command = [
-        sys.executable,
-        "-m",
-        "colcon",
-        "--log-base",
-        os.devnull,
-        "list",
-        "--names-only",
-        "--base-paths",
+        *f"{sys.executable} -m colcon --log-base {os.devnull} list --names-only --base-paths".split(),
         ROOT / "ros2_ws",
     ]
     listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()

@@ -233,3 +233,13 @@ def test_it_is_the_inverse_and_reads_nothing_above_the_diagonal(rows: int) -> No
     inverse = inverse_of_triangle(written_above)
     np.testing.assert_allclose(inverse @ lower, np.eye(rows), atol=1e-12)
     np.testing.assert_array_equal(np.triu(inverse, 1), 0.0)
+
+
+def test_what_is_singular_has_a_solution() -> None:
+    """Two columns are the same: the step is shared between them, and solves the equations."""
+    J = np.random.default_rng(2).normal(size=(30, 4))
+    J = np.concatenate([J, J[:, :1]], axis=1)
+    H, g = J.T @ J, J.T @ np.ones(30)
+    step = Curvature.of(H).solve(g)
+    np.testing.assert_allclose(H @ step, g, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(step[0], step[4], rtol=1e-3, atol=1e-5)

@@ -29,14 +29,10 @@ STEP = se3.exp(np.array([4e-3, -3e-3, 2e-3, 1e-3, 2e-3, -1e-3]))
         ("quaternion", "pose", "quaternions look like"),
         ("degrees", "pose", "degrees"),
         ("joints swapped", "pose", "shoulder_pan_joint"),
-        (
-            "x reversed",
-            "point",
-            r"positions look mirrored \(a left-handed frame: two columns swapped, or one of the other",
-        ),
+        ("x reversed", "point", r"positions look mirrored \(a left-handed frame: two columns swapped, or one of the other"),
         ("a joint stands", "point", "joint elbow_joint: stands at the same position at all 10 stations"),
     ],
-)
+)  # fmt: skip
 def test_another_convention_is_refused_by_its_name(cell: Cell, wrong: str, kind: str, words: str) -> None:
     """Of a left-handed frame points alone do not show which sign or which columns, so neither is claimed."""
     q = postures(4)

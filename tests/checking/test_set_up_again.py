@@ -64,14 +64,9 @@ def test_an_unknown_frame_is_placed_and_no_change(cell: Arm, kind: str) -> None:
         ({("tool", "tool")}, again(ANOTHER), "pose", "leica"),
         ({("tool", "tool")}, again(ANOTHER), "point", "leica"),
         ({("joint_zero", "elbow_joint")}, again(zero=8e-4 * np.eye(6)[2]), "pose", "leica"),
-        (
-            {("base", "base"), ("tool", "tool"), ("joint_zero", "elbow_joint")},
-            again(ANOTHER, 1e-3 * np.eye(6)[2]),
-            "pose",
-            "tracker",
-        ),
+        ({("base", "base"), ("tool", "tool"), ("joint_zero", "elbow_joint")}, again(ANOTHER, 1e-3 * np.eye(6)[2]), "pose", "tracker"),
     ],
-)
+)  # fmt: skip
 def test_a_change_is_named_beside_what_was_set_up_again(
     cell: Arm, name: set[tuple[str, str]], seen: Seen, kind: str, frame: str
 ) -> None:

@@ -53,17 +53,13 @@ def test_stages_effects_and_shares_of_a_report_are_explained() -> None:
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        (
-            "odd.yaml",
-            "rows: []\n",
-            "odd.yaml: kinematic table: has no key 'convention': write convention: dh, mdh, cpc",
-        ),
+        ("odd.yaml", "rows: []\n", "odd.yaml: kinematic table: has no key 'convention': write convention: dh, mdh, cpc"),
         ("odd.yaml", "convention: hayati\n", "odd.yaml: kinematic table: convention 'hayati' is unknown"),
         ("odd.yaml", "convention: dh\n", "odd.yaml: "),
         ("odd.urdf", "<robot name='r'><link name='a'/></robot>", "odd.urdf: link 'a': no moving joint behind it"),
         ("odd.urdf", "no robot", "odd.urdf: robot description"),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("verb", ["sensitivity", "plan"])
 def test_a_refusal_names_the_file(
     verb: str, name: str, text: str, said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]

@@ -98,10 +98,7 @@ def test_points_efforts_and_a_delta(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (
-            ["-p", "colour=red"],
-            "modcal: -p colour=red: is not a NAME=VALUE of the simulated cell: names are base, tip, seed",
-        ),
+        (["-p", "colour=red"], "modcal: -p colour=red: is not a NAME=VALUE of the simulated cell: names are base, tip, seed"),
         (["-p", "urdf=other.urdf"], "modcal: -p urdf=other.urdf: is not a NAME=VALUE of the simulated cell"),
         (["-p", "stations"], "modcal: -p stations: is not a NAME=VALUE"),
         (["-p", "stations=many"], "modcal: -p stations=many: is no int: write one"),
@@ -112,7 +109,7 @@ def test_points_efforts_and_a_delta(tmp_path: Path) -> None:
         (["--at", "500", "payload_kg=2"], "modcal: --at 500 payload_kg: the last posture is reached at 132 s"),
         (["--at", "5", "tool_bump_m=[1, 2]"], "modcal: --at 5 tool_bump_m: tool_bump_m takes three finite numbers"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_is_refused(tmp_path: Path, options: list[str], said: str, refused: Refused) -> None:
     refused(["simulate", str(URDF), "--out", str(tmp_path / "bag"), *options], re.escape(said))
 

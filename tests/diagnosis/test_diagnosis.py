@@ -295,8 +295,9 @@ def test_a_clean_motion_comes_out_clean() -> None:
 
 
 def test_the_report_tells_a_technician() -> None:
-    data = to_json_data(planted("gear, 101 a turn"))
-    assert "repeats 101 times a turn with 0.19" in data["story"][0]
+    report = planted("gear, 101 a turn")
+    data, size = to_json_data(report), only(report).parameters["amplitude"][0]
+    assert f"repeats 101 times a turn with {1e3 * size:.3g} mrad" in data["story"][0]
     effect = data["effects"][0]
     assert effect["rms_mm_after"] < effect["rms_mm_before"]
     assert effect["p_value"] < 1e-6

@@ -111,18 +111,8 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("installed")
     copy = tmp_path_factory.mktemp("source") / "extending"
     subprocess.run(["cp", "-r", str(ROOT / "examples" / "extending"), str(copy)], check=True)  # building leaves traces
-    pip = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "-qq",
-        "--no-deps",
-        "--no-build-isolation",
-        "--no-index",
-        "--no-input",
-    ]
-    subprocess.run([*pip, "--disable-pip-version-check", "--target", str(folder), str(copy)], check=True)
+    how = "--no-deps --no-build-isolation --no-index --no-input --disable-pip-version-check --target"
+    subprocess.run([*f"{sys.executable} -m pip install -qq {how}".split(), str(folder), str(copy)], check=True)
     path = os.pathsep.join([str(folder), str(ROOT / "tests"), *sys.path])
 
     def run(program: str) -> str:

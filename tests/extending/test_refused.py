@@ -101,8 +101,16 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Said]:
         forking.stdin.close()
 
 
-def test_one_that_can_be_is_scanned(said: Said) -> None:
-    assert said("modcal.effects", SCANNED).strip() == "[(20,)]"
+SQUARED = (
+    'Family("bend", candidates, {"bent": ShapeKind(bent)}, drivers={"slip": lambda d, j: d.values(f"position:{j}")**2})'
+)
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"driver": "slip:elbow_joint", "added": SQUARED}], ids=["usual", "its own driver"]
+)
+def test_one_that_can_be_is_scanned(said: Said, changes: dict[str, str]) -> None:
+    assert said("modcal.effects", SCANNED, **changes).strip() == "[(20,)]"
 
 
 @pytest.mark.parametrize(
@@ -110,21 +118,15 @@ def test_one_that_can_be_is_scanned(said: Said) -> None:
     [
         ({"added": "3"}, "entry point bend of modcal.effects: names a int: name a Family"),
         ({"added": 'Family("drift", candidates)'}, "entry point bend of modcal.effects: family drift is already used"),
-        (
-            {"added": 'Family("bend", candidates, {"sine": ShapeKind(bent)})'},
-            "entry point bend of modcal.effects: shape sine is already used",
-        ),
-        (
-            {"added": 'Family("bend", candidates, drivers={"time": bent})'},
-            "entry point bend of modcal.effects: driver time is already used",
-        ),
+        ({"added": 'Family("bend", candidates, {"sine": ShapeKind(bent)})'}, "entry point bend of modcal.effects: shape sine is already used"),
+        ({"added": 'Family("bend", candidates, drivers={"time": bent})'}, "entry point bend of modcal.effects: driver time is already used"),
         ({"yields": "other"}, "effect bend: yields one of family other"),
         ({"shape": "crooked"}, "effect bend at elbow_joint: no shape crooked"),
         ({"driver": "mood:elbow_joint"}, "effect bend at elbow_joint: no driver mood:elbow_joint"),
         ({"basis": "x**2"}, "shape bent at {}: is (20,), not (1, 20): fix the package that provides it"),
         ({"basis": "(x / 0.0)[None]"}, "shape bent at {}: is not finite: fix the package that provides it"),
     ],
-)
+)  # fmt: skip
 def test_an_effect_that_cannot_be(said: Said, changes: dict[str, str], line: str) -> None:
     assert line in said("modcal.effects", SCANNED, **changes)
 
@@ -133,12 +135,9 @@ def test_an_effect_that_cannot_be(said: Said, changes: dict[str, str], line: str
     ("added", "line"),
     [
         ("3", "entry point bend of modcal.topics: names a int: name an AddedTopic"),
-        (
-            'AddedTopic("/tracker/pose", "std_msgs/msg/String", print)',
-            "topic tracker/pose of modcal.topics: is used by modcal itself",
-        ),
+        ('AddedTopic("/tracker/pose", "std_msgs/msg/String", print)', "topic tracker/pose of modcal.topics: is used by modcal itself"),
     ],
-)
+)  # fmt: skip
 def test_a_topic_that_cannot_be(said: Said, added: str, line: str) -> None:
     assert line in said("modcal.topics", "import modcal_msgs_py.topics", added=added)
 
@@ -181,16 +180,13 @@ choose(Track(np.linspace([0.0, 0.0, 0.0], [0.3, 0.0, 0.0], 30)))
     ("change", "line"),
     [
         ("", "articulation model bend of package bend, pose at size = 1: has shape (), not (48, 4, 4)"),
-        (
-            "model.name = 'screw'",
-            "entry point bend of modcal.articulation: kind screw is already used: choose another name",
-        ),
+        ("model.name = 'screw'", "entry point bend of modcal.articulation: kind screw is already used: choose another name"),
         ("model.share = 0.9", "entry point bend of modcal.articulation: its share is 0.9, not between 0 and 0.5"),
         ("model = 3", "entry point bend of modcal.articulation: names a int: name an instance of an ArticulationModel"),
         ("model.upper = 0.0", "entry point bend of modcal.articulation: its configurations lie between 0 and 0"),
         ("import nothing_there", "entry point bend of modcal.articulation: package bend raises ModuleNotFoundError"),
     ],
-)
+)  # fmt: skip
 def test_a_way_to_move_that_cannot_be(said: Said, change: str, line: str) -> None:
     assert line in said("modcal.articulation", CHOSEN, package=MODEL.format(change=change))
 

@@ -119,24 +119,12 @@ RECORDINGS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
     "two targets": (lambda: poses(T @ AWAY, SOME), ("tool (or the target on it) is displaced",)),
     "a part in mm": (lambda: spoiled(1e3 * P, rows=LATER, kind="point"), (f"millimetres {AT_LATER}",)),
     "a part in inches": (lambda: spoiled(P / 0.0254, rows=SOME), ("in another unit (inches)",)),
-    "tool's axes in a part": (
-        lambda: spoiled((BACK @ P[..., None])[..., 0], rows=LATER),
-        ("given along the axes of the tool", AT_LATER),
-    ),
-    "turned before": (
-        lambda: spoiled(R=FLIP @ R, rows=SOME),
-        ("orientations look turned by 1", "of the tracker at 28"),
-    ),
+    "tool's axes in a part": (lambda: spoiled((BACK @ P[..., None])[..., 0], rows=LATER), ("given along the axes of the tool", AT_LATER)),
+    "turned before": (lambda: spoiled(R=FLIP @ R, rows=SOME), ("orientations look turned by 1", "of the tracker at 28")),
     "turned behind": (lambda: spoiled(R=R @ FLIP, rows=SOME), ("orientations look turned by 1", "of the tool at 28")),
-    "three reversed": (
-        lambda: spoiled(q=Q * [-1, 1, -1, -1, 1, 1], rows=LATER),
-        (NAMES[0], NAMES[2], NAMES[3], f"look reversed {AT_LATER}"),
-    ),
+    "three reversed": (lambda: spoiled(q=Q * [-1, 1, -1, -1, 1, 1], rows=LATER), (NAMES[0], NAMES[2], NAMES[3], f"look reversed {AT_LATER}")),
     "zero of the tracker": (lambda: set_to_zero("pose"), ("tracker", "stations 0 to 19, 20 to 44, 45 to 69")),
-    "other columns in a part": (
-        lambda: spoiled(q=mixed(4, 5, [[1, 1], [1, -1]]), rows=LATER),
-        (f"{NAMES[4]} = 0.5 {NAMES[4]} + 0.5 {NAMES[5]}",),
-    ),
+    "other columns in a part": (lambda: spoiled(q=mixed(4, 5, [[1, 1], [1, -1]]), rows=LATER), (f"{NAMES[4]} = 0.5 {NAMES[4]} + 0.5 {NAMES[5]}",)),
     # of one joint or two
     "never reported": (lambda: joint(2, 0.0 * ELBOW), ("joint elbow_joint is reported as standing still",)),
     "zero of a joint": (lambda: joint(3, Q[:, 3] + 0.5 * np.pi), ("wrist_1_joint reads 90",)),
@@ -150,37 +138,22 @@ RECORDINGS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
         lambda: joint(2, np.random.default_rng(2).permutation(ELBOW), kind="point"),
         ("joint elbow_joint was not where it was reported",),
     ),
-    "coupled": (
-        lambda: joint(2, ELBOW + Q[:, 1], kind="point"),
-        (f"joint elbow_joint looks counted together with {NAMES[1]}",),
-    ),
+    "coupled": (lambda: joint(2, ELBOW + Q[:, 1], kind="point"), (f"joint elbow_joint looks counted together with {NAMES[1]}",)),
     # of all joints
     "swapped": (lambda: spoiled(q=SWAPPED, kind="point"), (f"joints {NAMES[1]} and {NAMES[2]} look swapped",)),
-    "counted on": (
-        lambda: spoiled(q=Q[:, [1, 2, 3, 4, 5, 0]]),
-        ("all by 1 place", f"{NAMES[1]} under the name {NAMES[0]}"),
-    ),
+    "counted on": (lambda: spoiled(q=Q[:, [1, 2, 3, 4, 5, 0]]), ("all by 1 place", f"{NAMES[1]} under the name {NAMES[0]}")),
     "any order": (
         lambda: spoiled(q=Q[:, [3, 1, 5, 0, 2, 4]], kind="point"),
         (f"{NAMES[3]} under the name {NAMES[0]}", f"{NAMES[4]} under the name {NAMES[5]}"),
     ),
-    "order and sign": (
-        lambda: spoiled(q=Q[:, [3, 1, 5, 0, 2, 4]] * [1, 1, -1, 1, 1, 1]),
-        ("wrist_3_joint", "reversed"),
-    ),
+    "order and sign": (lambda: spoiled(q=Q[:, [3, 1, 5, 0, 2, 4]] * [1, 1, -1, 1, 1, 1]), ("wrist_3_joint", "reversed")),
     "all reversed": (lambda: spoiled(q=-Q), ("look reversed",)),
     "sum and difference": (
         lambda: spoiled(q=mixed(2, 3, [[1, 1], [1, -1]]), kind="point"),
         (f"{NAMES[2]} = 0.5 {NAMES[2]} + 0.5 {NAMES[3]}; {NAMES[3]} = 0.5 {NAMES[2]} - 0.5 {NAMES[3]}",),
     ),
-    "other scales": (
-        lambda: spoiled(q=Q * [1, 1, 1, 1.25, 1, 0.8]),
-        (f"{NAMES[3]} = 0.8 {NAMES[3]}; {NAMES[5]} = 1.25 {NAMES[5]}",),
-    ),
-    "two zeros": (
-        lambda: spoiled(q=Q + np.radians([0, 0, 25.0, -15.0, 0, 0])),
-        (f"{NAMES[2]} by -2", f"{NAMES[3]} by 1"),
-    ),
+    "other scales": (lambda: spoiled(q=Q * [1, 1, 1, 1.25, 1, 0.8]), (f"{NAMES[3]} = 0.8 {NAMES[3]}; {NAMES[5]} = 1.25 {NAMES[5]}",)),
+    "two zeros": (lambda: spoiled(q=Q + np.radians([0, 0, 25.0, -15.0, 0, 0])), (f"{NAMES[2]} by -2", f"{NAMES[3]} by 1")),
     # of columns
     "z late": (lambda: spoiled(np.c_[P[:, :2], np.roll(P[:, 2], 1)]), ("column z of the positions looks late by 1",)),
     "orientations late": (lambda: spoiled(R=np.roll(R, 1, axis=0)), ("orientations look late by 1 station:",)),
@@ -228,7 +201,7 @@ RECORDINGS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
         lambda: spoiled(P * [1, -1, 1], q=SWAPPED, kind="point"),
         ("positions look mirrored", f"joints {NAMES[1]} and {NAMES[2]} look swapped"),
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.slow
@@ -280,11 +253,8 @@ DESCRIPTIONS: dict[str, tuple[Callable[[], Chain], tuple[str, ...]]] = {
     ),
     "module": (lambda: with_origin(3, other_module(3)), (f"link before joint {NAMES[3]} is another", "turned by 90")),
     "two modules": (two_links, ("more than one link of the URDF is different",)),
-    "slides": (
-        lambda: replace(CHAIN, revolute=CHAIN.revolute & (ORDER[:6] != 3)),
-        (f"joint {NAMES[3]} is prismatic in the URDF",),
-    ),
-}
+    "slides": (lambda: replace(CHAIN, revolute=CHAIN.revolute & (ORDER[:6] != 3)), (f"joint {NAMES[3]} is prismatic in the URDF",)),
+}  # fmt: skip
 
 
 @pytest.mark.slow

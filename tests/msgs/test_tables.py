@@ -295,11 +295,6 @@ def test_joints_and_readings_in_tables_of_their_own(tmp_path: Path) -> None:
     assert (len(recording.joints[0].stamps), len(recording.readings[0].stamps)) == (3, 1)
 
 
-def test_what_was_not_decided_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadTable, match="undecided: mm or m: correct what is below it, and remove the line"):
-        import_tables({"undecided": ["mm or m"], "tables": [ENTRY]}, tmp_path, "m")
-
-
 def test_examples_are_what_the_schema_says() -> None:
     from modcal_msgs_py.tables.convert import require_mapping
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgs.exported import BASE, CHAIN, TOOL, written
-from msgs.exported import postures as postures_of
+from msgs.exported import BASE, CHAIN, TOOL, postures, written
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
@@ -18,10 +17,6 @@ from modcal_core.robots import forward
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, import_tables
 
 J = tuple(CHAIN.names)
-
-
-def postures(rng: np.random.Generator, rows: int = 60) -> np.ndarray:
-    return postures_of(rng, rows)
 
 
 def seen(q: np.ndarray, tool: np.ndarray = TOOL, zeros: np.ndarray | float = 0.0) -> np.ndarray:
@@ -70,12 +65,9 @@ def test_a_zero_that_is_five_degrees_off_is_no_refusal(joint: int, tmp_path: Pat
         (lambda q: q * [1, -1, 1, 1, 1, 1], {"sign": {J[1]: -1.0}}),
         (lambda q: q - [0, np.pi / 2, 0, 0, 0, 0], {"offset": {J[1]: 90.0}}),
         (lambda q: q - np.outer(q[:, 1], [0, 0, 1, 0, 0, 0]), {"coupled": {J[2]: {J[1]: 1.0}}}),
-        (
-            lambda q: q * [1, 1, 1, 1, -1, 1] - np.outer(q[:, 1], [0, 0, 1, 0, 0, 0]),
-            {"coupled": {J[2]: {J[1]: 1.0}}, "sign": {J[4]: -1.0}},
-        ),
+        (lambda q: q * [1, 1, 1, 1, -1, 1] - np.outer(q[:, 1], [0, 0, 1, 0, 0, 0]), {"coupled": {J[2]: {J[1]: 1.0}}, "sign": {J[4]: -1.0}}),
     ],
-)
+)  # fmt: skip
 def test_joints_that_are_counted_otherwise_are_stated(
     told: Any, stated: dict[str, Any], tmp_path: Path, rng: np.random.Generator
 ) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nodes.processes import MUTUAL, SLOWER, fresh_domain
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -61,6 +62,12 @@ class Pair:
         answer = self._clients[name].call_async(request or kind.Request())
         self.wait(answer.done, 5.0)
         return answer.result()
+
+    def told(self) -> list[DiagnosticStatus]:
+        """What is said on /diagnostics from now on."""
+        heard: list[DiagnosticStatus] = []
+        self.partner.create_subscription(DiagnosticArray, "/diagnostics", lambda m: heard.extend(m.status), 50)
+        return heard
 
     def close(self) -> None:
         """As running.py closes a node."""

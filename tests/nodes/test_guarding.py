@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from nodes.in_process import Pair, spun
 from nodes.talking import LATCHED
 from rcl_interfaces.msg import Parameter, ParameterValue
@@ -82,8 +82,7 @@ def test_an_exception_in_every_callback(pair: Pair) -> None:
     """Every subscription hears a message, every timer comes due, every service is asked, and every one of them fails."""
     node, partner = pair.node, pair.partner
     assert isinstance(node, GuardedNode)
-    heard: list[DiagnosticStatus] = []
-    partner.create_subscription(DiagnosticArray, "/diagnostics", lambda m: heard.extend(m.status), 10)
+    heard = pair.told()
     if isinstance(node, Recorder):  # it subscribes to what there is
         talk = partner.create_publisher(DiagnosticStatus, "wrench", 10)
         pair.wait(lambda: any(s.topic_name == "/wrench" for s in node.subscriptions), 10.0)
@@ -168,8 +167,7 @@ def test_a_fault_while_a_parameter_is_set_refuses_it() -> None:
 
 def test_a_fault_in_the_telling_is_told() -> None:
     with spun(Corrector) as pair:
-        heard: list[DiagnosticStatus] = []
-        pair.partner.create_subscription(DiagnosticArray, "/diagnostics", lambda m: heard.extend(m.status), 10)
+        heard = pair.told()
         pair.node._health._of = boom
         pair.wait(lambda: [s for s in heard if s.name.endswith("faults") and "Boom" in s.message], 10.0)
 

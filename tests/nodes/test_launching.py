@@ -249,15 +249,8 @@ def test_every_panel_is_in_the_layout() -> None:
 
 
 DRAWING = {"matplotlib", "jinja2"}
-FROM_PIP = {
-    "mcap",
-    "rosbags",
-    "zstandard",
-    "lz4",
-    "mujoco",
-    "fpdf",
-    "pyarrow",
-}  # which a farm that builds packages has not
+# which a farm that builds packages has not
+FROM_PIP = {"mcap", "rosbags", "zstandard", "lz4", "mujoco", "fpdf", "pyarrow"}
 COMPUTING = {"scipy.linalg", "scipy.special", "scipy.optimize"}
 
 

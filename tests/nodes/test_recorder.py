@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Goals
 from nodes.cell import call
 from nodes.in_process import spun
@@ -347,8 +347,7 @@ def test_a_second_interrupt_does_not_cut_the_closing_short(tmp_path: Path) -> No
 def test_it_says_at_once_that_nothing_comes_and_when_it_does(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """A publisher is there and nothing of it arrives, as after a kill; a slow topic is not complained of."""
     with spun(Recorder, out=tmp_path / "bag") as pair:
-        heard: list[DiagnosticStatus] = []
-        pair.partner.create_subscription(DiagnosticArray, "/diagnostics", lambda m: heard.extend(m.status), 50)
+        heard = pair.told()
         joints = pair.partner.create_publisher(JointState, "joint_states", RELIABLE)
         pair.partner.create_publisher(Temperature, "temperature", 10)
         pair.wait(joints.get_subscription_count, 5.0)

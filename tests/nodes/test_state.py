@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from camera.boards import BOARD, facing, views
 from cells import record
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TransformStamped
-from nodes.in_process import Pair, spun
+from nodes.in_process import spun
 from nodes.processes import ROOT
 from nodes.talking import LATCHED
 from sensor_msgs.msg import JointState
@@ -246,17 +246,11 @@ def test_how_far_collecting_is() -> None:
     assert collected(supervisor) == "44 stations are collected, 40 are needed: call ~/solve"
 
 
-def said(pair: Pair) -> list[DiagnosticStatus]:
-    heard: list[DiagnosticStatus] = []
-    pair.partner.create_subscription(DiagnosticArray, "/diagnostics", lambda m: heard.extend(m.status), 50)
-    return heard
-
-
 @pytest.mark.dds
 def test_what_is_missing_is_said_at_once(capfd: pytest.CaptureFixture[str]) -> None:
     """No description, then a tip that there is none of; whether a model is trusted is told from the start."""
     with spun(Calibrator, tip="nozzle", publish_tf=True) as pair:
-        heard, trusted = said(pair), list[bool]()
+        heard, trusted = pair.told(), list[bool]()
         pair.partner.create_subscription(Bool, "calibrator/trusted", lambda m: trusted.append(m.data), LATCHED)
         pair.wait(lambda: any("robot_description: not received yet" in s.message for s in heard), 3.0)
         pair.wait(lambda: trusted and pair.node._lacked, 3.0)
