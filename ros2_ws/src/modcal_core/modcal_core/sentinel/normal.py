@@ -18,6 +18,7 @@ import numpy as np
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3
 from modcal_core.hypotheses import HandEye, placed
+from modcal_core.moves import FRICTION, GEAR
 from modcal_core.sentinel.cells import Cells, MonitoredArm
 from modcal_core.sentinel.channels import CARRIED, Placed, SignalRows, signals_of
 
@@ -139,16 +140,22 @@ class Normal:
         return out
 
     @property
-    def friction(self) -> dict[str, dict[str, float]]:
-        """Friction of each joint as a sum of columns, where it is known."""
-        out: dict[str, dict[str, float]] = {}
+    def shares(self) -> list[tuple[str, str, dict[str, float]]]:
+        """Changes in proportion to what was: kind, joint, and a sum of columns. Friction of each joint; a gear's ratio,
+        by which a servo on the motor's side yields less.
+        """
+        friction: dict[str, dict[str, float]] = {}
+        out = []
         for name, of in self.signals.items():
             channel, joint = name.split(" ", 1)[0], name.rpartition(" ")[2]
             if channel == "torque":
-                out.setdefault(joint, {}).update({f"dry:{joint}": of.beta[1], f"viscous:{joint}": of.beta[2]})
+                friction.setdefault(joint, {}).update({f"dry:{joint}": of.beta[1], f"viscous:{joint}": of.beta[2]})
             elif f"drag:{joint}" in of.names:
-                out.setdefault(joint, {})[f"drag:{joint}"] = of.beta[2]
-        return {joint: weights for joint, weights in out.items() if any(w > 0.0 for w in weights.values())}
+                friction.setdefault(joint, {})[f"drag:{joint}"] = of.beta[2]
+            elif channel == "following":
+                out.append((GEAR, joint, {f"ratio:{joint}": 1.0, f"servo:{joint}": -of.beta[2]}))
+        rubs = [(FRICTION, joint, of) for joint, of in friction.items() if any(w > 0.0 for w in of.values())]
+        return [*rubs, *out]
 
 
 def _placed(reference: Sequence[Cells], arm: MonitoredArm) -> Placed | None:
