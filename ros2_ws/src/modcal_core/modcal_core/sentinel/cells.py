@@ -25,7 +25,9 @@ FEWEST = 40  # cells of a recording: ten seconds
 _WINDOW = 0.12  # s that a polynomial is fitted over
 _SLOWEST = 10.0  # Hz
 _GAP = 2.5  # times the usual period; what is missing longer is not interpolated
-SLIDES = 0.01  # rad/s or m/s at which half of a joint's dry friction acts against its speed
+SLIDES = (
+    2e-3  # rad/s or m/s at which half of a joint's dry friction acts against its speed; 
+)
 _FARTHEST = 0.2  # rad or m; a joint that is farther away does not follow this command
 
 
