@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build packages demo week test suite quick fuzz mutants lint ruff mypy format bench docs wheel lock clean
+.PHONY: help setup setup-test build packages demo week test suite quick fuzz mutants lint ruff mypy format bench league docs wheel lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -80,6 +80,10 @@ format: setup-test  ## let ruff fix what it can
 bench: $(if $(NAME),setup-test build,setup)  ## one of the benches: NAME=speed ARGS="--only kinematics"; without a NAME: their list
 	@$(PY) scripts/bench.py "$(NAME)" $(ARGS)
 
+league:  ## every method of the field on the same recordings: build/league/index.html; LEAGUE=full, ARGS="--only modcal"
+	@league/setup.sh
+	@.venv-league/common/bin/python -m league.run $(ARGS)
+
 docs: setup-test build  ## renew docs/reference from the code; the documentation as a site: site/index.html
 	@$(PY) scripts/reference
 	@$(PY) -m mkdocs --quiet build --clean
@@ -92,6 +96,6 @@ lock: setup  ## renew requirements*.txt from pyproject.toml; needs python3.11 an
 	@$(PY) scripts/lock.py
 
 clean:  ## remove .venv, the build and every cache
-	@rm -rf $(VENV) .venv-interfaces .venv-bench ros2_ws/build ros2_ws/install ros2_ws/log demo
+	@rm -rf $(VENV) .venv-interfaces .venv-bench .venv-league ros2_ws/build ros2_ws/install ros2_ws/log demo
 	@rm -rf site dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	@find ros2_ws/src tests bench examples scripts -name __pycache__ -prune -exec rm -rf {} +

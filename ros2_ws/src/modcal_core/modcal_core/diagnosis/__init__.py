@@ -6,7 +6,7 @@ if TYPE_CHECKING:
     from modcal_core.diagnosis.causes import Cause, Diagnosis, EvidenceMap, causes_of_moves
     from modcal_core.diagnosis.choice import SIGNIFICANT, EffectChoice, choose, frozen, located, one_motion_names
     from modcal_core.diagnosis.evidence import Scanner
-    from modcal_core.diagnosis.hysteresis import last_moves, moments_on_base, paths, slipped
+    from modcal_core.diagnosis.hysteresis import last_moves, moments_on_base, paths, since_last, slipped
     from modcal_core.diagnosis.load_hypothesis import by_weight, stated_arm, with_stated
     from modcal_core.diagnosis.loads import Loads, weighed, with_arm
     from modcal_core.diagnosis.residual_curves import with_residual_curves
@@ -18,6 +18,6 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["SIGNIFICANT", "Cause", "Diagnosis", "EffectChoice", "EvidenceMap", "Loads", "Scanner", "Sought", "Space"]
-__all__ += ["by_weight", "causes_of_moves", "choose", "diagnose", "frozen", "last_moves", "located"]
-__all__ += ["moments_on_base", "one_motion_names", "paths", "slipped", "stated_arm", "weighed", "with_arm"]
+__all__ += ["by_weight", "causes_of_moves", "choose", "diagnose", "frozen", "last_moves", "located", "moments_on_base"]
+__all__ += ["one_motion_names", "paths", "since_last", "slipped", "stated_arm", "weighed", "with_arm"]
 __all__ += ["with_residual_curves", "with_stated"]

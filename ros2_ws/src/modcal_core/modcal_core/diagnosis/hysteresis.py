@@ -13,9 +13,14 @@ LOADS = np.array([0.3, 0.7, 1.3])  # of a load's spread; half the slack of what 
 
 def last_moves(samples: Samples) -> Array:
     """By how much each joint moved from the station before, (N, n) [rad, m]; 0 at the first of a frame."""
+    return since_last(samples, samples.q)
+
+
+def since_last(samples: Samples, numbers: Array) -> Array:
+    """What numbers (N, c) have changed by since the station before, (N, c)."""
     order = np.lexsort((samples.stamps, samples.frame))
-    step = np.zeros_like(samples.q)
-    step[order[1:]] = np.diff(samples.q[order], axis=0)
+    step = np.zeros_like(numbers)
+    step[order[1:]] = np.diff(numbers[order], axis=0)
     return step
 
 

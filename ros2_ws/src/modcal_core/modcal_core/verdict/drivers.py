@@ -17,7 +17,7 @@ from typing import cast
 import numpy as np
 
 from modcal_core.calibration import station_numbers
-from modcal_core.diagnosis import last_moves, moments_on_base, paths, slipped
+from modcal_core.diagnosis import last_moves, moments_on_base, paths, since_last, slipped
 from modcal_core.effects import periodic
 from modcal_core.geometry import Array
 from modcal_core.measurements import RANGE, moving_beside, others_at, spoken_name
@@ -105,6 +105,7 @@ class PlaceDrivers:
         self.base, self.tool = rest.body(0), rest.body(self.chain.tool_place)
         self.turn = np.moveaxis(rest.view.f.rotation(-1), 0, -1)  # orientations of the tip, (3, 3, N)
         self.flat = self.turn.reshape(9, self.N)
+        self.down = np.einsum("jin,j->in", self.turn, self.chain.T_base_root[:3, :3].T @ [0.0, 0.0, -1.0])
         self.sight = np.einsum("jin,jn->in", self.turn, _unit(rest.view.expected))  # the beam along the tip's axes
         self.ends = ("the tool", self.tool), ("the base", self.base)
         step, approach = last_moves(self.samples), self.samples.approach
@@ -141,8 +142,7 @@ class PlaceDrivers:
             yield _part("", who, CONSTANT, body, self.one)
         moved = np.stack([u * x for j, u in enumerate(self.axes) for x in (self.came[j], self.step[j])])
         yield Part("", "all joints, or the readings' time (a filter, an average, a late clock)", "the last move", moved)
-        down = np.einsum("jin,j->in", self.turn, self.chain.T_base_root[:3, :3].T @ [0.0, 0.0, -1.0])
-        yield _part("", "the tool", "how it is turned against gravity", self.tool, np.r_[down, np.sign(down)])
+        yield _part("", "the tool", "how it is turned against gravity", self.tool, np.r_[self.down, np.sign(self.down)])
         yield _part("", "the tool", "the side from which the tracker looks at it", self.tool, _curves(self.sight))
         yield _part("", "the base", "the moment of the arm's weight on it", self.base, moments_on_base(self.at))
         where = np.concatenate([_standard(np.asarray(self.rest.view.f.p[-1])), self.flat, self.flat**3])
@@ -262,6 +262,11 @@ class PlaceDrivers:
             driver = "the previous moment of the arm's weight on it (slip)"
             number = _standard(slipped(s, moments_on_base(self.at)))
             yield _part("the previous load on the base", "the base", driver, self.base, number)
+            before, creeps = "the load at the station before", "its load at the station before (creep)"
+            yield _part(before, "the tool", creeps, self.tool, since_last(s, self.down.T).T)
+            for name, axis in zip(self.chain.names, self.axes, strict=True):
+                load = self.at.values(f"{'load' if self.at.arm.weighed else 'payload'}:{name}")
+                yield _part(before, f"joint {name}", creeps, [axis], _standard(since_last(s, load[:, None]).T))
 
     def _loads(self) -> Iterator[Part]:
         """Every joint's directions with its torques: of a weight at the tip, of the arm, and as the actuators say."""

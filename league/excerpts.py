@@ -1,0 +1,130 @@
+"""Public recordings as plain tables. `python -m league.excerpts FOLDER` writes those that stand in league/data.
+
+All are MIT-licensed, by others, and named with their sources in league/README.md. Joints in rad, positions in m, turns
+as quaternions x y z w. `block`: rows that a split keeps together. Of sockets only joints are known, and `frame` is one.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from league.arm import Array, quaternion, rotation
+
+DATA = Path(__file__).resolve().parent / "data"
+ROBOTS = DATA.parents[1] / "examples" / "robots"
+UR10 = tuple(f"{j}_joint" for j in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
+ROUND = 8  # digits behind the point: nanometres and tens of nanoradians
+
+
+@dataclass(frozen=True)
+class Table:
+    """q (N, n), reading (N, 3), (N, 7) or (N, 0), block and frame (N,); urdf and tip of the arm."""
+
+    q: Array
+    reading: Array
+    block: Array
+    frame: Array
+    urdf: str
+    tip: str
+
+
+def ur10(folder: Path, file: str, block: int, every: int = 1) -> Table:
+    """A series of the UR10 of Fraunhofer IPA with a six-dimensional target."""
+    with (folder / "ipa_ur10" / file).open(encoding="utf-8-sig") as stream:
+        rows = list(csv.DictReader(stream, delimiter=";"))[::every]
+    read = np.array(
+        [[float(row[f"measurement_{a}"].replace(",", ".")) for a in ("x", "y", "z", "rx", "ry", "rz")] for row in rows]
+    )
+    x, y, z = (rotation(np.deg2rad(read[:, 3 + k, None]) * np.eye(3)[k]) for k in range(3))
+    q = np.array([[float(row[name].replace(",", ".")) for name in UR10] for row in rows])
+    reading = np.concatenate([1e-3 * read[:, :3], quaternion(x @ y @ z)], axis=1)
+    return _table(q, reading, block, (ROBOTS / "ur10.urdf").read_text(), "tool0")
+
+
+def grid(folder: Path, file: str, block: int) -> Table:
+    """Commanded joints and measured positions of a UR5 or a WAM: what was aimed at less the difference to it.
+
+    The descriptions in league/data are the tables of DH that the makers publish.
+    """
+    with (folder / "serial_robots" / file).open() as stream:
+        rows = list(csv.DictReader(stream))
+    joints = [name for name in rows[0] if name.startswith("joint_")]
+    q = np.deg2rad([[float(row[name]) for name in joints] for row in rows])
+    p = np.array([[float(row[f"{a}_t"]) - float(row[f"{a}_dif"]) for a in "xyz"] for row in rows])
+    return _table(q, 1e-3 * p, block, (DATA / file.replace(".csv", ".urdf")).read_text(), "tip")
+
+
+def sockets(folder: Path, robot: str, urdf: str, block: int) -> Table:
+    """Joints with a ball in sockets: two of each placement of a plate, neighbours in number."""
+    parts = [
+        (i, np.loadtxt(file, delimiter=","))
+        for i, file in enumerate(sorted((folder / "mukca" / robot).glob("*/hole_[01].csv")))
+    ]
+    q, frame = np.concatenate([p for _, p in parts]), np.concatenate([np.full(len(p), i) for i, p in parts])
+    text = (folder / "mukca" / "urdf" / urdf).read_text()
+    inside = np.concatenate([np.arange(len(p)) for _, p in parts])  # a block ends with its socket
+    numbers = 1000 * frame + inside // block
+    return replace(_table(q, np.empty((len(q), 0)), block, text, "ball_link"), block=numbers, frame=frame)
+
+
+def _table(q: Array, reading: Array, block: int, urdf: str, tip: str) -> Table:
+    zeros = np.zeros(len(q), int)
+    return Table(np.round(q, ROUND), np.round(reading, ROUND), np.arange(len(q)) // block, zeros, urdf, tip)
+
+
+SOURCES: dict[str, Callable[[Path], Table]] = {
+    "ur10_cubes": lambda folder: ur10(folder, "series_d_iso_cubes.csv", 10),
+    "ur5_grid": lambda folder: grid(folder, "ur5_grid.csv", 20),
+    "wam_grid": lambda folder: grid(folder, "wam_grid.csv", 8),
+    "kuka_sockets": lambda folder: sockets(folder, "kuka_14", "iiwa14.urdf", 5),
+    "ur10_grid": lambda folder: ur10(folder, "series_a_grid.csv", 20, every=10),
+    "panda_3_sockets": lambda folder: sockets(folder, "panda_3", "panda.urdf", 5),
+    "panda_4_sockets": lambda folder: sockets(folder, "panda_4", "panda.urdf", 5),
+}
+COMMITTED = tuple(SOURCES)[:4]
+
+
+def table(name: str, folder: Path | None) -> Table:
+    """A table of league/data, or else of a folder with the recordings; raises FileNotFoundError without one."""
+    if name in COMMITTED:
+        return read(name)
+    if folder is None:
+        raise FileNotFoundError(f"{name}: name a folder with the recordings of league/README.md by --data")
+    return SOURCES[name](folder)
+
+
+def write(table: Table, name: str) -> None:
+    """A table as CSV, the same bytes each time, and its arm beside it."""
+    n, m = table.q.shape[1], table.reading.shape[1]
+    heads = [*(f"q{k + 1}" for k in range(n)), *("x", "y", "z", "qx", "qy", "qz", "qw")[:m], "block", "frame"]
+    text = io.StringIO()
+    values = np.column_stack([table.q, table.reading, table.block, table.frame])
+    np.savetxt(text, values, fmt=[*["%.8g"] * (n + m), "%d", "%d"], delimiter=",", header=",".join(heads), comments="")
+    with (DATA / f"{name}.csv.gz").open("wb") as raw, gzip.GzipFile("", "wb", mtime=0, fileobj=raw) as packed:
+        packed.write(text.getvalue().encode())
+    (DATA / f"{name}.urdf").write_text(table.urdf)
+
+
+def read(name: str) -> Table:
+    """A table of league/data."""
+    with gzip.open(DATA / f"{name}.csv.gz", "rt") as stream:
+        heads = stream.readline().strip().split(",")
+        values = np.loadtxt(stream, delimiter=",")
+    n = sum(head.startswith("q") and head[1:].isdigit() for head in heads)
+    urdf = (DATA / f"{name}.urdf").read_text()
+    tip = next(link for link in ("ball_link", "tool0", "tip") if link in urdf)
+    return Table(values[:, :n], values[:, n:-2], values[:, -2].astype(int), values[:, -1].astype(int), urdf, tip)
+
+
+if __name__ == "__main__":
+    for name in COMMITTED:
+        write(SOURCES[name](Path(sys.argv[1])), name)
+        print(name, len(read(name).q))

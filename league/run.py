@@ -1,0 +1,113 @@
+"""Run methods on tasks, one process each, and write a JSON for each pair; then the page.
+
+    python -m league.run [--full] [--data FOLDER] [--only METHOD_OR_TASK …] [--again] [--out league/results]
+
+A result that is there already for the same task and version is kept, unless --again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from league import page
+from league.methods import METHODS
+from league.score import problems_of, result
+from league.tasks import FULL, FURTHER, SMALL, Problem, problem
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+ENVIRONMENTS = ROOT / ".venv-league"
+PATIENCE = {False: 600.0, True: 3600.0}  # s of one method on one task, in the small and the full edition
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+SOURCES = [str(ROOT / "ros2_ws" / "src" / name) for name in ("modcal_core", "modcal_msgs_py", "modcal_nodes")]
+
+
+def answered(problem: Problem, method: str, patience: float) -> dict[str, Any]:
+    """The result of a method on a task, by a process of its own that has one core and no scored reading."""
+    python = ENVIRONMENTS / METHODS[method]["environment"] / "bin" / "python"
+    said: dict[str, Any] = {"status": "failed", "version": "", "cpu_s": 0.0, "memory_mb": 0.0}
+    arrays = {}
+    with tempfile.TemporaryDirectory(prefix="league_") as folder:
+        told, out = Path(folder) / "task.npz", Path(folder) / "answer.npz"
+        problem.task.write(told)
+        environment = {
+            **os.environ,
+            **dict.fromkeys(THREADS, "1"),
+            "PYTHONPATH": os.pathsep.join([str(ROOT), *SOURCES]),
+        }
+        command = [str(python), "-m", "league.child", method, str(told), str(out)]
+        try:
+            done = subprocess.run(
+                command, env=environment, cwd=folder, timeout=patience, capture_output=True, text=True
+            )
+            said["remark"] = (done.stderr.strip().splitlines() or ["no answer"])[-1][:300]
+        except FileNotFoundError:
+            said |= {"status": "not applicable", "remark": "could not be installed here"}
+        except subprocess.TimeoutExpired:
+            said |= {"status": "stopped", "remark": f"not done after {patience:.0f} s", "cpu_s": patience}
+        if out.exists():
+            with np.load(out) as data:
+                arrays = {name: data[name] for name in data.files if name != "said"}
+                said |= json.loads(str(data["said"]))
+    return result(problem, method, said, arrays)
+
+
+def chosen(names: tuple[str, ...], only: list[str]) -> tuple[str, ...]:
+    """The names that are asked for, by whole names or, with a star, by their beginnings; all where none is meant."""
+    picked = tuple(n for n in names if any(n == o or (o.endswith("*") and n.startswith(o[:-1])) for o in only))
+    return picked or names
+
+
+def main() -> int:
+    """Run what is asked for; 1 where a method failed."""
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--full", action="store_true", default=os.environ.get("LEAGUE") == "full")
+    made.add_argument("--data", type=Path, help="folder with the recordings that are not in the repository")
+    made.add_argument("--only", nargs="+", default=[])
+    made.add_argument("--again", action="store_true")
+    made.add_argument("--out", type=Path, default=HERE / "results")
+    made.add_argument("--jobs", type=int, default=1)
+    given = made.parse_args()
+    known = FULL if given.full else SMALL + (FURTHER if given.data else ())
+    tasks, methods = chosen(known, given.only), chosen(tuple(METHODS), given.only)
+    given.out.mkdir(parents=True, exist_ok=True)
+    failed = 0
+
+    def one(pair: tuple[Problem, str]) -> dict[str, Any]:
+        return answered(*pair, PATIENCE[given.full])
+
+    for task in tasks:
+        try:
+            made_of = problem(task, given.data)
+        except FileNotFoundError as missing:
+            print(f"{task}: left out: {missing}", file=sys.stderr)
+            continue
+        files = {m: given.out / f"{task}.{m}.json" for m in methods}
+        todo = [m for m in methods if given.again or not _kept(files[m], made_of)]
+        with ThreadPoolExecutor(given.jobs) as pool:
+            for method, found in zip(todo, pool.map(one, [(made_of, m) for m in todo]), strict=True):
+                assert not (wrong := problems_of(found)), wrong
+                files[method].write_text(json.dumps(found, indent=1) + "\n")
+                size = f"{found['rms_mm']:.4f} mm RMS" if "rms_mm" in found else f"{found['status']}: {found['remark']}"
+                print(f"{task} {method}: {size}, {found['cpu_s']} s", flush=True)
+                failed += found["status"] == "failed"
+    print(page.write(given.out, ROOT / "build" / "league"))
+    return int(failed > 0)
+
+
+def _kept(file: Path, problem: Problem) -> bool:
+    return file.exists() and json.loads(file.read_text()).get("digest") == problem.task.digest
+
+
+if __name__ == "__main__":
+    sys.exit(main())

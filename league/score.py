@@ -1,0 +1,131 @@
+"""From an answer to a result: errors on every scored row, none left out, with intervals, and what was claimed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from league.arm import Array, align
+from league.tasks import Problem
+
+DRAWS = 2000
+SCHEMA = json.loads((Path(__file__).resolve().parent / "schema.json").read_text())
+_KINDS: dict[str, tuple[type, ...]] = {
+    "string": (str,), "number": (int, float), "integer": (int,), "boolean": (bool,), "null": (type(None),),
+    "array": (list,), "object": (dict,),
+}  # fmt: skip
+
+
+def errors(problem: Problem, T: Array) -> Array:
+    """Distances (S,) [m] between what is predicted and what was read, or is true, at every scored row."""
+    task, p = problem.task, T[:, :3, 3]
+    if task.kind == "socket":
+        centre = {f: p[task.train][task.frame[task.train] == f].mean(axis=0) for f in np.unique(task.frame)}
+        return np.linalg.norm(p[problem.scored] - np.array([centre[f] for f in task.frame[problem.scored]]), axis=1)
+    if problem.refit is not None:
+        rows, seen = problem.refit
+        base, tool = align(T[rows], seen)
+        p = (p + T[:, :3, :3] @ tool) @ base[:3, :3].T + base[:3, 3]
+    return np.linalg.norm(p[problem.scored] - problem.target, axis=1)
+
+
+def interval(values: Array, unit: Array, of: Any) -> list[float]:
+    """The 95 % interval of a statistic (of: values → number), units drawn again as wholes."""
+    rng = np.random.default_rng(0)
+    units = [values[unit == u] for u in np.unique(unit)]
+    drawn = [of(np.concatenate([units[k] for k in rng.integers(len(units), size=len(units))])) for _ in range(DRAWS)]
+    return [round(float(x), 5) for x in np.quantile(drawn, [0.025, 0.975])]
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def p95(values: Array) -> float:
+    """The 95th percentile."""
+    return float(np.quantile(values, 0.95))
+
+
+def result(problem: Problem, method: str, said: dict[str, Any], arrays: dict[str, Array]) -> dict[str, Any]:
+    """The result as the schema has it."""
+    out = {"schema": 1, "task": problem.task.name, "digest": problem.task.digest, "method": method, "published": False}
+    out |= {key: said[key] for key in ("status", "version", "cpu_s", "memory_mb", "remark")}
+    out |= {"track": problem.track, "about": problem.about, "truth": problem.truth}
+    if said["status"] != "ran":
+        return out
+    missed = 1e3 * errors(problem, arrays["T"])
+    if not np.isfinite(missed).all():
+        return {**out, "status": "failed", "remark": f"{int((~np.isfinite(missed)).sum())} predictions are not finite"}
+    out |= {"scored": len(missed), "rms_mm": round(rms(missed), 5), "rms_ci95": interval(missed, problem.unit, rms)}
+    out |= {"p95_mm": round(p95(missed), 5), "p95_ci95": interval(missed, problem.unit, p95)}
+    out |= {
+        "mean_mm": round(float(missed.mean()), 5),
+        "median_mm": round(float(np.median(missed)), 5),
+        "max_mm": round(float(missed.max()), 5),
+    }
+    out |= {
+        "parameters": said["parameters"],
+        "open": said["open"],
+        **_claimed(problem, said, arrays, missed, out["p95_ci95"]),
+    }
+    if said["named"] is not None:
+        out["named"] = [list(name) for name in said["named"]]
+        if problem.planted is not None:
+            bent = {place for places in problem.planted.values() for place in places}
+            out["false_causes"] = (
+                sum(place not in bent for _, place in said["named"]) if "warm" not in problem.planted else None
+            )
+    return out
+
+
+def _claimed(
+    problem: Problem, said: dict[str, Any], arrays: dict[str, Array], missed: Array, seen: list[float]
+) -> dict[str, Any]:
+    """What the method stated of its error, and whether that holds: coverage, and *calm and wrong*."""
+    radius, claim = arrays.get("radius95"), said["claim_p95_mm"]
+    if radius is not None:
+        radius = 1e3 * radius[problem.scored]
+        claim = p95(radius)
+    elif claim is not None:
+        radius = np.full(len(missed), claim)
+    if claim is None or radius is None:
+        return {"claim_p95_mm": None, "coverage": None, "calm_and_wrong": None}
+    calm = not said["open"]
+    coverage = float(np.mean(missed <= radius))
+    return {
+        "claim_p95_mm": round(float(claim), 5),
+        "coverage": round(coverage, 4),
+        "calm_and_wrong": bool(calm and seen[0] > claim),
+    }
+
+
+def problems_of(data: Any, schema: dict[str, Any] | None = None, at: str = "result") -> list[str]:
+    """What is wrong with a result by the schema: the part of JSON Schema that it uses. Empty where all is well."""
+    schema = SCHEMA if schema is None else schema
+    kinds = schema.get("type", list(_KINDS))
+    names = [kinds] if isinstance(kinds, str) else kinds
+    allowed = tuple(kind for name in names for kind in _KINDS[name])
+    if not isinstance(data, allowed) or (isinstance(data, bool) and "boolean" not in names):
+        return [f"{at}: {type(data).__name__} is not {' or '.join(names)}"]
+    found = []
+    if "enum" in schema and data not in schema["enum"]:
+        found.append(f"{at}: {data!r} is none of {schema['enum']}")
+    if isinstance(data, int | float) and not isinstance(data, bool) and data < schema.get("minimum", -np.inf):
+        found.append(f"{at}: {data} is below {schema['minimum']}")
+    if isinstance(data, dict):
+        known = schema.get("properties", {})
+        found += [f"{at}: {name} is missing" for name in schema.get("required", ()) if name not in data]
+        if schema.get("additionalProperties") is False:
+            found += [f"{at}: {name} is unknown" for name in data if name not in known]
+        for name in known.keys() & data.keys():
+            found += problems_of(data[name], known[name], f"{at}.{name}")
+        if "if" in schema:
+            met = not problems_of(data, schema["if"], at)
+            found += problems_of(data, schema.get("then", {}), at) if met else []
+    if isinstance(data, list) and "items" in schema:
+        found += [line for k, item in enumerate(data) for line in problems_of(item, schema["items"], f"{at}[{k}]")]
+    return found

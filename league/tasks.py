@@ -1,0 +1,211 @@
+"""The tasks: recordings, which rows a method gets, and which it is scored on.
+
+A row is held out by the digest of its task's and its block's names, so that a split is the same on every machine and
+nothing can be tuned by drawing it again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from league import excerpts
+from league.arm import Arm, Array
+from league.excerpts import ROBOTS, Table
+from league.generator import World
+from league.task import Task
+
+HERE = Path(__file__).resolve().parent
+HELD = 0.3  # share of the blocks
+PERIOD = 12.0  # s between simulated stations
+FEW = 30  # rows that are known where few are
+REFIT = 30  # rows of another day that place base and tool
+GENERATOR = ("generator.py",)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A task and what only the scorer knows.
+
+    scored: rows (S,). target: their positions (S, 3) [m], readings or, where ``truth``, what is true; of sockets NaN.
+    unit: what is drawn again as a whole for intervals (S,). refit: rows, with positions, by which base and tool are put
+    in place again before scoring. planted: joints of each fault that was put in; None where nobody knows.
+    """
+
+    task: Task
+    track: str
+    about: str
+    scored: Array
+    target: Array
+    unit: Array
+    truth: bool = False
+    refit: tuple[Array, Array] | None = None
+    planted: dict[str, tuple[str, ...]] | None = None
+
+
+def held(task: str, block: object) -> bool:
+    """Whether a block is held out."""
+    digest = hashlib.sha256(f"{task}:{block}".encode()).digest()
+    return int.from_bytes(digest[:4], "big") < HELD * 2**32
+
+
+def _before(q: Array) -> Array:
+    return np.concatenate([q[:1], q[:-1]])
+
+
+def _problem(name: str, track: str, about: str, table: Table, train: Array, scored: Array) -> Problem:
+    """A problem of a table, from which rows train and which are scored."""
+    width = table.reading.shape[1]
+    kind = {0: "socket", 3: "point", 7: "pose"}[width]
+    reading = table.reading if width else np.full((len(table.q), 3), np.nan)
+    pairs = np.arange(table.frame.max() + 1).reshape(-1, 2) if kind == "socket" else np.empty((0, 2), int)
+    block = int(np.median(np.unique(table.block, return_counts=True)[1]))
+    distance = 0.05 if kind == "socket" else 0.0
+    what = (reading[train], table.frame, pairs, distance, block)
+    task = Task(name, kind, table.urdf, table.tip, table.q, _before(table.q), train, *what)
+    return Problem(task, track, about, scored, reading[scored, :3], table.block[scored])
+
+
+def blocks(name: str, track: str, about: str, table: Table) -> Problem:
+    """Whole blocks are held out."""
+    out = np.array([held(name, b) for b in table.block])
+    return _problem(name, track, about, table, np.flatnonzero(~out), np.flatnonzero(out))
+
+
+def few(name: str, track: str, about: str, table: Table) -> Problem:
+    """FEW rows are known, one a block, and blocks without one are scored."""
+    order = sorted(np.unique(table.block), key=lambda b: hashlib.sha256(f"{name}:{b}".encode()).digest())[:FEW]
+    rows = (np.flatnonzero(table.block == b) for b in order)
+    train = np.sort([r[zlib.crc32(f"{name}:{b}".encode()) % len(r)] for r, b in zip(rows, order, strict=True)])
+    return _problem(name, track, about, table, train, np.flatnonzero(~np.isin(table.block, order)))
+
+
+def outer(name: str, track: str, about: str, table: Table) -> Problem:
+    """The fifth of the rows whose joints lie farthest out is scored."""
+    away = np.linalg.norm((table.q - np.median(table.q, axis=0)) / table.q.std(axis=0), axis=1)
+    out = away > np.quantile(away, 0.8)
+    return _problem(name, track, about, table, np.flatnonzero(~out), np.flatnonzero(out))
+
+
+def next_day(name: str, track: str, about: str, first: Table, second: Table) -> Problem:
+    """One recording is known; of the other, some rows place base and tool, and the others are scored."""
+    q, n = np.concatenate([first.q, second.q]), len(first.q)
+    rows = np.random.default_rng(0).permutation(len(second.q))
+    known, rest = np.sort(rows[:REFIT]), np.sort(rows[REFIT:])
+    both = replace(first, q=q, block=first.block, frame=np.zeros(len(q), int))
+    made = _problem(name, track, about, both, np.arange(n), np.arange(n))
+    placed = (n + known, second.reading[known, :3])
+    target, unit = second.reading[rest, :3], second.block[rest]
+    return replace(made, scored=n + rest, target=target, unit=unit, refit=placed)
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A recording to be made: the arm, its stations, the reading, faults by name with how many joints have each."""
+
+    robot: str
+    tip: str
+    stations: int
+    kind: str
+    faults: dict[str, int] = field(default_factory=dict)
+    wrong: float = 0.0
+    second_day: bool = False
+
+
+def simulated(name: str, track: str, about: str, what: Simulated, draw: int = 0) -> Problem:
+    """A recording of an arm that exists nowhere, scored on what is true at 300 other postures in the same ranges."""
+    rng = np.random.default_rng([seed(), zlib.crc32(name.split("#")[0].encode()), draw])
+    urdf = (ROBOTS / f"{what.robot}.urdf").read_text()
+    arm = Arm.from_urdf(urdf, what.tip)
+    # links near the base carry gears and loads that show
+    faults = {f: tuple(sorted(rng.choice(5, count, replace=False))) for f, count in what.faults.items()}
+    world = World(arm, rng, faults)
+    q, t = world.postures(what.stations), PERIOD * np.arange(what.stations)
+    reading = world.read(world.poses(q, _before(q), t))
+    wrong = rng.permutation(len(q))[: round(what.wrong * len(q))]
+    reading[wrong, :3] += 10.0 ** rng.uniform(-2.7, -1.3, (len(wrong), 1)) * rng.normal(size=(len(wrong), 3))
+    refit = None
+    late = 3e4
+    fresh = world.postures(300)
+    if what.second_day:
+        world.place(moved=True)
+        again = world.postures(15)
+        placed = world.read(world.poses(again, _before(again), late + PERIOD * np.arange(15)))[:, :3]
+        refit = len(q) + np.arange(15), placed
+        fresh = np.concatenate([again, fresh])
+    true = world.poses(fresh, _before(fresh), late + PERIOD * np.arange(len(fresh)))[:, :3, 3]
+    first = 15 if what.second_day else 0
+    joints, zeros = np.concatenate([q, fresh]), np.zeros(len(q) + len(fresh), int)
+    before = np.concatenate([_before(q), _before(fresh)])
+    reading = reading[:, :3] if what.kind == "point" else reading
+    task = Task(name, what.kind, urdf, what.tip, joints, before, np.arange(len(q)), reading, zeros)
+    planted = {f: tuple(arm.names[k] for k in places) for f, places in faults.items()}
+    scored = len(q) + np.arange(first, len(fresh))
+    return Problem(task, track, about, scored, true[first:], np.arange(len(scored)), True, refit, planted)
+
+
+def digest() -> str:
+    """Of the files that simulate, which no seed may have been seen with."""
+    return hashlib.sha256(b"".join((HERE / name).read_bytes() for name in GENERATOR)).hexdigest()
+
+
+def seed() -> int:
+    """The seed that was drawn after the generator was frozen."""
+    return int(json.loads((HERE / "seeds.json").read_text())["seed"])
+
+
+POINTS, POSES, NO_INSTRUMENT = "from points", "from poses", "no instrument"
+UNDECLARED, NEXT_DAY, SPARSE = "undeclared effects", "next day", "few stations"
+PANDA, XARM, IIWA, UR10 = ("panda", "panda_link8"), ("xarm7", "link_eef"), ("iiwa14", "iiwa_link_ee"), ("ur10", "tool0")
+GEARS = {"gear": 2, "eccentric": 1}
+SIMULATED = {
+    "sim_few": (SPARSE, "Panda, 20 points, links alone wrong", Simulated(*PANDA, 20, "point")),
+    "sim_clean": (POINTS, "xArm 7, 120 points, links alone wrong", Simulated(*XARM, 120, "point")),
+    "sim_gear": (UNDECLARED, "UR10, 250 poses, two gears, an eccentric encoder", Simulated(*UR10, 250, "pose", GEARS)),
+    "sim_elastic": (UNDECLARED, "iiwa, 200 points, links that bend", Simulated(*IIWA, 200, "point", {"elastic": 4})),
+    "sim_backlash": (UNDECLARED, "xArm 7, 200 poses, backlash", Simulated(*XARM, 200, "pose", {"backlash": 2})),
+    "sim_wrong": (POINTS, "Panda, 120 points, 10 wrong by 2 to 50 mm", Simulated(*PANDA, 120, "point", {}, 1 / 12)),
+    "sim_next_day": (
+        NEXT_DAY,
+        "UR10, 200 poses, gears, bending, warm; base and tool moved",
+        Simulated(*UR10, 200, "pose", GEARS | {"elastic": 3, "warm": 1}, second_day=True),
+    ),
+}
+# By name: track, about, what makes it, and of which tables.
+REAL: dict[str, tuple[str, str, Callable[..., Problem], tuple[str, ...]]] = {
+    "ur10_cubes": (POSES, "UR10, 632 poses in cubes, blocks of 10 held out", blocks, ("ur10_cubes",)),
+    "ur10_cubes_few": (SPARSE, "the same, 30 poses known", few, ("ur10_cubes",)),
+    "ur5_grid": (POINTS, "UR5, 1 000 points of a grid, blocks of 20 held out", blocks, ("ur5_grid",)),
+    "wam_grid": (POINTS, "cable-driven WAM, 216 points, blocks of 8 held out", blocks, ("wam_grid",)),
+    "kuka_sockets": (NO_INSTRUMENT, "iiwa 14, ball in six sockets, joints only", blocks, ("kuka_sockets",)),
+    "ur5_grid_outer": (POINTS, "UR5, the outer fifth held out", outer, ("ur5_grid",)),
+    "wam_grid_outer": (POINTS, "WAM, the outer fifth held out", outer, ("wam_grid",)),
+    "ur10_grid": (POSES, "UR10, a tenth of 11 911 poses of a grid", blocks, ("ur10_grid",)),
+    "ur10_next_day": (
+        NEXT_DAY,
+        "UR10, the grid known, cubes of another day scored",
+        next_day,
+        ("ur10_grid", "ur10_cubes"),
+    ),
+    "panda_3_sockets": (NO_INSTRUMENT, "Panda 3, ball in twelve sockets", blocks, ("panda_3_sockets",)),
+    "panda_4_sockets": (NO_INSTRUMENT, "Panda 4, ball in eight sockets", blocks, ("panda_4_sockets",)),
+}
+SMALL = (*list(REAL)[:5], *SIMULATED)
+FURTHER = tuple(name for name, told in REAL.items() if not set(told[3]) <= set(excerpts.COMMITTED))
+FULL = (*SMALL, *(name for name in REAL if name not in SMALL), *(f"{name}#{k}" for name in SIMULATED for k in (1, 2)))
+
+
+def problem(name: str, data: Path | None = None) -> Problem:
+    """The problem of a name. data: folder with what is not in the repository; FileNotFoundError where it is needed."""
+    if name in REAL:
+        track, about, make, tables = REAL[name]
+        return make(name, track, about, *(excerpts.table(key, data) for key in tables))
+    first, _, draw = name.partition("#")
+    track, about, what = SIMULATED[first]
+    return simulated(name, track, about, what, int(draw or 0))
