@@ -22,7 +22,6 @@ from modcal_core.sentinel.normal import Moments, Normal, Spoken, spoken
 AN_HOUR = 0.01  # false alarms
 SHORTEST = 60.0  # s: a shorter recording counts as this long
 _SIZES = 4.0 * SIZES  # standard deviations of what all cells together say, from 2 to 4000
-_SEEN = 0.3  # share of a signal's cells that must be inside what the reference period covers
 _MOST = 2  # changes at once
 _STATIONS = 10  # as many as a check asks for
 _OCCAM = float(np.log(len(_SIZES)) + 0.5 * np.log1p(_SIZES[1] ** 2))  # nats for one size of which nothing is known
@@ -164,7 +163,7 @@ def judge_bags(normal: Normal, bags: Sequence[Cells], other_payload: Collection[
     asked = _Asked.of(normal, said[0].names)
     values = _values(normal, asked, bags, heard)
     untold = normal.dropped + tuple(sorted(name for name in normal.signals if all(
-        name not in bag or bag[name].share < _SEEN for bag in heard)))  # fmt: skip
+        name not in bag or not bag[name].share for bag in heard)))  # fmt: skip
     told = len(untold) - len(normal.dropped) < len(normal.signals)
     changes: list[ChangeEstimate] = []
     log_e, since, rest, taken = -np.inf, 0, 0.0, list[int]()
