@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ ARM = MonitoredArm(WORLD.chain.names, WORLD.chain, read_inertias(WORLD.urdf, WOR
 ELBOW, WRIST = ARM.names[2], ARM.names[3]
 
 
+@cache
 def cells(day: int, change: Change = NONE, task: int = 0) -> Cells:
     return cells_of(WORLD.record(day, SECONDS, task, change), ARM.names, f"day {day}")
 

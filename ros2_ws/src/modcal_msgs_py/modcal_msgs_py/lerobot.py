@@ -1,7 +1,7 @@
 """Data sets of LeRobot: a leader's joints beside a follower's, episode by episode, in Parquet files.
 
 ``observation.state`` is where the follower's joints were, ``action`` where the leader's were, which the follower was
-told to go to. Degrees become radians where values exceed two turns of a radian; normalised values stay as they are.
+told to go to. Values beyond two turns are taken for degrees; so are normalised ones, whose sizes then mean nothing.
 """
 
 from __future__ import annotations

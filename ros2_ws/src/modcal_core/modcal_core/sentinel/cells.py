@@ -25,7 +25,7 @@ FEWEST = 40  # cells of a recording: ten seconds
 _WINDOW = 0.12  # s that a polynomial is fitted over
 _SLOWEST = 10.0  # Hz
 _GAP = 2.5  # times the usual period; what is missing longer is not interpolated
-SLIDES = 0.01  # rad/s or m/s at which half of a joint's dry friction acts against its speed
+_SLIDES = 2e-3  # rad/s or m/s at which half of a joint's dry friction acts; encoders step by less
 _FARTHEST = 0.2  # rad or m; a joint that is farther away does not follow this command
 
 
@@ -117,7 +117,7 @@ def cells_of(recording: Recording, names: tuple[str, ...], name: str) -> Cells:
         return x[: count * per].reshape(count, per, -1).mean(axis=1)
 
     columns = {"t": mean(grid[:, None] - grid[0])[:, 0], "q": mean(at), "v": mean(v), "a": mean(a)}
-    columns |= {"side": mean(v / (np.abs(v) + SLIDES)), "effort": mean(on_grid(effort))}
+    columns |= {"side": mean(v / (np.abs(v) + _SLIDES)), "effort": mean(on_grid(effort))}
     for topic in dict.fromkeys(track.topic for track in recording.commands):
         told = [track for track in recording.commands if track.topic == topic]
         apart = commanded_at(told, names, grid) - at

@@ -17,18 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core import moves
+from modcal_core import moves, robots
 from modcal_core.geometry import Array, se3
-from modcal_core.robots import (
-    STANDARD_GRAVITY,
-    Payload,
-    body_jacobian,
-    chain_forward,
-    gravity_columns,
-    gravity_efforts,
-    torque,
-    with_payload,
-)
 from modcal_core.sentinel.cells import Cells, MonitoredArm
 
 ALL_JOINTS = "all joints"
@@ -107,20 +97,21 @@ def _loads(cells: Cells, arm: MonitoredArm) -> _Loads | None:
     chain, bodies, q = arm.chain, arm.bodies, cells["q"]
     if chain is None or bodies is None or not bodies.known:
         return None
-    down, still = STANDARD_GRAVITY * bodies.down, np.zeros_like(q)
-    whole = torque(chain, bodies, q, cells["v"], cells["a"], down)
-    motion = whole - torque(chain, bodies, q, still, still, down)
-    weight, by_body = gravity_columns(chain, bodies, q)
+    down, still = robots.STANDARD_GRAVITY * bodies.down, np.zeros_like(q)
+    whole = robots.torque(chain, bodies, q, cells["v"], cells["a"], down)
+    motion = whole - robots.torque(chain, bodies, q, still, still, down)
+    weight, by_body = robots.gravity_columns(chain, bodies, q)
     steps = _STEP * np.eye(chain.n)
     by_joint = [
-        (gravity_efforts(chain, bodies, q + h) - gravity_efforts(chain, bodies, q - h)) / (2.0 * _STEP) for h in steps
+        (robots.gravity_efforts(chain, bodies, q + h) - robots.gravity_efforts(chain, bodies, q - h)) / (2.0 * _STEP)
+        for h in steps
     ]
-    held = (Payload.checked(1.0), Payload.checked(0.0, inertia=(1.0, 1.0, 1.0, 0.0, 0.0, 0.0)))
+    held = (robots.Payload.checked(1.0), robots.Payload.checked(0.0, inertia=(1.0, 1.0, 1.0, 0.0, 0.0, 0.0)))
     load = weight + motion
     carried = []
     for payload in held:
-        loaded = replace(with_payload(bodies, chain, payload), down=bodies.down, held=bodies.held)
-        carried.append(torque(chain, loaded, q, cells["v"], cells["a"], down) - whole)
+        loaded = replace(robots.with_payload(bodies, chain, payload), down=bodies.down, held=bodies.held)
+        carried.append(robots.torque(chain, loaded, q, cells["v"], cells["a"], down) - whole)
     return _Loads(weight, motion, by_body, np.stack(by_joint, axis=2), np.stack(carried), _rests(load))
 
 
@@ -179,11 +170,11 @@ def _tag(cells: Cells, arm: MonitoredArm, loads: _Loads | None, placed: Placed) 
     if not seen.any():
         return {}
     q, v = cells["tag_q"][seen], cells["tag_v"][seen]
-    T_base_camera = chain_forward(chain, q) @ placed.T_tip_camera
+    T_base_camera = robots.chain_forward(chain, q) @ placed.T_tip_camera
     expected = placed.T_tag_base @ T_base_camera
     apart = se3.log(se3.inverse(expected) @ se3.inverse(se3.from_pose(cells["tag"][seen])))
     near = np.abs(apart).max(axis=1) < _NEAR
-    J = se3.adjoint(se3.inverse(placed.T_tip_camera)) @ body_jacobian(chain, q)
+    J = se3.adjoint(se3.inverse(placed.T_tip_camera)) @ robots.body_jacobian(chain, q)
     turned = se3.adjoint(se3.inverse(T_base_camera))  # of the base before the tag
     late = np.einsum("nij,nj->ni", J, v)
     rests = np.sign(v) if loads is None else loads.side[seen]
@@ -220,19 +211,16 @@ _OF_JOINTS |= {"late": moves.LATENCY, "servo": moves.SERVO, "beside": moves.OFFS
 
 
 def candidates(
-    arm: MonitoredArm, seen: Iterable[str], friction: Mapping[str, Mapping[str, float]]
+    arm: MonitoredArm, seen: Iterable[str], shares: Iterable[tuple[str, str, Mapping[str, float]]]
 ) -> list[ChangeColumns]:
-    """The changes that signals with these columns can be asked about.
-
-    friction: of each joint in the reference period, as a sum of columns, where it is known.
-    """
+    """The changes that signals with these columns can be asked about. shares: kind, joint and a sum of columns."""
 
     def row(kind: str, place: str, *columns: str) -> ChangeColumns:
         return ChangeColumns(moves.CellChange(kind, place), tuple({column: 1.0} for column in columns))
 
     out = [row(kind, name, f"{shape}:{name}") for name in arm.names for shape, kind in _OF_JOINTS.items()]
     out += [row(moves.EFFORT, name, f"gain:{name}", f"bias:{name}") for name in arm.names]
-    out += [ChangeColumns(moves.CellChange(moves.FRICTION, name), (of,)) for name, of in friction.items()]
+    out += [ChangeColumns(moves.CellChange(kind, name), (of,)) for kind, name, of in shares]
     out += [row(moves.LATENCY, ALL_JOINTS, "late"), row(moves.LATENCY, "camera", "camera late")]
     out += [row(moves.MASS, "tool", "mass"), row(moves.MASS, "tool", *CARRIED)]
     out += [row(kind, kind, *(f"{kind}:{k}" for k in range(6))) for kind in (moves.CAMERA, moves.TAG)]

@@ -22,9 +22,9 @@ from modcal_core.sentinel.normal import Moments, Normal, Spoken, spoken
 AN_HOUR = 0.01  # false alarms
 SHORTEST = 60.0  # s: a shorter recording counts as this long
 _SIZES = 4.0 * SIZES  # standard deviations of what all cells together say, from 2 to 4000
-_SEEN = 0.3  # share of a signal's cells that must be inside what the reference period covers
 _MOST = 2  # changes at once
 _STATIONS = 10  # as many as a check asks for
+_OCCAM = float(np.log(len(_SIZES)) + 0.5 * np.log1p(_SIZES[1] ** 2))  # nats for one size of which nothing is known
 _95 = 1.959964
 _BENT = 0.01  # of a change's evidence: columns are linear, and a tenth of a large change's course is another one
 _OFTEN = 1.645  # standard deviations: in 95 of 100 cases
@@ -88,23 +88,30 @@ class ArmVerdict:
         if self.status == "cannot_tell":
             return "Cannot tell: the recordings show nothing that the reference period covers."
         if not self.changes:
-            return f"Nothing has changed that {self.hours:.2g} hours of recordings would show."
+            return f"Nothing has changed that {60.0 * self.hours:.0f} minutes of recordings would show."
         return " ".join(change.sentence for change in self.changes)
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """Candidates with their columns as sums (K, k) of named ones, and their log priors (H,)."""
+    """Candidates with their columns as sums (K, k) of named ones, their log priors (H,), and joints that slide."""
 
     candidates: Sequence[ChangeColumns]
     sums: Sequence[Array]
     log_prior: Array
+    sliding: frozenset[str]
 
     @classmethod
     def of(cls, normal: Normal, names: Sequence[str]) -> _Asked:
-        every = candidates(normal.arm, names, normal.friction)
+        every = candidates(normal.arm, names, normal.shares)
         sums = [np.array([[c.get(name, 0.0) for c in one.columns] for name in names]) for one in every]
-        return cls(every, sums, log_priors([one.change for one in every]))
+        chain, names = normal.arm.chain, normal.arm.names
+        sliding = frozenset(n for j, n in enumerate(names) if chain is not None and not chain.revolute[j])
+        return cls(every, sums, log_priors([one.change for one in every]), sliding)
+
+    def unit(self, h: int, unit: str) -> str:
+        """The unit of a candidate's size: of a sliding joint a length."""
+        return unit.replace("mrad", "mm") if self.candidates[h].change.place in self.sliding else unit
 
     def alone(self, h: int, said: Spoken) -> tuple[float, float]:
         """Information on the one size of a candidate, and its estimate."""
@@ -156,7 +163,7 @@ def judge_bags(normal: Normal, bags: Sequence[Cells], other_payload: Collection[
     asked = _Asked.of(normal, said[0].names)
     values = _values(normal, asked, bags, heard)
     untold = normal.dropped + tuple(sorted(name for name in normal.signals if all(
-        name not in bag or bag[name].share < _SEEN for bag in heard)))  # fmt: skip
+        name not in bag or not bag[name].share for bag in heard)))  # fmt: skip
     told = len(untold) - len(normal.dropped) < len(normal.signals)
     changes: list[ChangeEstimate] = []
     log_e, since, rest, taken = -np.inf, 0, 0.0, list[int]()
@@ -211,21 +218,15 @@ def _named(
     key = max(named, key=lambda k: named[k][0])
     probability, best = named[key]
     h = next(i for i, j in enumerate(judged) if j is best)
-    now = _without(said, [asked.sums[i] for i in taken])
-    sizes = _sizes(asked, h, now)
+    sizes = _sizes(asked, h, _without(said, [asked.sums[i] for i in taken]))
     near = probability * np.exp(-AS_PROBABLE)
     rivals = sorted(((p, j) for k, (p, j) in named.items() if k != key and p > near), key=lambda pair: -pair[0])
-    same = tuple(j.hypothesis.label for _, j in rivals)
-    change = best.hypothesis
+    same, change = tuple(j.hypothesis.label for _, j in rivals), best.hypothesis
     size = ", ".join(f"{s.value:+.3g} {s.unit} ({s.low:+.3g} … {s.high:+.3g})" for s in sizes)
-    moved = f" ({size})" if size else ""
-    sentence = change.worded(KINDS[change.kind].said, size=size, moved=moved)
-    if same:
-        sentence += f"; it may as well be the {' or the '.join(same)}"
-    estimate = ChangeEstimate(
-        change.kind, change.place, change.label, f"{sentence}, since {since}.", since, sizes, probability, same
-    )
-    return h, estimate
+    said_of = change.worded(KINDS[change.kind].said, size=size, moved=f" ({size})")
+    said_of += f"; it may as well be the {' or the '.join(same)}" if same else ""
+    of = (f"{said_of}, since {since}.", since, sizes, probability, same)
+    return h, ChangeEstimate(change.kind, change.place, change.label, *of)
 
 
 def _sizes(asked: _Asked, h: int, said: Spoken) -> tuple[SizeFound, ...]:
@@ -235,7 +236,7 @@ def _sizes(asked: _Asked, h: int, said: Spoken) -> tuple[SizeFound, ...]:
     covariance = np.linalg.pinv(A, hermitian=True)
     x, std = covariance @ (B.T @ said.vector), np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return tuple(
-        SizeFound(name, factor * v, factor * (v - _95 * d), factor * (v + _95 * d), unit)
+        SizeFound(name, factor * v, factor * (v - _95 * d), factor * (v + _95 * d), asked.unit(h, unit))
         for (name, factor, unit), v, d in zip(kind.sizes, x.tolist(), std.tolist(), strict=False)
     )
 
@@ -246,7 +247,7 @@ def _single(asked: _Asked) -> list[tuple[int, str, float, str]]:
     for h, one in enumerate(asked.candidates):
         sizes = KINDS[one.change.kind].sizes
         if len(one.columns) == 1 and sizes:
-            out.setdefault(one.change.label, (h, one.change.label, sizes[0][1], sizes[0][2]))
+            out.setdefault(one.change.label, (h, one.change.label, sizes[0][1], asked.unit(h, sizes[0][2])))
     return list(out.values())
 
 
@@ -276,9 +277,7 @@ def _noticed(asked: _Asked, said: Spoken, asked_for: float) -> tuple[dict[str, t
     out, unseen = {}, []
     for h, label, factor, unit in _single(asked):
         A, _ = asked.alone(h, said)
-        nats = (
-            asked_for - float(asked.log_prior[h]) + float(np.log(len(_SIZES))) + 0.5 * float(np.log1p(_SIZES[1] ** 2))
-        )
+        nats = asked_for - float(asked.log_prior[h]) + _OCCAM
         size = factor * (np.sqrt(2.0 * nats) + _OFTEN) / np.sqrt(A) if A > 0.0 else np.inf
         if size < _FARTHEST.get(unit, np.inf):
             out[label] = (float(size), unit)

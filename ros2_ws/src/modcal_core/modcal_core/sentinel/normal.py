@@ -18,6 +18,7 @@ import numpy as np
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3
 from modcal_core.hypotheses import HandEye, placed
+from modcal_core.moves import FRICTION, GEAR
 from modcal_core.sentinel.cells import Cells, MonitoredArm
 from modcal_core.sentinel.channels import CARRIED, Placed, SignalRows, signals_of
 
@@ -27,7 +28,7 @@ _ROWS = 20  # cells of a signal in a recording, below which it says nothing
 _WIDE = 10.0  # times what would explain all of a signal: coefficients of which nothing is known
 _STRAY = 5.0  # robust standard deviations, beyond which a cell is a contact or a jump
 _ROUNDS = 25  # of estimating variances and coefficients in turn
-_BEYOND = 2.0  # times the leverage of any cell of the reference period: the model was never asked so far out
+SEEN = 0.5  # share of a signal's cells inside what the reference period covers; less is other work, not known yet
 _MARGIN = 0.05  # of a joint's range, and of its top speed, that a recording may go beyond
 _MOST_ALIKE = 0.9  # correlation of neighbouring cells
 _HELD = 100.0  # kg, kg m, kg m²: of a payload that is declared to differ
@@ -41,7 +42,8 @@ _TAG_POSES = 120  # that camera and tag are placed by
 class SignalNormal:
     """One signal over the reference period. beta (p,), with precision (p, p). spread: variances of the loose ones.
     cell, block: standard deviations of a cell, as far as it is independent, and of a block. own: what a recording's own
-    fit leaves of a cell. leverage (p, p), limit: of cells. width: as of the rows, finite. names: of the changes.
+    fit leaves of a cell. leverage (p, p), limit: of cells, beyond which the model was never asked. width: as
+    of the rows, finite. names: of the changes.
     """
 
     beta: Array
@@ -134,21 +136,28 @@ class Normal:
                 continue
             of = self.signals[name]
             keep = np.array([inside[t] for t in rows.t.tolist()], bool)
-            keep &= np.einsum("np,pq,nq->n", rows.X, of.leverage, rows.X) < _BEYOND * of.limit
-            out[name] = _moments(rows.rows(keep), of, carries_other)
+            keep &= np.einsum("np,pq,nq->n", rows.X, of.leverage, rows.X) <= of.limit
+            found = _moments(rows.rows(keep), of, carries_other)
+            out[name] = found if found.share >= SEEN else replace(found, share=0.0)
         return out
 
     @property
-    def friction(self) -> dict[str, dict[str, float]]:
-        """Friction of each joint as a sum of columns, where it is known."""
-        out: dict[str, dict[str, float]] = {}
+    def shares(self) -> list[tuple[str, str, dict[str, float]]]:
+        """Changes in proportion to what was: kind, joint, and a sum of columns. Friction of each joint; a gear's ratio,
+        by which a servo on the motor's side yields less.
+        """
+        friction: dict[str, dict[str, float]] = {}
+        out = []
         for name, of in self.signals.items():
             channel, joint = name.split(" ", 1)[0], name.rpartition(" ")[2]
             if channel == "torque":
-                out.setdefault(joint, {}).update({f"dry:{joint}": of.beta[1], f"viscous:{joint}": of.beta[2]})
+                friction.setdefault(joint, {}).update({f"dry:{joint}": of.beta[1], f"viscous:{joint}": of.beta[2]})
             elif f"drag:{joint}" in of.names:
-                out.setdefault(joint, {})[f"drag:{joint}"] = of.beta[2]
-        return {joint: weights for joint, weights in out.items() if any(w > 0.0 for w in weights.values())}
+                friction.setdefault(joint, {})[f"drag:{joint}"] = of.beta[2]
+            elif channel == "following":
+                out.append((GEAR, joint, {f"ratio:{joint}": 1.0, f"servo:{joint}": -of.beta[2]}))
+        rubs = [(FRICTION, joint, of) for joint, of in friction.items() if any(w > 0.0 for w in of.values())]
+        return [*rubs, *out]
 
 
 def _placed(reference: Sequence[Cells], arm: MonitoredArm) -> Placed | None:

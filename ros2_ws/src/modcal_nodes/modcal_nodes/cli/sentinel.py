@@ -52,8 +52,9 @@ def sentinel_command(bags: tuple[Path, ...], output: Output, options: SentinelOp
         arm, name, reference = _read([Path(bag) for bag in options.reference], options, watch, None)
         arm, name, later = _read(list(bags), options, watch, arm, name)
         assert arm is not None
-        others = {cells.name for bag in map(Path, options.other_payload) for cells in later if cells.name == bag.stem}
-        if len(others) < len(options.other_payload):
+        declared = {Path(bag).resolve().stem for bag in options.other_payload}
+        others = {cells.name for cells in later if cells.name in declared}
+        if others < declared:
             said = "is not among the recordings that are judged"
             raise BadTable(f"--other-payload {', '.join(options.other_payload)}", said, "name one of BAGS")
         judged = later
@@ -61,7 +62,8 @@ def sentinel_command(bags: tuple[Path, ...], output: Output, options: SentinelOp
             kept = BagHistory(options.history, arm)
             kept.add(reference, "reference")
             reference = [cells for cells, _ in kept.read("reference")]
-            before = [pair for pair in kept.read("later") if pair[0].name not in {cells.name for cells in later}]
+            now = {(cells.name, cells.began) for cells in later}
+            before = [pair for pair in kept.read("later") if (pair[0].name, pair[0].began) not in now]
             others |= {cells.name for cells, other in before if other}
             judged = [*(cells for cells, _ in before), *later]
         watch("learning what is normal")
