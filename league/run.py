@@ -63,9 +63,8 @@ def answered(problem: Problem, method: str, patience: float) -> dict[str, Any]:
 
 
 def chosen(names: tuple[str, ...], only: list[str]) -> tuple[str, ...]:
-    """The names that are asked for, by whole names or, with a star, by their beginnings; all where none is meant."""
-    picked = tuple(n for n in names if any(n == o or (o.endswith("*") and n.startswith(o[:-1])) for o in only))
-    return picked or names
+    """The names that are asked for; all where none of them is."""
+    return tuple(name for name in names if name in only) or names
 
 
 def main() -> int:
