@@ -10,7 +10,6 @@ import json
 import resource
 import sys
 import time
-import traceback
 from importlib import import_module, metadata
 from pathlib import Path
 
@@ -38,7 +37,6 @@ def main(name: str, file: str, out: str) -> None:
         said = {"status": "not applicable", "remark": str(reason)}
     except Exception as error:  # a method that fails is a result
         said = {"status": "failed", "remark": f"{type(error).__name__}: {error}"[:400]}
-        traceback.print_exc()
     said["cpu_s"] = round(time.process_time() - begun, 2)
     said["memory_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
     ours = method["package"] == "modcal"  # which stands on the path and is not installed

@@ -17,7 +17,7 @@ from league.task import Task
 STEPS = 16
 FREE = 1e3  # prior of base and tool, m and rad: none
 LENGTH, ANGLE = 3e-3, 5e-3  # prior of a link's errors, m and rad: above what makers leave
-QUARTER95 = 7.815  # the 95 % point of χ² with three degrees of freedom
+CHI95 = 7.815  # the 95 % point of χ² with three degrees of freedom
 FINEST = 1e-7  # m, below which no noise is believed
 Basis = Callable[[Arm, Array, Array], list[Array]]
 
@@ -45,7 +45,7 @@ class Fit:
         """Poses (N, 4, 4), and the radius (N,) [m] that 95 % of the errors should stay below."""
         frames, columns, _ = _columns(self, q)
         variance = np.sum((columns @ self.covariance) * columns, axis=(1, 2)) / 3.0 + self.noise**2
-        return frames[:, -1], np.sqrt(QUARTER95 * variance)
+        return frames[:, -1], np.sqrt(CHI95 * variance)
 
 
 def fit(task: Task, geometry: bool = True, basis: Basis = none, learn: bool = False, width: float = 3e-4) -> Fit:

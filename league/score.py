@@ -61,14 +61,8 @@ def result(problem: Problem, method: str, said: dict[str, Any], arrays: dict[str
     if not np.isfinite(missed).all():
         return {**out, "status": "failed", "remark": f"{int((~np.isfinite(missed)).sum())} predictions are not finite"}
     units = problem.unit
-    sizes = {
-        "rms": rms(missed),
-        "p95": p95(missed),
-        "mean": missed.mean(),
-        "median": np.median(missed),
-        "max": missed.max(),
-    }
-    out |= {"scored": len(missed), **{f"{name}_mm": round(float(size), 5) for name, size in sizes.items()}}
+    sizes = {"rms": rms, "p95": p95, "mean": np.mean, "median": np.median, "max": np.max}
+    out |= {"scored": len(missed), **{f"{name}_mm": round(float(of(missed)), 5) for name, of in sizes.items()}}
     out |= {"rms_ci95": interval(missed, units, rms), "p95_ci95": interval(missed, units, p95)}
     out |= {"parameters": said["parameters"], "open": said["open"]}
     radius = arrays.get("radius95")
@@ -81,9 +75,9 @@ def result(problem: Problem, method: str, said: dict[str, Any], arrays: dict[str
         out |= {"calm_and_wrong": bool(wrong)}
     if said["named"] is not None:
         out["named"] = [list(name) for name in said["named"]]
-        bent = [place for places in (problem.planted or {}).values() for place in places]
-        if problem.planted is not None:
-            out["false_causes"] = sum(place not in bent for _, place in said["named"])
+    if said["named"] is not None and problem.planted is not None:
+        bent = [place for places in problem.planted.values() for place in places]
+        out["false_causes"] = sum(place not in bent for _, place in said["named"])
     return out
 
 
@@ -99,14 +93,10 @@ def problems_of(data: Any, schema: dict[str, Any] = SCHEMA, at: str = "result") 
     if isinstance(data, dict):
         known = schema.get("properties", {})
         found += [f"{at}: {name} is missing" for name in schema.get("required", ()) if name not in data]
-        found += [
-            f"{at}: {name} is unknown"
-            for name in data
-            if not schema.get("additionalProperties", True) and name not in known
-        ]
-        found += [
-            line for name in known.keys() & data.keys() for line in problems_of(data[name], known[name], f"{at}.{name}")
-        ]
+        open_ended = schema.get("additionalProperties", True)
+        found += [f"{at}: {name} is unknown" for name in ([] if open_ended else data.keys() - known.keys())]
+        for name in known.keys() & data.keys():
+            found += problems_of(data[name], known[name], f"{at}.{name}")
         if "if" in schema and not problems_of(data, schema["if"], at):
             found += problems_of(data, schema["then"], at)
     if isinstance(data, list):

@@ -59,7 +59,7 @@ def answer(task: Task) -> Answer:
     result, _ = work.solve_optimisation(var_init=start)
     all_rows = {**work.calib_config, "NbSample": len(task.q)}
     seen = calc_updated_fkm(work.model, work.data, result.x, task.q, all_rows).reshape(3, -1).T
-    # orientations, which only a tool that is fitted again asks for, are nominal ones in the base that suits the positions
+    # orientations, which only a tool that is fitted again asks for: nominal ones, in the base that suits the positions
     T = arm.frames(task.q)[:, -1]
     base, _ = align(T, seen)
     return Answer(pose(base[:3, :3] @ T[:, :3, :3], seen), parameters=len(start))
