@@ -16,19 +16,10 @@ def f(x: np.ndarray) -> np.ndarray:
 J = np.array([[np.cos(0.3) * -1.2, np.sin(0.3)], [0.0, np.exp(-1.2)], [600.0, 0.0]])
 
 
-def test_a_right_one_passes() -> None:
-    assert_jacobian(f, J, X)
-
-
 @pytest.mark.parametrize("wrong", [J * (1.0 + 1e-7), J + 1e-4, -J, J[:, ::-1]])
 def test_a_wrong_one_fails(wrong: np.ndarray) -> None:
     with pytest.raises(AssertionError, match="entry"):
         assert_jacobian(f, wrong, X)
-
-
-def test_a_wrong_shape_fails() -> None:
-    with pytest.raises(AssertionError):
-        assert_jacobian(f, J.T, X)
 
 
 def test_outputs_on_a_circle() -> None:

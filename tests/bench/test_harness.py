@@ -12,11 +12,9 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pytest
 
-from modcal_core.diagnosis import pruning, search
 from modcal_msgs_py.mcap_read import read_recording
 
 BENCH = Path(__file__).resolve().parents[2] / "bench"
@@ -76,12 +74,6 @@ def test_an_unknown_name_is_refused_with_the_list() -> None:
     assert "  doors " in done.stderr
 
 
-@pytest.mark.slow
-def test_a_bench_gets_its_arguments() -> None:
-    assert "--recordings" in _bench("fleet-workers", "--help").stdout
-    assert _bench("long-bag", "--help").stdout.startswith("usage: long_bag.py")
-
-
 def test_make_has_the_targets_of_daily_work_and_no_other() -> None:
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)) - {"reference"}
     daily = (
@@ -139,40 +131,6 @@ def test_a_mutant_that_is_gone_says_so(bench: dict[str, ModuleType], checkout: P
         bench["fragments"].find(checkout, bench["fragments"].Mutant("", function, "m", old, "0"))
 
 
-FILE = Path(__file__).resolve().parents[2] / "bench" / "constants" / "run.py"
-
-
-@pytest.fixture(scope="module")
-def sweep() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("constants_run", FILE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.mark.slow
-def test_a_number_moves_in_every_module_that_imported_it_and_comes_back(sweep: ModuleType) -> None:
-    before = pruning.MIN_GAIN
-    with sweep.changed("modcal_core.diagnosis.pruning", "MIN_GAIN", 1.3):
-        assert pruning.MIN_GAIN == search.MIN_GAIN == pytest.approx(1.3 * before)
-    assert pruning.MIN_GAIN == search.MIN_GAIN == before
-
-
-@pytest.mark.parametrize(
-    ("recording", "said", "harm"),
-    [
-        ("tool_creeps 53", "calm and wrong", True),
-        ("none 21", "named, 1 false", True),
-        ("compliance 1", "named, 1 false", False),
-        ("none 22", "named", False),
-        ("tool_creeps 53", "open, not named", False),
-    ],
-)
-def test_what_may_not_happen(sweep: ModuleType, recording: str, said: str, harm: bool) -> None:
-    assert sweep.harms(recording, said) is harm
-
-
 UNDECLARED = Path(__file__).resolve().parents[2] / "bench" / "undeclared"
 
 
@@ -184,27 +142,6 @@ def planted(monkeypatch: pytest.MonkeyPatch) -> dict[str, ModuleType]:
     yield modules
     for name in modules:
         sys.modules.pop(name, None)
-
-
-def entry(family: str, place: str, driver: str, same_as: tuple[str, ...] = ()) -> dict[str, Any]:
-    return {"family": family, "place": place, "direction": "axis", "driver": driver, "same_as": list(same_as)}
-
-
-@pytest.mark.slow
-def test_what_counts(planted: dict[str, ModuleType]) -> None:
-    effects = [{"family": ["compliance"], "place": ["elbow_joint"], "driver": ["load:elbow_joint"]}]
-    truth = {"scenario": "compliance", "effects": effects}
-
-    def score(*entries: dict[str, Any]) -> Any:
-        return planted["score"].score({"effects": list(entries)}, truth)
-
-    right = entry("compliance", "elbow_joint", "load:elbow_joint")
-    assert score(right).attributed
-    assert not score().attributed
-    assert not score(entry("backlash", "elbow_joint", "load:elbow_joint")).attributed
-    assert not score(entry("compliance", "wrist_1_joint", "load:wrist_1_joint")).attributed
-    assert score(right, entry("step", "tool", "time")).false == 1
-    assert score(entry("compliance", "x", "load:x", ("elbow_joint axis by load:elbow_joint",))).attributed
 
 
 def test_a_fault_is_in_the_bag_and_not_named_there(planted: dict[str, ModuleType], tmp_path: Path) -> None:

@@ -1,21 +1,27 @@
-"""What goes wrong while images are taken, or is misstated of them: named, left out or refused."""
+"""What goes wrong with images, target, camera and tables, or is misstated: named, left out or refused; the decision."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from camera.boards import views
+from camera.boards import BOARD, views
 from camera.fits import MEASURED, images, solved, true_error
-from camera.scenes import scene
+from camera.rolling import rolling_views
+from camera.scenes import CameraScene, scene
 
-from modcal_core.camera.claim import DO_NOT_APPLY
+from modcal_core.camera.claim import APPLY, AS_STATED, DO_NOT_APPLY, DecisionGrounds, DrawnErrors, ToolError, decide
 from modcal_core.camera.corners import FIXED, TOLERANCE
+from modcal_core.camera.fit import CameraImages
 from modcal_core.camera.lens import Lens
+from modcal_core.camera.prepared import prepare_images
+from modcal_core.camera.statements import CLOCK, TARGET
 from modcal_core.camera.views import postures_in_view
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
 
 
 @pytest.mark.slow
@@ -141,3 +147,119 @@ def test_two_boards_in_turn_are_refused() -> None:
     other = views(np.random.default_rng(0), T, board=s.board)
     with pytest.raises((BadRecording, NotEnoughData)):
         solved(replace(s, views=[a if i % 2 else b for i, (a, b) in enumerate(zip(s.views, other, strict=True))]))
+
+
+EXCHANGED = [0, 1, 2, 3, 4, 6, 5]
+
+
+@pytest.mark.parametrize(
+    ("joints", "mirror", "said"),
+    [
+        (lambda q: np.roll(q, 1, axis=0), 1.0, "readings look early by 1 station"),
+        (lambda q: q[:, EXCHANGED], 1.0, "panda_joint6.*panda_joint7"),
+        (lambda q: q, -1.0, "mirror image"),
+    ],
+)
+def test_what_would_belong_together_is_named(joints: Callable[[Array], Array], mirror: float, said: str) -> None:
+    s = scene(77, True, count=18, board=MEASURED)
+    views = [replace(v, pixels=[0.0, 360.0 - 360.0 * mirror] + v.pixels * [1.0, mirror]) for v in s.views]
+    with pytest.raises(BadRecording, match=said):
+        prepare_images(s.chain, CameraImages(joints(s.q), views, s.board, s.lens.size))
+
+
+def test_joints_that_are_shuffled_are_explained_by_nothing(rng: np.random.Generator) -> None:
+    s = scene(77, True, count=14, board=MEASURED)
+    images = CameraImages(rng.permutation(s.q), s.views, s.board, s.lens.size)
+    with pytest.raises(BadRecording, match="joints") as refused:
+        prepare_images(s.chain, images)
+    assert refused.value.limit.endswith(("off)", "in the median"))
+
+
+ARM_M = 5e-4  # what is known of the arm
+
+
+def known_arm(on_tip: bool) -> CameraScene:
+    return scene(51, on_tip, count=15, length_std=1e-4, angle_std=2e-4)
+
+
+def on_sheet(s: CameraScene, points: Array) -> CameraScene:
+    T = se3.inverse(s.T) if s.on_tip else s.T
+    return replace(s, views=views(np.random.default_rng(1), T, board=s.board, printed=points))
+
+
+@pytest.mark.slow
+def test_a_print_of_another_size() -> None:
+    """1 % too large and nobody measured it: named where the arm is known; else it may be the arm's scale as well."""
+    s = on_sheet(known_arm(True), 1.01 * BOARD.points)
+    (found,) = solved(s, arm_m=ARM_M).evidence.findings
+    assert (found.family, found.entry.direction, found.entry.same_as) == (TARGET, "size", ())
+    assert found.entry.sizes["size_x"][0] == pytest.approx(0.01, abs=2e-3)
+    assert found.at_tool_m > 3e-3
+    alone = [f for f in solved(s).evidence.findings if f.entry.direction == "size"]
+    assert all(f.entry.same_as for f in alone)
+
+
+@pytest.mark.slow
+def test_a_bent_sheet() -> None:
+    points = BOARD.points.copy()
+    x = points[:, 0] - points[:, 0].mean()
+    points[:, 2] = 5e-4 * (x / x.max()) ** 2
+    (found,) = solved(on_sheet(known_arm(True), points), arm_m=ARM_M).evidence.findings
+    assert (found.family, found.entry.direction) == (TARGET, "normal")
+    assert "bent by 0.5" in found.sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("delay_s", "readout_s"), [(0.0, 0.0), (-0.02, 0.02)])
+def test_late_images_and_a_rolling_shutter(delay_s: float, readout_s: float) -> None:
+    """Of a moving arm: delay and line time are told apart, and neither is named of a camera that has none."""
+    s = known_arm(False)
+    rng = np.random.default_rng(2)
+    velocity = 0.3 * rng.choice([-1.0, 1.0], s.q.shape)
+    r = solved(rolling_views(s, velocity, delay_s, readout_s, rng), velocity=velocity, arm_m=ARM_M)
+    found = {f.entry.driver: f for f in r.evidence.findings}
+    assert set(found) == {d for d, x in (("velocity", delay_s), ("line", readout_s)) if x}
+    assert all(f.family == CLOCK for f in found.values())
+    if delay_s:
+        assert found["velocity"].entry.sizes["delay_s"][0] == pytest.approx(delay_s, abs=5e-4)
+    if readout_s:
+        assert found["line"].entry.sizes["line_s"][0] == pytest.approx(readout_s / 720, rel=0.03)
+    assert not r.evidence.causes
+
+
+COUNT = 2000
+
+
+def error(calibrated: Array, nominal: Array) -> ToolError:
+    return ToolError({AS_STATED: DrawnErrors(calibrated, calibrated, nominal)})
+
+
+def test_what_is_open_of_both_arms_hides_no_gain(rng: np.random.Generator) -> None:
+    """The lens puts both off by up to 3 mm, and the nominal arm by 2 mm besides, whichever way the lens does."""
+    lens = 3e-3 * np.abs(rng.standard_normal(COUNT))
+    both = error(np.hypot(lens, 3e-4), np.hypot(lens, 2e-3))
+    assert both.interval[2] > both.nominal_interval[0]
+    found = decide(both, DecisionGrounds())
+    assert found.word == APPLY
+    assert "moves both alike" in found.because[0]
+    # the same two intervals where nothing is shared
+    apart = error(both.by[AS_STATED].calibrated, rng.permutation(both.by[AS_STATED].nominal))
+    assert apart.interval == both.interval
+    assert apart.nominal_interval == both.nominal_interval
+    assert decide(apart, DecisionGrounds()).word == DO_NOT_APPLY
+
+
+def test_three_draws_in_two_hundred_that_are_worse_are_too_many(rng: np.random.Generator) -> None:
+    calibrated = np.full(COUNT, 1e-3)
+    nominal = np.where(np.arange(COUNT) < 0.015 * COUNT, 0.9e-3, 2e-3)
+    assert decide(error(calibrated, nominal), DecisionGrounds()).word == DO_NOT_APPLY
+    nominal = np.where(np.arange(COUNT) < 0.002 * COUNT, 0.9e-3, 2e-3)
+    assert decide(error(calibrated, nominal), DecisionGrounds()).word == APPLY
+
+
+def test_what_the_user_states_of_the_arm_is_to_be_beaten_by_all_of_the_interval() -> None:
+    ends = error(np.linspace(1e-4, 1e-3, COUNT), np.full(COUNT, 5e-3))
+    assert decide(ends, DecisionGrounds(stated_m=2e-3)).word == APPLY
+    found = decide(ends, DecisionGrounds(stated_m=9e-4))
+    assert found.word == DO_NOT_APPLY
+    assert "0.90 mm is stated" in found.because[0]

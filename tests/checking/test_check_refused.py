@@ -34,7 +34,6 @@ STEP = se3.exp(np.array([4e-3, -3e-3, 2e-3, 1e-3, 2e-3, -1e-3]))
             "point",
             r"positions look mirrored \(a left-handed frame: two columns swapped, or one of the other",
         ),
-        ("y and z swapped", "point", "positions look mirrored"),
         ("a joint stands", "point", "joint elbow_joint: stands at the same position at all 10 stations"),
     ],
 )
@@ -52,8 +51,6 @@ def test_another_convention_is_refused_by_its_name(cell: Cell, wrong: str, kind:
         q = q[:, [1, 0, 2, 3, 4, 5]]
     if wrong == "x reversed":
         T[:, 0, 3] *= -1.0
-    if wrong == "y and z swapped":
-        T[:, :3, 3] = T[:, [0, 2, 1], 3]
     if wrong == "a joint stands":
         q[:, 2] = q[0, 2]
     with pytest.raises(BadRecording, match=words):
@@ -101,15 +98,14 @@ def test_what_moved_between_two_stations_is_refused(cell: Cell, what: str, after
         assert re.match(rf"the {what} .* moved between stations {after} and {after + 1} of this", said), said
 
 
-@pytest.mark.parametrize("kind", ["pose", "point"])
-def test_readings_of_other_stations_are_refused(cell: Cell, kind: str) -> None:
+def test_readings_of_other_stations_are_refused(cell: Cell) -> None:
     q, rows = postures(5, 12), np.arange(12)
     rows[3:8] = [4, 5, 6, 7, 3]
     T = cell[0].world.tool_in_tracker(q)[rows]
     with pytest.raises(
         BadRecording, match=r"stations 4 to 8 belong to other stations.* \(that at station 4 to station 5"
     ):
-        check(cell[1], readings(q, T, np.random.default_rng(5), kind=kind))
+        check(cell[1], readings(q, T, np.random.default_rng(5), kind="point"))
 
 
 @pytest.mark.parametrize("kind", ["pose", "point"])

@@ -1,20 +1,48 @@
-"""What a check names and repairs, by readings that MuJoCo makes of an arm in which one thing has changed."""
+"""What a check names and repairs when one thing has changed, what is put back by hand, and which stations it looks at."""
 
 from __future__ import annotations
 
+import itertools
+import json
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
-from cells import record, ur10
-from checking.checks import FLOOR, FRESH, Cell, Poses, Seen, about, checked, missed, names, postures, readings, twist
+from cells import NOISE_M, record, ur10
+from checking.checks import (
+    FLOOR,
+    FRESH,
+    Cell,
+    Poses,
+    Seen,
+    about,
+    checked,
+    missed,
+    names,
+    postures,
+    readings,
+    rms,
+    twist,
+)
 
-from modcal_core.calibration.store import from_data, to_data
-from modcal_core.geometry import se3
+from modcal_core.calibration.store import Calibration, from_data, to_data
+from modcal_core.effects.effect import Effect
+from modcal_core.effects.shapes import Shape
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.dwells import spread_rows
 from modcal_core.measurements.recording import SignalTrack
-from modcal_core.public import check
+from modcal_core.measurements.samples import Samples
+from modcal_core.moves.history import series_of
+from modcal_core.moves.known import spread_out
+from modcal_core.moves.likelihood import witnesses
+from modcal_core.public import calibrate, check
+from modcal_core.report.checkup import checkup_data
+from modcal_core.robot import Robot
 from modcal_core.robots import forward
+from modcal_nodes.cli.main import run
 
 pytestmark = pytest.mark.slow
 BASE, TOOL = ("base", "base"), ("tool", "tool")
@@ -208,3 +236,135 @@ def test_a_repaired_calibration_is_read_back_and_checks_clean(cell: Cell) -> Non
     assert again.uncertainty is not None
     assert cell[1].uncertainty is not None
     assert again.uncertainty.covariance.trace() > cell[1].uncertainty.covariance.trace()
+
+
+FIRST, LAST = "shoulder_pan_joint", "wrist_3_joint"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("joint", "place", "other", "name"), [(0, "base", "tracker", FIRST), (5, "tool", "target", LAST)]
+)
+def test_a_turn_about_an_outer_axis_is_put_back(cell: Cell, joint: int, place: str, other: str, name: str) -> None:
+    found = checked(cell, lambda q, world: world(q + about(joint, 1e-3)))
+    assert names(found) == {(place, place)}
+    assert found.changes[0].same_as[:2] == (other, f"zero of {name}")
+    assert found.changes[0].alike == "poses"
+    assert found.status == "changed"  # the repaired poses are the same
+    assert f"The {place} or the {other} has moved" in found.sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [8, 20])
+def test_points_turn_no_flange(cell: Cell, count: int) -> None:
+    """A target that was mounted a millimetre further round the last axis: the arm would be turned by degrees."""
+    at = cell[0].world.tool_in_tracker
+    angle = 1e-3 / (rms(at(FRESH + about(5, 1e-3)), at(FRESH)) / 1e-3)
+    found = checked(cell, lambda q, world: world(q + about(5, angle)), 3, count, "point")
+    assert names(found) == {("tool", "tool")}
+    assert {"target", f"zero of {LAST}"} <= set(found.changes[0].same_as)
+    assert found.changes[0].alike == "positions"
+    assert "orientations" in found.sentence
+    (said,) = checkup_data(found)["changes"]
+    assert (said["same_at_every_posture"], said["same_orientation"]) == (True, False)
+    assert found.repaired is not None
+    old, new = cell[1].predict(FRESH), found.repaired.predict(FRESH)
+    assert np.abs(so3.log(np.swapaxes(old[:, :3, :3], 1, 2) @ new[:, :3, :3])).max() < 1e-9
+    assert missed(cell, found.repaired, lambda q, world: world(q + about(5, angle))) < 3.0 * NOISE_M
+
+
+def raster(levels: int, joints: int) -> Samples:
+    """A raster of postures, the last joint fastest, read as points."""
+    q = np.array(list(itertools.product(np.linspace(-2.0, 2.0, levels), repeat=joints)))
+    return Samples.from_arrays(q, points=np.zeros((len(q), 3)), stamps=np.arange(len(q), dtype=float))
+
+
+def test_stations_of_a_raster_cover_every_joint_and_the_whole_time() -> None:
+    samples = raster(12, 3)  # 1 728 stations
+    part = spread_out(samples, 48)
+    assert part.stations == 48
+    for column in part.q.T:
+        assert np.ptp(column) > 3.9
+    gaps = np.diff(np.r_[-1, np.sort(part.stamps), len(samples)])
+    assert gaps.max() <= 2 * len(samples) / 48
+    every = samples.select(np.arange(0, len(samples), len(samples) // 48))
+    assert np.ptp(every.q[:, 2]) < 0.1  # every 36th has the last joint where it was
+    assert witnesses(part) > 2.0 * witnesses(every)
+    assert witnesses(part) > 1.2 * witnesses(samples.select(spread_rows(len(samples), 48)))
+
+
+DAY = 86400.0
+
+
+def entries(
+    values: list[float], std: float = 0.1, size: bool = True
+) -> list[tuple[str, float, dict[str, tuple[str, float, float, bool]]]]:
+    return [(f"e{i}", 30.0 * DAY * i, {"curve of j3": ("mrad", v, std, size)}) for i, v in enumerate(values)]
+
+
+def test_growth_is_said_with_its_share() -> None:
+    rng = np.random.default_rng(1)
+    (series,) = series_of(entries(list(2.0 + 0.1 * np.arange(5) + 0.01 * rng.standard_normal(5)), std=0.02))
+    assert series.trend is not None
+    assert series.trend.low < 0.4 < series.trend.high
+    assert series.trend.share == pytest.approx(0.2, abs=0.03)
+    assert series.sentence.startswith("The curve of j3 grew by 0.")
+    assert series.sentence.endswith("% in 4 months.")
+
+
+def test_of_noise_alone_few_series_have_a_trend() -> None:
+    rng = np.random.default_rng(2)
+    names = [f"zero of j{k}" for k in range(8)]
+    found = 0
+    for _ in range(300):
+        draw = 0.1 * rng.standard_normal((4, 8))
+        own = [(f"e{i}", i * DAY, {n: ("mrad", float(v), 0.1, False) for n, v in zip(names, draw[i], strict=True)})
+               for i in range(4)]  # fmt: skip
+        found += any(s.trend is not None for s in series_of(own))
+    assert found <= 9  # 1 % of 300 is three; more than nine once in two thousand
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    """An arm with a gear's wave on its elbow."""
+    found = calibrate(Robot(ur10()), record(3, 60).samples, geometry_only=True).calibration
+    wave = Effect(
+        "gear_harmonic", "elbow_joint", "axis", "position:elbow_joint", Shape("turn", {"cycles": 1.0}),
+        np.array([1e-3, 0.0]), np.array([1e-5, 1e-5]),
+    )  # fmt: skip
+    return replace(found, calibrated=found.calibrated.with_effects((wave,)), uncertainty=found.uncertainty and replace(
+        found.uncertainty, covariance=np.pad(found.uncertainty.covariance, (0, 2))
+    ))  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_verb_reads_a_folder(calibration: Calibration, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    begin = datetime(2026, 3, 1, tzinfo=UTC)
+    (wave,) = calibration.calibrated.effects
+    for month in range(5):
+        grown = wave.with_values((1.0 + 0.05 * month) * wave.values, wave.std)
+        part = tmp_path / f"c{month}"
+        part.mkdir()
+        replace(calibration, calibrated=calibration.calibrated.with_effects((grown,))).save(part / "calibration.yaml")
+        date = (begin + timedelta(days=30 * month)).isoformat()
+        (part / "report.json").write_text(json.dumps({"trace": {"date": date, "robot": "cell 3"}, "verdict": "Fine."}))
+    (tmp_path / "k").mkdir()
+    (tmp_path / "k" / "check.json").write_text(json.dumps({"date": "2026-04-15T10:00:00Z", "verdict": "Nothing."}))
+    assert run(["history", str(tmp_path), "--json"]) == 0
+    (robot,) = json.loads(capsys.readouterr().out)["robots"]
+    assert robot["robot"] == "cell 3"
+    assert [e["what"] for e in robot["entries"]].index("check") == 2  # in order of time
+    grows = [s for s in robot["series"] if s["trend"]]
+    assert [s["name"] for s in grows] == ["curve of elbow_joint"]
+    assert grows[0]["trend"]["share"] == pytest.approx(0.2, abs=0.02)
+    assert "elbow_joint grew by" in robot["verdict"]
+    assert json.loads((tmp_path / "history.json").read_text())["robots"] == [robot]
+
+
+def test_a_folder_without_any_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["history", str(tmp_path)]) == 2
+    assert "holds no folder of modcal calibrate" in capsys.readouterr().err
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "check.json").write_text("{broken")
+    assert run(["history", str(tmp_path)]) == 2
+    assert "is not JSON" in capsys.readouterr().err

@@ -64,7 +64,6 @@ def test_an_unknown_frame_is_placed_and_no_change(cell: Arm, kind: str) -> None:
         ({("tool", "tool")}, again(ANOTHER), "pose", "leica"),
         ({("tool", "tool")}, again(ANOTHER), "point", "leica"),
         ({("joint_zero", "elbow_joint")}, again(zero=8e-4 * np.eye(6)[2]), "pose", "leica"),
-        ({("base", "base"), ("tool", "tool")}, again(ANOTHER), "pose", "tracker"),
         (
             {("base", "base"), ("tool", "tool"), ("joint_zero", "elbow_joint")},
             again(ANOTHER, 1e-3 * np.eye(6)[2]),

@@ -1,20 +1,31 @@
-"""Bags of ordinary cells: what says nothing is left out, counted and said; a bag is refused when too little is left."""
+"""Bags of ordinary cells: what says nothing is left out and counted; conventions on import; bags that are read in pieces."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from cells import record, ur10
 from cli.conftest import Refused
+from cli.recordings import START, URDF, streams
 from msgs import bag_forms as forms
 from msgs.bag_forms import Cell, Message
+from scipy.spatial.transform import Rotation
 
+from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import Recording, SignalTrack
+from modcal_core.preprocess import Prepared, prepare, prepare_pieces
+from modcal_msgs_py import mcap_read
 from modcal_msgs_py.layout import jazzy
+from modcal_msgs_py.mcap_read import read_pieces, read_recording
+from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
 OBJECT = "<robot name='cup'><link name='cup'/></robot>"
@@ -138,3 +149,115 @@ def test_the_makers_hash_is_kept_or_asked_for(c: Cell, tmp_path: Path) -> None:
         again
         == text.partition("kinematics:")[1] + text.partition("kinematics:")[2] + "  hash: calib_12788084448423163542\n"
     )
+
+
+NAMES = ur10().names
+
+
+def table(folder: Path, sequence: str = "xyz") -> None:
+    """60 postures of an arm with the pose of its tool, Euler angles in degrees."""
+    samples = record(1, 60).samples
+    angles = Rotation.from_matrix(samples.R).as_euler(sequence, degrees=True)
+    header = ",".join((*NAMES, *"xyzabc"))
+    rows = np.c_[samples.q, 1e3 * samples.reading, angles]
+    np.savetxt(folder / "table.csv", rows, delimiter=",", header=header, comments="")
+
+
+def imported(folder: Path, **euler: str) -> int:
+    stated = {"columns": ["a", "b", "c"], "sequence": "xyz", "unit": "deg", **euler}
+    mapping = {
+        "tables": [
+            {
+                "files": "table.csv",
+                "time": {"order": {"period_s": 10}},
+                "joints": {"unit": "rad", "columns": {name: name for name in NAMES}},
+                "pose": {"frame": "t", "unit": "mm", "position": ["x", "y", "z"], "euler": stated},
+            }
+        ]
+    }
+    (folder / "mapping.yaml").write_text(yaml.safe_dump(mapping))
+    return run(["import", str(folder / "mapping.yaml"), "--urdf", str(URDF), "--out", str(folder / "bag")])
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ({"sequence": "XYZ"}, "composed as XYZ about moving axes .* look like xyz about fixed axes"),
+        ({"sequence": "ZYX"}, ""),  # turning about moving axes in the reverse order: other angles, another rotation
+        ({"unit": "rad"}, "they look like degrees"),
+    ],
+)
+def test_a_wrong_statement_is_refused(
+    stated: dict[str, str], said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    import re
+
+    table(tmp_path)
+    assert imported(tmp_path, **stated) == 2
+    line = capfd.readouterr().err
+    assert re.search(said, line), line
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_right_one_is_written_and_keeps_that_it_has_no_clock(tmp_path: Path) -> None:
+    table(tmp_path)
+    assert imported(tmp_path) == 0
+    assert not read_recording(tmp_path / "bag").has_clock
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of an hour's fifth, with a temperature beside it."""
+    recording = streams(200)
+    t = np.arange(START, START + recording.duration, 2.0)
+    warmth = SignalTrack("temperature:forearm_link", t, 20.0 + 0.01 * (t - START)[:, None], "/temperature")
+    folder = tmp_path_factory.mktemp("long") / "bag"
+    write_recording(replace(recording, signals=(warmth,)), folder)
+    return folder
+
+
+def prepared_in(bag: Path, most: int | None) -> tuple[Prepared, int]:
+    pieces = list(read_pieces(bag, most))
+    return prepare_pieces(pieces, ur10()), len(pieces)
+
+
+@pytest.mark.slow
+def test_pieces_give_the_stations_of_the_whole(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = prepare(read_recording(bag), ur10()).samples
+    joint_states = len(read_recording(bag).joints[0].stamps)
+    monkeypatch.setattr(mcap_read, "OVERLAP", 12.0)
+    prepared, count = prepared_in(bag, joint_states // 7)
+    assert count > 4
+    pieces = prepared.samples
+    assert len(pieces) == len(whole) == 200
+    # stations that stand where pieces meet are found once; their edges lie as they lay to a message
+    assert np.abs(pieces.stamps - whole.stamps).max() < 0.1
+    assert np.abs(pieces.q - whole.q).max() < 1e-9
+    assert np.abs(pieces.reading - whole.reading).max() < 1e-5
+    assert np.array_equal(pieces.approach[1:], whole.approach[1:])
+    assert len(np.unique(pieces.station)) == 200
+    (warmth,), (known,) = pieces.signals, whole.signals
+    assert np.array_equal(warmth.stamps, known.stamps)
+    assert np.array_equal(warmth.values, known.values)
+
+
+def test_nothing_is_cut_where_a_clock_was_set_back() -> None:
+    recording = streams(60)
+    assert mcap_read._border(recording) is not None
+    joints = recording.joints[0]
+    later = joints.stamps > np.median(joints.stamps)
+    back = replace(recording, joints=(replace(joints, stamps=joints.stamps - 3600.0 * later),))
+    assert mcap_read._border(back) is None
+
+
+@pytest.mark.slow
+def test_a_piece_without_a_station_is_passed_over(bag: Path) -> None:
+    (whole,) = read_pieces(bag, None)
+    blind = replace(whole, recording=replace(whole.recording, readings=()))
+    both = prepare_pieces([blind, whole], ur10())
+    assert len(both.samples) == 200
+    assert any("left out" in note for note in both.notes)
+    with pytest.raises(BadRecording, match="tracker"):
+        prepare_pieces([blind, blind], ur10())
+    with pytest.raises(BadRecording, match="no message was received"):
+        prepare_pieces(list[Recording](), ur10())  # type: ignore[arg-type]

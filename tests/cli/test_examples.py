@@ -1,4 +1,4 @@
-"""`modcal examples`: what README and documentation name, for those who have no checkout."""
+"""`modcal examples`: what pages name, for those who have no checkout; and hashes of what is installed."""
 
 from __future__ import annotations
 
@@ -70,3 +70,12 @@ def test_every_folder_of_examples_is_stated() -> None:
         if file.is_file() and not {"__pycache__", "build"} & set(file.parts) and "egg-info" not in str(file)
     }
     assert folders == {place.removeprefix("share/modcal/") for place in stated if place.startswith("share/modcal/ex")}
+
+
+@pytest.mark.parametrize("name", ["requirements.txt", "requirements-test.txt"])
+def test_every_requirement_has_hashes_and_no_address(name: str) -> None:
+    text = (ROOT / name).read_text()
+    parts = re.split(r"^(?=[a-z0-9-]+==)", text, flags=re.MULTILINE)[1:]
+    assert len(parts) > 20
+    assert all(re.search(r"--hash=sha256:[0-9a-f]{64}", part) for part in parts)
+    assert "://" not in text

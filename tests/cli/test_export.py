@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from cells import ur10
 from cli.conftest import Refused
 from correction.test_compensation import calibration_of, true_model
 from robots.test_tables import assert_same
@@ -155,23 +154,10 @@ def nothing_of_ours(folder: Path) -> Path:
 
 
 CASES = {
-    "a calibrated arm as DH": (
-        lambda folder: bent(folder), ["--to", "dh"], "axes of joints shoulder_lift_joint and elbow_joint, 0.0003 rad from parallel"
-    ),
     "a table with a word for a number": (damaged, ["--to", "cpc"], "arm.csv: joints, entry 1: theta: 'ninety' is not a finite number"),
     "neither calibration, URDF nor table": (nothing_of_ours, ["--to", "cpc"], "is neither a calibration, a URDF, nor a table"),
     "an offset that is no distance": (lambda _: URDF, ["--to", "dh", "--largest-offset", "-1"], "--largest-offset: -1 m is not a valid distance"),
 }  # fmt: skip
-
-
-def bent(folder: Path) -> Path:
-    """A UR10 whose elbow is 0.3 mrad from parallel to its shoulder."""
-    from modcal_core.robots.urdf_write import chain_urdf
-
-    origins = np.array(ur10().origins)
-    origins[2] = origins[2] @ se3.exp([0, 0, 0, 0, 3e-4, 0])
-    (folder / "bent.urdf").write_text(chain_urdf(ur10().with_origins(origins)))
-    return folder / "bent.urdf"
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -52,17 +52,6 @@ def test_import(tmp_path: Path) -> None:
     assert interrupted(tmp_path, "import", "mapping.yaml", "--out", "bag") == (130, "")
 
 
-def test_simulate_while_the_arm_still_moves(tmp_path: Path) -> None:
-    command = [MODCAL, "simulate", URDF, "--out", tmp_path / "bag", "-p", "stations=2000", "-v"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as done:
-        assert done.stderr is not None
-        assert done.stderr.readline().startswith("building the cell: ")
-        done.send_signal(signal.SIGINT)
-        assert done.wait(300) == 130
-        assert "Traceback" not in done.stderr.read()
-    assert not list(tmp_path.iterdir())
-
-
 class _Interrupted(Mapping[str, str]):
     """Two files, and Ctrl-C when the second one is asked for."""
 

@@ -1,4 +1,4 @@
-"""Verbs speak to people on a terminal, to programs as JSON, and leave nothing half written when they are interrupted."""
+"""Verbs speak to people and to programs, leave nothing half written, and help; ``modcal repair`` as a person meets it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pty
 import re
 import signal
 import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -15,13 +16,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli.conftest import Refused
 from cli.recordings import stations
+from click.shell_completion import BashComplete
+from mcap.reader import make_reader
 
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
-from modcal_nodes.cli.main import run
+from modcal_nodes.cli.main import VERBS, modcal, run
 
 pytestmark = pytest.mark.slow
 
@@ -168,3 +172,119 @@ def test_info_counts_signals_that_are_many(tmp_path: Path, capfd: pytest.Capture
     assert "/motor_3" not in said
     assert run(["info", str(tmp_path / "bag"), "--verbose"]) == 0
     assert "/motor_3" in capfd.readouterr().out
+
+
+def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--help"]) == 0
+    listed = capsys.readouterr().out
+    for verb, (_, said) in VERBS.items():
+        assert verb in listed
+        assert said in " ".join(listed.split())
+
+
+@pytest.mark.slow
+def test_a_shell_completes_verbs_options_and_choices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Click's script for bash asks for it: of a process, and of the command in this one."""
+    asked = {"COMP_WORDS": "modcal cali", "COMP_CWORD": "1", "_MODCAL_COMPLETE": "bash_complete"}
+    ask = "from modcal_nodes.cli.main import main; main()"
+    how: dict[str, Any] = {"capture_output": True, "text": True, "check": True}
+    out = subprocess.run([sys.executable, "-c", ask], env={**os.environ, **asked}, **how).stdout
+    assert out.split() == ["plain,calibrate"]
+    for words, offered in (
+        ("calibrate --tol", {"--tolerance-mm", "--tolerance-of"}),
+        ("calibrate --tolerance-of p", {"p95"}),
+    ):
+        monkeypatch.setenv("COMP_WORDS", f"modcal {words}")
+        monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
+        said = BashComplete(modcal, {}, "modcal", "_MODCAL_COMPLETE").complete()
+        assert {line.partition(",")[2] for line in said.splitlines()} == offered
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_of_a_shell(shell: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["completion", shell]) == 0
+    said = capsys.readouterr().out
+    assert f"_MODCAL_COMPLETE={shell}_complete" in said
+    monkeypatch.setenv("SHELL", f"/usr/bin/{shell}")
+    assert run(["completion"]) == 0
+    assert capsys.readouterr().out == said
+    monkeypatch.setenv("SHELL", "/bin/tcsh")
+    assert run(["completion"]) == 2
+    assert "shell 'tcsh': has no completion script: give one of bash" in capsys.readouterr().err
+
+
+def test_asking_for_help_imports_no_mathematics() -> None:
+    ask = "import sys; from modcal_nodes.cli.main import run; run(['--help']); print('\\n', *sys.modules)"
+    out = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout
+    assert not {"numpy", "scipy", "rclpy", "mcap"} & set(out.splitlines()[-1].split())
+
+
+def test_looking_into_a_bag_imports_no_scipy() -> None:
+    """Nor what else takes longer to load than the bag does: random numbers bring OpenSSL along."""
+    bag = Path(__file__).resolve().parents[2] / "bags" / "ur10_cell"
+    ask = f"import sys; from modcal_nodes.cli.main import run; run(['info', {str(bag)!r}]); print('\\n', *sys.modules)"
+    out = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout
+    assert "can be used for calibration" in out
+    assert not {"scipy", "rclpy", "numpy.random", "matplotlib", "rich.progress"} & set(out.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["calibrat", "bag"], "No such command 'calibrat'. Did you mean calibrate? See: modcal --help"),
+        (["xyzzy"], "No such command 'xyzzy'. See: modcal --help"),
+        (["calibrate"], "Missing argument 'BAG'. See: modcal calibrate --help"),
+        (["modules", "learn", "--nothing"], "No such option"),
+    ],
+)
+def test_who_mistypes_is_told_where_to_look(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(arguments) == 2
+    heard = capsys.readouterr()
+    assert heard.out == ""
+    assert heard.err.startswith(f"modcal: {said}")
+    assert heard.err.count("\n") == 1
+
+
+def said(capfd: pytest.CaptureFixture[str]) -> tuple[str, str]:
+    out, err = capfd.readouterr()
+    return " ".join(out.split()), err
+
+
+def test_a_cut_bag_is_repaired_beside_itself(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_recording(stations(40), tmp_path / "bag")
+    file = tmp_path / "bag" / "bag_0.mcap"
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    data = file.read_bytes()
+    file.write_bytes(data[: int(0.6 * len(data))])
+    assert run(["repair", str(tmp_path / "bag")]) == 0
+    with (tmp_path / "bag_repaired" / "bag_repaired_0.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        saved: dict[str, int] = {}
+        for _, channel, _ in reader.iter_messages():
+            saved[channel.topic] = saved.get(channel.topic, 0) + 1
+    assert saved["/joint_states"] > 10
+    text, err = said(capfd)
+    assert err == ""
+    for topic, count in saved.items():
+        assert f"{topic} {count}" in text
+    assert "metadata.yaml is missing" in text
+    assert "bytes at the end are an unfinished record" in text
+    assert f"{sum(saved.values())} messages saved" in text
+    # the new bag is one that calibrate takes, without a word about a cut
+    assert run(["info", str(tmp_path / "bag_repaired")]) == 0
+    assert "read up to" not in said(capfd)[0]
+
+
+def test_a_whole_bag_is_left_alone(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_recording(stations(10), tmp_path / "bag")
+    for bag in (tmp_path / "bag", tmp_path / "bag" / "bag_0.mcap"):
+        assert run(["repair", str(bag)]) == 0
+        assert "is whole (21 messages): nothing to repair" in said(capfd)[0]
+    assert [p.name for p in tmp_path.iterdir()] == ["bag"]
+
+
+def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, refused: Refused) -> None:
+    (tmp_path / "notes.mcap").write_text("these are my notes")
+    refused(["repair", str(tmp_path / "notes.mcap"), "--out", str(tmp_path / "a" / "b")], "is not an MCAP file")

@@ -1,16 +1,20 @@
-"""``--tolerance-mm`` and ``--certificate``, what is stated of arm and instrument, and what a report is traced back to."""
+"""Tolerances, certificates and what a report is traced back to; ``modcal compare``; options of ``modcal calibrate``."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from cli.conftest import Refused
+from cli.recordings import part, stations, with_joints
 
 from modcal_msgs_py.descriptions import digest
+from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
 pytestmark = pytest.mark.slow
@@ -83,9 +87,58 @@ def test_a_report_is_traced_back_to_its_recording(folder: Path) -> None:
     assert digest(listed[0]) == hashlib.sha256(listed[0].read_bytes()).hexdigest()
 
 
-def test_two_runs_write_the_same_bytes_and_no_tolerance_ends_with_0(folder: Path, tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        assert run(["evaluate", str(folder / "a"), str(folder / "bag"), "--out", str(tmp_path / name)]) == 0
-    for name in ("report.json", "report.html"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-    assert report(tmp_path / "a")["tolerance"] is None
+def test_comparing_says_and_writes_what_differs(
+    folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert run(["compare", str(folder / "a"), str(folder / "a"), "--tolerance-mm", "1", "--out", str(out)]) == 0
+    said = capfd.readouterr().out
+    assert "No difference is shown" in said
+    assert re.search(r"^  ±: one standard deviation; .*shown: ", said, re.MULTILINE)
+    assert said.endswith(f"Comparison: {out}/comparison.json\n")
+    assert json.loads((out / "comparison.json").read_text())["result"] == "same"
+    assert [p.name for p in out.iterdir()] == ["comparison.json"]
+    assert run(["compare", str(folder / "a"), str(folder / "a"), "--tolerance-mm", "1e-6", "--out", str(out)]) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "is not JSON"),
+        ("[]", "is not a mapping"),
+        ('{"modcal_report": 2}', "is not one of 1"),
+        ('{"modcal_report": 1, "error_mm": {"final": {"rms": "x"}}}', "report.json"),
+    ],
+)
+def test_a_damaged_report_is_refused(folder: Path, tmp_path: Path, text: str, said: str, refused: Refused) -> None:
+    (tmp_path / "report.json").write_text(text)
+    refused(["compare", str(folder / "a"), str(tmp_path / "report.json"), "--out", str(tmp_path / "out")], said)
+
+
+def calibrated(bag: Path, out: Path, *more: str) -> dict[str, Any]:
+    assert run(["calibrate", str(bag), "--geometry-only", *more, "--out", str(out)]) == 0
+    return report(out)
+
+
+@pytest.mark.slow
+def test_two_recordings_are_one_calibration(tmp_path: Path) -> None:
+    whole = stations(100)
+    for name, recording in (("all", whole), ("one", part(whole, slice(60))), ("two", part(whole, slice(60, 100)))):
+        write_recording(recording, tmp_path / name)
+    once = calibrated(tmp_path / "all", tmp_path / "a")
+    together = calibrated(tmp_path / "one", tmp_path / "b", "--also", str(tmp_path / "two"))
+    assert together["recording"]["stations"] == 100
+    assert together["error_mm"] == once["error_mm"]
+
+
+@pytest.mark.slow
+def test_geometry_only_looks_no_further(tmp_path: Path) -> None:
+    """The elbow has a gear error, which every calibration of effects finds."""
+    whole = stations(100)
+    q = whole.joints[0].position.copy()
+    q[:, 2] -= 3e-4 * np.sin(60.0 * q[:, 2])
+    write_recording(with_joints(whole, position=q), tmp_path / "bag")
+    geometry = calibrated(tmp_path / "bag", tmp_path / "out")
+    assert geometry["effects"] == []
+    assert geometry["error_mm"]["final"] == geometry["error_mm"]["geometric"]
+    assert "not looked for" in geometry["verdict"]

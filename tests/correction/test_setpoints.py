@@ -1,20 +1,41 @@
-"""Between a computed command and an arm: limits, speed, side of arrival, and no jump when a calibration is replaced."""
+"""Setpoints without a jump, a Delta corrected like an arm, and what the live view draws."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from calibration.test_effects import started
-from cells import ur10
-from correction.test_compensation import STEEP, calibration_of, true_model
+from cells import NOISE_M, samples_of, ur10
+from correction.test_compensation import STEEP, calibration_of, moment, true_model
+from deltas import RecordedDelta, record_delta
 
-from modcal_core.correction.commander import Bounds, CalibratedRobot, Commander, CommanderSettings, SetpointStream
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import NoiseModel
+from modcal_core.calibration.store import Calibration
+from modcal_core.correction.commander import (
+    Bounds,
+    CalibratedRobot,
+    Commander,
+    CommanderSettings,
+    SetpointStream,
+    corrected_urdf,
+)
+from modcal_core.correction.compensation import compensate
 from modcal_core.correction.correction import ArmState, Correction
+from modcal_core.correction.picture import ellipsoid, enlarged_axes, joint_axes, known_to, residuals, tool_ellipsoid
 from modcal_core.errors import BadCommand, BadRobot, NotReachable
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
+from modcal_core.loop import calibrate
+from modcal_core.measurements.samples import Samples
+from modcal_core.online.supervisor import Live
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.mechanism import tool_frames
+from modcal_nodes.simulation.mjcf import body_name
+from modcal_nodes.simulation.world import World
 
 AT = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
 
@@ -138,3 +159,167 @@ def test_a_joint_that_does_not_move_keeps_the_side_it_came_from() -> None:
     there = at.arriving(at.q + [0.0, 0.0, -0.2, 0.3])
     assert there.approach.tolist() == [1.0, -1.0, -1.0, 1.0]
     assert np.array_equal(there.velocity, np.zeros(4))
+
+
+COUNT = 120
+
+
+@pytest.fixture(scope="module")
+def cell() -> RecordedDelta:
+    return record_delta(4, COUNT + 40, "pose", unequal=(6e-4, 6e-4, -6e-4))
+
+
+@pytest.fixture(scope="module")
+def calibration(cell: RecordedDelta) -> Calibration:
+    return calibrate(cell.samples.select(np.arange(COUNT)), cell.nominal, np.random.default_rng(0)).calibration
+
+
+@pytest.mark.slow
+def test_true_poses_in_the_trackers_frame(cell: RecordedDelta, calibration: Calibration) -> None:
+    rest = cell.samples.select(np.arange(COUNT, COUNT + 40))
+    correction = Correction(calibration)
+    T = correction.poses(rest.q, ArmState.at_rest(rest.q[0], 0.0), "tool", "tracker")
+    assert np.sqrt(np.mean(np.sum((T[:, :3, 3] - rest.reading) ** 2, axis=1))) < 1.5 * 3e-5 * np.sqrt(3.0)
+    plain = cell.nominal
+    nominal = tool_frames(plain, np.eye(4), rest.q).transform(-1)
+    moved = correction.poses(rest.q, ArmState.at_rest(rest.q[0], 0.0)) @ se3.inverse(nominal)
+    assert np.abs(moved[:, :3, 3]).max() > 2e-4
+
+
+def test_a_command_brings_the_tool_there(cell: RecordedDelta, calibration: Calibration) -> None:
+    correction = Correction(calibration)
+    seed, wanted = cell.samples.q[0], cell.samples.q[1]
+    at = ArmState.at_rest(seed, 0.0)
+    desired = correction.pose(wanted, at, "tool")
+    command = compensate(correction, desired, seed, at, "tool")
+    assert np.abs(command.q - wanted).max() < 1e-6
+    level = desired.copy()  # as somebody asks who knows nothing of the platform's tilt
+    level[:3, :3] = so3.exp(np.array([0.0, 0.0, 0.3])) @ calibration.calibrated.T_tip_tool[:3, :3]
+    command = compensate(correction, level, seed, at, "tool")
+    truly = correction.pose(command.q, at, "tool")
+    assert np.linalg.norm(truly[:3, 3] - level[:3, 3]) < 1e-7
+    tilted = level.copy()
+    tilted[:3, :3] = so3.exp(np.array([0.3, 0.0, 0.0])) @ level[:3, :3]
+    with pytest.raises(NotReachable, match="cannot turn so"):
+        compensate(correction, tilted, seed, at, "tool")
+
+
+def test_the_covariance_is_what_the_fit_scatters_by(calibration: Calibration, cell: RecordedDelta) -> None:
+    correction = Correction(calibration)
+    C = correction.covariance(cell.samples.q[3], ArmState.at_rest(cell.samples.q[3], 0.0))
+    assert np.all(np.linalg.eigvalsh(C) > 0.0)
+    assert 5e-6 < np.sqrt(np.trace(C[:3, :3])) < 5e-4
+
+
+def test_a_commander_knows_its_delta(calibration: Calibration, cell: RecordedDelta) -> None:
+    robot = CalibratedRobot.of(calibration, cell.nominal)
+    assert corrected_urdf(robot, "") == ""
+    commander = Commander()
+    assert commander.use(robot, 0.0)
+    at = ArmState.at_rest(cell.samples.q[0], 0.0)
+    desired = robot.correction.pose(cell.samples.q[2], at)
+    assert np.abs(commander.setpoint(desired, "", at, 0.0).q - cell.samples.q[2]).max() < 1e-5
+    other = cell.nominal.moved(np.full((6, 3), 1e-3))
+    with pytest.raises(BadRobot):
+        CalibratedRobot.of(calibration, other)
+
+
+@pytest.mark.slow
+def test_a_trusted_delta_is_watched(calibration: Calibration, cell: RecordedDelta) -> None:
+    """Readings as before raise no alarm; an arm whose zero has moved does, and is named."""
+    live = Live(calibration)
+    for i in range(COUNT, COUNT + 20):
+        live.add(cell.samples.select(np.array([i])))
+    assert live.hypothesis is None
+    assert np.abs(live.estimator.values).max() < 1.0
+    world = cell.world.tool_in_tracker(cell.samples.q + np.array([0.0, 3e-3, 0.0, 0.0]))
+    for i in range(COUNT, COUNT + 20):
+        row = cell.samples.select(np.array([i]))
+        live.add(_read(row, world[i]))
+    assert live.hypothesis.place == "arm_2" or any("arm_2" in name for name in live.hypothesis.same_as)
+
+
+def _read(row: Samples, T: np.ndarray) -> Samples:
+    return replace(row, reading=T[None, :3, 3], R=T[None, :3, :3])
+
+
+SPREAD = NoiseModel(NOISE_M, 1e-4)
+T_TIP_TOOL = se3.exp(np.array([0.05, 0.03, 0.12, 0.4, -0.2, 0.1]))
+
+
+def test_misses_are_how_far_mujocos_tool_is_from_the_drawings(rng: np.random.Generator) -> None:
+    """In the base link: from where the drawing has the tool to where MuJoCo has it, however the tracker stands."""
+    chain = ur10()
+    world = World(chain, rng, 5e-4, 1e-3, se3.exp(rng.normal(size=6)), T_TIP_TOOL)
+    q = rng.uniform(-2.0, 2.0, (40, 6))
+    seen = samples_of(chain, q, world.tool_in_tracker(q))
+    drawn = Model(chain, ("tracker",), world.T_tracker_base[None], T_TIP_TOOL)
+    of = residuals(drawn, seen, SPREAD)
+    expected = (chain_forward(chain, q) @ T_TIP_TOOL)[:, :3, 3]
+    assert np.abs(of.expected - expected).max() < 1e-12
+    assert np.abs(of.residual - (world.tool_in_base(q)[:, :3, 3] - expected)).max() < 1e-12
+    assert of.size.max() > 1e-3
+    assert of.rejected.sum() > 20  # a millimetre is far outside this spread
+
+
+def test_frames_are_known_by_their_names(rng: np.random.Generator) -> None:
+    model, q = true_model(), rng.uniform(-2.0, 2.0, (4, 6))
+    samples = samples_of(model.serial, q, model.predict(q))
+    mixed = replace(samples, frames=("elsewhere", "tracker"), frame=np.array([1, 0, 0, 1]))
+    kept = known_to(model, mixed)
+    assert kept.frames == ("tracker",)
+    assert kept.frame.tolist() == [0, 0]
+    assert np.array_equal(kept.q, q[[0, 3]])
+
+
+def test_axes_are_mujocos(rng: np.random.Generator) -> None:
+    chain = ur10()
+    world = World(chain, rng, 0.0, 0.0)
+    q = rng.uniform(-2.0, 2.0, 6)
+    world.tool_in_base(q)
+    p, d = joint_axes(chain, q)
+    ids = [world.model.body(body_name(name)).jntadr[0] for name in chain.names]
+    assert np.abs(d - world.data.xaxis[ids]).max() < 1e-12
+    gap = p - world.data.xanchor[ids]
+    assert np.abs(np.cross(gap, d)).max() < 1e-12  # on one line
+    assert isinstance(world.model, mujoco.MjModel)
+
+
+def test_axes_stand_off_as_much_larger_as_is_said(rng: np.random.Generator) -> None:
+    nominal, q = ur10(), rng.uniform(-2.0, 2.0, 6)
+    calibrated = true_model().serial
+    (p, d), (p_true, d_true) = joint_axes(nominal, q), joint_axes(calibrated, q)
+    angle = np.linalg.norm(np.cross(d, d_true), axis=1)
+    assert angle.min() > 1e-5
+    for scale in (1.0, 20.0):
+        at, along = enlarged_axes(nominal, calibrated, q, scale)
+        assert np.abs(at - p - scale * (p_true - p)).max() < 1e-12
+        assert np.allclose(np.linalg.norm(along, axis=1), 1.0)
+        # a tangent for a sine: what is enlarged is the step across the axis
+        assert np.tan(np.arccos(np.sum(along * d, axis=1))) == pytest.approx(scale * angle, rel=1e-5)
+    _, along = enlarged_axes(nominal, calibrated, q, 1e9)
+    assert (np.sum(along * d, axis=1) > 0.0).all()
+
+
+def test_an_ellipsoid_holds_as_much_as_it_should(rng: np.random.Generator) -> None:
+    """Of a normal distribution, the share within three deviations is that of a chi-square of three degrees below 9."""
+    A = rng.normal(size=(3, 3)) * [1e-4, 3e-5, 1e-5]
+    C = A @ A.T
+    R, half = ellipsoid(C)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    assert np.allclose(R @ np.diag((half / 3.0) ** 2) @ R.T, C, rtol=1e-9, atol=1e-20)
+    x = rng.multivariate_normal(np.zeros(3), C, 20_000)
+    inside = np.mean(np.sum((x @ R / half) ** 2, axis=1) < 1.0)
+    assert inside == pytest.approx(0.97071, abs=4.0 * np.sqrt(0.97071 * 0.02929 / 20_000))
+
+
+def test_the_ellipsoid_is_about_the_predicted_tool(rng: np.random.Generator) -> None:
+    model = true_model(STEEP.started(np.array([2e-4, 1e-4])))
+    correction, q = Correction(calibration_of(model)), rng.uniform(-2.0, 2.0, 6)
+    at = moment(q, rng)
+    T, half = tool_ellipsoid(correction, at)
+    assert np.abs(T[:3, 3] - correction.pose(q, at, "tool")[:3, 3]).max() < 1e-15
+    assert half == pytest.approx(3.0 * correction.calibration.noise.position)
+    unknown = replace(correction.calibration, noise=NoiseModel(np.nan, 1e-4))
+    with pytest.raises(BadCommand):
+        tool_ellipsoid(Correction(unknown), at)

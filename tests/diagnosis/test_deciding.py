@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -61,10 +62,14 @@ def solve(samples: Samples) -> Solution:
     return calibrate(samples, ur10(), np.random.default_rng(0), inertias=read_inertias(urdf("ur10"), ur10()))
 
 
+@cache
+def undecided(truth: int) -> Solution:
+    return solve(Cell(truth).first())
+
+
 @pytest.mark.parametrize(("truth", "name"), [(WRIST_2, RATIO), (WRIST_1, COUPLING)])
 def test_the_proposed_stations_decide(truth: int, name: tuple[str, str]) -> None:
-    cell = Cell(truth)
-    before = solve(cell.first())
+    cell, before = Cell(truth), undecided(truth)
     finding = before.report.effects[0]
     both = [f"{finding.place} {finding.direction} by {finding.driver}", *finding.same_as]
     assert any(text.endswith(RATIO[1]) for text in both)
@@ -80,7 +85,7 @@ def test_the_proposed_stations_decide(truth: int, name: tuple[str, str]) -> None
 
 
 def test_the_command_writes_stations(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    result = solve(Cell(WRIST_2).first())
+    result = undecided(WRIST_2)
     (tmp_path / "found").mkdir()
     (tmp_path / "found" / "calibration.yaml").write_text(to_yaml(to_data(result.calibration)))
     report = tmp_path / "found" / "report.json"

@@ -1,4 +1,4 @@
-"""A joint whose logged value lags its command is found at its joint, with its share; a sound log stays clean."""
+"""Joints whose log lags, searches that go on to what predicts, and sums over samples whichever way they are taken."""
 
 from __future__ import annotations
 
@@ -6,12 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration.test_identify import fit_all
 from cells import record, samples_of, ur10
 
+from modcal_core.calibration.data_split import split
+from modcal_core.calibration.fit import Fit
 from modcal_core.calibration.store import from_data, to_data
+from modcal_core.diagnosis.banks import GatheredBank, StepBank, WaveBank
+from modcal_core.diagnosis.evidence import Scanner, inverses
+from modcal_core.diagnosis.spectra import KnownSums
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.registry import candidates
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import so3
 from modcal_core.loop import Solution, calibrate
+from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 
 ELBOW = 2
@@ -135,3 +144,131 @@ def test_a_share_in_motion_stays_a_share() -> None:
     assert (effect.family, effect.place, effect.driver) == ("joint_lag", "elbow_joint", "following:elbow_joint")
     share, std, _ = effect.parameters["stale_share"]
     assert abs(share - SHARE) < 4.0 * std < 0.1
+
+
+PAN, WRIST_2, WRIST_3 = 0, 4, 5
+
+
+def misleading(count: int) -> Samples:
+    """A wrist that turns a little too far; and signals that other joints follow where they are fitted, and nowhere else.
+
+    They explain most of what is left, and predict nothing.
+    """
+    made = record(21, count)
+    q, rng = made.samples.q, np.random.default_rng(3)
+    sets = split(made.samples, np.random.default_rng(0), None, [])
+    actual = q.copy()
+    actual[:, WRIST_2] += 3e-4 * q[:, WRIST_2]
+    signals = {f"/noise_{j}": rng.standard_normal(count) for j in (PAN, WRIST_3)}
+    for j, signal in zip((PAN, WRIST_3), signals.values(), strict=True):
+        actual[sets.train, j] += 8e-4 * signal[sets.train]
+        actual[sets.explain, j] -= 4e-4 * signal[sets.explain]
+    T = made.world.tool_in_tracker(actual)
+    T[:, :3, 3] += 3e-5 * rng.standard_normal((count, 3))
+    samples = samples_of(ur10(), q, T)
+    t = samples.stamps
+    return replace(samples, signals=tuple(SignalTrack(f"signal:{n}", t, x[:, None], n) for n, x in signals.items()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [200, 620])
+def test_a_choice_that_does_not_predict_does_not_end_the_search(count: int) -> None:
+    report = calibrate(misleading(count), ur10(), np.random.default_rng(0)).report
+    found = [(e.family, e.place) for e in report.effects if e.family != "outliers"]
+    assert found == [("gear_ratio", "wrist_2_joint")]
+    # what was refused is said where the rest is surely predictable
+    assert (report.left is not None) == report.judged.predicted
+
+
+def swaying(seed: int, count: int = 900) -> Samples:
+    """An arm that never stops, on a stand that tilts with its acceleration."""
+    rng = np.random.default_rng(seed)
+    rate, phase = rng.uniform(0.6, 1.2, (2, 6)), rng.uniform(0.0, 2.0 * np.pi, (2, 6))
+    t = 0.05 * np.arange(count)
+    angle = t[:, None, None] * rate + phase
+    q, acceleration = 0.5 * np.sin(angle).sum(axis=1), -0.5 * (rate**2 * np.sin(angle)).sum(axis=1)
+    forward = acceleration[:, 1:2] * np.stack([np.cos(q[:, 0]), np.sin(q[:, 0]), np.zeros(count)], axis=1)
+    aside = np.stack([acceleration[:, 0] * np.sin(q[:, 1]), acceleration[:, 2], acceleration[:, 0]], axis=1)
+    tilt = so3.exp(2e-4 * forward + 1e-4 * aside)
+    T = record(seed, 1).world.tool_in_tracker(q)
+    T[:, :3] = tilt @ T[:, :3]
+    T[:, :3, 3] += 2e-5 * rng.standard_normal((count, 3))
+    return replace(samples_of(ur10(), q, T), stamps=t, moving=np.ones(count, bool))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 6])
+def test_of_what_remains_in_motion_nothing_is_named_that_does_not_stand_out(seed: int) -> None:
+    """Curves of joints predict neighbours in time, whose errors they share."""
+    found = calibrate(swaying(seed), ur10(), np.random.default_rng(0)).report.effects
+    assert {effect.place for effect in found} <= {"base", "tracker"}
+
+
+@pytest.fixture(scope="module")
+def fitted() -> tuple[Fit, Drivers]:
+    """An arm with nothing to be found, and its samples."""
+    samples = record(3, 60, "pose").samples
+    fit = fit_all(ur10(), samples)
+    return fit, fit.model.drivers(samples)
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 4, 6, 9])
+def test_inverses_are_those_of_new_directions(rng: np.random.Generator, m: int) -> None:
+    """Of candidates of any width the inverse of what is new, by singular values; also where some or all is not."""
+    columns = rng.normal(size=(40, m, 30))
+    columns[::3, -1] = columns[::3, 0] + 1e-9 * columns[::3, -1]  # of one column alone: all of it, scaled down below
+    own = np.einsum("cik,cik->ci", columns, columns)
+    if m == 1:
+        columns[::3] *= 1e-3
+    found, sizes = inverses(columns @ columns.transpose(0, 2, 1), own)
+    for one, size, square, inverse in zip(columns, sizes, own, found, strict=True):
+        scale = np.sqrt(square)
+        vector, value, _ = np.linalg.svd(one / scale[:, None])
+        new = value[:m] ** 2 > 0.0025
+        expected = (vector[:, new] / value[:m][new] ** 2) @ vector[:, new].T / np.outer(scale, scale)
+        assert size == new.sum()
+        np.testing.assert_allclose(inverse, expected, rtol=1e-7, atol=1e-9 * float(np.abs(expected).max()))
+
+
+def test_each_bank_sums_as_its_numbers_do(fitted: tuple[Fit, Drivers], rng: np.random.Generator) -> None:
+    """Every kind of bank of a real scan, beside the numbers of its candidates one by one."""
+    _, drivers = fitted
+    scanner = Scanner(list(candidates(drivers)), drivers)
+    assert {type(bank) for bank in scanner.banks} == {GatheredBank, WaveBank, StepBank}
+    assert len(scanner.effects) == len(list(candidates(drivers)))
+    for bank in scanner.banks:
+        unit = {key: rng.normal(size=(6, len(drivers))) for key in bank.keys}
+        asked = {key: rng.normal(size=(len(drivers), 3)) for key in scanner._keys}  # numbers of all keys are one pool
+        sums = bank.sums(asked, KnownSums())
+        squares = bank.gram_of_sums(asked, KnownSums())
+        gram = bank.gram(unit)
+        assert sums.shape[:2] == (len(bank.effects), bank.width)
+        some = rng.choice(len(bank.effects), min(len(bank.effects), 12), replace=False)
+        for i in {0, len(bank.effects) - 1, *some.tolist()}:
+            keys, numbers = scanner._factor(bank.effects[i])
+            assert set(keys) <= set(bank.keys)
+            columns = np.stack([numbers[a] * unit[key] for a, key in enumerate(keys)])
+            expected = np.stack([numbers[a] @ asked[key] for a, key in enumerate(keys)])
+            size = np.abs(numbers).sum()
+            np.testing.assert_allclose(sums[i], expected, atol=1e-7 * size)
+            np.testing.assert_allclose(squares[i], expected @ expected.T, atol=1e-6 * size**2)
+            np.testing.assert_allclose(gram[i], np.einsum("acN,bcN->ab", columns, columns), atol=1e-6 * size)
+
+
+def test_a_scan_explains_what_regressions_do(fitted: tuple[Fit, Drivers]) -> None:
+    """The share of the residual's squares, the fitted projected out of both, by least squares of one candidate."""
+    fit, drivers = fitted
+    scanner = Scanner(list(candidates(drivers)), drivers)
+    evidence = scanner.evidence(fit)
+    space = scanner.space_of(fit)
+    Q, r = space.Q.reshape(-1, space.Q.shape[2]), space.residual.ravel()
+    total = r @ r - np.sum((Q.T @ r) ** 2)
+    for i in range(0, len(evidence.effects), len(evidence.effects) // 60):
+        keys, numbers = scanner._factor(evidence.effects[i])
+        U = np.stack([(numbers[a] * scanner._column(key, space)).ravel() for a, key in enumerate(keys)], axis=1)
+        gram, seen = U.T @ U - (U.T @ Q) @ (U.T @ Q).T, U.T @ r - (U.T @ Q) @ (Q.T @ r)
+        scale = np.sqrt(np.einsum("ij,ij->j", U, U))
+        value, vector = np.linalg.eigh(gram / np.outer(scale, scale))
+        new = value > 0.0025
+        explained = np.sum((vector[:, new].T @ (seen / scale)) ** 2 / value[new])
+        assert evidence.explained[i] == pytest.approx(explained / total, abs=1e-7)

@@ -1,24 +1,47 @@
-"""Effects that one scan shows together are those that are there, and each has to be worth having by itself."""
+"""Effects that one scan shows are those that are there; stand-ins give way, and what is not needed goes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from calibration.test_identify import fit_all
-from cells import ur10
-from diagnosis.test_exchange import STALE, backlash_in_three_joints
+from cells import record, samples_of, ur10
+from diagnosis.test_diagnosis import at_joint, recorded
 
-from modcal_core.calibration.covariance import uncertainty
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.covariance import Uncertainty, uncertainty, without
 from modcal_core.calibration.fit import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import errors, squared_residuals
-from modcal_core.diagnosis.choice import EffectChoice, choose
+from modcal_core.calibration.noise import as_normal, errors, squared_residuals
+from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.diagnosis.choice import EffectChoice, better_choice, choose
 from modcal_core.diagnosis.evidence import Evidence, Scanner
+from modcal_core.diagnosis.pruning import is_nothing, joint_size, needless
 from modcal_core.diagnosis.rounds import chosen_together, surely_worth
+from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.registry import candidates
+from modcal_core.effects.shapes import Shape
+from modcal_core.geometry import se3
 from modcal_core.measurements.samples import Samples
+
+PAN, ELBOW, WRIST_2 = 0, 2, 4
+STALE = {PAN: 3e-4, ELBOW: 4e-4, WRIST_2: 3e-4}  # rad, of the side that each comes from
+
+
+def backlash_in_three_joints(count: int) -> Samples:
+    """Stations of an arm of which three joints have backlash."""
+    made = record(8, count)
+    rng = np.random.default_rng(4)
+    q = made.samples.q
+    came = np.sign(np.diff(q, axis=0, prepend=np.zeros((1, 6))))
+    actual = q + 2e-5 * rng.standard_normal(q.shape)
+    for joint, size in STALE.items():
+        actual[:, joint] += size * came[:, joint]
+    T = made.world.tool_in_tracker(actual)
+    T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
+    return replace(samples_of(ur10(), q, T), approach=came)
 
 
 @dataclass(frozen=True)
@@ -45,6 +68,41 @@ def scanned() -> Scanned:
     first = choose(evidence, scanner, fit, set())
     assert first is not None
     return Scanned(fit, scanner, evidence, first, fitted, others)
+
+
+def fit_with(s: Scanned, *effects: Effect) -> Fit:
+    start = s.fit.start.with_effects(effects)
+    return identify(start, s.fitted, s.fit.parameters, tolerance=FITTED, begin=s.fit.values)
+
+
+def backlash(s: Scanned, joint: int) -> Effect:
+    found = next(e for e in s.scanner.effects if (e.family, e.place) == ("backlash", ur10().names[joint]))
+    return found.started(np.array([1e-4]))
+
+
+def test_a_scan_proposes_one_of_the_causes(scanned: Scanned) -> None:
+    evidence, choice = scanned.evidence, scanned.first
+    assert evidence.p_value < 1e-6
+    assert (choice.effect.family, choice.effect.place) in {("backlash", ur10().names[j]) for j in STALE}
+    assert choice.p_value >= evidence.p_value
+
+
+def test_what_is_there_stands(scanned: Scanned) -> None:
+    fitted = fit_with(scanned, *(backlash(scanned, joint) for joint in STALE))
+    assert scanned.scanner.evidence(fitted, trials=True).p_value > 0.01
+    assert all(better_choice(number, fitted, scanned.scanner) is None for number in range(len(STALE)))
+
+
+def test_what_stands_in_for_a_cause_gives_way_to_it(scanned: Scanned) -> None:
+    """With a wave of a joint in the place of another's backlash."""
+    first, *others = STALE
+    wave = next(e for e in scanned.scanner.effects if e.shape.kind == "sine")
+    fit = fit_with(scanned, wave.started(np.array([1e-5, 1e-5])), *(backlash(scanned, j) for j in others))
+    found = better_choice(0, fit, scanned.scanner)
+    assert found is not None
+    choice, started = found
+    assert (choice.effect.family, choice.effect.place) == ("backlash", ur10().names[first])
+    assert abs(started.amplitudes[0]) == pytest.approx(STALE[first], rel=0.3)
 
 
 def test_one_scan_shows_all_that_are_there(scanned: Scanned) -> None:
@@ -86,3 +144,60 @@ def test_what_moves_all_ways_is_begun_in_all_ways(scanned: Scanned) -> None:
     alone = s.scanner.together(s.fit, (s.first.effect,))[1]
     assert beside.shape == (6,)
     assert share > alone
+
+
+def test_a_difference_that_the_parameters_can_take_up_is_not_weighed() -> None:
+    """The base stands 0.1 mm elsewhere at the held-out stations: that is no candidate's to explain."""
+    made = record(3, 160, "point")
+    rows = np.arange(len(made.samples))
+    fit = fit_all(ur10(), made.samples.select(rows[:80]))
+    held_out = made.samples.select(rows[80:])
+    moved = replace(held_out, reading=se3.apply(se3.exp([1e-4, 0, 0, 0, 0, 0]), held_out.reading))
+    left = []
+    for samples in (held_out, moved):
+        drivers = fit.model.drivers(samples)
+        space = Scanner([], drivers).space_of(fit)
+        left.append(float(np.sum(space.residual**2)))
+        along = np.einsum("cNp,cN->p", space.Q, space.residual)
+        assert np.sum(along**2) < 1e-3 * np.sum(space.residual**2)
+    # without that the 0.1 mm, five times the noise, would be 25 / 3 times as much
+    assert left[1] < 1.5 * left[0]
+
+
+JOINT = "elbow_joint"
+TRUE = Effect("gear_harmonic", JOINT, AXIS, f"position:{JOINT}", Shape("turn", {"cycles": 2.0}))
+NOTHING = Effect("coupling", "wrist_1_joint", AXIS, f"position:{JOINT}", Shape("linear"))
+TWIN = Effect("gear_harmonic", JOINT, AXIS, f"position:{JOINT}", Shape("turn", {"cycles": 2.0}))
+
+
+def test_effects_that_are_nothing_or_stand_twice_are_taken_out() -> None:
+    samples = recorded(3, at_joint(2, lambda q: 4e-4 * np.sin(2.0 * q[:, 2])))
+    train, explain = samples.select(np.arange(100)), samples.select(np.arange(100, 160))
+    cell = fit_cell(ur10(), train, Cell())
+    choice = choose_parameters(cell.model, views_of(samples))
+    started = tuple(e.started(np.full(n, 1e-4)) for e, n in ((TRUE, 2), (NOTHING, 1), (TWIN, 2)))
+    fit = identify(cell.model.with_effects(started), train, choice.parameters)
+    pruned, gone, known = needless(fit, train, explain, fit.noise)
+    assert 1 in gone
+    assert len(gone) == 2
+    (left,) = pruned.model.effects
+    assert left.key == TRUE.key
+    assert abs(np.hypot(*left.amplitudes) - 4e-4) < 5e-5
+    assert known is not None
+    np.testing.assert_array_equal(
+        known.covariance, uncertainty(pruned.model, train, pruned.parameters, pruned).covariance
+    )
+    removed = errors(without(pruned.model, known, [0]), explain).position_norm
+    refitted = errors(identify(cell.model, train, choice.parameters).model, explain).position_norm
+    assert abs(np.mean(removed**2) / np.mean(refitted**2) - 1.0) < 0.15
+    assert needless(fit, train, explain, fit.noise, keep=3)[1:] == ((), None)
+
+
+def test_amplitudes_that_trade_with_geometry_are_judged_together() -> None:
+    """Two amplitudes of which only the sum is known: nothing each, and together ten standard deviations."""
+    effect = replace(TRUE.started(np.array([1e-4, 1e-4])), std=np.full(2, 1e-3))
+    known = Uncertainty((), 1e-6 * np.array([[1.0, -1.0], [-1.0, 1.0]]) + 1e-10 * np.ones((2, 2)))
+    assert joint_size((effect,), 0, known) == pytest.approx(as_normal(100.0, 2), rel=1e-2)
+    assert not is_nothing((effect,), 0, known)
+    small = effect.with_values(np.array([1e-4, -1e-4]), effect.std)
+    assert is_nothing((small,), 0, known)

@@ -48,10 +48,6 @@ def test_where_a_comment_is_looked_for(source: str, comment: str) -> None:
     assert [n.comment for n in module_numbers.of_source(source) if n.name == "A"] == [comment]
 
 
-def test_what_is_no_number_is_not_listed() -> None:
-    assert not module_numbers.of_source('A = "3"\nB = True\nC = {"x": "y"}\nD = np.eye(3)\nE = None')
-
-
 def test_what_is_swept_is_a_number() -> None:
     swept = json.loads(SWEPT.read_text("utf-8"))
     assert len(swept) > 20

@@ -209,15 +209,3 @@ def test_search_works_from_disk(site: Path) -> None:
             assert all((site / link.removeprefix(site.as_uri() + "/")).is_file() for link in found)
         assert not page.complaints()
         assert {request.partition(":")[0] for request in page.requests()} <= {"file", "data"}
-
-
-def test_the_site_has_two_colour_schemes_and_styles_fetch_nothing(site: Path) -> None:
-    page = (site / "tutorial.html").read_text()
-    assert 'data-bs-theme="auto"' in page
-    assert "theme-menu" in page
-    colours = (site / "site.css").read_text()
-    assert "[data-bs-theme=light] .codehilite" in colours
-    assert "[data-bs-theme=dark] .codehilite" in colours
-    for style in site.rglob("*.css"):
-        urls = re.findall(r"url\(['\"]?([^'\")]+)|@import\s+['\"]([^'\"]+)", style.read_text())
-        assert not [u for pair in urls for u in pair if u.startswith(("http", "//"))], style.name

@@ -1,4 +1,4 @@
-"""What effects act on: lagging sensors, signals that hold until the next message, and what is remembered of samples."""
+"""What effects act on, and curves that are computed together against the same effects one by one."""
 
 from __future__ import annotations
 
@@ -6,12 +6,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import record, ur10
+from cells import record, samples_of, ur10
+from correction.test_compensation import calibration_of, moment, true_model
 from scipy.integrate import solve_ivp
 
+from modcal_core.calibration.covariance import Uncertainty
 from modcal_core.calibration.model import place_model
+from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.effects.drivers import _LAST, Drivers, NominalArm, delayed, remembered
+from modcal_core.effects.effect import AXIS, Effect, motion
+from modcal_core.effects.shapes import KINDS, Shape
+from modcal_core.effects.sizes import AxisCurves
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack, is_told
+from modcal_core.outcome import Finding
 
 LAG = 120.0  # s
 
@@ -113,3 +123,110 @@ def test_drivers_are_remembered_within_the_context_alone() -> None:
             model.drivers(replace(samples))
         assert model.drivers(samples) is not first  # memory holds but the last few
     assert model.drivers(samples) is not model.drivers(samples)
+
+
+CHAIN = ur10()
+
+
+def curve(rng: np.random.Generator, joint: int, count: int, at: int | None = None) -> Effect:
+    """A random curve over part of a joint's range, at the same joint or at another one."""
+    low = float(rng.uniform(-2.0, -1.0))
+    shape = Shape("spline", {"low": low, "high": low + float(rng.uniform(1.0, 3.0)), "count": float(count)})
+    of, place = CHAIN.names[joint], CHAIN.names[joint if at is None else at]
+    effect = Effect("residual", place, AXIS, f"position:{of}", shape)
+    return effect.started(1e-3 * rng.standard_normal(count))
+
+
+def effects_of(rng: np.random.Generator) -> tuple[Effect, ...]:
+    """Curves of one joint and of several, and between them what is none."""
+    side = Effect("residual", CHAIN.names[1], AXIS, f"direction:{CHAIN.names[1]}", Shape("linear"))
+    curves = [curve(rng, j, count, at) for j, count, at in ((1, 4, None), (1, 31, None), (4, 60, None), (0, 12, 2))]
+    return (curves[0], side.started(np.array([2e-4])), *curves[1:])
+
+
+def test_they_move_as_one_by_one(rng: np.random.Generator) -> None:
+    """Within the range, in the margin where they fade, beyond it, at its ends, and at a position that is not known."""
+    effects = effects_of(rng)
+    curves = AxisCurves.among(effects, CHAIN)
+    assert curves.of == (0, 2, 3, 4)
+    q = rng.uniform(-4.0, 4.0, (400, 6))
+    q[0, 1], q[1, 4], q[2] = effects[0].shape.settings["low"], effects[3].shape.settings["high"], 1e9
+    q[3, 4] = np.nan
+    around = Drivers(samples_of(CHAIN, q, np.tile(np.eye(4), (400, 1, 1))), NominalArm(CHAIN))
+    wanted, _ = motion(effects, around)
+    found, _ = motion([effects[1]], around)
+    curves.add_to(found, q)
+    assert found.keys() == wanted.keys()
+    for place, twist in wanted.items():
+        assert np.allclose(found[place], twist, rtol=0.0, atol=1e-18, equal_nan=True)
+    assert np.isnan(found[CHAIN.first_place + 4][5, 3])
+    assert np.abs(np.nan_to_num(found[CHAIN.first_place + 1])).max() > 1e-4
+
+
+@pytest.mark.slow
+def test_a_covariance_is_that_of_each_amplitude(rng: np.random.Generator) -> None:
+    """By differences: what a unit of each amplitude moves, squared and summed."""
+    effects = effects_of(rng)
+    model = true_model(*effects)
+    size = sum(len(e.values) for e in effects)
+    std = rng.uniform(0.5, 1.5, size) * 1e-5
+    made = calibration_of(model)
+    known = replace(made, uncertainty=Uncertainty((), np.diag(std**2)))
+    for q in rng.uniform(-2.5, 2.5, (4, 6)):
+        at = moment(q, rng)
+        C = Correction(known).covariance(q, at) - Correction(made).covariance(q, at)
+        assert np.allclose(C, _by_differences(effects, std, at), rtol=1e-3, atol=1e-14)
+        assert np.trace(C) > 1e-11
+
+
+def _by_differences(effects: tuple[Effect, ...], std: Array, at: ArmState) -> Array:
+    rows, step = [], 1e-6
+    pose = Correction(calibration_of(true_model(*effects))).pose(at.q, at)
+    for i, effect in enumerate(effects):
+        for k in range(len(effect.values)):
+            values = effect.values + step * (np.arange(len(effect.values)) == k)
+            moved = (*effects[:i], effect.started(values), *effects[i + 1 :])
+            T = Correction(calibration_of(true_model(*moved))).pose(at.q, at)
+            rows.append(np.r_[T[:3, 3] - pose[:3, 3], so3.log(T[:3, :3] @ pose[:3, :3].T)] / step)
+    J = np.array(rows)
+    return np.asarray(J.T @ (std[:, None] ** 2 * J))
+
+
+SETTINGS = {"cycles": 7.3, "tau": 40.0, "since": -1.0, "beta": 0.3, "scale": 2.0, "lag": 0.0}
+STATED = [(kind, name) for kind, known in KINDS.items() for name in known.slopes]
+
+
+@pytest.mark.parametrize(("kind", "name"), STATED)
+def test_they_are_those_of_small_steps(kind: str, name: str) -> None:
+    x = np.linspace(-3.0, 2.0, 60)
+    shape = Shape(kind, SETTINGS)
+    step = 1e-6 * SETTINGS[name]
+    ahead, behind = (shape.with_settings({name: SETTINGS[name] + d}).basis(x) for d in (step, -step))
+    slope = KINDS[kind].slopes[name](x, shape.settings, shape.basis(x))
+    np.testing.assert_allclose(slope, (ahead - behind) / (2.0 * step), atol=1e-6 * np.abs(slope).max())
+
+
+def test_waves_say_theirs() -> None:
+    assert {("sine", "cycles"), ("double", "cycles")} <= set(STATED)
+
+
+SIZES = {"x": (1e-3, 1e-5, "m")}
+
+
+def test_rivals_are_in_the_sentence_and_no_more_than_two() -> None:
+    found = Finding("step", "base", "all", "time", SIZES, 1e-9, 1e-3, 1e-4, ("tool", "joint_1", "joint_2", "joint_3"))
+    assert found.sentence.startswith("One of these, which the readings do not tell apart: base moves")
+    assert "; tool; joint_1; 2 more. The error is" in found.sentence
+    assert "One of these" not in replace(found, same_as=()).sentence
+
+
+@pytest.mark.parametrize(("clock", "words"), [(True, "(stamp "), (False, "(row 60)")])
+def test_a_table_without_a_clock_has_rows_and_no_seconds(clock: bool, words: str) -> None:
+    made = record(3, 120)
+    late = np.arange(120) >= 60
+    samples = replace(made.samples, reading=made.samples.reading + np.outer(late, [0.0, 2e-3, 0.0]))
+    samples = replace(samples, stamps=10.0 * np.arange(1.0, 121.0), clock=clock)
+    report = calibrate(samples, ur10(), np.random.default_rng(0)).report
+    (step,) = (e for e in report.effects if e.family == "step")
+    assert words in step.sentence
+    assert step.parameters["at"][2] == ("s" if clock else "rows")

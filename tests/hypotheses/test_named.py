@@ -133,7 +133,6 @@ RECORDINGS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
         (NAMES[0], NAMES[2], NAMES[3], f"look reversed {AT_LATER}"),
     ),
     "zero of the tracker": (lambda: set_to_zero("pose"), ("tracker", "stations 0 to 19, 20 to 44, 45 to 69")),
-    "zero, points": (lambda: set_to_zero("point"), ("tracker", "stations 0 to 19, 20 to 44, 45 to 69")),
     "other columns in a part": (
         lambda: spoiled(q=mixed(4, 5, [[1, 1], [1, -1]]), rows=LATER),
         (f"{NAMES[4]} = 0.5 {NAMES[4]} + 0.5 {NAMES[5]}",),
@@ -146,10 +145,6 @@ RECORDINGS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
     "stale, points": (
         lambda: joint(2, np.where(LATER, ELBOW[40], ELBOW), kind="point"),
         ("joint elbow_joint keeps its reported position at stations 4",),
-    ),
-    "two stale": (
-        lambda: spoiled(q=np.where(LATER[:, None] & np.isin(ORDER[:6], [3, 4]), Q[40], Q)),
-        (f"joints {NAMES[3]} and {NAMES[4]} keep their reported positions at stations",),
     ),
     "of another arm": (
         lambda: joint(2, np.random.default_rng(2).permutation(ELBOW), kind="point"),
@@ -174,7 +169,6 @@ RECORDINGS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
         ("wrist_3_joint", "reversed"),
     ),
     "all reversed": (lambda: spoiled(q=-Q), ("look reversed",)),
-    "mixed": (lambda: spoiled(q=mixed(0, 3, [[0.5, 0.5], [-0.5, 0.5]])), (f"{NAMES[0]} =", f"{NAMES[3]} =")),
     "sum and difference": (
         lambda: spoiled(q=mixed(2, 3, [[1, 1], [1, -1]]), kind="point"),
         (f"{NAMES[2]} = 0.5 {NAMES[2]} + 0.5 {NAMES[3]}; {NAMES[3]} = 0.5 {NAMES[2]} - 0.5 {NAMES[3]}",),
@@ -191,7 +185,6 @@ RECORDINGS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
     "z late": (lambda: spoiled(np.c_[P[:, :2], np.roll(P[:, 2], 1)]), ("column z of the positions looks late by 1",)),
     "orientations late": (lambda: spoiled(R=np.roll(R, 1, axis=0)), ("orientations look late by 1 station:",)),
     "two frames": (lambda: spoiled(R=OTHER @ R), (f"turned by {np.degrees(np.linalg.norm([0.3, -0.5, 0.2])):.3g}°",)),
-    "columns in turn": (lambda: spoiled(P[:, [1, 2, 0]]), ("turned by 120°",)),
     "z in inches": (lambda: spoiled(P * [1, 1, 1 / 0.0254]), ("coordinate z of the readings looks 39.",)),
     "offset": (lambda: spoiled(P - BACK @ OFFSET), ("not as those of one point of the tool",)),
     "random turns": (
@@ -231,11 +224,6 @@ RECORDINGS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
     "link seen from a link": (lambda: of_link(2, 5, "point"), (f"link behind {NAMES[1]}", f"link before {NAMES[5]} (")),
     # two mistakes at once
     "w first and swapped": (lambda: spoiled(R=W_FIRST, q=SWAPPED), ("quaternions look like w", "look swapped")),
-    "w first and a sign": (
-        lambda: spoiled(R=W_FIRST, q=Q * [1, 1, 1, 1, -1, 1]),
-        ("quaternions look like w x y z", "wrist_2_joint looks reversed"),
-    ),
-    "mm and swapped": (lambda: spoiled(1e3 * P, q=SWAPPED), ("positions look like millimetres", "look swapped")),
     "mirrored and swapped": (
         lambda: spoiled(P * [1, -1, 1], q=SWAPPED, kind="point"),
         ("positions look mirrored", f"joints {NAMES[1]} and {NAMES[2]} look swapped"),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from instruments.gripper import NAMES, Gripper, Held, holding
-from nodes.processes import Process, fresh_domain, listener, running
+from nodes.processes import beside
 from sensor_msgs.msg import Range
 
 from modcal_core.calibration.store import Calibration
@@ -178,9 +178,7 @@ def test_the_corrector_measures_what_is_held(gripper: tuple[Gripper, Path]) -> N
     made, folder = gripper
     held = made.hold()
     kind = interface("MeasureObject")
-    domain = fresh_domain()
-    process = Process("corrector", domain, folder, calibration=folder / "calibration", target="tool")
-    with running(process), listener(domain) as (node, wait):
+    with beside(folder, "corrector", calibration=folder / "calibration", target="tool") as (_, node, wait):
         publisher = node.create_publisher(Range, "gripper/range", 100)
 
         def speak() -> None:

@@ -88,20 +88,6 @@ def test_derivatives_of_the_rows(mask: list[int], rng: np.random.Generator) -> N
         assert_jacobian(lambda x, fleet=fleet: reaching._rows(fleet, goal, x[:, None])[0][:, 0], J, q)
 
 
-def test_many_arms_stand_where_each_of_them_does(rng: np.random.Generator) -> None:
-    """The descents' own kinematics are those of the chains that the assemblies make."""
-    goal = Target.build(so3.exp(rng.normal(size=3)), rng.normal(size=3))
-    A, b = goal.rows
-    for joints in (4, 6):
-        assemblies = [random_assembly(rng, joints) for _ in range(8)]
-        arms = Catalogue(CODING).arms(np.stack([CODING.genome(a) for a in assemblies]))
-        q = rng.uniform(arms.lower, arms.upper)
-        rows, _ = reaching._rows(reaching._Fleet.of(arms, np.arange(8)), goal, np.ascontiguousarray(q.T))
-        for i, assembly in enumerate(assemblies):
-            T = chain_forward(chain_of(assembly, LIBRARY), q[i])
-            assert np.abs(A @ T[:3].ravel() - b - rows[:, i]).max() < 1e-12
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("mask", MASKS)
 def test_poses_that_arms_are_in_are_reached(mask: list[int], rng: np.random.Generator) -> None:

@@ -1,18 +1,25 @@
-"""Joint states read from their bytes are those that rclpy makes of the same bytes."""
+"""Quick ways to read: joint states from their bytes, rows of tracks that grow, bags in many small chunks."""
 
 from __future__ import annotations
 
 import array
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from modcal_msgs_py.track_rows import JointStateBytes, JointStateView
+from modcal_core.measurements.recording import Recording
+from modcal_msgs_py import mcap_read
+from modcal_msgs_py.mcap_walk import HEAD, PADDING, Block
+from modcal_msgs_py.messages import gathered
+from modcal_msgs_py.track_rows import JointStateBytes, JointStateView, TrackRows
 
 NAMES = st.lists(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=9), max_size=7)
 
@@ -106,3 +113,86 @@ def test_what_a_later_message_of_the_same_joints_replaces() -> None:
     assert read.needed(came, lambda stamp: stamp > 1.25) == [*came[:2], broken, came[4], broken, came[6]]
     assert read.needed(came, lambda _: False) == came
     assert read.needed([], lambda _: True) == []
+
+
+WIDTH = 3
+
+
+@given(
+    steps=st.lists(st.tuples(st.sampled_from(["extend", "look", "forget"]), st.integers(0, 70)), max_size=30),
+    expected=st.sampled_from([0, 1, 40, 10**9]),
+)
+def test_rows_are_those_that_were_added(steps: list[tuple[str, int]], expected: int) -> None:
+    """In their order, whatever number was expected; also what was looked at before more came."""
+    rows, truth = TrackRows(WIDTH, expected), np.empty((0, 2 + WIDTH))
+    seen: list[tuple[np.ndarray, np.ndarray]] = []
+    count = 0
+    for what, n in steps:
+        new = 10.0 * np.arange(count, count + n)[:, None] + np.arange(2 + WIDTH)
+        if what == "extend":
+            rows.extend(new[:, 0], new[:, 1], new[:, 2:3].astype(">f8"), new[:, 3:].astype(np.float32))
+            truth, count = np.vstack([truth, new]), count + n
+        elif what == "look":
+            stamps, received, values = rows.columns()
+            seen.append((np.column_stack([stamps, received, values]), truth))
+            seen.append((values, truth[:, 2:]))  # the same memory as the rows'
+        elif len(truth):
+            border = truth[len(truth) // 2, 1]
+            rows.forget_before(border)
+            truth = truth[truth[:, 1] >= border]
+        assert len(rows) == len(truth)
+    stamps, received, values = rows.columns()
+    assert values.shape == (len(truth), WIDTH)
+    seen.append((np.column_stack([stamps, received, values]), truth))
+    assert all(np.array_equal(there, then) for there, then in seen)
+
+
+def test_a_number_that_was_wrongly_expected_takes_no_memory() -> None:
+    rows = TrackRows(1, expected=10**15)
+    rows.extend(np.zeros(100), np.zeros(100), np.zeros((100, 1)))
+    values = rows.columns()[2]
+    assert values.base is not None
+    assert np.asarray(values.base).nbytes < 100_000
+
+
+ROOT = Path(__file__).resolve().parents[2]
+BAG = ROOT / "bags" / "ur10_cell"
+
+
+def arrays(recording: Recording) -> list[NDArray[np.float64]]:
+    out = []
+    for track in (*recording.joints, *recording.readings):
+        out += [
+            track.stamps,
+            track.received,
+            *(getattr(track, name) for name in ("position", "values") if hasattr(track, name)),
+        ]
+    return out
+
+
+def test_the_recording_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the last bit, warnings and the order of tracks included."""
+    merged = mcap_read.read_recording(BAG)
+    monkeypatch.setattr(mcap_read, "gathered", lambda blocks: blocks)
+    apart = mcap_read.read_recording(BAG)
+    assert [track.topic for track in merged.joints] == [track.topic for track in apart.joints]
+    assert [track.topic for track in merged.readings] == [track.topic for track in apart.readings]
+    assert (merged.warnings, merged.robot_description) == (apart.warnings, apart.robot_description)
+    pairs = list(zip(arrays(merged), arrays(apart), strict=True))
+    assert len(pairs) == 6
+    assert all(a.tobytes() == b.tobytes() for a, b in pairs)
+
+
+def test_a_channel_that_is_new_is_met_where_it_was() -> None:
+    """Else topics would be met in the order of their channels, and not of their first messages."""
+
+    def block(*channels: int) -> Block:
+        heads = np.zeros(len(channels), HEAD)
+        heads["channel"] = channels
+        places = np.arange(len(channels), dtype=np.int64)
+        return Block(bytes(len(channels)) + PADDING, heads, places, places + 1)
+
+    found = [
+        b.heads["channel"].tolist() for b in gathered([block(7), block(7), block(7, 3), block(3), block(7), block(1)])
+    ]
+    assert found == [[7], [7], [7, 3], [3, 7], [1]]

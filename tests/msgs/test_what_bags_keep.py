@@ -1,25 +1,35 @@
-"""Times, names and silent topics: what a bag must hold besides the bytes of its messages."""
+"""What a bag must hold besides the bytes of its messages, captures of others, and a calibration as a message."""
 
 from __future__ import annotations
 
+import json
 import struct
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
+from types import SimpleNamespace as S
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.reader import make_reader
+from modcal_interfaces.msg import Calibration, Checked, ObjectState, Verdict
 from msgs import bag_forms as forms
+from rcl_interfaces.msg import Parameter
 
-from modcal_core.errors import BadRecording
-from modcal_msgs_py.layout import message_class, serialise
+from modcal_core.errors import BadCommand, BadRecording, BadTable, ModcalError
+from modcal_core.geometry import Array, se3
+from modcal_msgs_py.layout import definition, learn, message_class, serialise
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.messages import RecordingBuilder
 from modcal_msgs_py.readings import seconds, set_seconds
 from modcal_msgs_py.tables import import_tables
+from modcal_msgs_py.topics import Joints, Reading, added_topics, role_of
+from modcal_msgs_py.typed import calibration_data, fill_calibration
 
 STRING, JOINTS = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 
@@ -137,3 +147,82 @@ def test_logs_stamps_and_counters_are_no_signals(tmp_path: Path) -> None:
             bag.write(f"/topic_{k}", type_name, message_class(type_name)(**values), 10**18 + k)
     recording = read_recording(tmp_path / "bag")
     assert [signal.name for signal in recording.signals] == ["signal:/topic_2"]
+
+
+GRID = np.array([(0.03 * x, 0.03 * y, 0.0) for x in range(4) for y in range(3)])
+T = se3.exp(np.array([0.1, -0.2, 0.9, 0.4, 2.0, -0.3]))
+
+
+def observation(frame: str, points: Array, focal: float) -> S:
+    header = S(frame_id=frame)
+    features = [S(header=header, point=S(x=x, y=y, z=z)) for x, y, z in points.tolist()]
+    return S(features=features, ext_camera_info=S(camera_info=S(k=np.r_[focal, np.zeros(8)])))
+
+
+def taken(*observations: S) -> list[Reading]:
+    states = S(name=["a", "b"], position=[0.1, 0.2], velocity=[], effort=[])
+    joints, *readings = added_topics()["calibration_data"].take(S(joint_states=states, observations=observations))
+    assert joints == Joints(["a", "b"], [0.1, 0.2], [], [])
+    return [reading for reading in readings if isinstance(reading, Reading)]
+
+
+@pytest.mark.parametrize("camera_first", [True, False])
+def test_features_of_arm_and_camera_are_a_pose(camera_first: bool) -> None:
+    both = [observation("optical", se3.apply(T, GRID), 600.0), observation("tool0", GRID, 0.0)]
+    (reading,) = taken(*(both if camera_first else both[::-1]))
+    assert (reading.kind, reading.frame) == ("pose", "optical")
+    x, y, z, qx, qy, qz, qw = reading.values
+    assert np.allclose([x, y, z], T[:3, 3], atol=1e-12)
+    assert abs(qx**2 + qy**2 + qz**2 + qw**2 - 1.0) < 1e-12
+    assert np.degrees(2.0 * np.arccos(abs(qw))) == pytest.approx(np.degrees(np.linalg.norm(se3.log(T)[3:])), abs=1e-6)
+
+
+def test_one_feature_is_a_point_and_what_no_camera_saw_is_nothing() -> None:
+    (reading,) = taken(observation("optical", GRID[4:5], 600.0), observation("tool0", GRID[:1], 0.0))
+    assert (reading.kind, list(reading.values)) == ("point", GRID[4].tolist())
+    assert taken(observation("tool0", GRID, 0.0)) == []
+    assert taken(observation("optical", GRID, 600.0)) == []  # nobody says where on the target the features are
+
+
+def test_the_topic_in_any_namespace() -> None:
+    assert role_of("/fetch/calibration_data", "robot_calibration_msgs/msg/CalibrationData") == "calibration_data"
+
+
+NUMBERS = st.floats(allow_nan=False) | st.integers(-(2**63), 2**63 - 1)
+WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=5)
+KEYS = WORDS.map(str) | st.sampled_from(["a/b", "~1", "[0]", "~", "[", "x[1]/y~2"])
+TREES = st.recursive(
+    st.none() | st.booleans() | NUMBERS | WORDS,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS, inner, max_size=4),
+    max_leaves=20,
+)
+
+
+@given(st.dictionaries(KEYS, TREES, min_size=1, max_size=5))
+def test_what_comes_back_is_what_went_in(data: dict[str, Any]) -> None:
+    assert calibration_data(fill_calibration(Calibration(), Parameter, data)) == data
+
+
+def test_a_type_that_is_known_by_its_class_has_the_hash_that_ros_gives_it(install: Path) -> None:
+    """So a bag holds it as `ros2 bag record` would."""
+    for kind in (Calibration, Checked, ObjectState, Verdict):
+        name = f"modcal_interfaces/msg/{kind.__name__}"
+        assert learn(name, lambda n: getattr(import_module(n.replace("/", ".").rpartition(".")[0]), n.split("/")[-1]))
+        told = json.loads((install / "modcal_interfaces/share" / f"{name}.json").read_text())
+        assert not learn(f"{name}Missing", lambda _: None)
+        assert definition(name)[1] == told["type_hashes"][0]["hash_string"]
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        (Calibration(version=2), "has version 2, 1 is read"),
+        (Calibration(values=[Parameter(name="a"), Parameter(name="a/b")]), "lies below a value"),
+        (Calibration(values=[Parameter(name="[0]")]), "is a list"),
+        (SimpleNamespace(version=1, values=range(10**9)), "is the limit"),
+    ],
+)
+def test_what_is_none_is_refused(message: Calibration, said: str) -> None:
+    with pytest.raises(ModcalError, match=said) as caught:
+        calibration_data(message)
+    assert isinstance(caught.value, BadCommand | BadTable)

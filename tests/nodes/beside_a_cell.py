@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 from cells import record, samples_of
 from cli.recordings import START, URDF
 from nodes.cell import PlayedCell
-from nodes.processes import Process, Wait, fresh_domain, listener, running
+from nodes.processes import Process, Wait, beside
 from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
 from std_msgs.msg import String
@@ -39,23 +38,12 @@ def stations(count: int = STATIONS, seed: int = 1, begin: float = START, bump: A
     )
 
 
-def part(recording: Recording, rows: slice) -> Recording:
-    joints, reading = recording.joints[0], recording.readings[0]
-    joints = replace(
-        joints, **{k: getattr(joints, k)[rows] for k in ("stamps", "position", "velocity", "effort", "received")}
-    )
-    reading = replace(reading, **{k: getattr(reading, k)[rows] for k in ("stamps", "values", "received")})
-    return replace(recording, joints=(joints,), readings=(reading,))
-
-
 @contextlib.contextmanager
 def beside_a_cell(
     folder: Path, urdf: Path = URDF, **parameters: Any
 ) -> Iterator[tuple[Process, Node, Wait, PlayedCell, Diagnostics]]:
     """A calibrator that has found a cell and heard its description; it must end well."""
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, folder, **parameters)
-    with running(calibrator), listener(domain) as (node, wait):
+    with beside(folder, "calibrator", **parameters) as (calibrator, node, wait):
         cell, said = PlayedCell(node), Diagnostics(node)
         wait(cell.heard, 60.0)
         cell.describe(urdf.read_text())

@@ -220,3 +220,12 @@ def listener(domain: int, kind: type[Node] = Node) -> Iterator[tuple[Node, Wait]
     finally:
         node.destroy_node()
         rclpy.try_shutdown(context=context)
+
+
+@contextlib.contextmanager
+def beside(folder: Path, name: str, *arguments: str, **parameters: Any) -> Iterator[tuple[Process, Node, Wait]]:
+    """A node process in a domain of its own, and a node of the test's own beside it, with its ``wait``."""
+    domain = fresh_domain()
+    process = Process(name, domain, folder, *arguments, **parameters)
+    with running(process), listener(domain) as (node, wait):
+        yield process, node, wait

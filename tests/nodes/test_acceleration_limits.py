@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from nodes.processes import Process, Wait, fresh_domain, listener, put, running
+from nodes.processes import Wait, beside, put
 from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
 from robots.random_arms import Mujoco
@@ -102,10 +102,8 @@ class Rig:
 
 @contextmanager
 def rig(tmp_path: Path, **parameters: Any) -> Iterator[Rig]:
-    domain = fresh_domain()
     # a busy machine is late; what is too old here is so by seconds
-    process = Process("acceleration_limits", domain, tmp_path, timeout_s=1.5, rate_hz=20.0, **parameters)
-    with running(process), listener(domain) as (node, wait):
+    with beside(tmp_path, "acceleration_limits", timeout_s=1.5, rate_hz=20.0, **parameters) as (process, node, wait):
         made = Rig(node, wait)
         made.description.publish(String(data=URDF))
         yield made

@@ -9,12 +9,13 @@ import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from cells import record
-from cli.recordings import START, URDF
+from cli.recordings import START, URDF, part
 from modcal_interfaces.msg import Calibration
 from nodes.beside_a_cell import (
     HEARING,
@@ -25,11 +26,10 @@ from nodes.beside_a_cell import (
     beside_a_cell,
     children,
     latched,
-    part,
     stations,
 )
 from nodes.cell import PlayedCell, call
-from nodes.processes import Process, Wait, fresh_domain, listener, running
+from nodes.processes import Process, Wait, beside, fresh_domain, listener, running
 from nodes.talking import BEST_EFFORT, Diagnostics
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -37,6 +37,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.measurements.dropouts import ALONE, BEYOND, ELSEWHEN, IMPLAUSIBLE
+from modcal_nodes.calibrating.intake import KnownArm
 from modcal_nodes.io.inputs import calibration_of
 
 pytestmark = pytest.mark.dds
@@ -91,9 +92,7 @@ def test_joints_in_any_order_with_others_between_them(shared: Shared) -> None:
 
 
 def test_silence_is_said_by_topic(tmp_path: Path) -> None:
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, silence_timeout_s=1.0)
-    with running(calibrator), listener(domain) as (node, wait):
+    with beside(tmp_path, "calibrator", silence_timeout_s=1.0) as (calibrator, node, wait):
         said = Diagnostics(node)
         wait(lambda: said.level(HEARING) == 2, 60.0)
         assert "/joint_states: no node publishes it" in said.text(HEARING)
@@ -219,10 +218,8 @@ def test_an_unwritable_folder_is_said(shared: Shared) -> None:
 
 def test_any_quality_of_service_is_heard_and_a_mismatch_is_said(tmp_path: Path) -> None:
     """A description that is not latched, a tracker of best effort."""
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, effects=False)
     volatile = QoSProfile(depth=1, durability=DurabilityPolicy.VOLATILE)
-    with running(calibrator), listener(domain) as (node, wait):
+    with beside(tmp_path, "calibrator", effects=False) as (calibrator, node, wait):
         said = Diagnostics(node)
         cell = PlayedCell(node, description=volatile, tracker=BEST_EFFORT)
         wait(
@@ -325,3 +322,24 @@ def test_a_joint_that_logs_late_is_named(tmp_path: Path) -> None:
         "following:elbow_joint",
     )
     assert effect["parameters"]["stale_share"]["value"] == pytest.approx(1.0, abs=0.1)
+
+
+_JOINT = (
+    '<joint name="{0}" type="revolute"><parent link="l{1}"/><child link="l{2}"/><origin xyz="0 0 0.3"/>'
+    '<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/>{3}</joint>'
+)
+
+
+def test_the_calibrator_fills_it_in() -> None:
+    mimic = ("", "", '<mimic joint="a" multiplier="-1"/>')
+    links = "".join(f'<link name="l{i}"/>' for i in range(4))
+    joints = "".join(_JOINT.format(name, i, i + 1, mimic[i]) for i, name in enumerate("abc"))
+    arm = KnownArm(f'<robot name="r">{links}{joints}</robot>', "l0", "l3")
+    assert arm.recognise(frozenset("ab"))
+    stamp = SimpleNamespace(sec=1, nanosec=0)
+    q = np.array([0.4, 0.1]).tobytes()
+    message = SimpleNamespace(header=SimpleNamespace(stamp=stamp), name=["b", "a"], position=q, effort=b"")
+    arm.joint_state(message)
+    told = arm.position(message)
+    assert told is not None
+    assert np.allclose(told, [0.1, 0.4, -0.1])

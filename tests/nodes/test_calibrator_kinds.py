@@ -19,7 +19,7 @@ from instruments.worlds import gauge, postures, theodolite, wire, world
 from modcal_interfaces.msg import Calibration
 from nodes.beside_a_cell import HEARING, MODEL, latched
 from nodes.cell import call
-from nodes.processes import Process, fresh_domain, listener, running
+from nodes.processes import Process, beside, fresh_domain, listener, running
 from nodes.talking import LATCHED, Diagnostics
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, Range
@@ -73,9 +73,7 @@ def test_ranges_bearings_and_heights_calibrate_an_arm(tmp_path: Path) -> None:
     q = postures(truth.nominal, 45, rng)
     T = truth.tool_in_tracker(q)
     T = se3.inverse(truth.T_tracker_base) @ T
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, effects=False)
-    with running(calibrator), listener(domain) as (node, wait):
+    with beside(tmp_path, "calibrator", effects=False) as (calibrator, node, wait):
         said = Diagnostics(node)
         joints = node.create_publisher(JointState, "joint_states", 500)
         node.create_publisher(String, "robot_description", LATCHED).publish(String(data=URDF.read_text()))

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from cli.recordings import START, URDF
+from cli.recordings import START, URDF, part
 from modcal_interfaces.action import Check, Solve
 from modcal_interfaces.msg import Calibration, Change, Checked, Estimate, Verdict
-from nodes.beside_a_cell import HEARING, MODEL, alive, beside_a_cell, children, latched, part, stations
+from nodes.beside_a_cell import HEARING, MODEL, alive, beside_a_cell, children, latched, stations
 from nodes.cell import PlayedCell, call
-from nodes.processes import SLOWER, Goal, Process, fresh_domain, listener, running
+from nodes.processes import SLOWER, Goal, Process, beside, fresh_domain, listener, running
 from nodes.talking import Diagnostics
 from std_msgs.msg import Bool, Float64
 
@@ -88,11 +88,9 @@ def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(saved: Path,
 
 def test_ten_stations_say_what_has_changed_since_the_saved_model(saved: Path, tmp_path: Path) -> None:
     shutil.copytree(saved, tmp_path / "state")
-    domain = fresh_domain()
     bump = se3.exp(np.array([5e-4, -4e-4, 3e-4, 0.0, 0.0, 0.0]))
     # a change is not followed up by itself, so that the worker is free for the check
-    again = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state", after_change=0)
-    with running(again), listener(domain) as (node, wait):
+    with beside(tmp_path, "calibrator", effects=False, state=tmp_path / "state", after_change=0) as (again, node, wait):
         cell, said = PlayedCell(node), Diagnostics(node)
         checked = latched(node, "calibrator/checked", Checked)
         wait(cell.heard, 60.0)
@@ -120,12 +118,10 @@ def test_ten_stations_say_what_has_changed_since_the_saved_model(saved: Path, tm
 
 def test_a_saved_model_of_another_robot_is_neither_used_nor_overwritten(saved: Path, tmp_path: Path) -> None:
     shutil.copytree(saved, tmp_path / "state")
-    domain = fresh_domain()
     before = {p.name: p.read_bytes() for p in (tmp_path / "state").iterdir()}
     longer = URDF.read_text().replace("0.612", "0.622")
     assert longer != URDF.read_text()
-    second = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
-    with running(second), listener(domain) as (node, wait):
+    with beside(tmp_path, "calibrator", effects=False, state=tmp_path / "state") as (second, node, wait):
         cell, said = PlayedCell(node), Diagnostics(node)
         models = latched(node, "calibrator/calibration", Calibration)
         wait(cell.heard, 60.0)

@@ -6,12 +6,14 @@ import json
 import signal
 import subprocess
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from cli.recordings import URDF
 from msgs import bag_forms as forms
-from nodes.beside_a_cell import SAMPLES
+from nodes.beside_a_cell import SAMPLES, STATIONS, stations
 from nodes.processes import EXECUTABLES, ROOT, SLOWER, Process, environment, fresh_domain, listener, running
 from nodes.talking import BEST_EFFORT, Diagnostics
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -23,6 +25,7 @@ from std_msgs.msg import String
 
 from modcal_msgs_py.layout import jazzy, message_class
 from modcal_msgs_py.readings import nanoseconds
+from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
 pytestmark = pytest.mark.dds
@@ -49,29 +52,27 @@ def ran(domain: int, *words: str) -> tuple[int, str, str]:
 @pytest.mark.slow
 def test_a_bag_that_is_played_gives_the_report_of_the_bag(tmp_path: Path) -> None:
     """Renamed topics and simulated time on the way, and every kind of answer behind it."""
-    domain = fresh_domain()
-    renamed, live = (
-        ("-r", "tracker/pose:=left/pose"),
-        {"effects": False, "out": tmp_path / "live", "use_sim_time": True},
-    )
-    calibrator = Process("calibrator", domain, tmp_path, *renamed, **live)
+    domain, bag = fresh_domain(), tmp_path / "bag"
+    write_recording(replace(stations(STATIONS), robot_description=URDF.read_text()), bag)
+    live = {"effects": False, "out": tmp_path / "live", "use_sim_time": True}
+    calibrator = Process("calibrator", domain, tmp_path, "-r", "tracker/pose:=left/pose", **live)
     with running(calibrator), listener(domain) as (node, wait):
         said = Diagnostics(node)
         wait(lambda: SAMPLES in said.last, 60.0)
         code, out, told = ran(
-            domain, "play", str(BAG), "--rate=6", "--clock=50", "--remap=/tracker/pose:=left/pose", "--json"
+            domain, "play", str(bag), "--rate=20", "--clock=50", "--remap=/tracker/pose:=left/pose", "--json"
         )
         assert (code, told) == (0, "")
         sent = json.loads(out)["messages"]
-        assert (sent["/joint_states"], sent["/tracker/pose"]) == (4830, 2415)
-        wait(lambda: (said.counted("/joint_states"), said.counted("/left/pose")) == (4830, 2415), 30.0)
+        assert (sent["/joint_states"], sent["/tracker/pose"]) == (STATIONS, STATIONS)
+        wait(lambda: (said.counted("/joint_states"), said.counted("/left/pose")) == (STATIONS, STATIONS), 30.0)
 
         code, out, told = ran(domain, "call", "calibrator", "solve", "--json")
         answer = json.loads(out)
         assert (code, answer["done"], answer["outcome"]) == (0, True, "SOLVED")
         assert told.startswith("phase ")
-        assert run(["calibrate", str(BAG), "--geometry-only", "--out", str(tmp_path / "bag")]) == 0
-        reports: list[Any] = [json.loads((tmp_path / of / "report.json").read_text()) for of in ("live", "bag")]
+        assert run(["calibrate", str(bag), "--geometry-only", "--out", str(tmp_path / "out")]) == 0
+        reports: list[Any] = [json.loads((tmp_path / of / "report.json").read_text()) for of in ("live", "out")]
         first, second = ({k: v for k, v in report.items() if k not in OF_THE_BAG} for report in reports)
         assert first == second
         assert answer["result"]["verdict"]["sentence"] == second["verdict"]

@@ -14,7 +14,7 @@ from cli.recordings import URDF
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nodes.cell import call
 from nodes.in_process import spun
-from nodes.processes import EXECUTABLES, Process, environment, fresh_domain, listener, running
+from nodes.processes import EXECUTABLES, Process, beside, environment, fresh_domain, running
 from nodes.talking import LATCHED
 from nodes.test_guarding import NODES as MADE
 from nodes.test_guarding import PLANNED
@@ -165,9 +165,7 @@ def test_a_misspelt_parameter_is_said_with_the_one_that_is_meant(capfd: pytest.C
 
 @pytest.mark.dds
 def test_solving_nothing_is_refused_and_the_node_lives_on(tmp_path: Path) -> None:
-    domain = fresh_domain()
-    calibrator = Process("calibrator", domain, tmp_path, out=tmp_path / "out")
-    with running(calibrator), listener(domain) as (node, wait):
+    with beside(tmp_path, "calibrator", out=tmp_path / "out") as (calibrator, node, wait):
         for _ in range(2):
             answer = call(node, wait, "calibrator/solve")
             assert not answer.success

@@ -31,7 +31,7 @@ from nodes.corrected_arm import (
     truth,
     written,
 )
-from nodes.processes import Process, fresh_domain, listener, put, running
+from nodes.processes import beside, put
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
@@ -50,9 +50,7 @@ ERROR, WARN, OK = DiagnosticStatus.ERROR, DiagnosticStatus.WARN, DiagnosticStatu
 def test_true_poses_effective_joints_and_the_corrected_urdf(tmp_path: Path) -> None:
     """Whatever order, company and parts the joints come in."""
     made = calibration()
-    domain = fresh_domain()
-    process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path))
-    with running(process), listener(domain) as (node, wait):
+    with beside(tmp_path, "corrector", calibration=written(made, tmp_path)) as (process, node, wait):
         arm = Arm(node)
 
         def turned_and_accompanied(message: JointState) -> list[JointState]:
@@ -116,9 +114,7 @@ def test_true_poses_effective_joints_and_the_corrected_urdf(tmp_path: Path) -> N
 
 def test_goals_are_commanded_and_hostile_ones_refused(tmp_path: Path) -> None:
     made = calibration()
-    domain = fresh_domain()
-    process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path), joint_speed_rad_s=0.25)
-    with running(process), listener(domain) as (node, wait):
+    with beside(tmp_path, "corrector", calibration=written(made, tmp_path), joint_speed_rad_s=0.25) as (_, node, wait):
         arm = Arm(node)
         wait(arm.connected, 60.0)
 
@@ -163,9 +159,7 @@ def test_goals_are_commanded_and_hostile_ones_refused(tmp_path: Path) -> None:
 def test_what_the_effects_need_is_asked_for(tmp_path: Path) -> None:
     """A temperature that nobody publishes: said, and no command is corrected until it comes."""
     made = calibration(0, started("sensor"))
-    domain = fresh_domain()
-    process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path))
-    with running(process), listener(domain) as (node, wait):
+    with beside(tmp_path, "corrector", calibration=written(made, tmp_path)) as (_, node, wait):
         arm = Arm(node)
         heat = node.create_publisher(Temperature, "temperature", 10)
         wait(lambda: "correction" in arm.health and "temperature:arm" in arm.health["correction"].message, 60.0)
@@ -194,9 +188,7 @@ def test_the_calibration_of_the_tests_is_another_than_the_drawing() -> None:
 def test_a_calibration_of_another_robot_corrects_nothing(tmp_path: Path) -> None:
     """Joints of other names, or the same names on another arm; the right description then is taken."""
     made = calibration()
-    domain = fresh_domain()
-    process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path))
-    with running(process), listener(domain) as (node, wait):
+    with beside(tmp_path, "corrector", calibration=written(made, tmp_path)) as (_, node, wait):
         arm = Arm(node, urdf="")
         wait(lambda: arm.heard() and "calibration" in arm.health, 60.0)
         assert arm.health["calibration"].level == ERROR
@@ -230,10 +222,8 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
     first = calibration()
     slightly = calibration(0, GEAR.started(np.array([-1e-4, 3e-4])))
     much = calibration(0, started("ratio").with_values(np.array([8e-3])))
-    domain = fresh_domain()
     # time enough for a machine that does other things as well
-    process = Process("corrector", domain, tmp_path, stream=True, timeout_s=1.0, horizon_s=0.5, blend_s=0.5)
-    with running(process), listener(domain) as (node, wait):
+    with beside(tmp_path, "corrector", stream=True, timeout_s=1.0, horizon_s=0.5, blend_s=0.5) as (_, node, wait):
         arm = Arm(node)
         arm.calibration.publish(message(first))
         wait(arm.connected, 60.0)
@@ -296,9 +286,7 @@ def test_a_stream_its_limits_and_a_new_calibration_in_the_middle(tmp_path: Path)
 
 def test_simulated_time_that_stands_still_goes_on_and_jumps_back(tmp_path: Path) -> None:
     made = calibration()
-    domain = fresh_domain()
-    process = Process("corrector", domain, tmp_path, calibration=written(made, tmp_path), use_sim_time="true")
-    with running(process), listener(domain) as (node, wait):
+    with beside(tmp_path, "corrector", calibration=written(made, tmp_path), use_sim_time="true") as (_, node, wait):
         arm = Arm(node)
         clock = node.create_publisher(Clock, "/clock", 10)
         time_now = {"t": 100.0}
@@ -330,9 +318,7 @@ def test_simulated_time_that_stands_still_goes_on_and_jumps_back(tmp_path: Path)
 
 def test_reset_and_parameters_at_run_time(tmp_path: Path) -> None:
     made = calibration()
-    domain = fresh_domain()
-    process = Process("corrector", domain, tmp_path)
-    with running(process), listener(domain) as (node, wait):
+    with beside(tmp_path, "corrector") as (_, node, wait):
         arm = Arm(node)
         arm.calibration.publish(Calibration())
         wait(

@@ -20,7 +20,7 @@ from modcal_interfaces.msg import Change, Verdict
 from nodes.beside_a_cell import MODEL, beside_a_cell, latched, stations
 from nodes.cell import call
 from nodes.corrected_arm import AWAY, LATCHED, Arm, calibration, truth, written
-from nodes.processes import Goal, Process, Wait, ask, fresh_domain, listener, running
+from nodes.processes import Goal, Process, Wait, ask, beside, fresh_domain, listener, running
 from nodes.talking import Diagnostics, Talker, numbers_on_disk
 from rclpy.node import Node
 from std_msgs.msg import String
@@ -60,9 +60,7 @@ class Manager:
 @contextlib.contextmanager
 def managed(folder: Path, name: str, **parameters: Any) -> Iterator[tuple[Process, Manager]]:
     """One node and its manager; it must end well."""
-    domain = fresh_domain()
-    process = Process(name, domain, folder, **parameters)
-    with running(process), listener(domain) as (node, wait):
+    with beside(folder, name, **parameters) as (process, node, wait):
         yield process, Manager(node, wait)
         assert process.stop() == 0
         assert "Traceback" not in process.output

@@ -1,4 +1,4 @@
-"""The recorder on a real cell: killed, without room, among publishers of all kinds, in simulated time."""
+"""The recorder on a real cell: killed, without room, among publishers of all kinds, told to end, unheard."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Goals
 from nodes.cell import call
-from nodes.processes import Process, fresh_domain, listener, put, running
+from nodes.in_process import spun
+from nodes.processes import Process, beside, fresh_domain, listener, put, running
 from nodes.talking import (
     BEST_EFFORT,
     LATCHED,
@@ -27,13 +28,14 @@ from nodes.talking import (
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 
 from modcal_msgs_py.layout import jazzy
 from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_walk import McapFile
 from modcal_nodes.cli.main import run
+from modcal_nodes.nodes.recorder import Recorder
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.topic_recorder import Taken, TopicRecorder
 
@@ -132,10 +134,8 @@ def test_when_room_gets_short_the_bag_is_closed_in_time(tmp_path: Path) -> None:
 
 
 def test_publishers_of_every_qos_are_heard_and_kept_once(tmp_path: Path) -> None:
-    domain = fresh_domain()
     bag = tmp_path / "bag"
-    recorder = Process("recorder", domain, tmp_path, out=bag)
-    with running(recorder), listener(domain) as (node, wait):
+    with beside(tmp_path, "recorder", out=bag) as (recorder, node, wait):
         reliable = node.create_publisher(JointState, "joint_states", RELIABLE)
         first = node.create_publisher(String, "robot_description", RELIABLE)
         wait(lambda: reliable.get_subscription_count() == 1 and first.get_subscription_count() == 1, 60.0)
@@ -201,10 +201,8 @@ def test_what_is_missing_or_cannot_be_recorded_is_said(tmp_path: Path) -> None:
 
 
 def test_simulated_time_that_begins_late_and_jumps_back(tmp_path: Path) -> None:
-    domain = fresh_domain()
     bag = tmp_path / "bag"
-    recorder = Process("recorder", domain, tmp_path, out=bag, use_sim_time="true", topics="[joint_states]")
-    with running(recorder), listener(domain) as (node, wait):
+    with beside(tmp_path, "recorder", out=bag, use_sim_time="true", topics="[joint_states]") as (recorder, node, wait):
         diagnostics = Diagnostics(node)
         clock = node.create_publisher(Clock, "/clock", RELIABLE)
         joints = node.create_publisher(JointState, "joint_states", RELIABLE)
@@ -317,3 +315,64 @@ def test_what_overflows_is_counted_as_lost(tmp_path: Path) -> None:
             wait(lambda number=number: last() == number, 30.0)
         tape.look()
         assert tape.lost == lost
+
+
+# s from the first SIGINT to the second: as ros2 launch sends them to a group, and as an impatient hand does
+PAUSES = (0.0, 0.02, 0.1)
+
+
+def test_a_second_interrupt_does_not_cut_the_closing_short(tmp_path: Path) -> None:
+    """Three recorders; each leaves a whole bag and exit code 0."""
+    domain = fresh_domain()
+    folders = [tmp_path / f"bag{k}" for k in range(len(PAUSES))]
+    made = [Process("recorder", domain, tmp_path, out=folder) for folder in folders]
+    with running(*made), listener(domain) as (node, wait), Talker(node, rate=400.0):
+        wait(lambda: all("recording /joint_states" in one.output for one in made), 60.0)
+        mark = time.monotonic() + 0.2
+        wait(lambda: time.monotonic() > mark, 5.0)
+        for process, pause in zip(made, PAUSES, strict=True):
+            process.popen.send_signal(signal.SIGINT)
+            time.sleep(pause)
+            process.popen.send_signal(signal.SIGINT)
+        assert [process.stop(signal.SIGINT) for process in made] == [0] * len(made)
+    for process, folder in zip(made, folders, strict=True):
+        about = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        numbers = numbers_on_disk(folder)
+        assert about["message_count"] >= len(numbers) > 0
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+        assert "Traceback" not in process.output
+        assert f"closed {folder} with" in process.output
+
+
+def test_it_says_at_once_that_nothing_comes_and_when_it_does(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A publisher is there and nothing of it arrives, as after a kill; a slow topic is not complained of."""
+    with spun(Recorder, out=tmp_path / "bag") as pair:
+        heard: list[DiagnosticStatus] = []
+        pair.partner.create_subscription(DiagnosticArray, "/diagnostics", lambda m: heard.extend(m.status), 50)
+        joints = pair.partner.create_publisher(JointState, "joint_states", RELIABLE)
+        pair.partner.create_publisher(Temperature, "temperature", 10)
+        pair.wait(joints.get_subscription_count, 5.0)
+        subscribed = time.monotonic()
+        pair.wait(lambda: any("no message yet" in s.message for s in heard), 1.5)
+        assert 0.6 < time.monotonic() - subscribed < 1.5
+        said = [s for s in heard if "no message yet" in s.message][-1]
+        assert (said.name, said.level) == ("/recorder: topics", DiagnosticStatus.WARN)
+        assert "/joint_states: subscribed for" in said.message
+        assert "temperature" not in said.message
+        recorder = next(recorder for recorder in pair.node._recorders if recorder.topic == "/joint_states")  # type: ignore[attr-defined]
+        pair.wait(lambda: recorder._again >= 2, 5.0)
+        pair.wait(joints.get_subscription_count, 5.0)
+        for number in range(20):
+            joints.publish(numbered(number))
+        pair.wait(lambda: recorder.count == 20, 5.0)  # each once, however often it has subscribed
+        for number in range(20, 40):  # of the subscriptions, one is kept that goes on hearing
+            joints.publish(numbered(number))
+            pair.wait(lambda sent=number: recorder.count == sent + 1, 5.0)
+            time.sleep(0.1)
+        assert not recorder._spares
+        joints.publish(numbered(40))
+        pair.wait(lambda: recorder.count == 41, 5.0)
+        pair.wait(lambda: "/joint_states" not in pair.node._unheard, 5.0)  # type: ignore[attr-defined]
+    log = capfd.readouterr().err
+    assert "/joint_states: subscribed for 0." in log
+    assert "/joint_states: the first message came" in log

@@ -15,7 +15,7 @@ from deltas import FILE
 from geometry_msgs.msg import PoseStamped
 from nodes import processes
 from nodes.cell import call
-from nodes.processes import ROOT, Process, fresh_domain, listener, running
+from nodes.processes import ROOT, Process, beside, fresh_domain, listener, running
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
@@ -60,11 +60,9 @@ def hear(node: Node, kind: type, topic: str) -> list[Any]:
 
 
 def test_effects_are_switched_on_while_it_runs(tmp_path: Path) -> None:
-    domain = fresh_domain()
     parameters = {"urdf": URDF, "seed": SEED, "noise_m": 0.0, "noise_rad": 0.0, "publish_effort": True}
     parameters |= {"joint_compliance_rad_per_nm": "[2.0e-5]", "warm_up_link": "upper_arm_link", "warm_up_s": 0.5}
-    cell = Process("simulated_cell", domain, tmp_path, temperature_noise_k=0.0, **parameters)
-    with running(cell), listener(domain) as (node, wait):
+    with beside(tmp_path, "simulated_cell", temperature_noise_k=0.0, **parameters) as (cell, node, wait):
         states, readings = hear(node, JointState, "joint_states"), hear(node, PoseStamped, "tracker/pose")
         true = hear(node, PoseStamped, "simulated_cell/true_tool")
         in_base = hear(node, PoseStamped, "simulated_cell/true_tool_in_base")

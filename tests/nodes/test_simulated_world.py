@@ -13,7 +13,7 @@ import pytest
 import yaml
 from deltas import FILE, nominal
 from geometry_msgs.msg import PointStamped, PoseStamped
-from nodes.processes import ROOT, Process, fresh_domain, listener, running
+from nodes.processes import ROOT, Process, beside, fresh_domain, running
 from robots.random_arms import Pinocchio
 from robots.test_kinematics import chain_of, urdf
 from sensor_msgs.msg import JointState
@@ -346,13 +346,11 @@ SEED = 3
 
 @pytest.mark.dds
 def test_it_goes_where_it_is_sent_and_nowhere_else(tmp_path: Path) -> None:
-    domain = fresh_domain()
     delta = nominal()
-    cell = Process("simulated_cell", domain, tmp_path, delta=FILE, seed=SEED, noise_m=0.0, noise_rad=0.0)
     goal = [0.4, -0.2, 0.6, 1.0]
     states: list[JointState] = []
     truths: list[PoseStamped] = []
-    with running(cell), listener(domain) as (node, wait):
+    with beside(tmp_path, "simulated_cell", delta=FILE, seed=SEED, noise_m=0.0, noise_rad=0.0) as (cell, node, wait):
         node.create_subscription(JointState, "joint_states", states.append, 1000)
         node.create_subscription(PoseStamped, "simulated_cell/true_tool_in_base", truths.append, 1000)
         send = node.create_publisher(JointTrajectory, "joint_trajectory", 10)

@@ -15,7 +15,7 @@ from modcal_interfaces.msg import Calibration, Change
 from nodes.beside_a_cell import PANDA, stations
 from nodes.cell import PlayedCell, call
 from nodes.corrected_arm import AWAY, CHAIN, Arm, calibration, message
-from nodes.processes import Process, fresh_domain, listener, running
+from nodes.processes import Process, beside, fresh_domain, listener, running
 from nodes.talking import LATCHED, Diagnostics
 from nodes.test_watch import watched
 from nodes.viewed import Pictures
@@ -114,11 +114,9 @@ def test_arrows_are_as_long_as_the_tool_is_off(tmp_path: Path) -> None:
 def test_the_posture_is_shown_while_it_is_known(tmp_path: Path) -> None:
     """Hostile joint states, messages that are no calibration, another robot's: all said, nothing wrong drawn."""
     made = calibration()
-    domain = fresh_domain()
     # calibrator/calibration is played under the name that the arm of the corrector's tests uses
     remap = ("-r", "calibrator/calibration:=calibration")
-    viewer = Process("viewer", domain, tmp_path, *remap, arrow_scale=SCALE, timeout_s=1.0, rate_hz=10.0)
-    with running(viewer), listener(domain) as (node, wait):
+    with beside(tmp_path, "viewer", *remap, arrow_scale=SCALE, timeout_s=1.0, rate_hz=10.0) as (viewer, node, wait):
         arm, said, seen = Arm(node), Diagnostics(node), Pictures(node)
         wait(lambda: len(seen.of("axes", "nominal")) == CHAIN.n, 60.0)
         assert not seen.of("axes", "calibrated")
@@ -171,9 +169,7 @@ def test_the_posture_is_shown_while_it_is_known(tmp_path: Path) -> None:
 def test_readings_in_a_frame_that_nobody_calibrated_are_said(tmp_path: Path) -> None:
     """Their stations are not drawn; those in known frames beside them are."""
     made = calibration()
-    domain = fresh_domain()
-    viewer = Process("viewer", domain, tmp_path)
-    with running(viewer), listener(domain) as (node, wait):
+    with beside(tmp_path, "viewer") as (viewer, node, wait):
         cell, said, seen = PlayedCell(node), Diagnostics(node), Pictures(node)
         model = node.create_publisher(Calibration, "calibrator/calibration", LATCHED)
         change = node.create_publisher(Change, "calibrator/change", LATCHED)

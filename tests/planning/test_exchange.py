@@ -105,19 +105,3 @@ def test_what_is_not_likely_to_be_read_counts_by_its_chance() -> None:
     chance = np.array([0.5, 0.9, 0.0, 1e-9, 1e-9, 1e-9])
     assert grown(base, 6, chance)[0] == 1
     assert sorted(grown(base, 6, chance)) == [0, 1, 3, 4, 5]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CRITERIA)
-def test_no_single_exchange_makes_it_better(name: str) -> None:
-    rng, there = np.random.default_rng(6), ground()
-    base = there.outlook.search(there.outlook.rows(there.pool.q), name)
-    found = exchange(base, 24, rng, starts=1, passes=20)
-    good, J, H = base.criterion, base.J, base.H + of(base.J, found)
-    value = float(good.value(H))
-    for out in found[::5]:
-        others = J[np.setdiff1d(np.arange(len(J)), found)]
-        without = H - of(J, [out])
-        assert good.value(without + others.transpose(0, 2, 1) @ others).max() <= value + 1e-5 * abs(value)
-    drawn = [of(J, rng.choice(len(J), 24, replace=False)) for _ in range(200)]
-    assert value > max(float(good.value(base.H + told)) for told in drawn)

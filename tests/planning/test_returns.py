@@ -1,17 +1,25 @@
-"""Returns: postures that a tour comes back to, so that it is known what the arm does not repeat."""
+"""Returns of a tour, its way through stations, the designs of postures, and stations for a Delta."""
 
 from __future__ import annotations
 
+import json
+from itertools import combinations, pairwise, permutations, product
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cells import ur10
+from deltas import FILE, nominal
 
+from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.dwells import returns
 from modcal_core.measurements.inspection import inspect
-from modcal_core.planning.route import RETURNS, with_returns
+from modcal_core.planning.planner import PlanRequest, plan
+from modcal_core.planning.route import RETURNS, route, with_returns
+from modcal_core.planning.sensitivity_study import array_postures, orthogonal_array, sobol_postures
+from modcal_core.planning.site import Site
+from modcal_core.robots.mechanism import takes
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.simulation.program import tour
@@ -103,3 +111,112 @@ def test_a_simulated_bag_has_returns_and_info_says_when_one_has_none(
     assert "24 dwells" in told
     assert "No posture is visited twice: the noise floor will be unknown; visit 6 postures again" in told
     assert not [f for f in inspect(read_recording(tmp_path / "with")).findings if "noise floor" in f]
+
+
+def everywhere(q: Array) -> np.ndarray:
+    return np.ones(len(q), dtype=bool)
+
+
+def test_nearly_the_shortest_order() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        q = rng.uniform(-2, 2, (7, 3))
+        found = route(q, everywhere, q, start=q[3])
+        assert sorted(found.order) == list(range(7))
+        assert found.order[0] == 3
+        lengths = [
+            np.abs(np.diff(q[[3, *rest]], axis=0)).max(axis=1).sum() for rest in permutations([0, 1, 2, 4, 5, 6])
+        ]
+        assert found.length(q[found.order]) <= 1.15 * min(lengths)
+
+
+def wall(q: Array) -> np.ndarray:
+    """A wall at x = 0 with a gap at y > 1."""
+    return (np.abs(q[:, 0]) > 0.1) | (q[:, 1] > 1.0)
+
+
+def test_ways_go_round_what_stands_between() -> None:
+    rng = np.random.default_rng(2)
+    q = np.array([[-1.0, 0.0], [1.0, 0.0], [-1.0, 0.5]])
+    between = rng.uniform(-2, 2, (300, 2))
+    found = route(q, wall, between[wall(between)], start=q[2])
+    assert found.blocked == ()
+    for stop in found.stops(q[found.order]):
+        for a, b in pairwise(stop):
+            assert wall(a + (b - a) * np.linspace(0.0, 1.0, 100)[:, None]).all()
+    assert sum(len(way) for way in found.ways) >= 1
+
+
+def test_where_no_way_is_it_is_said() -> None:
+    def closed(q: Array) -> np.ndarray:
+        return np.abs(q[:, 0]) > 0.1
+
+    q = np.array([[-1.0, 0.0], [1.0, 0.0], [1.5, 0.2]])
+    between = np.random.default_rng(3).uniform(-2, 2, (100, 2))
+    found = route(q, closed, between[closed(between)], start=q[0])
+    assert found.blocked == (0,)
+    assert len(found.ways) == 2
+
+
+@pytest.mark.parametrize(
+    ("factors", "levels", "runs"), [(6, 5, 25), (3, 2, 4), (7, 2, 8), (4, 3, 9), (8, 7, 49), (7, 5, 125)]
+)
+def test_every_pair_of_levels_equally_often(factors: int, levels: int, runs: int) -> None:
+    array = orthogonal_array(factors, levels)
+    assert array.shape == (runs, factors)
+    for a, b in combinations(range(factors), 2):
+        counts = {pair: 0 for pair in product(range(levels), repeat=2)}
+        for row in array:
+            counts[int(row[a]), int(row[b])] += 1
+        assert set(counts.values()) == {runs // levels**2}
+
+
+def test_l25_is_the_one_in_the_books() -> None:
+    """Taguchi's L25(5^6): columns i, j, i + j, i + 2 j, i + 3 j, i + 4 j mod 5, up to the order of the last four."""
+    array = orthogonal_array(6, 5)
+    i, j = array[:, 0], array[:, 1]
+    assert np.array_equal(i, np.repeat(range(5), 5))
+    assert np.array_equal(j, np.tile(range(5), 5))
+    assert {tuple(c) for c in array[:, 2:].T} == {tuple((i + k * j) % 5) for k in range(1, 5)}
+
+
+def test_an_array_that_would_be_huge_is_refused() -> None:
+    with pytest.raises(BadTable, match="20000 are the limit"):
+        orthogonal_array(40, 31)
+
+
+def test_levels_are_different_angles() -> None:
+    """From −2π to 2π in five levels three would be one angle; they are spread over a turn instead."""
+    q = array_postures(ur10(), 5)
+    for k in range(6):
+        assert len(np.unique(np.round(np.exp(1j * q[:, k]), 9))) == 5
+        assert (q[:, k] >= ur10().lower[k]).all()
+
+
+@pytest.mark.slow
+def test_stations_that_its_platform_can_take() -> None:
+    delta = nominal()
+    found = plan(delta, Site(), PlanRequest(24, None, candidates=150, starts=1), np.random.default_rng(0))
+    assert takes(delta, found.q).all()
+    assert found.distinct == 24
+    assert found.expected.left < found.expected.at_random
+
+
+def test_designs_hold_postures_that_exist() -> None:
+    delta = nominal()
+    q = sobol_postures(delta, 64, np.random.default_rng(0))
+    assert q.shape == (64, delta.n)
+    assert takes(delta, q).all()
+    assert takes(delta, array_postures(delta, 5)).all()
+
+
+@pytest.mark.slow
+def test_verbs_take_a_delta(tmp_path: Path) -> None:
+    out = tmp_path / "plan"
+    asked = ["plan", str(FILE), "--stations", "24", "--candidates", "120", "--starts", "1", "--out", str(out)]
+    assert run(asked) == 0
+    assert (out / "report.html").exists()
+    out = tmp_path / "sensitivity"
+    assert run(["sensitivity", str(FILE), "--design", "sobol", "--postures", "16", "--out", str(out)]) == 0
+    data = json.loads((out / "sensitivity.json").read_text())
+    assert data["joints"] == list(nominal().names)

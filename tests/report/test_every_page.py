@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from cli.recordings import stations
 from cli.test_check import BUMP, later
-from report.browser import CONTRASTS, MIN, Page, browser
+from report.browser import CONTRASTS, MIN, Page
 from report.judged import FLOOR
 from report.reports import points
 from report.test_certificate import full, report
@@ -54,12 +54,6 @@ UNREACHED = (
 # letters on charts, as high as they come out on the phone
 LETTERS = """[...document.querySelectorAll("svg.chart text")].filter((t) => t.getClientRects().length)
   .map((t) => parseFloat(getComputedStyle(t).fontSize) * t.ownerSVGElement.clientWidth / t.ownerSVGElement.viewBox.baseVal.width)"""
-
-
-@pytest.fixture(scope="module")
-def tab() -> Iterator[Page]:
-    with browser() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

@@ -1,22 +1,29 @@
-"""Tables through files and back: CSV, URDF, every convention into every other, and what a file must not say."""
+"""Tables through files and back, every convention into every other; and the code in the pages of robots runs."""
 
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from cells import ur10
 from robots.test_kinematics import ARMS, chain_of
 from robots.test_tables import assert_same, bend
 
 from modcal_core.errors import BadTable, NotRepresentable
 from modcal_core.geometry import se3, so3
+from modcal_core.measurements.kinds import kinds
+from modcal_core.planning import CRITERIA, DESIGNS, site_from_data, with_limits
+from modcal_core.robots import delta_from_data, forward
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import to_dh
 from modcal_core.robots.tables import CONVENTIONS, EXACT, from_csv, from_table, loss, to_csv, to_table
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_write import chain_urdf
+from modcal_nodes.io.inputs import read_cell
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
@@ -129,3 +136,46 @@ def test_a_table_in_other_units_is_refused_in_whatever_file(row: dict[str, float
     table = {"convention": "dh", "joints": [{"theta": 0.0, "d": 0.0, "a": 0.0, "alpha": 0.0, **row}] * 2}
     with pytest.raises(BadTable, match=f"{said}, in the unit m rad"):
         from_table(table)
+
+
+PROGRAMS = {"robots": 3, "acceleration_limits": 2, "delta": 2, "instruments": 1, "sensitivity": 2, "planning": 1}
+
+
+def page(name: str) -> str:
+    return (Path(__file__).resolve().parents[2] / "docs" / f"{name}.md").read_text()
+
+
+def blocks(name: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page(name), re.DOTALL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_examples_run(name: str, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    programs = blocks(name, "python")
+    assert len(programs) == PROGRAMS[name]
+    monkeypatch.chdir(root)
+    exec(compile("\n".join(programs), name, "exec"), {})
+
+
+def test_files_are_read(tmp_path: Path) -> None:
+    (text,) = blocks("delta", "yaml")
+    assert forward(delta_from_data(yaml.safe_load(text), "docs"), [0.1, 0.2, 0.3, 0.4])[2, 3] < -0.5
+    assert with_limits(ur10(), site_from_data(yaml.safe_load(blocks("planning", "yaml")[0]), "docs")).upper[5] == 2.0
+    (text,) = blocks("instruments", "yaml")
+    (tmp_path / "cell.yaml").write_text(text)
+    cell = read_cell(tmp_path / "cell.yaml")
+    assert [k.frame for k in cell.known] == [k["frame"] for k in yaml.safe_load(text)["known"]]
+    assert len(cell.distances) == 2
+
+
+@pytest.mark.parametrize(("name", "names"), [("sensitivity", DESIGNS), ("planning", CRITERIA)])
+def test_every_choice_is_explained(name: str, names: tuple[str, ...]) -> None:
+    assert all(f"| `{choice}`" in page(name) or f", `{choice}` |" in page(name) for choice in names)
+
+
+def test_the_table_of_kinds_is_the_registry() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| `([\w/]+)` (\w+) \| .* \| (\d) \|$", page("instruments"), re.MULTILINE)
+    assert {(name, topic, message, int(seen)) for name, topic, message, seen in rows} == {
+        (k.name, k.topic, k.message.rpartition("/")[2], k.dimensions) for k in kinds().values()
+    }

@@ -71,13 +71,6 @@ def random_chain(rng: np.random.Generator, kind: str) -> Chain:
 
 
 @pytest.mark.parametrize("arm", ARMS)
-def test_published_tables_are_the_urdfs(arm: str) -> None:
-    convention, rows = PUBLISHED[arm]
-    base, tip = ENDS[arm]
-    assert_same(from_table(table_of(convention, rows)), read_chain(urdf(arm), base, tip), 1e-12)
-
-
-@pytest.mark.parametrize("arm", ARMS)
 def test_exported_tables_are_the_published_ones(arm: str) -> None:
     convention, rows = PUBLISHED[arm]
     base, tip = ENDS[arm]

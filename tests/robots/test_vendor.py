@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from robots.test_dh_nearest import by_hand
 from robots.test_kinematics import chain_of, urdf
+from robots.test_urdf_write import by_hand
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3, so3

@@ -18,16 +18,16 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Package: lines and statements at most.
 CEILINGS: dict[str, tuple[int, int]] = {
-    "bench": (15470, 11200),
+    "bench": (15590, 11290),
     "launch": (80, 50),
     "modcal": (50, 30),
     "modcal_core": (2460, 1370),
     "modcal_core/articulation": (5150, 3540),
-    "modcal_core/calibration": (6950, 4320),
+    "modcal_core/calibration": (6980, 4330),
     "modcal_core/camera": (4620, 2980),
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (1260, 810),
-    "modcal_core/diagnosis": (2970, 2050),
+    "modcal_core/diagnosis": (2980, 2050),
     "modcal_core/effects": (2950, 1900),
     "modcal_core/geometry": (600, 400),
     "modcal_core/impedance": (3450, 2400),
@@ -37,15 +37,15 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/online": (1090, 740),
     "modcal_core/planning": (3640, 2330),
     "modcal_core/hypotheses": (3780, 2550),
-    "modcal_core/moves": (2530, 1700),
-    "modcal_core/report": (4760, 2800),
+    "modcal_core/moves": (2570, 1700),
+    "modcal_core/report": (4880, 2870),
     "modcal_core/robots": (5040, 3170),
-    "modcal_core/verdict": (4180, 2770),
-    "modcal_msgs_py": (5090, 3470),
+    "modcal_core/verdict": (4190, 2770),
+    "modcal_msgs_py": (5160, 3520),
     "modcal_msgs_py/tables": (3850, 2730),
     "modcal_nodes": (80, 20),
     "modcal_nodes/calibrating": (1780, 1250),
-    "modcal_nodes/cli": (4710, 2950),
+    "modcal_nodes/cli": (4820, 3020),
     "modcal_nodes/fleet": (200, 130),
     "modcal_nodes/io": (640, 340),
     "modcal_nodes/measuring": (1210, 860),
@@ -56,11 +56,12 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (1970, 1420),
     "modcal_nodes/watching": (280, 200),
-    "tests": (48610, 33540),
+    "tests": (47610, 32860),
+    "modcal_core/sentinel": (1080, 770),
 }
-SOURCE = (93000, 60900)
-TEXT = 180800  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
-FORMAT_SKIPS = 77
+SOURCE = (94500, 61900)
+TEXT = 186100  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+FORMAT_SKIPS = 85
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
 

@@ -35,6 +35,7 @@ _LAYERS = (
 )
 _ALSO = {"lazy", "errors", "files", "schema", "geometry", "robots", "measurements"}
 LAYERS: dict[str, set[str]] = {layer: set(_LAYERS[: i + 1]) for i, layer in enumerate(_LAYERS)}
+LAYERS["sentinel"] = LAYERS["moves"] | {"sentinel"}
 LAYERS["claim"] = LAYERS["calibration"] | {"claim"}
 LAYERS["correction"] = LAYERS["calibration"] | {"correction"}
 LAYERS["camera"] = LAYERS["diagnosis"] | {"claim", "camera"}

@@ -84,24 +84,6 @@ def test_what_changes_on_the_way_is_predictable(changed: str, said: str) -> None
     assert said in found.source
 
 
-@pytest.mark.slow
-def test_several_ways_of_dealing_stations_hang_less_on_one_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A station less deals all others to other folds: what is surely predictable changes by chance alone."""
-    case = with_noise(fitted("pose", 60), np.random.default_rng(3), "normal")
-    heat = np.random.default_rng(4).normal(size=(60, 1))
-    signals = (SignalTrack("signal:/x", case.samples.stamps, heat, "/x"),)
-    samples = replace(case.samples, reading=case.samples.reading + 3e-5 * heat * [0.0, 0.0, 1.0], signals=signals)
-
-    def surely() -> list[float]:
-        without = (predictable(replace(case, samples=samples, wrong=np.arange(60) == 6 * k)).both for k in range(10))
-        return [share.lower99 for share in without if share is not None]
-
-    several = surely()
-    monkeypatch.setattr("modcal_core.verdict.predictable._DEALS", 1)
-    assert min(several) > MAX_PREDICTABLE
-    assert np.std(several) < 0.9 * np.std(surely())
-
-
 def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
     """Readings of an arm in MuJoCo with 0.1 mm that no geometry explains, on 0.02 mm of noise."""
     made, q, _ = tour(seed, stations, 0)

@@ -1,4 +1,4 @@
-"""What may be named as a cause: what stations that were not used ask for, and nothing else takes the place of."""
+"""What may be named as a cause: what unused stations ask for, with its name, and columns that a fit comes to terms with."""
 
 from __future__ import annotations
 
@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 from cells import record, samples_of, ur10
 
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.covariance import identifiability
+from modcal_core.calibration.fit import identify
+from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.loop import calibrate
+from modcal_core.measurements.recording import PART, SignalTrack
+from modcal_core.measurements.samples import Samples
 from modcal_core.outcome import Outcome
+from modcal_core.report.as_json import to_json_data
 from modcal_core.verdict import Case, Proofs, Verdict, fitted_case
 
 ELBOW, CALM = 2, Verdict("at_floor")
@@ -70,3 +77,69 @@ def test_nothing_is_named_beside_a_rest_that_is_predictable_and_many_rejected_st
     assert Proofs(case, CALM).of([0]) is not None
     assert Proofs(few, CALM).of([0]) is not None
     assert Proofs(few, replace(CALM, source="the posture")).of([0]) is None
+
+
+def in_a_small_part(seed: int) -> Samples:
+    """Points at postures whose last joints hardly turn, so that other links make up for much of what is wrong."""
+    recorded = record(seed, 90, "point")
+    rng = np.random.default_rng(seed)
+    middle, half = np.array([0.2, -1.0, 1.2, -0.4, 0.6, 0.3]), np.array([0.7, 0.5, 0.5, 0.5, 0.12, 0.12])
+    q = middle + half * rng.uniform(-1.0, 1.0, recorded.samples.q.shape)
+    seen = recorded.world.tool_in_tracker(q)[:, :3, 3] + rng.normal(0.0, 5e-5, (len(q), 3))
+    return replace(recorded.samples, q=q, reading=seen)
+
+
+def said_of(samples: Samples) -> str:
+    report = calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False).report
+    assert report.rejected == 0
+    return " ".join(report.judged.open_because)
+
+
+def test_joints_that_are_swapped_are_named_though_nothing_is_rejected() -> None:
+    samples = in_a_small_part(0)
+    said = said_of(replace(samples, q=samples.q[:, [0, 1, 2, 3, 5, 4]]))
+    assert "wrist_2_joint and wrist_3_joint look swapped" in said
+
+
+def test_nothing_is_said_of_the_joints_as_they_are() -> None:
+    assert "look swapped" not in said_of(in_a_small_part(0))
+
+
+def test_no_direction_is_printed_blank() -> None:
+    """Where many parameters share what is not shown, each being a small part of it, some are named all the same."""
+    samples = record(1, 60).samples
+    nominal = fit_cell(ur10(), samples, Cell())
+    fit = identify(nominal.model, samples, choose_parameters(nominal.model, views_of(samples)).parameters)
+    prior = np.array([p.prior_std if np.isfinite(p.prior_std) else 1.0 for p in fit.parameters])
+    for count in (2, 5, len(prior)):
+        blind = np.zeros(len(prior))
+        blind[:count] = 1.0 / np.sqrt(count)
+        seen = 100.0 * (np.eye(len(prior)) - np.outer(blind, blind))
+        found = identifiability(replace(fit, information=seen / np.outer(prior, prior)))
+        assert found.rank == len(prior) - 1
+        (said,) = found.unobservable
+        assert said
+        named = said.split(" with ")
+        assert set(named) <= {p.name for p in fit.parameters[:count]}
+        assert len(named) == min(count, 3 if count > 11 else count)
+
+
+@pytest.mark.slow
+def test_the_column_of_a_lagging_joint_names_the_joint() -> None:
+    """A topic tells by how much each joint misses its goal, and one joint is logged where it was to be: 1 rad/rad."""
+    samples, rng = record(3, 140).samples, np.random.default_rng(0)
+    missed = rng.normal(0.0, 2e-3, samples.q.shape)
+    q = samples.q.copy()
+    q[:, 2] -= missed[:, 2]
+    columns = tuple(
+        SignalTrack(f"signal:/joint_errors{PART}{name}", samples.stamps, missed[:, [k]], "/joint_errors")
+        for k, name in enumerate(samples.names)
+    )
+    report = calibrate(replace(samples, q=q, signals=columns), ur10(), np.random.default_rng(0)).report
+    found = [
+        effect for effect in to_json_data(report)["effects"] if effect["driver"].startswith("signal:/joint_errors")
+    ]
+    assert [(effect["place"], effect["direction"]) for effect in found] == [("elbow_joint", "axis")]
+    size = found[0]["parameters"]["axis"]
+    assert abs(size["value"] - 1.0) < 3.0 * size["std"] + 0.005
+    assert size["std"] < 0.01

@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 from cells import Recorded, record, samples_of, ur10
 
+from modcal_core.calibration.cell import Cell
 from modcal_core.geometry import so3
+from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
+from modcal_core.verdict.verdict import Verdict
 
 NOISE_M, NOISE_RAD = 2e-5, 3e-5  # per axis
 
@@ -47,3 +50,15 @@ def visited(
 def moved_by(samples: Samples, shift: np.ndarray) -> Samples:
     """The same with readings shifted (N, 3) [m]."""
     return replace(samples, reading=samples.reading + shift)
+
+
+def judged(samples: Samples, cell: Cell | None = None) -> Verdict:
+    """What is said of a calibration of geometry alone."""
+    result = calibrate(samples, ur10(), np.random.default_rng(0), cell or Cell(), look_for_effects=False)
+    assert result.report.judged is not None
+    return result.report.judged
+
+
+def said(samples: Samples, cell: Cell | None = None) -> str:
+    """Why it is open."""
+    return " ".join(judged(samples, cell).open_because)

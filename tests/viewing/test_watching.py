@@ -1,14 +1,19 @@
-"""A snapshot of what was heard, and what a person and a log see of it; no node is needed."""
+"""A snapshot of what was heard, what a person and a log see of it; and what docs/live_view.md shows works."""
 
 from __future__ import annotations
 
 import json
 import math
+import re
+from pathlib import Path
 
+import click
 import pytest
 from modcal_interfaces.msg import Change, Estimate
+from nodes.test_launching import SPACES
 from rich.console import Console
 
+from modcal_nodes.cli.main import modcal
 from modcal_nodes.watching.snapshot import Changes, Heard, table
 
 FACTS = {"state": "trusted", "samples rejected": "3", "messages of /joint_states": "17"}
@@ -119,3 +124,22 @@ def test_a_log_has_a_line_where_something_gets_better_or_worse() -> None:
     some.status("/calibrator: hearing", "modcal", 0, "something else is heard", {}, 12.0)
     assert log.lines(some.snapshot(12.5)) == ["warn: /calibrator model: tool has changed"]
     assert [line.split(":")[0] for line in log.lines(some.snapshot(30.0))] == ["silent"] * 3
+
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = (ROOT / "docs" / "live_view.md").read_text()
+
+
+def test_every_namespace_is_in_the_table() -> None:
+    rows = dict(re.findall(r"^\| `(/[\w/]+)` \| ([^|]*) \|", TEXT, re.MULTILINE))
+    for topic, spaces in SPACES.items():
+        assert set(re.findall(r"`(\w+)`", rows[topic])) == spaces
+
+
+def test_options_of_the_page_are_those_of_the_command() -> None:
+    command = modcal.get_command(click.Context(modcal), "watch")
+    assert command is not None
+    options = {o for p in command.params for o in p.opts if o.startswith("--")}
+    named = set(re.findall(r"`(--[\w-]+)[ `]", TEXT))
+    assert named
+    assert named <= options

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.images import info_topic, lens_data, raw_image, read_corners, read_messages, size_of, stamp_of
     from modcal_msgs_py.images import stamps_of, tag_topics
     from modcal_msgs_py.layout import OneMessage, jazzy, learn
+    from modcal_msgs_py.lerobot import episodes_of, is_lerobot
     from modcal_msgs_py.mcap_read import list_topics, read_recording
     from modcal_msgs_py.mcap_repair import Repair, repair_bag
     from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
@@ -50,4 +51,4 @@ __all__ += ["offered_topics", "qos_profile", "raw_image", "read_bag", "read_corn
 __all__ += ["reading_of", "repair_bag", "require_new", "require_version", "role_of", "seconds", "seen"]
 __all__ += ["set_nanoseconds", "set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics"]
 __all__ += ["why_left_out", "wrench_numbers", "write_recording"]
-__all__ += ["asked_of_box", "fill_held_box"]
+__all__ += ["asked_of_box", "episodes_of", "fill_held_box", "is_lerobot"]

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from modcal_core.measurements.path import UNKNOWN, WIDTHS, ahead, went_on
     from modcal_core.measurements.recording import APART, BEARING, IMPORTED, ORDER_ONLY, PART, POINT, POSE, RANGE, RAY
     from modcal_core.measurements.recording import SOCKETS, TARGETS, TOUCH, UNREAD, JointTrack, Listed, ReadingTrack
-    from modcal_core.measurements.recording import Recording, SignalTrack, Stretch, following, is_told, joints_by_time
+    from modcal_core.measurements.recording import Recording, SignalTrack, Stretch, commanded_at, following, is_told
+    from modcal_core.measurements.recording import joints_by_time
     from modcal_core.measurements.recording import staircase, told_at
     from modcal_core.measurements.samples import SHARED, Origin, Samples, after, as_recording, between, cut_stations
     from modcal_core.measurements.samples import explained_by_posture, joints_instead, marks_of, moving_beside
@@ -38,7 +39,8 @@ __all__ += ["UNKNOWN", "UNREAD", "UNUSABLE", "WIDTHS", "Box", "Scan"]
 __all__ += ["Approach", "Dropped", "JointTrack", "Listed", "Origin", "ReadingTrack", "Recording", "Samples", "Schema"]
 __all__ += ["SignalTrack", "StationRules", "Stretch", "added", "after", "ahead", "align", "as_recording", "averaged"]
 __all__ += ["between"]
-__all__ += ["cleaned", "cut_stations", "dropped", "dwells_of", "efforts_at_rest", "elsewhen", "explained_by_posture"]
+__all__ += ["cleaned", "commanded_at", "cut_stations", "dropped", "dwells_of", "efforts_at_rest", "elsewhen"]
+__all__ += ["explained_by_posture"]
 __all__ += ["find_dwells", "fitted_rules", "following", "hung", "inliers", "inspect", "is_told", "joint_limits"]
 __all__ += ["joints_by_time", "joints_instead", "marks_of", "measure_box"]
 __all__ += ["moving_beside", "other_joints", "others_at", "others_by_name", "out_of_time", "posture_numbers"]

@@ -17,18 +17,33 @@ if TYPE_CHECKING:
     from modcal_core.moves.known import with_new_frames
     from modcal_core.moves.naming import UNTRIED, NamedChange, Noticed, Recommendation, SizeFound, advise
     from modcal_core.moves.naming import alike_everywhere, named, noticed
-    from modcal_core.moves.likelihood import FrozenKnowledge
+    from modcal_core.moves.likelihood import SIZES, FrozenKnowledge, JudgedChange, by_name, e_value
     from modcal_core.moves.regimes import find_regimes, moves_of
-    from modcal_core.moves.rows import BASE, FRAME, LENGTH, LOAD, PAYLOAD, TOOL, ZERO, hypotheses
-    from modcal_core.moves.searching import FoundChanges, MoveSearch, search
+    from modcal_core.moves.rows import BASE, CAMERA, EFFORT, FRAME, FRICTION, GEAR, KINDS, LATENCY, LENGTH, LOAD, MASS
+    from modcal_core.moves.rows import (
+        OFFSET,
+        PAYLOAD,
+        SERVO,
+        SLACK,
+        TAG,
+        TOOL,
+        ZERO,
+        CellChange,
+        hypotheses,
+        log_priors,
+    )
+    from modcal_core.moves.searching import AS_PROBABLE, FoundChanges, MoveSearch, search
     from modcal_core.moves.state import CheckState
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["BASE", "FRAME", "LENGTH", "LOAD", "PATTERN", "PAYLOAD", "TOOL", "UNTRIED", "ZERO", "BeyondRanges"]
-__all__ += ["CheckState", "FoundChanges", "FrozenKnowledge", "MoveSearch", "NamedChange", "Noticed", "Recommendation"]
-__all__ += ["Series", "SizeFound", "Values", "advise", "alike_everywhere", "beyond_ranges", "find_regimes", "frozen"]
+__all__ = ["AS_PROBABLE", "BASE", "CAMERA", "EFFORT", "FRAME", "FRICTION", "GEAR", "KINDS", "LATENCY", "LENGTH", "LOAD"]
+__all__ += ["MASS", "OFFSET", "PATTERN", "PAYLOAD", "SERVO", "SIZES", "SLACK", "TAG", "TOOL", "UNTRIED", "ZERO"]
+__all__ += ["BeyondRanges", "CellChange", "CheckState", "FoundChanges", "FrozenKnowledge", "JudgedChange", "MoveSearch"]
+__all__ += ["NamedChange", "Noticed", "Recommendation"]
+__all__ += ["Series", "SizeFound", "Values", "advise", "alike_everywhere", "beyond_ranges", "by_name", "e_value"]
+__all__ += ["find_regimes", "frozen", "log_priors"]
 __all__ += ["hypotheses", "in_known_frames", "moves_of", "named", "new_frames", "newly_placed", "noticed", "pattern_of"]
 __all__ += ["repaired", "require_accounted", "search", "series_of", "spread_out", "values_of", "with_new_frames"]

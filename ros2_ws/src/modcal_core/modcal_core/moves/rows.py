@@ -36,6 +36,9 @@ BASE, FRAME, TOOL, ZERO, LENGTH = "base", "frame", "tool", "joint_zero", "heat"
 GEAR, LOAD, SCALE, NOISE, READING = "gear", "load", "tracker_scale", "tracker_noise", "reading"
 LINK, PLAY, STEP, DRIFT, PAYLOAD = "link", "tool_play", "step", "drift", "payload"
 LIMIT, CARRIED = "limit", "carried"
+# Of signals that an arm gives at its work, without an instrument
+FRICTION, SLACK, LATENCY, SERVO, OFFSET = "friction", "play", "latency", "servo", "following_offset"
+EFFORT, MASS, CAMERA, TAG = "effort", "carried_mass", "camera", "tag"
 
 
 Quantity = tuple[str, float, str]  # name, factor and unit of a size
@@ -91,6 +94,27 @@ KINDS = {
         "{place} during the recording", "The {place} moved between two stations of the recording{moved}", _SIX, _RARE
     ),
     DRIFT: ChangeKind("drift of {place}", "The {place} drifts{moved}"),
+    FRICTION: ChangeKind(
+        "friction of {place}", "The friction of {place} has changed by {size}", (("friction", 100.0, "%"),)
+    ),
+    SLACK: ChangeKind("play of {place}", "{place} has more play: {size}", (("play", 1e3, "mrad"),)),
+    LATENCY: ChangeKind(
+        "latency of {place}", "Commands to {place} are followed later by {size}", (("delay", 1e3, "ms"),)
+    ),
+    SERVO: ChangeKind("servo of {place}", "The servo of {place} yields differently under load: {size}", (COMPLIANCE,)),
+    OFFSET: ChangeKind(
+        "offset of {place}", "{place} stands beside its command by {size} more", (("offset", 1e3, "mrad"),)
+    ),
+    EFFORT: ChangeKind(
+        "efforts of {place}",
+        "{place} reports other efforts: {size}",
+        (("gain", 100.0, "%"), ("offset", 1.0, "N m")),
+        1.0,
+        True,
+    ),
+    MASS: ChangeKind("payload", "What the arm carries has changed by {size}", (("mass", 1.0, "kg"),), outside=True),
+    CAMERA: ChangeKind("camera", "The camera on the hand has moved{moved}", _SIX),
+    TAG: ChangeKind("tag", "The tag, or the base of the arm, has moved{moved}", _SIX, outside=True),
     CARRIED: ChangeKind(
         "{place} under load", "The {who} moves with the load that is recorded, by each unit of it{moved}", _SIX, _RARE
     ),

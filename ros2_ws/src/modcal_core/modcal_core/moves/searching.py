@@ -49,7 +49,7 @@ FALSE_ALARM = 0.01  # chance that something is named while nothing has changed, 
 _ASKED_FOR = -float(np.log(FALSE_ALARM))
 _ROUNDS = 2  # in which each change is chosen again beside the others
 _SET_UP = (BASE, TOOL)  # what is moved when a cell is set up again
-_AS_PROBABLE = 3.0  # in log-probability (20 to 1), within which two changes are not told apart
+AS_PROBABLE = 3.0  # in log-probability (20 to 1), within which two changes are not told apart
 _SURE = 0.99  # probability that a wave has these cycles, within a cell or two of the scan
 _NEAR = 1.6  # cells of the scan to either side that are one peak
 _FINER = np.linspace(-1.0, 1.0, 81)  # of a cell, to which the cycles of a peak are found
@@ -319,7 +319,7 @@ class MoveSearch:
             h, common = j.hypothesis, KINDS[best.hypothesis.kind].chance
             contained = bool(h.sizes) and j.likelihood > best.likelihood - AS_LIKELY / self.weight
             contained &= KINDS[h.kind].chance >= common
-            if not h.wrong and (p > probability * np.exp(-_AS_PROBABLE) or contained):
+            if not h.wrong and (p > probability * np.exp(-AS_PROBABLE) or contained):
                 rivals.append((p, j))
         rivals.sort(key=lambda pair: -pair[0])
         return FittedChange(replace(best, hypothesis=one.hypothesis), probability, tuple(j for _, j in rivals))

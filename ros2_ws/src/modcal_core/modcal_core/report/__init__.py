@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from modcal_core.report.planning import plan_report
     from modcal_core.report.report import Report, calibration_files, kinematics_text, report_files
     from modcal_core.report.sensitivity import sensitivity_report
+    from modcal_core.report.sentinel import sentinel_report
     from modcal_core.report.tables import csv_text
     from modcal_core.report.terminal import summary
     from modcal_core.report.words import REMEDY, STATUS_WORDS, sentence, short_status
@@ -30,4 +31,4 @@ __all__ += ["Particulars", "Report", "Side", "Summary", "SummaryLine", "TableBlo
 __all__ += ["articulation_report", "calibration_files", "camera_certificate", "camera_report", "camera_tolerance"]
 __all__ += ["certificate", "certificate_html", "checkup_data", "checkup_report", "compare", "csv_text", "explained"]
 __all__ += ["history_report", "is_made_from", "kinematics_text", "limits_report", "plan_report", "report_files"]
-__all__ += ["sensitivity_report", "sentence", "short_status", "summary", "to_json_data"]
+__all__ += ["sensitivity_report", "sentence", "sentinel_report", "short_status", "summary", "to_json_data"]

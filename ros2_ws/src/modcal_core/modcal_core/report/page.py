@@ -103,6 +103,7 @@ FILES = (
     File("certificate.html", "The certificate."),
     File("camera.yaml", "The lens, in the form of camera_info."),
     File("check.json", "All numbers, for programs."),
+    File("sentinel.json", "All numbers, for programs."),
     File("limits.json", "All numbers, for programs."),
     File("joint_limits.yaml", "Constant bounds in the form of MoveIt's file."),
     File("plan.yaml", "The stations and what is expected of them, for programs."),

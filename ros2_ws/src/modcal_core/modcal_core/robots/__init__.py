@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.urdf_tree import CollisionShape, Tree, collision_shapes, parse, rerooted
     from modcal_core.robots.urdf_write import calibrated_urdf, chain_urdf, joint_element
     from modcal_core.robots.urdf_write import number, origin_element, ros2_control_offsets, urdf_text, xacro_origins
-    from modcal_core.robots.weighing import Stands, Weighed, weigh
+    from modcal_core.robots.weighing import Stands, Weighed, gravity_columns, gravity_efforts, weigh
 else:
     from modcal_core.lazy import lazy_face
 
@@ -45,6 +45,7 @@ __all__ += ["Tree", "Weighed", "Window", "bias_torque", "body_jacobian", "calibr
 __all__ += ["chain_gravity_wrench", "chain_urdf", "collision_shapes", "constant_bounds", "delta_from_data"]
 __all__ += ["delta_inverse", "delta_to_data", "equivalent_inertia", "followers_of", "forward", "frames", "from_cpc"]
 __all__ += ["from_csv", "from_dh", "from_table", "from_ur_conf", "from_ur_kinematics", "gravity_wrench", "held_behind"]
+__all__ += ["gravity_columns", "gravity_efforts"]
 __all__ += ["inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element", "joint_origins", "joint_ranges"]
 __all__ += ["kinematics_yaml_data", "lacks_hash", "loss", "mass_matrix", "motion", "moved_centres", "nearest_dh"]
 __all__ += ["number", "offset_wrench", "origin_element", "other_tips", "parse", "passable", "payload_wrench", "plain"]

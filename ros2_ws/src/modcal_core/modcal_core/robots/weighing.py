@@ -100,7 +100,7 @@ def weigh(
     n, q = chain.n, np.concatenate([s.q for s in stands])
     side = np.concatenate([s.side for s in stands])
     loaded = np.concatenate([np.full(len(s.q), s.loaded) for s in stands])
-    own, bodies = _bodies(chain, inertias, q)
+    own, bodies = gravity_columns(chain, inertias, q)
     held = _held(chain, inertias, q, own) * loaded[:, None, None]
     columns = np.concatenate([held, bodies, *(x[:, :, None] * np.eye(n) for x in (side, np.ones_like(q)))], axis=2)
     most = np.nanmax(np.abs(effort), axis=0, initial=1e-9)
@@ -167,7 +167,7 @@ def _require_torques(chain: Chain, own: Array, more: Array, effort: Array, unsur
             raise BadRecording(f"efforts of {name}", said, remedy)
 
 
-def _bodies(chain: Chain, inertias: Inertias, q: Array) -> tuple[Array, Array]:
+def gravity_columns(chain: Chain, inertias: Inertias, q: Array) -> tuple[Array, Array]:
     """Efforts for the stated bodies (N, n), and by each body's mass and mass times centre (N, n, 4 n)."""
     columns = []
     for k in range(chain.n):

@@ -41,6 +41,7 @@ GROUPS = {
         "calibrate": ("calibrate", "Identify the arm from BAG, and find what its model lacks."),
         "evaluate": ("calibrate", "Score a frozen CALIBRATION on another BAG."),
         "check": ("check", "Tell what has changed since CALIBRATION, from ten new stations."),
+        "sentinel": ("sentinel", "Tell whether an arm has changed, from ordinary recordings of its work."),
         "history": ("history", "Show what grows over a robot's calibrations and checks."),
         "compare": ("history", "Compare two calibrations or reports: what differs, does it matter?"),
         "fleet": ("fleet", "Calibrate many recordings, and put the results in one table."),

@@ -1,0 +1,287 @@
+"""Which change explains later recordings, since when, and is it sure?
+
+Hypotheses, their prices and the prior of their sizes are those of ``moves``: the mean over all changes, and over the
+recordings that each may have begun with, of how much more probable they make what was recorded is an e-value. It is
+tempered: to the power at which no reference recording, each judged by the others, shows more than as many of them do by
+chance (Markov). A change is named when as much is met by chance once in a hundred hours of recordings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.geometry import Array
+from modcal_core.moves import AS_PROBABLE, KINDS, SIZES, JudgedChange, SizeFound, by_name, e_value, log_priors
+from modcal_core.sentinel.cells import Cells
+from modcal_core.sentinel.channels import ChangeColumns, candidates
+from modcal_core.sentinel.normal import Moments, Normal, Spoken, spoken
+
+AN_HOUR = 0.01  # false alarms
+SHORTEST = 60.0  # s: a shorter recording counts as this long
+_SIZES = 4.0 * SIZES  # standard deviations of what all cells together say, from 2 to 4000
+_SEEN = 0.3  # share of a signal's cells that must be inside what the reference period covers
+_MOST = 2  # changes at once
+_STATIONS = 10  # as many as a check asks for
+_95 = 1.959964
+_BENT = 0.01  # of a change's evidence: columns are linear, and a tenth of a large change's course is another one
+_OFTEN = 1.645  # standard deviations: in 95 of 100 cases
+_UNSEEN = 1e-9  # of the largest square: a sum of columns that nothing shows
+_FARTHEST = {"mrad": 350.0, "ppm": 2e5}  # sizes beyond which it is not said that a change would have been noticed
+
+
+@dataclass(frozen=True)
+class ChangeEstimate:
+    """A change. label, sentence: for people. since: name of the recording that it began with, or before. probability:
+    that it is this one of all. same_as: labels of what explains the recordings as well.
+    """
+
+    kind: str
+    place: str
+    label: str
+    sentence: str
+    since: str
+    sizes: tuple[SizeFound, ...]
+    probability: float
+    same_as: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class BagValues:
+    """One recording by itself. share: of its cells that are inside what the reference covers. values: size and standard
+    deviation of single changes [people's units], by label.
+    """
+
+    name: str
+    began: float
+    reference: bool
+    share: float
+    values: Mapping[str, tuple[str, float, float]]
+
+
+@dataclass(frozen=True)
+class ArmVerdict:
+    """status: "unchanged", "changed" or "cannot_tell". log_e [nats], asked: what a change needs. noticed: by label, the
+    size that would have been noticed in 95 of 100 cases, and its unit. unseen: changes that these signals do not show.
+    untold: signals outside the reference. stations (10, n): postures of these recordings that are farthest apart, to
+    measure when something has changed.
+    """
+
+    status: str
+    changes: tuple[ChangeEstimate, ...]
+    bags: tuple[BagValues, ...]
+    log_e: float
+    asked: float
+    weight: float
+    noticed: Mapping[str, tuple[float, str]]
+    unseen: tuple[str, ...]
+    untold: tuple[str, ...]
+    hours: float
+    stations: Array
+    joints: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """The answer."""
+        if self.status == "cannot_tell":
+            return "Cannot tell: the recordings show nothing that the reference period covers."
+        if not self.changes:
+            return f"Nothing has changed that {self.hours:.2g} hours of recordings would show."
+        return " ".join(change.sentence for change in self.changes)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """Candidates with their columns as sums (K, k) of named ones, and their log priors (H,)."""
+
+    candidates: Sequence[ChangeColumns]
+    sums: Sequence[Array]
+    log_prior: Array
+
+    @classmethod
+    def of(cls, normal: Normal, names: Sequence[str]) -> _Asked:
+        every = candidates(normal.arm, names, normal.friction)
+        sums = [np.array([[c.get(name, 0.0) for c in one.columns] for name in names]) for one in every]
+        return cls(every, sums, log_priors([one.change for one in every]))
+
+    def alone(self, h: int, said: Spoken) -> tuple[float, float]:
+        """Information on the one size of a candidate, and its estimate."""
+        B = self.sums[h]
+        A = (B.T @ said.information @ B).item()
+        return A, (B.T @ said.vector).item() / max(A, 1e-300)
+
+    def judged(self, said: Spoken) -> list[JudgedChange]:
+        """The Bayes factor of each candidate."""
+        return [_judged(c, B.T @ said.information @ B, B.T @ said.vector) for c, B in zip(
+            self.candidates, self.sums, strict=True)]  # fmt: skip
+
+
+def _judged(candidate: ChangeColumns, A: Array, b: Array) -> JudgedChange:
+    """Over all sizes. A (k, k), b (k,): information on the sizes, in units of each that is seen alike."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    squares, vectors = np.linalg.eigh(scale[:, None] * A * scale)
+    kept = squares > _UNSEEN * max(float(squares.max(initial=0.0)), 1e-300)
+    along = vectors.T @ (scale * b)
+    seen = np.where(kept & (np.diag(A) > 0.0), along**2 / np.where(kept, squares, 1.0), 0.0)
+    spread = _SIZES[:, None] ** 2 / max(int(kept.sum()), 1) * kept
+    each = 0.5 * (spread / (1.0 + spread) * seen - np.log1p(spread)).sum(axis=1)
+    factor = float(np.logaddexp.reduce(each)) - float(np.log(len(_SIZES)))
+    return JudgedChange(candidate.change, factor, 0.5 * float(seen.sum()), float(_SIZES[int(np.argmax(each))]))
+
+
+def tempered(normal: Normal) -> float:
+    """The power at which none of the m reference recordings, each judged by the others, has an e-value above m."""
+    logs, every = [], range(len(normal.moments))
+    for i in every:
+        others = normal.solved([k for k in every if k != i])
+        said = spoken(others, [normal.moments[i]])
+        asked = _Asked.of(others, said.names)
+        logs.append(e_value(asked.judged(said), asked.log_prior))
+    return min(1.0, float(np.log(len(logs))) / max(*logs, 1e-9))
+
+
+def judge_bags(normal: Normal, bags: Sequence[Cells], other_payload: Collection[str] = ()) -> ArmVerdict:
+    """What has changed since the reference period, by later recordings, in order of time.
+
+    other_payload: names of those that carry another payload than the reference recordings, as was declared.
+    """
+    bags = sorted(bags, key=lambda cells: cells.began)
+    heard = [normal.of(cells, cells.name in other_payload) for cells in bags]
+    weight = tempered(normal)
+    hours = max(bags[-1].seconds, SHORTEST) / 3600.0
+    asked_for = -float(np.log(AN_HOUR * hours))
+    said = [spoken(normal, heard[s:]) for s in range(len(bags))]
+    asked = _Asked.of(normal, said[0].names)
+    values = _values(normal, asked, bags, heard)
+    untold = normal.dropped + tuple(sorted(name for name in normal.signals if all(
+        name not in bag or bag[name].share < _SEEN for bag in heard)))  # fmt: skip
+    told = len(untold) - len(normal.dropped) < len(normal.signals)
+    changes: list[ChangeEstimate] = []
+    log_e, since, rest, taken = -np.inf, 0, 0.0, list[int]()
+    while told and len(changes) < _MOST:
+        starts = range(since, since + 1) if taken else range(len(bags))
+        judged = [asked.judged(_without(said[s], [asked.sums[h] for h in taken])) for s in starts]
+        each = np.array([e_value(j, asked.log_prior, weight) for j in judged]) - rest
+        now = float(np.logaddexp.reduce(each) - np.log(len(each)))
+        log_e = log_e if taken else now
+        if now <= asked_for:
+            break
+        best = int(np.argmax(each))
+        since = starts[best]
+        h, estimate = _named(asked, judged[best], said[since], weight, bags[since].name, taken)
+        taken.append(h)
+        rest += weight * _BENT * judged[best][h].likelihood
+        changes.append(estimate)
+    noticed, unseen = _noticed(asked, said[-1], asked_for / max(weight, 1e-6))
+    status = "changed" if changes else "unchanged" if told else "cannot_tell"
+    total = sum(cells.seconds for cells in bags) / 3600.0
+    return ArmVerdict(
+        status, tuple(changes), values, log_e, asked_for, weight, noticed, unseen, untold, total,
+        _stations(bags), normal.arm.names
+    )  # fmt: skip
+
+
+def _stations(bags: Sequence[Cells]) -> Array:
+    """Postures that are farthest apart, each of what was recorded, so that the arm can take it."""
+    q = np.concatenate([cells["q"] for cells in bags])
+    chosen = [int(np.argmax(np.sum((q - q.mean(axis=0)) ** 2, axis=1)))]
+    away = np.full(len(q), np.inf)
+    while len(chosen) < _STATIONS:
+        away = np.minimum(away, np.sum((q - q[chosen[-1]]) ** 2, axis=1))
+        chosen.append(int(np.argmax(away)))
+    return np.asarray(q[chosen])
+
+
+def _without(said: Spoken, sums: Sequence[Array]) -> Spoken:
+    """What is said beside changes of whatever size."""
+    for B in sums:
+        A = said.information @ B
+        gain = A @ np.linalg.pinv(B.T @ A, hermitian=True)
+        said = Spoken(said.names, said.information - gain @ A.T, said.vector - gain @ (B.T @ said.vector))
+    return said
+
+
+def _named(
+    asked: _Asked, judged: Sequence[JudgedChange], said: Spoken, weight: float, since: str, taken: Sequence[int]
+) -> tuple[int, ChangeEstimate]:
+    """The most probable change, and its number."""
+    named = by_name(judged, asked.log_prior, weight)
+    key = max(named, key=lambda k: named[k][0])
+    probability, best = named[key]
+    h = next(i for i, j in enumerate(judged) if j is best)
+    now = _without(said, [asked.sums[i] for i in taken])
+    sizes = _sizes(asked, h, now)
+    near = probability * np.exp(-AS_PROBABLE)
+    rivals = sorted(((p, j) for k, (p, j) in named.items() if k != key and p > near), key=lambda pair: -pair[0])
+    same = tuple(j.hypothesis.label for _, j in rivals)
+    change = best.hypothesis
+    size = ", ".join(f"{s.value:+.3g} {s.unit} ({s.low:+.3g} … {s.high:+.3g})" for s in sizes)
+    moved = f" ({size})" if size else ""
+    sentence = change.worded(KINDS[change.kind].said, size=size, moved=moved)
+    if same:
+        sentence += f"; it may as well be the {' or the '.join(same)}"
+    estimate = ChangeEstimate(
+        change.kind, change.place, change.label, f"{sentence}, since {since}.", since, sizes, probability, same
+    )
+    return h, estimate
+
+
+def _sizes(asked: _Asked, h: int, said: Spoken) -> tuple[SizeFound, ...]:
+    """Sizes of a candidate with their 95 % intervals."""
+    B, kind = asked.sums[h], KINDS[asked.candidates[h].change.kind]
+    A = B.T @ said.information @ B
+    covariance = np.linalg.pinv(A, hermitian=True)
+    x, std = covariance @ (B.T @ said.vector), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return tuple(
+        SizeFound(name, factor * v, factor * (v - _95 * d), factor * (v + _95 * d), unit)
+        for (name, factor, unit), v, d in zip(kind.sizes, x.tolist(), std.tolist(), strict=False)
+    )
+
+
+def _single(asked: _Asked) -> list[tuple[int, str, float, str]]:
+    """Candidates of one size: number, label, factor and unit of what people read; one of each name."""
+    out: dict[str, tuple[int, str, float, str]] = {}
+    for h, one in enumerate(asked.candidates):
+        sizes = KINDS[one.change.kind].sizes
+        if len(one.columns) == 1 and sizes:
+            out.setdefault(one.change.label, (h, one.change.label, sizes[0][1], sizes[0][2]))
+    return list(out.values())
+
+
+def _values(
+    normal: Normal, asked: _Asked, bags: Sequence[Cells], heard: Sequence[Mapping[str, Moments]]
+) -> tuple[BagValues, ...]:
+    """Every recording by itself, those of the reference first."""
+    every = [(name, began, True, of) for (name, began), of in zip(normal.bags, normal.moments, strict=True)]
+    every += [(cells.name, cells.began, False, of) for cells, of in zip(bags, heard, strict=True)]
+    out = []
+    for name, began, reference, of in every:
+        said, values = spoken(normal, [of]), {}
+        for h, label, factor, unit in _single(asked):
+            A, size = asked.alone(h, said)
+            if A > 0.0:
+                values[label] = (unit, factor * size, factor / float(np.sqrt(A)))
+        share = float(np.mean([of[s].share if s in of else 0.0 for s in normal.signals]))
+        out.append(BagValues(name, began, reference, share, values))
+    return tuple(out)
+
+
+def _noticed(asked: _Asked, said: Spoken, asked_for: float) -> tuple[dict[str, tuple[float, str]], tuple[str, ...]]:
+    """The size of each change that the last recording alone would have shown in 95 of 100 cases, and which it does not.
+
+    A change needs the evidence that is asked for, its price, and half the logarithm of how sharply it is seen.
+    """
+    out, unseen = {}, []
+    for h, label, factor, unit in _single(asked):
+        A, _ = asked.alone(h, said)
+        nats = (
+            asked_for - float(asked.log_prior[h]) + float(np.log(len(_SIZES))) + 0.5 * float(np.log1p(_SIZES[1] ** 2))
+        )
+        size = factor * (np.sqrt(2.0 * nats) + _OFTEN) / np.sqrt(A) if A > 0.0 else np.inf
+        if size < _FARTHEST.get(unit, np.inf):
+            out[label] = (float(size), unit)
+        else:
+            unseen.append(label)
+    return out, tuple(unseen)
