@@ -124,11 +124,11 @@ def uncertainty_of(
 def rejected(fit: Fit, samples: Samples, seen: np.ndarray, distances: Sequence[AnyDistance] = ()) -> np.ndarray:
     """True for samples that lie outside the noise of a fit to some rows (``seen``) of them, (N,).
 
-    What the fit has not seen may be farther off by what its parameters are uncertain by. Of few samples it knows the
-    noise hardly: positions, or orientations, may take up all of its parameters. What it has not seen is then compared
-    with the usual size of that, as far as the degrees of freedom leave the noise open (F law).
+    What the fit has not seen, or gave no weight, may be farther off by what its parameters are uncertain by. Of few
+    samples it knows the noise hardly: positions, or orientations, may take up all of its parameters. What it has not
+    seen is then compared with the usual size of that, as far as the degrees of freedom leave the noise open (F law).
     """
-    unseen = np.setdiff1d(np.arange(len(samples)), seen)
+    unseen = np.setdiff1d(np.arange(len(samples)), seen[fit.weights > 0.0])
     known = uncertainty_of(fit, samples, seen, distances)
     placed = np.unique(samples.frame[seen[fit.weights > 0.0]])  # a frame that is rejected whole is not uncertain
     spread = with_doubt(samples, fit.model, known, unseen[np.isin(samples.frame[unseen], placed)])
