@@ -80,7 +80,7 @@ format: setup-test  ## let ruff fix what it can
 bench: $(if $(NAME),setup-test build,setup)  ## one of the benches: NAME=speed ARGS="--only kinematics"; without a NAME: their list
 	@$(PY) scripts/bench.py "$(NAME)" $(ARGS)
 
-league:  ## every method of the field on the same recordings: build/league/index.html; LEAGUE=full, ARGS="--only modcal"
+league:  ## methods of the field on the same recordings: build/league/index.html; ARGS="--again --only modcal" runs again
 	@league/setup.sh
 	@.venv-league/common/bin/python -m league.run $(ARGS)
 

@@ -133,29 +133,23 @@ class Arm:
         """A URDF of these steps, with links ``base`` and ``tip``."""
         links = ["base", *(f"link_{k + 1}" for k in range(len(self.names))), "tip"]
         lines = ["<robot name='arm'>", *(f"  <link name='{link}'/>" for link in links)]
-        for k, step in enumerate(self.steps):
-            kind = "revolute" if k < len(self.names) else "fixed"
-            name = self.names[k] if k < len(self.names) else "tip_joint"
-            R = step[:3, :3]
-            turn = np.arctan2(R[2, 1], R[2, 2]), np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-            turn = *turn, np.arctan2(R[1, 0], R[0, 0])
-            at = " ".join(f"{x:.17g}" for x in step[:3, 3])
-            lines += [f"  <joint name='{name}' type='{kind}'><parent link='{links[k]}'/><child link='{links[k + 1]}'/>"]
-            lines += [f"    <origin xyz='{at}' rpy='{' '.join(f'{x:.17g}' for x in turn)}'/>"]
-            if kind == "revolute":
-                ends = f"lower='{self.low[k]:.17g}' upper='{self.high[k]:.17g}'"
-                lines += [f"    <axis xyz='0 0 1'/><limit {ends} effort='100' velocity='1'/>"]
-            lines += ["  </joint>"]
+        for k, (step, name) in enumerate(zip(self.steps, (*self.names, "tip_joint"), strict=True)):
+            xyz, turn = step[:3, 3], Rotation.from_matrix(step[:3, :3]).as_euler("xyz")
+            origin = " ".join(f"{a}='{' '.join(f'{x:.17g}' for x in v)}'" for a, v in (("xyz", xyz), ("rpy", turn)))
+            kind, more = "fixed", ""
+            if k < len(self.names):
+                kind, ends = "revolute", f"lower='{self.low[k]:.17g}' upper='{self.high[k]:.17g}'"
+                more = f"<axis xyz='0 0 1'/><limit {ends} effort='100' velocity='1'/>"
+            between = f"<parent link='{links[k]}'/><child link='{links[k + 1]}'/>"
+            lines.append(f"  <joint name='{name}' type='{kind}'>{between}<origin {origin}/>{more}</joint>")
         return "\n".join([*lines, "</robot>", ""])
 
 
 def _from_z(axis: Array) -> Array:
     """A rotation (3, 3) that takes z to an axis."""
-    v, c = np.cross([0.0, 0.0, 1.0], axis), axis[2]
-    if c < -1.0 + _SMALL:
-        return np.diag([1.0, -1.0, -1.0])
-    K = cross(v)
-    return np.eye(3) + K + K @ K / (1.0 + c)
+    v = np.cross([0.0, 0.0, 1.0], axis)
+    sine = np.linalg.norm(v)
+    return rotation(np.arctan2(sine, axis[2]) * (v / sine if sine > _SMALL else np.array([1.0, 0.0, 0.0])))
 
 
 def align(T: Array, y: Array) -> tuple[Array, Array]:

@@ -10,7 +10,6 @@ import json
 import resource
 import sys
 import time
-import traceback
 from importlib import import_module, metadata
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from league.methods import METHODS
 from league.task import NotApplicable, Task
 
 
-def main(name: str, told: str, out: str) -> None:
+def main(name: str, file: str, out: str) -> None:
     """Write the answer, or why there is none."""
     method = METHODS[name]
     begun = time.process_time()
@@ -28,7 +27,7 @@ def main(name: str, told: str, out: str) -> None:
     arrays = {}
     try:
         module, function = method["call"].split(":")
-        answer = getattr(import_module(f"league.methods.{module}"), function)(Task.read(Path(told)))
+        answer = getattr(import_module(f"league.methods.{module}"), function)(Task.read(Path(file)))
         arrays["T"] = answer.T
         if answer.radius95 is not None:
             arrays["radius95"] = answer.radius95
@@ -38,19 +37,12 @@ def main(name: str, told: str, out: str) -> None:
         said = {"status": "not applicable", "remark": str(reason)}
     except Exception as error:  # a method that fails is a result
         said = {"status": "failed", "remark": f"{type(error).__name__}: {error}"[:400]}
-        traceback.print_exc()
     said["cpu_s"] = round(time.process_time() - begun, 2)
     said["memory_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
-    said["version"] = _version(method["package"])
+    ours = method["package"] == "modcal"  # which stands on the path and is not installed
+    told = import_module("modcal_core.version").__version__ if ours else metadata.version(method["package"])
+    said["version"] = str(told)
     np.savez(out, said=json.dumps(said), **arrays)
-
-
-def _version(package: str) -> str:
-    if package == "modcal":
-        from modcal_core.version import __version__
-
-        return str(__version__)
-    return metadata.version(package)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ as quaternions x y z w. `block`: rows that a split keeps together. Of sockets on
 
 from __future__ import annotations
 
-import csv
 import gzip
 import io
 import sys
@@ -38,15 +37,19 @@ class Table:
 
 def ur10(folder: Path, file: str, block: int, every: int = 1) -> Table:
     """A series of the UR10 of Fraunhofer IPA with a six-dimensional target."""
-    with (folder / "ipa_ur10" / file).open(encoding="utf-8-sig") as stream:
-        rows = list(csv.DictReader(stream, delimiter=";"))[::every]
-    read = np.array(
-        [[float(row[f"measurement_{a}"].replace(",", ".")) for a in ("x", "y", "z", "rx", "ry", "rz")] for row in rows]
-    )
-    x, y, z = (rotation(np.deg2rad(read[:, 3 + k, None]) * np.eye(3)[k]) for k in range(3))
-    q = np.array([[float(row[name].replace(",", ".")) for name in UR10] for row in rows])
-    reading = np.concatenate([1e-3 * read[:, :3], quaternion(x @ y @ z)], axis=1)
+    rows = _columns(folder / "ipa_ur10" / file, ";")[::every]
+    p, turns = (np.stack([rows[f"measurement_{r}{a}"] for a in "xyz"], axis=1) for r in ("", "r"))
+    x, y, z = (rotation(np.deg2rad(turns[:, k, None]) * np.eye(3)[k]) for k in range(3))
+    q = np.stack([rows[name] for name in UR10], axis=1)
+    reading = np.concatenate([1e-3 * p, quaternion(x @ y @ z)], axis=1)
     return _table(q, reading, block, (ROBOTS / "ur10.urdf").read_text(), "tool0")
+
+
+def _columns(file: Path, delimiter: str) -> Array:
+    """The columns of a table by name; with semicolons, commas are decimal."""
+    text = file.read_text(encoding="utf-8-sig")
+    text = text.replace(",", ".") if delimiter == ";" else text
+    return np.genfromtxt(io.StringIO(text), delimiter=delimiter, names=True)
 
 
 def grid(folder: Path, file: str, block: int) -> Table:
@@ -54,23 +57,18 @@ def grid(folder: Path, file: str, block: int) -> Table:
 
     The descriptions in league/data are the tables of DH that the makers publish.
     """
-    with (folder / "serial_robots" / file).open() as stream:
-        rows = list(csv.DictReader(stream))
-    joints = [name for name in rows[0] if name.startswith("joint_")]
-    q = np.deg2rad([[float(row[name]) for name in joints] for row in rows])
-    p = np.array([[float(row[f"{a}_t"]) - float(row[f"{a}_dif"]) for a in "xyz"] for row in rows])
+    rows = _columns(folder / "serial_robots" / file, ",")
+    q = np.deg2rad(np.stack([rows[name] for name in rows.dtype.names if name.startswith("joint_")], axis=1))
+    p = np.stack([rows[f"{a}_t"] - rows[f"{a}_dif"] for a in "xyz"], axis=1)
     return _table(q, 1e-3 * p, block, (DATA / file.replace(".csv", ".urdf")).read_text(), "tip")
 
 
 def sockets(folder: Path, robot: str, urdf: str, block: int) -> Table:
     """Joints with a ball in sockets: two of each placement of a plate, neighbours in number."""
-    parts = [
-        (i, np.loadtxt(file, delimiter=","))
-        for i, file in enumerate(sorted((folder / "mukca" / robot).glob("*/hole_[01].csv")))
-    ]
-    q, frame = np.concatenate([p for _, p in parts]), np.concatenate([np.full(len(p), i) for i, p in parts])
+    parts = [np.loadtxt(file, delimiter=",") for file in sorted((folder / "mukca" / robot).glob("*/hole_[01].csv"))]
+    q, frame = np.concatenate(parts), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     text = (folder / "mukca" / "urdf" / urdf).read_text()
-    inside = np.concatenate([np.arange(len(p)) for _, p in parts])  # a block ends with its socket
+    inside = np.concatenate([np.arange(len(part)) for part in parts])  # a block ends with its socket
     numbers = 1000 * frame + inside // block
     return replace(_table(q, np.empty((len(q), 0)), block, text, "ball_link"), block=numbers, frame=frame)
 

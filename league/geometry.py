@@ -17,7 +17,7 @@ from league.task import Task
 STEPS = 16
 FREE = 1e3  # prior of base and tool, m and rad: none
 LENGTH, ANGLE = 3e-3, 5e-3  # prior of a link's errors, m and rad: above what makers leave
-QUARTER95 = 7.815  # the 95 % point of χ² with three degrees of freedom
+CHI95 = 7.815  # the 95 % point of χ² with three degrees of freedom
 FINEST = 1e-7  # m, below which no noise is believed
 Basis = Callable[[Arm, Array, Array], list[Array]]
 
@@ -40,13 +40,12 @@ class Fit:
     covariance: Array
     noise: float
     left: Array
-    groups: Array
 
     def predict(self, q: Array) -> tuple[Array, Array]:
         """Poses (N, 4, 4), and the radius (N,) [m] that 95 % of the errors should stay below."""
         frames, columns, _ = _columns(self, q)
         variance = np.sum((columns @ self.covariance) * columns, axis=(1, 2)) / 3.0 + self.noise**2
-        return frames[:, -1], np.sqrt(QUARTER95 * variance)
+        return frames[:, -1], np.sqrt(CHI95 * variance)
 
 
 def fit(task: Task, geometry: bool = True, basis: Basis = none, learn: bool = False, width: float = 3e-4) -> Fit:
@@ -58,9 +57,7 @@ def fit(task: Task, geometry: bool = True, basis: Basis = none, learn: bool = Fa
     arm, q = task.arm, task.q[task.train]
     n = len(arm.names)
     steps = _placed(task, arm, q)
-    frames = arm.frames(q)
-    sizes = [b.shape[1] for b in basis(arm, q, _torques(arm, frames))]
-    corrections = [np.zeros(size) for size in sizes]
+    sizes = [b.shape[1] for b in basis(arm, q, _torques(arm, arm.frames(q)))]
     prior = np.r_[np.tile(np.r_[np.full(3, LENGTH), np.full(3, ANGLE)], n + 1), np.full(sum(sizes), width)]
     groups = np.r_[np.repeat([0, 1], 3), np.tile(np.repeat([2, 3], 3), n - 1), np.repeat([4, 5], 3)]
     groups = np.r_[groups, 6 + np.repeat(np.arange(n), sizes)]
@@ -73,7 +70,7 @@ def fit(task: Task, geometry: bool = True, basis: Basis = none, learn: bool = Fa
     if not geometry:
         prior[np.isin(groups, (2, 3))] = 1e-9
     x, scale = np.zeros(len(prior)), np.array([1e-3, 1e-3])
-    now = Fit(arm, steps, basis, corrections, np.zeros((len(prior),) * 2), 0.0, np.empty((0, 3)), groups)
+    now = Fit(arm, steps, basis, [np.zeros(size) for size in sizes], np.zeros((len(prior),) * 2), 0.0, np.empty((0, 3)))
     for step in range(STEPS):
         r, J, kinds = _rows(task, now, q)
         # what the parameters' own uncertainty makes of a residual counts, or noise would fall to nothing with few rows

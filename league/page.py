@@ -126,7 +126,7 @@ def _claims(rows: list[Row], tasks: list[str], methods: list[str]) -> str:
         if not told:
             silent.append(method)
             continue
-        wrong = sum(bool(r["calm_and_wrong"]) for r in own)
+        wrong, opened = (sum(bool(r[key]) for r in own) for key in ("calm_and_wrong", "open"))
         causes = [r["false_causes"] for r in own if r.get("false_causes") is not None]
         cells = [
             _e(method),
@@ -134,7 +134,7 @@ def _claims(rows: list[Row], tasks: list[str], methods: list[str]) -> str:
             f"{100 * told[len(told) // 2]:.0f} %",
             ("{bad}" if wrong else "") + str(wrong),
         ]
-        lines.append((*cells, str(sum(bool(r["open"]) for r in own)), str(sum(causes)) if causes else ""))
+        lines.append((*cells, str(opened), str(sum(causes)) if causes else ""))
     heads = ("method", "tasks with a claim", "median coverage", "calm and wrong", "says open", "false causes")
     return _table(heads, lines) + f"<p class='soft'>No claim at all: {_e(', '.join(silent))}.</p>"
 

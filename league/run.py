@@ -13,7 +13,6 @@ import os
 import subprocess
 import sys
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -63,9 +62,8 @@ def answered(problem: Problem, method: str, patience: float) -> dict[str, Any]:
 
 
 def chosen(names: tuple[str, ...], only: list[str]) -> tuple[str, ...]:
-    """The names that are asked for, by whole names or, with a star, by their beginnings; all where none is meant."""
-    picked = tuple(n for n in names if any(n == o or (o.endswith("*") and n.startswith(o[:-1])) for o in only))
-    return picked or names
+    """The names that are asked for; all where none of them is."""
+    return tuple(name for name in names if name in only) or names
 
 
 def main() -> int:
@@ -76,37 +74,29 @@ def main() -> int:
     made.add_argument("--only", nargs="+", default=[])
     made.add_argument("--again", action="store_true")
     made.add_argument("--out", type=Path, default=HERE / "results")
-    made.add_argument("--jobs", type=int, default=1)
     given = made.parse_args()
     known = FULL if given.full else SMALL + (FURTHER if given.data else ())
     tasks, methods = chosen(known, given.only), chosen(tuple(METHODS), given.only)
     given.out.mkdir(parents=True, exist_ok=True)
     failed = 0
-
-    def one(pair: tuple[Problem, str]) -> dict[str, Any]:
-        return answered(*pair, PATIENCE[given.full])
-
     for task in tasks:
         try:
-            made_of = problem(task, given.data)
+            one = problem(task, given.data)
         except FileNotFoundError as missing:
             print(f"{task}: left out: {missing}", file=sys.stderr)
             continue
-        files = {m: given.out / f"{task}.{m}.json" for m in methods}
-        todo = [m for m in methods if given.again or not _kept(files[m], made_of)]
-        with ThreadPoolExecutor(given.jobs) as pool:
-            for method, found in zip(todo, pool.map(one, [(made_of, m) for m in todo]), strict=True):
-                assert not (wrong := problems_of(found)), wrong
-                files[method].write_text(json.dumps(found, indent=1) + "\n")
-                size = f"{found['rms_mm']:.4f} mm RMS" if "rms_mm" in found else f"{found['status']}: {found['remark']}"
-                print(f"{task} {method}: {size}, {found['cpu_s']} s", flush=True)
-                failed += found["status"] == "failed"
+        for method in methods:
+            file = given.out / f"{task}.{method}.json"
+            if not given.again and file.exists() and json.loads(file.read_text())["digest"] == one.task.digest:
+                continue
+            found = answered(one, method, PATIENCE[given.full])
+            assert not (wrong := problems_of(found)), wrong
+            file.write_text(json.dumps(found, indent=1) + "\n")
+            size = f"{found['rms_mm']:.4f} mm RMS" if "rms_mm" in found else f"{found['status']}: {found['remark']}"
+            print(f"{task} {method}: {size}, {found['cpu_s']} s", flush=True)
+            failed += found["status"] == "failed"
     print(page.write(given.out, ROOT / "build" / "league"))
     return int(failed > 0)
-
-
-def _kept(file: Path, problem: Problem) -> bool:
-    return file.exists() and json.loads(file.read_text()).get("digest") == problem.task.digest
 
 
 if __name__ == "__main__":

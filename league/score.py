@@ -60,72 +60,45 @@ def result(problem: Problem, method: str, said: dict[str, Any], arrays: dict[str
     missed = 1e3 * errors(problem, arrays["T"])
     if not np.isfinite(missed).all():
         return {**out, "status": "failed", "remark": f"{int((~np.isfinite(missed)).sum())} predictions are not finite"}
-    out |= {"scored": len(missed), "rms_mm": round(rms(missed), 5), "rms_ci95": interval(missed, problem.unit, rms)}
-    out |= {"p95_mm": round(p95(missed), 5), "p95_ci95": interval(missed, problem.unit, p95)}
-    out |= {
-        "mean_mm": round(float(missed.mean()), 5),
-        "median_mm": round(float(np.median(missed)), 5),
-        "max_mm": round(float(missed.max()), 5),
-    }
-    out |= {
-        "parameters": said["parameters"],
-        "open": said["open"],
-        **_claimed(problem, said, arrays, missed, out["p95_ci95"]),
-    }
+    units = problem.unit
+    sizes = {"rms": rms, "p95": p95, "mean": np.mean, "median": np.median, "max": np.max}
+    out |= {"scored": len(missed), **{f"{name}_mm": round(float(of(missed)), 5) for name, of in sizes.items()}}
+    out |= {"rms_ci95": interval(missed, units, rms), "p95_ci95": interval(missed, units, p95)}
+    out |= {"parameters": said["parameters"], "open": said["open"]}
+    radius = arrays.get("radius95")
+    radius = np.full(len(units), said["claim_p95_mm"] or np.nan) if radius is None else 1e3 * radius[problem.scored]
+    out |= {"claim_p95_mm": None, "coverage": None, "calm_and_wrong": None}
+    if np.isfinite(radius).all():
+        claim = p95(radius)
+        wrong = not said["open"] and out["p95_ci95"][0] > claim
+        out |= {"claim_p95_mm": round(claim, 5), "coverage": round(float(np.mean(missed <= radius)), 4)}
+        out |= {"calm_and_wrong": bool(wrong)}
     if said["named"] is not None:
         out["named"] = [list(name) for name in said["named"]]
-        if problem.planted is not None:
-            bent = {place for places in problem.planted.values() for place in places}
-            out["false_causes"] = (
-                sum(place not in bent for _, place in said["named"]) if "warm" not in problem.planted else None
-            )
+    if said["named"] is not None and problem.planted is not None:
+        bent = [place for places in problem.planted.values() for place in places]
+        out["false_causes"] = sum(place not in bent for _, place in said["named"])
     return out
 
 
-def _claimed(
-    problem: Problem, said: dict[str, Any], arrays: dict[str, Array], missed: Array, seen: list[float]
-) -> dict[str, Any]:
-    """What the method stated of its error, and whether that holds: coverage, and *calm and wrong*."""
-    radius, claim = arrays.get("radius95"), said["claim_p95_mm"]
-    if radius is not None:
-        radius = 1e3 * radius[problem.scored]
-        claim = p95(radius)
-    elif claim is not None:
-        radius = np.full(len(missed), claim)
-    if claim is None or radius is None:
-        return {"claim_p95_mm": None, "coverage": None, "calm_and_wrong": None}
-    calm = not said["open"]
-    coverage = float(np.mean(missed <= radius))
-    return {
-        "claim_p95_mm": round(float(claim), 5),
-        "coverage": round(coverage, 4),
-        "calm_and_wrong": bool(calm and seen[0] > claim),
-    }
-
-
-def problems_of(data: Any, schema: dict[str, Any] | None = None, at: str = "result") -> list[str]:
+def problems_of(data: Any, schema: dict[str, Any] = SCHEMA, at: str = "result") -> list[str]:
     """What is wrong with a result by the schema: the part of JSON Schema that it uses. Empty where all is well."""
-    schema = SCHEMA if schema is None else schema
     kinds = schema.get("type", list(_KINDS))
     names = [kinds] if isinstance(kinds, str) else kinds
-    allowed = tuple(kind for name in names for kind in _KINDS[name])
-    if not isinstance(data, allowed) or (isinstance(data, bool) and "boolean" not in names):
+    if type(data) not in [kind for name in names for kind in _KINDS[name]]:
         return [f"{at}: {type(data).__name__} is not {' or '.join(names)}"]
-    found = []
-    if "enum" in schema and data not in schema["enum"]:
-        found.append(f"{at}: {data!r} is none of {schema['enum']}")
-    if isinstance(data, int | float) and not isinstance(data, bool) and data < schema.get("minimum", -np.inf):
+    found = [] if data in schema.get("enum", [data]) else [f"{at}: {data!r} is none of {schema['enum']}"]
+    if isinstance(data, int | float) and data < schema.get("minimum", -np.inf):
         found.append(f"{at}: {data} is below {schema['minimum']}")
     if isinstance(data, dict):
         known = schema.get("properties", {})
         found += [f"{at}: {name} is missing" for name in schema.get("required", ()) if name not in data]
-        if schema.get("additionalProperties") is False:
-            found += [f"{at}: {name} is unknown" for name in data if name not in known]
+        open_ended = schema.get("additionalProperties", True)
+        found += [f"{at}: {name} is unknown" for name in ([] if open_ended else data.keys() - known.keys())]
         for name in known.keys() & data.keys():
             found += problems_of(data[name], known[name], f"{at}.{name}")
-        if "if" in schema:
-            met = not problems_of(data, schema["if"], at)
-            found += problems_of(data, schema.get("then", {}), at) if met else []
-    if isinstance(data, list) and "items" in schema:
-        found += [line for k, item in enumerate(data) for line in problems_of(item, schema["items"], f"{at}[{k}]")]
+        if "if" in schema and not problems_of(data, schema["if"], at):
+            found += problems_of(data, schema["then"], at)
+    if isinstance(data, list):
+        found += [line for item in data for line in problems_of(item, schema.get("items", {}), at)]
     return found

@@ -12,8 +12,9 @@ for pins in league/requirements/*.txt; do
     cmp -s "$pins" "$venv/pins.txt" && continue
     echo "league: installing $(basename "$venv")"
     rm -rf "$venv"
-    "$python" -m venv "$venv"
-    if "$venv/bin/python" -m pip install -qq --no-input --disable-pip-version-check -r "$pins"; then
+    "$python" -m venv --without-pip "$venv"
+    pip=("$python" -m pip --python "$venv/bin/python" --disable-pip-version-check)
+    if "${pip[@]}" install -qq --no-deps --no-compile --no-input -r "$pins"; then
         cp "$pins" "$venv/pins.txt"
     else
         echo "league: $(basename "$venv") cannot be installed here, and its methods are left out" >&2

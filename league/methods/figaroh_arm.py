@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from league.arm import Array, pose
+from league.arm import Array, align, pose
 from league.task import Answer, NotApplicable, Task
 
 FEW = 100  # readings for the rough base and tool, and for the choice of parameters
@@ -59,6 +59,7 @@ def answer(task: Task) -> Answer:
     result, _ = work.solve_optimisation(var_init=start)
     all_rows = {**work.calib_config, "NbSample": len(task.q)}
     seen = calc_updated_fkm(work.model, work.data, result.x, task.q, all_rows).reshape(3, -1).T
-    # orientations, which only a tool that is fitted again asks for, are those of the nominal arm in the fitted base
+    # orientations, which only a tool that is fitted again asks for: nominal ones, in the base that suits the positions
     T = arm.frames(task.q)[:, -1]
-    return Answer(pose(T[:, :3, :3], seen), parameters=len(start))
+    base, _ = align(T, seen)
+    return Answer(pose(base[:3, :3] @ T[:, :3, :3], seen), parameters=len(start))

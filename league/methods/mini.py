@@ -10,17 +10,16 @@ from league.task import Answer, Task
 
 HARMONICS, MORE = 20, 40  # a turn; gears of 17 teeth a turn and their neighbours are among them
 WIDTH = 1.5e-4  # rad, of each coefficient
-SPRING = 1.0  # of the torque of a unit weight at the tip, scaled to the largest
 
 
 def _basis(count: int):  # type: ignore[no-untyped-def]
     def basis(arm: Arm, q: Array, torque: Array) -> list[Array]:
-        """For each joint: sines and cosines of its angle, and the torque on it."""
+        """For each joint: sines and cosines of its angle, and the torque of a unit weight at the tip."""
         k = np.arange(1, count + 1)
         parts = [
             np.concatenate([np.sin(q[:, j, None] * k), np.cos(q[:, j, None] * k)], axis=1) for j in range(q.shape[1])
         ]
-        return [np.concatenate([part, SPRING * torque[:, j, None]], axis=1) for j, part in enumerate(parts)]
+        return [np.concatenate([part, torque[:, j, None]], axis=1) for j, part in enumerate(parts)]
 
     return basis
 

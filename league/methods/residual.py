@@ -12,7 +12,6 @@ from league.task import Answer, Task
 
 SEED = 0
 MOST = 800  # rows of a Gaussian process: its cost is cubic
-NORMAL95 = 2.796  # the radius that 95 % of a three-dimensional normal stay within, in standard deviations of an axis
 
 
 def _features(q: Array) -> Array:
@@ -26,7 +25,7 @@ def _learned(task: Task, predictor: Callable[[Array, Array, Array], tuple[Array,
     size = max(float(found.left.std()), 1e-9)
     guess, std = predictor(_features(task.q[task.train]), found.left / size, _features(task.q))
     T[:, :3, 3] += size * guess
-    radius = None if std is None else NORMAL95 * size * np.sqrt((std**2).mean(axis=1))
+    radius = None if std is None else size * np.sqrt(geometry.CHI95 * (std**2).mean(axis=1))
     return Answer(T, radius95=radius)
 
 
