@@ -56,11 +56,11 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (1970, 1420),
     "modcal_nodes/watching": (280, 200),
-    "tests": (47610, 32860),
-    "modcal_core/sentinel": (1080, 770),
+    "tests": (47380, 32770),
+    "modcal_core/sentinel": (1070, 780),
 }
 SOURCE = (94500, 61900)
-TEXT = 186100  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+TEXT = 188000  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 85
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
