@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation.evidence import EvidenceRow, hidden, row, still, unproved, weigh
+from modcal_core.articulation.evidence import EvidenceRow, hidden, of_fine, row, size_priors, still, unproved, weigh
 from modcal_core.articulation.fit import JointFit, fit
+from modcal_core.articulation.furniture import FINE
 from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
 from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, bend_explains, misfit, predicted, scales
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
-from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
-from modcal_core.articulation.track import FEWEST, Nodes, Track, backwards, one_way, telling, travelled
+from modcal_core.articulation.scene import LOOSE, PLAYS, SIZES, SWAYS, NodeScene
+from modcal_core.articulation.track import FEWEST, Track, backwards, pooled, telling, travelled
 from modcal_core.articulation.two_motions import best_cut, two_explain, where
 from modcal_core.geometry import Array
 
@@ -35,8 +36,8 @@ class Choice:
 
     why: one sentence for a person. fits: of every kind. follows: whether the rotations that were seen are the handle's;
     when a grasp turns in the hand, the fit rests on positions alone. play: how far the object departs from ideal [m].
-    misfit: what the best kind leaves; where that is too much, ``kind`` is "none". phases: two motions one after the
-    other, where a pull that is none of these is cut into them.
+    misfit: what the best kind leaves; where that is too much, ``kind`` is "none". doubt: why not to rely on it. phases:
+    two motions one after the other, where a pull that is none of these is cut into them.
     """
 
     probabilities: dict[Kind, float]
@@ -47,6 +48,7 @@ class Choice:
     follows: bool
     play: float
     misfit: Misfit
+    doubt: str = ""
     phases: tuple[Phase, ...] = ()
 
     @property
@@ -87,7 +89,9 @@ def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = NO
     model = next(model for model in all_models() if model.name == choice.best)
     used = track if choice.follows else track.points()
     found = _settled(used, model, choice.fit.motion, choice.misfit.white)[0]  # a configuration for every sample
-    return replace(choice, fit=found, fits={**choice.fits, choice.best: found})
+    # the sentence tells of all samples, as everything else that is told
+    why = choice.why if choice.misfit.fails else _why(choice.probabilities, found, choice.misfit, choice.doubt, track)
+    return replace(choice, fit=found, fits={**choice.fits, choice.best: found}, why=why)
 
 
 def _cut(track: Track, choice: Choice, rng: np.random.Generator, nodes: int) -> Choice:
@@ -137,8 +141,7 @@ def _weighed(
         return _still(track, kept, noise, fits, models)
     shares = log_shares(models)
     rows = {kind: _rows(scenes, fits[kind].motion) for kind in shares}
-    priors = (LOG_DISTORTIONS[:, None] + LOG_PLAYS).ravel()
-    probabilities, kind, i, j = weigh(rows, scenes[0].moved, priors, shares)
+    probabilities, kind, i, j = weigh(rows, size_priors(noise[0]), shares, scenes[1.0], counted=True)
     if probabilities[STILL.name] > probabilities[kind]:
         kind = STILL.name
     follows = kind == STILL.name or not (track.oriented and bool(LOOSE[j]))
@@ -163,7 +166,7 @@ def _weighed(
             doubt = doubt or unproved(fits[kind].motion, a) or hidden(fits[kind].motion, a, left.position)
     enough = probabilities[kind] >= SURE and not left.fails and not doubt
     why = _why(probabilities, fits[kind], left, doubt, track)
-    return Choice(probabilities, fits[kind], enough, why, fits, follows, float(PLAYS[i % len(PLAYS)]), left)
+    return Choice(probabilities, fits[kind], enough, why, fits, follows, SIZES[i][1], left, doubt)
 
 
 def _settled(
@@ -184,16 +187,14 @@ def _settled(
     return found, left
 
 
-def _rows(scenes: list[NodeScene], motion: Motion) -> list[EvidenceRow]:
+def _rows(scenes: dict[float, NodeScene], motion: Motion) -> list[EvidenceRow]:
     rows: list[EvidenceRow] = []
     column = 2
-    for k, scene in enumerate(scenes):
-        # there and back, as what is most probable at one play is a good guess for the next
-        line: list[EvidenceRow] = []
-        for play in PLAYS if k % 2 == 0 else PLAYS[::-1]:
-            line.append(row(scene, motion, float(play), column=column))
-            motion, column = line[-1].motion, line[-1].column
-        rows += line if k % 2 == 0 else line[::-1]
+    for distorted, play, _ in SIZES:  # what is most probable at one play is a good guess for the next
+        rows.append(row(scenes[distorted], motion, play, column=column))
+        motion, column = rows[-1].motion, rows[-1].column
+        if distorted in FINE[0]:
+            rows[-1] = replace(rows[-1], evidence=rows[-1].evidence + of_fine(motion))
     return rows
 
 
@@ -213,16 +214,14 @@ def sound(found: JointFit, track: Track) -> NDArray[np.bool_]:
     return good if good.any() else np.ones(len(track), dtype=bool)
 
 
-def _scenes(track: Track, sigma: tuple[float, float], most: int) -> list[NodeScene]:
+def _scenes(track: Track, sigma: tuple[float, float], most: int) -> dict[float, NodeScene]:
     """The nodes of a track with each size of distortion; none where nothing moved. sigma: noise of a sample."""
-    nodes, ordered = Nodes(track.oriented, most), one_way(track)
-    for i in range(len(track)):
-        nodes.add(ordered.positions[i], None if ordered.rotations is None else ordered.rotations[i])
-    pooled = nodes.track(FEWEST)
-    if pooled is None:
-        return []
+    nodes = pooled(track, most, sigma[0])
+    seen = nodes.track(FEWEST)
+    if seen is None:
+        return {}
     apart, counts = nodes.apart(), nodes.counts[: nodes.k]
-    return [NodeScene.of(pooled, apart, counts, sigma, float(size)) for size in DISTORTIONS]
+    return {size: NodeScene.of(seen, apart, counts, sigma, size) for size, _, _ in SIZES}
 
 
 def white_noise(e: Array) -> tuple[float, float]:

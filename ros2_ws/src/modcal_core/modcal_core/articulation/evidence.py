@@ -42,11 +42,15 @@ from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.scene import (
     FIRST_OF_HELD,
+    LOG_2PI,
+    LOG_PLAYS,
     LOG_SWAYS,
+    SIZES,
     SWAYS,
     NodeScene,
     UniformTerms,
     VaryingTerms,
+    about_mean,
     believed,
 )
 from modcal_core.geometry import Array
@@ -161,12 +165,54 @@ def still(moved: float) -> float:
     return float(rigid / (rigid + 1.0 / furniture.SPAN))
 
 
-def weigh(rows: Mapping[Kind, list[EvidenceRow]], moved: float, log_priors: Array,
-          log_shares: Mapping[Kind, float]) -> tuple[dict[Kind, float], Kind, int, int]:  # fmt: skip
+_PLACES = 4  # nodes that count by themselves
+
+
+def regular(scene: NodeScene, total: float) -> float:
+    """How much better a joint explains where the nodes lie than a handle that lies about one place, as a logarithm.
+
+    total: log evidence of the joints. Of how far the nodes came nothing is said by that: play comes as far, but follows
+    no line, and no circle to a hundredth of its size. A hand wanders, so that few of its places count by themselves.
+    """
+    p = scene.track.positions
+    k, squares = len(p), float(((p - p.mean(axis=0)) ** 2).sum())
+    variance = max(squares / (3.0 * (k - 1)), 1e-12)
+    rests = -1.5 * ((k - 1) * (math.log(2.0 * math.pi * variance) + 1.0) + math.log(k))
+    if scene.track.oriented:
+        turned = []
+        for log_sway, sway in zip(LOG_PLAYS, SWAYS, strict=False):
+            W, half = scene.by_sway(float(sway))
+            left, weight = about_mean(W, scene.turned)
+            turned.append(log_sway - 0.5 * left - 3.0 * half - 1.5 * (math.log(weight) - LOG_2PI))
+        rests += float(np.logaddexp.reduce(turned))
+    # configurations are flat in metres for all of a joint; those that moved so far lie within that
+    return (total - k * math.log(scene.moved) - rests) * min(1.0, _PLACES / k)
+
+
+def size_priors(noise: float) -> Array:
+    """Log-probabilities of all SIZES (n,), of readings that scatter by so much [m]: more than a fine one's tells."""
+    size, out = max(noise, 1e-12) / furniture.NOISE, []
+    for distorted, _, prior in SIZES:
+        beyond = max(math.log(size / distorted), 0.0) / furniture.DISTORTED if distorted in furniture.FINE[0] else 0.0
+        out.append(prior - 0.5 * beyond * beyond)
+    return np.array(out)
+
+
+def of_fine(motion: Motion) -> float:
+    """What the logarithm of the prior of a fine joint is above that of furniture: its axis may be nearer."""
+    if not (isinstance(motion, AxisMotion) and motion.turns):
+        return 0.0
+    mean, std = RADIUS
+    off = min(math.log(motion.r) - mean, 0.0) / std
+    return max(0.5 * off * off + math.log(std * math.sqrt(2.0 * math.pi) / (mean - furniture.NEAREST)), 0.0)
+
+
+def weigh(rows: Mapping[Kind, list[EvidenceRow]], log_priors: Array, log_shares: Mapping[Kind, float],
+          scene: NodeScene, counted: bool = False) -> tuple[dict[Kind, float], Kind, int, int]:  # fmt: skip
     """Probabilities of all kinds; of those that move the best one, its best row and its best sway.
 
-    moved: how far the handle came [m]. log_priors: of each kind's rows (n,). log_shares: how often each kind that moves
-    is met, as a logarithm.
+    log_priors: of each kind's rows (n,). counted: whether that it rests is judged by how the nodes of the scene lie,
+    and not by how far apart alone. log_shares: how often each kind that moves is met, as a logarithm.
     """
     logs: dict[Kind, float] = {}
     best: tuple[float, Kind, int, int] | None = None
@@ -180,7 +226,10 @@ def weigh(rows: Mapping[Kind, list[EvidenceRow]], moved: float, log_priors: Arra
         if best is None or logs[kind] > best[0]:
             best = logs[kind], kind, int(i), int(j)
     assert best is not None
-    total, rigid = float(np.logaddexp.reduce(list(logs.values()))), still(moved)
+    total = float(np.logaddexp.reduce(list(logs.values())))
+    rigid = still(scene.moved)
+    if counted:
+        rigid = rigid / (rigid + (1.0 - rigid) * math.exp(min(max(regular(scene, total), -50.0), 500.0)))
     shares: dict[Kind, float] = {STILL.name: rigid}
     for kind in log_shares:
         shares[kind] = (1.0 - rigid) * float(np.exp(logs[kind] - total)) if kind in logs else 0.0

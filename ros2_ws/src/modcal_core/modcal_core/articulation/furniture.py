@@ -13,6 +13,10 @@
   smooth one may be.
 * Where a grasp is a ball, or slips, rotations say nothing of the object: one in ten, and then they are off by half a
   radian, or the hand keeps its orientation, one as often as the other.
+* One in twenty is no furniture but a stage, a rail or a bearing before an instrument for such: its play, and what
+  distorts the readings, are a tenth or a hundredth of the usual, and its axis is anywhere between 1 mm and a forearm
+  away. What measures it scatters by no more than that share of a usual millimetre, within a factor of 2.2. Without
+  these a bow of millimetres that is seen to micrometres would be play, and so would a turn about an axis 5 mm away.
 """
 
 from __future__ import annotations
@@ -30,3 +34,6 @@ DISTORTION = (2e-3, 0.01)  # m, rad
 DISTORTED = log(2.2)  # how far both may be off together
 DISTORTION_REACH = 0.3  # m
 SPAN = 1.0  # m over which a handle may move: as far as any, before it is seen
+FINE = (0.01, 0.1), 0.05  # times the usual sizes, and how often it is one of them
+NOISE = 1e-3  # m, of a usual sample
+NEAREST = log(1e-3)  # m, of a fine one's axis; logarithms alike up to a forearm

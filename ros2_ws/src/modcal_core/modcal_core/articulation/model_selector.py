@@ -139,7 +139,7 @@ class ModelSelector:
                 known[kind] = rows if len(rows) == len(FEW) else [rows[0]] * len(FEW)
         if not set(known) >= _USUAL:
             return False
-        self.probabilities, best, i, j = weigh(known, scene.moved, LOG_PLAYS[list(FEW)], _LOG_SHARES)
+        self.probabilities, best, i, j = weigh(known, LOG_PLAYS[list(FEW)], _LOG_SHARES, scene)
         won, self._won = self._won, best
         old = None if self.motion is None else self.motion.kind
         if old is not None and best not in (old, won) and old in known:

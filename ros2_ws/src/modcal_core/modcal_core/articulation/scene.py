@@ -47,6 +47,14 @@ _LOOSE_STEPS = np.array([-0.5, 0.5])
 _LARGER = np.array([-1.0, 0.0, 1.0])
 DISTORTIONS = np.exp(furniture.DISTORTED * _LARGER)  # times what is usual
 LOG_DISTORTIONS = -0.5 * _LARGER**2 - float(np.logaddexp.reduce(-0.5 * _LARGER**2))
+# distortion in units of the usual, play [m], log-probability of both: those of neighbours are alike
+SIZES = [(f, f * float(np.exp(furniture.PLAY[0])), math.log(furniture.FINE[1] / len(furniture.FINE[0])))
+         for f in furniture.FINE[0]]  # fmt: skip
+SIZES += [
+    (float(d), float(PLAYS[i]), float(LOG_DISTORTIONS[k] + LOG_PLAYS[i]) + math.log1p(-furniture.FINE[1]))
+    for k, d in enumerate(DISTORTIONS)
+    for i in (range(len(PLAYS)) if k % 2 == 0 else reversed(range(len(PLAYS))))
+]
 _FOLLOWS = np.exp(furniture.SWAY[0] + furniture.SWAY[1] * _STEPS)
 SWAYS = np.concatenate([
     _FOLLOWS, np.exp(furniture.LOOSE[0] + furniture.LOOSE[1] * _LOOSE_STEPS), _FOLLOWS

@@ -180,14 +180,16 @@ def _rotations(rotations: ArrayLike, n: int) -> Array:
 
 _LENGTH = 0.1  # m: a turn of 1 rad is as far as this shift
 _FIRST_REACH = 4e-3  # m
+_OF_EXTENT, _OF_NOISE = 1.0 / 8.0, 4.0  # of a small path's extent, and deviations of noise, that a node reaches
 FEWEST_NODES = 6  # while more are coming: a circle in space has six parameters
 
 
 class Nodes:
     """A track of any length as at most ``most`` pooled samples, in the order of their first sample."""
 
-    def __init__(self, oriented: bool, most: int = 32) -> None:
-        self.oriented, self.most, self.reach = oriented, most, _FIRST_REACH
+    def __init__(self, oriented: bool, most: int = 32, reach: float = _FIRST_REACH) -> None:
+        """Empty. reach: how far from a node samples join it, at first [m]."""
+        self.oriented, self.most, self.reach = oriented, most, reach
         self._width = 12 if oriented else 3
         self._rotations = np.zeros((most, 3, 3))
         self._stale = np.ones(most, dtype=bool)  # whose rotation is older than their sum
@@ -254,6 +256,15 @@ class Nodes:
         self._rotations[stale] = so3.nearest_rotation(m[stale, 3:].reshape(-1, 3, 3))
         self._stale[stale] = False
         return Track.trusted(m[:, :3], self._rotations[: self.k].copy())
+
+
+def pooled(track: Track, most: int, noise: float) -> Nodes:
+    """The nodes of a whole track. noise: of one sample on an axis [m]; nodes of a short path lie closer."""
+    reach = min(_FIRST_REACH, max(_OF_EXTENT * track.extent(), _OF_NOISE * noise))
+    nodes, ordered = Nodes(track.oriented, most, reach), one_way(track)
+    for i in range(len(track)):
+        nodes.add(ordered.positions[i], None if ordered.rotations is None else ordered.rotations[i])
+    return nodes
 
 
 def backwards(positions: Array) -> bool:
