@@ -26,6 +26,10 @@ is true of these servos; --late: mean delay of messages [s]; --integral: time of
 efforts: random scenes pulled by the joints' efforts alone, and with a sound force sensor. Joints have dry friction of
 1 to 4 % of their full effort and torque constants that are off by 5 %; the hand came freely to the handle before.
 
+matrix: sensors that tell all, a part or nothing of a force, or freeze before a jam, on servos and fingers of every
+stiffness, in this process. The hand came freely to the handle before (--blind: it did not, so that nothing is known of
+the sensor). At most 1.2 times what is stated may be felt, or the pull is refused before it begins.
+
 event: nodes killed, paused, stopped and deactivated at random moments of a pull; see events.py.
 
 Exit code 1 where a target is missed.
@@ -35,7 +39,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +82,7 @@ STUBBORN: dict[str, dict[str, Any]] = {
 }
 USUAL, SEALED, MAX_REFUSED = 50.0, 80.0, 1.2  # N that are stated; times that
 GRASPS = ("weld", "ball")
+REFUSED = ("tool_mass weighs",)
 REASONS = ("does not move", "stopped moving", "beyond the limit", "jammed")
 DOOR, DRAWER = {"kind": "door", "spring": 0.0, "friction": 0.5}, {"kind": "drawer", "spring": 0.0, "friction": 2.0}
 HEAVY, TRUCK = {**DOOR, "mass_kg": 40.0}, {**DRAWER, "mass_kg": 40.0}
@@ -119,12 +124,17 @@ NOISE = np.array([0.2] * 3 + [0.01] * 3)  # N, N m: that of the simulated sensor
 SHARES = {"deaf": 0.2, "half": 0.5, "unconnected": 0.0}
 SENSORS = (*(f"frozen {n}" for n in (0, 3, 12, 25)), "repeats 12", "stuck 3", "stuck 12", *SHARES, "sound")
 BY_EFFORTS, SOUND, MIN_SHARE = "efforts: alone", "efforts: sensor", 0.9
+SERVOS, FINGERS = (1500.0, 4000.0, 12e3, 30e3), (3e3, 20e3, 700e3)  # N m/rad, N/m
+PARTS = {"whole": 1.0, "half": 0.5, "third": 1.0 / 3.0, "fifth": 0.2, "frozen 3": 1.0, "stuck 12": 1.0}
+MATRIX = {f"matrix: {part}, {servo:.0f} N m/rad, {grasp / 1e3:.0f} kN/m": (part, servo, grasp)
+          for part in PARTS for servo in SERVOS for grasp in FINGERS}  # fmt: skip
 GROUPS: dict[str, tuple[tuple[str, ...], int]] = {  # names, and seeds of each
     "random": ((*PLAIN, OWN), 50),
     "stubborn": (tuple(STUBBORN), 2),
     "hard": (tuple(HARD), 1),
     "sensor": (tuple(f"sensor: {fault}" for fault in SENSORS), 12),
     "efforts": ((BY_EFFORTS, SOUND), 30),
+    "matrix": (tuple(MATRIX), 1),
     "event": (tuple(f"event: {event}" for event in events.EVENTS), 25),
 }
 
@@ -259,6 +269,37 @@ def by_efforts(task: harness.Task) -> harness.Result:
     return {**asdict(made), "done": made.done, "kind": scene.kind, "held": scene.grasp, "faults": faults}
 
 
+class Part(Sensor):
+    """Tells a part of everything, its weight and zero included, or is as a Sensor of another fault."""
+
+    def __init__(self, part: str, world: Pulling, rng: np.random.Generator) -> None:
+        super().__init__(part, world, rng)
+        self._part = PARTS[part]
+
+    def __call__(self, w: Array) -> Array:
+        whole = self.kind not in ("frozen", "stuck") or self._world.moves_freely
+        return self._part * w if whole else super().__call__(w)
+
+
+def of_matrix(task: harness.Task) -> harness.Result:
+    """A pull at what jams on its way; refused: whether before it began."""
+    (part, servo, grasp), seed = MATRIX[task["name"]], task["seed"]
+    rng, kind = np.random.default_rng([seed, 31]), ("door", "drawer")[seed % 2]
+    stop = float(rng.uniform(0.15, 0.5) if kind == "door" else rng.uniform(0.05, 0.2))
+    scene = draw(CHAIN, np.random.default_rng(seed), {"kind": kind, "grasp": GRASPS[seed // 2 % 2], "stop": stop})
+    drives = Servo(effort_limits(URDF, CHAIN.names), servo)
+    world = Pulling.of(URDF, CHAIN, replace(scene, fingers=grasp), rng, drives)
+    if not task["blind"]:
+        world.approach(10.0)  # slowly, so that the tool shows its weight and not its inertia
+    made = own_pull.pull(world, URDF, Part(part, world, rng))
+    refused = made.opened < 1e-3 and any(words in made.said for words in REFUSED)
+    faults = [f"{made.peak:.0f} N"] if made.peak > MAX_REFUSED * USUAL and not refused else []
+    if not task["blind"] and part == "whole" and made.opened < 0.9 * stop:
+        faults.append("let go before the stop")
+    return {**asdict(made), "part": part, "servo": servo, "fingers": grasp, "kind": kind, "held": scene.grasp,
+            "refused": refused, "faults": faults}  # fmt: skip
+
+
 def line(r: harness.Result) -> str:
     wrong = f" ({'; '.join(r['faults'])})" if r.get("faults") else ""
     return f"{r['kind']}, {r['held']}: {r['peak']:.0f} N, '{r['said']}'{wrong}"
@@ -275,6 +316,8 @@ def tasks_of(given: Any) -> list[harness.Task]:
                 if group == "hard":
                     grasps = GRASPS if given.grasp == "both" else [given.grasp]
                     out += [{**task, "seed": HARD_SEED + i, "grasp": grasp, **paced} for grasp in grasps]
+                elif group == "matrix":
+                    out.append({**task, "blind": given.blind})
                 elif group == "event":
                     out.append({**task, "seed": given.first + k * len(names) + i})
                 else:
@@ -287,10 +330,12 @@ def main() -> int:
         __doc__,
         **{"seeds": None, "jobs": 1, "names": [name for names, _ in GROUPS.values() for name in names]},
         **{"one_process": False, "time_factor": 1.0, "grasp": ("both", *GRASPS), "efforts": ("none", *KINDS)},
-        **{"servo": 4000.0, "stated": 100e3, "lead": 0.04, "late": 0.0, "integral": 0.0, "cascaded": False},
+        **{"servo": 4000.0, "stated": 100e3, "lead": 0.04, "late": 0.0, "integral": 0.0},
+        **{"cascaded": False, "blind": False},
     )
     results = harness.each(
-        dict.fromkeys(GROUPS, scene_of) | {"sensor": sensed, "efforts": by_efforts, "event": events.one},
+        dict.fromkeys(GROUPS, scene_of)
+        | {"sensor": sensed, "efforts": by_efforts, "matrix": of_matrix, "event": events.one},
         tasks_of(given),
         given,
         line,
@@ -333,7 +378,14 @@ def main() -> int:
     if sound := [seed for name, seed in done if name == SOUND]:
         opened_too = np.mean([(BY_EFFORTS, seed) in done for seed in sound])
         targets.append((f"opened by efforts at least {MIN_SHARE:.0%} of what a sensor opens", opened_too >= MIN_SHARE))
-    for group in ("sensor", "efforts", "event"):
+    for part in PARTS:  # rows of servos, columns of fingers
+        cells = {(r["servo"], r["fingers"]): "refused" if r["refused"] else f"{r['peak']:.0f} N"
+                 for r in of.get("matrix", []) if r["part"] == part}  # fmt: skip
+        for servo in SERVOS if cells else ():
+            harness.say(
+                f"{part:>9} {servo:6.0f} N m/rad " + "".join(f"{cells.get((servo, f), '–'):>9}" for f in FINGERS)
+            )
+    for group in ("sensor", "efforts", "matrix", "event"):
         targets.append((f"every pull of {group} as it should be", not any(r["faults"] for r in of.get(group, []))))
     idle = sum(bool(r["idle"]) for r in of.get("event", []))
     targets.append((f"{idle} pulls did not begin", idle <= len(of.get("event", [])) // 10))

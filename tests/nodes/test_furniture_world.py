@@ -23,8 +23,8 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.bodies import STANDARD_GRAVITY
 from modcal_core.robots.inverse_kinematics import inverse
-from modcal_nodes.simulation.furniture import KINDS, KNOWN, Furniture, draw, resistance
-from modcal_nodes.simulation.mjcf import GRASP_STIFFNESS, Servo
+from modcal_nodes.simulation.furniture import GRASP_STIFFNESS, KINDS, KNOWN, Furniture, draw, resistance
+from modcal_nodes.simulation.mjcf import Servo
 from modcal_nodes.simulation.pulling import Pulling, effort_limits
 
 URDF = urdf("panda")

@@ -291,5 +291,8 @@ class JointForce:
     def _look_up(self, J: Array) -> None:
         dry = _STANDING * ((1.0 - np.abs(self._side)) * self._friction) ** 2 + (self._side * self._unsure) ** 2
         A = J.T / (spread := np.sqrt(self._error**2 + dry))[:, None]
-        self.covariance = np.asarray(np.linalg.inv(A.T @ A + _PRIOR), dtype=float)
+        # a moment that stands out of what is usual is there: kept small, it would be taken for a force
+        prior, moment = _PRIOR.copy(), self.wrench[3:]
+        prior[3:, 3:] /= max(1.0, float(moment @ moment) * _PRIOR[5, 5])
+        self.covariance = np.asarray(np.linalg.inv(A.T @ A + prior), dtype=float)
         self._shows = np.asarray(self.covariance @ (A.T / spread), dtype=float)

@@ -107,6 +107,7 @@ def resistance(text: str) -> Resistance | None:
 
 
 KINDS = ("door", "drawer", "screw", "folding")
+GRASP_STIFFNESS = 20e3  # N/m: fingers, their pads and the panel behind a handle deflect before anything else does
 GRASPS = ("weld", "ball")
 GOAL_TURN = np.radians(60.0)  # rad, of what turns
 GOAL_SLIDE = 0.30  # m, of a drawer
@@ -135,6 +136,7 @@ class Furniture:
     mass: of what moves [kg]. stop: where it jams for good [rad; m], 0 where it is locked, -1 nowhere.
     resistance: what holds it back besides, None where nothing does.
     tool_mass [kg], tool_com (3,) [m, in the tool]: beyond the wrist sensor. tool_bias (6,): the sensor's zero [N, N m].
+    fingers: stiffness of the grasp [N/m].
     """
 
     kind: str
@@ -153,6 +155,7 @@ class Furniture:
     tool_com: Array
     tool_bias: Array
     resistance: Resistance | None = None
+    fingers: float = GRASP_STIFFNESS
 
     @property
     def turns(self) -> bool:

@@ -75,8 +75,8 @@ _WIDEST = (np.radians(110.0), 0.6)  # where doors and drawers end [rad, m]
 _HANDLE_MASS = 1e-3  # kg, so that the sensor behind it feels the grasp and nothing else
 _SECOND_FRICTION = 4.0  # of a folding door, times that of the first hinge
 _STIFF = 'solref="0.004 1" solimp="0.95 0.99 0.001"'  # of grasp, stops, couplings; 4 ms is as hard as 1 kHz allows
-# fingers, their pads and the panel behind a handle deflect before that does
-GRASP_STIFFNESS, GRASP_TURNING = 20e3, 200.0  # N/m, N m/rad
+_GRASP_TURNING = 200.0  # N m/rad
+_FINER, _SOFT = 4, 50e3  # times as many steps, and as hard a stop, where fingers are stiffer than that [N/m]
 _FINGERS, _FINGERS_GYRATION, _GRASP_DAMPING = 0.15, 0.08, 0.3  # kg, m, share of critical
 
 _STIFF_LIMIT = _STIFF.replace("solref", "solreflimit").replace("solimp", "solimplimit")
@@ -114,14 +114,16 @@ def furniture_mjcf(chain: Chain, inertias: Inertias, servo: Servo, scene: Furnit
     wrist, at the tool; ``grasp_force`` and ``grasp_torque`` behind the handle.
     """
     bodies = _arm(chain, inertias, scene, servo) + _object(scene)
-    return (
+    step = TIMESTEP / (_FINER if scene.fingers > _SOFT else 1)
+    text = (
         '<mujoco model="furniture"><compiler angle="radian" autolimits="true" balanceinertia="true"/>'
-        f'<option timestep="{TIMESTEP}" gravity="0 0 {-STANDARD_GRAVITY}" integrator="implicitfast">'
+        f'<option timestep="{step}" gravity="0 0 {-STANDARD_GRAVITY}" integrator="implicitfast">'
         f'<flag contact="disable"/></option><worldbody>{bodies}</worldbody>'
         f"<actuator>{_servos(chain, servo)}</actuator><equality>{_couplings(scene)}</equality><sensor>"
         '<force name="force" site="tool"/><torque name="torque" site="tool"/>'
         '<force name="grasp_force" site="handle"/><torque name="grasp_torque" site="handle"/></sensor></mujoco>'
     )
+    return text.replace('"0.004 1"', f'"{4.0 * step:g} 1"')
 
 
 def _arm(chain: Chain, inertias: Inertias, scene: Furniture, servo: Servo) -> str:
@@ -137,15 +139,15 @@ def _arm(chain: Chain, inertias: Inertias, scene: Furniture, servo: Servo) -> st
         )
     rest = scene.tool_mass - _FINGERS
     tool = _inertial(rest, scene.tool_mass / rest * scene.tool_com, 0.03) + '<site name="tool"/>'
-    out.append(f'<body gravcomp="1" {placed(chain.origins[-1])}>{tool}{_fingers()}</body>')
+    out.append(f'<body gravcomp="1" {placed(chain.origins[-1])}>{tool}{_fingers(scene.fingers)}</body>')
     return "".join(out) + "</body>" * chain.n
 
 
-def _fingers() -> str:
+def _fingers(grasp: float) -> str:
     joints = []
     for kind, stiffness, inertia in (
-        ("slide", GRASP_STIFFNESS, _FINGERS),
-        ("hinge", GRASP_TURNING, _FINGERS * _FINGERS_GYRATION**2),
+        ("slide", grasp, _FINGERS),
+        ("hinge", _GRASP_TURNING, _FINGERS * _FINGERS_GYRATION**2),
     ):
         damping = 2.0 * _GRASP_DAMPING * np.sqrt(stiffness * inertia)
         joints += [

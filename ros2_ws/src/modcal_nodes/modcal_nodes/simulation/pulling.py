@@ -22,7 +22,7 @@ from modcal_core.geometry import Array, se3
 from modcal_core.report import URDF, Articulation, VerbResult, articulation_report
 from modcal_core.robots import Chain, Inertias, chain_forward, read_chain, read_inertias
 from modcal_nodes.simulation.furniture import Furniture
-from modcal_nodes.simulation.mjcf import OBJECT, SECOND, TIMESTEP, Servo, furniture_mjcf
+from modcal_nodes.simulation.mjcf import OBJECT, SECOND, Servo, furniture_mjcf
 
 _SETTLE = 0.3  # s before time zero, for the grasp to take up what is left of the start posture's rounding
 _LONGEST_JUMP = 0.3  # rad; a driver refuses a reference further from the last one
@@ -45,7 +45,7 @@ class Pulling:
         self.chain, self.scene = chain, scene
         self._noise, self._rng = np.array([noise_n] * 3 + [noise_nm] * 3), rng
         self.model = mujoco.MjModel.from_xml_string(furniture_mjcf(chain, inertias, servo, scene))
-        self.data = mujoco.MjData(self.model)
+        self.data, self._step = mujoco.MjData(self.model), float(self.model.opt.timestep)
         self._arm = [self.model.joint(name).qposadr[0] for name in chain.names]
         self._arm_v = [self.model.joint(name).dofadr[0] for name in chain.names]
         assert self._arm == list(range(self._arm[0], self._arm[0] + chain.n)), self._arm
@@ -91,8 +91,8 @@ class Pulling:
         return float(self.data.time) - self.start
 
     def advance(self, seconds: float) -> None:
-        """Let so much time pass, in whole steps of a millisecond."""
-        for _ in range(round(seconds / TIMESTEP)):
+        """Let so much time pass, in whole steps of a millisecond or less."""
+        for _ in range(round(seconds / self._step)):
             if self._way is not None:
                 times, postures = self._way
                 self._reference = np.array([np.interp(self.data.time, times, column) for column in postures.T])
@@ -114,7 +114,7 @@ class Pulling:
             missing = self._reference - self.data.qpos[self._arm]
             if self._servo.cascaded:
                 missing = missing - self._servo.lag_s * self.data.qvel[self._arm_v]
-            self._wound += missing * (TIMESTEP / self._servo.integral_s)
+            self._wound += missing * (self._step / self._servo.integral_s)
         self.data.ctrl[:] = self._reference + self._wound
 
     def _resist(self) -> None:
@@ -153,7 +153,7 @@ class Pulling:
         start = np.array(self.scene.q)
         off = np.where(start + turn < self.chain.upper, turn, -turn)
         off = np.where(self.chain.revolute, off, 0.2 * off)
-        share = np.linspace(0.0, 1.0, 25)
+        share = np.linspace(0.0, 1.0, 250)
         smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
         ends = [start, start + off, np.clip(start - 0.5 * off, self.chain.lower + 0.01, self.chain.upper - 0.01), start]
         legs = [a + (b - a) * s for a, b in pairwise(ends) for s in smooth[1:]]
