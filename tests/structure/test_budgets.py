@@ -18,11 +18,11 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Package: lines and statements at most.
 CEILINGS: dict[str, tuple[int, int]] = {
-    "bench": (15590, 11290),
+    "bench": (15640, 11320),
     "launch": (80, 50),
     "modcal": (50, 30),
     "modcal_core": (2460, 1370),
-    "modcal_core/articulation": (5150, 3540),
+    "modcal_core/articulation": (5220, 3580),
     "modcal_core/calibration": (6980, 4330),
     "modcal_core/camera": (4620, 2980),
     "modcal_core/claim": (1240, 770),
@@ -56,12 +56,12 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (1970, 1420),
     "modcal_nodes/watching": (280, 200),
-    "tests": (47380, 32770),
+    "tests": (47400, 32790),
     "modcal_core/sentinel": (1070, 780),
 }
-SOURCE = (94500, 61900)
-TEXT = 188000  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
-FORMAT_SKIPS = 85
+SOURCE = (94600, 61900)
+TEXT = 188100  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+FORMAT_SKIPS = 86
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
 

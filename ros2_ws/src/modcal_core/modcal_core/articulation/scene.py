@@ -55,6 +55,7 @@ SIZES += [
     for k, d in enumerate(DISTORTIONS)
     for i in (range(len(PLAYS)) if k % 2 == 0 else reversed(range(len(PLAYS))))
 ]
+# how far rotations sway [rad], and log-probability: of hands that follow, that are loose, and that keep theirs
 _FOLLOWS = np.exp(furniture.SWAY[0] + furniture.SWAY[1] * _STEPS)
 SWAYS = np.concatenate([
     _FOLLOWS, np.exp(furniture.LOOSE[0] + furniture.LOOSE[1] * _LOOSE_STEPS), _FOLLOWS
