@@ -260,7 +260,7 @@ class RecordingBuilder:
         if not said.has("header/stamp/sec"):
             return received
         stamps = _seconds(said, "header/stamp")
-        without = (stamps == 0.0) & np.isfinite(received)
+        without = (stamps == 0.0) & np.isfinite(received) & (received != 0.0)  # a table may begin at zero
         if without.any():
             self._unstamped[topic] = self._unstamped.get(topic, 0) + int(without.sum())
         return np.where(without, received, stamps)
