@@ -192,7 +192,7 @@ def finalise(
         settled = fitted(tidy, tolerance=10.0 * FITTED, reject=not decided)
         tidy, last = least_change(settled.model, chain), settled
         fits.append(settled)  # which goes on from where the fit before it ended
-    made = _made((nominal.model, tidy, geometric), samples, choice.parameters, last, cell.distances)
+    made = _calibration((nominal.model, tidy, geometric), samples, choice.parameters, last, cell.distances)
     return replace(
         made,
         parameters=parameter_table(fit),
@@ -218,12 +218,12 @@ def as_used(full: Fit, alone: Fit, samples: Samples, at: Samples, distances: Seq
     low, high = samples.q.min(axis=0), samples.q.max(axis=0)
     if not ((at.q < low) | (at.q > high))[:, curved].any():
         return full.model
-    made = _made((alone.model, full.model, alone.model), samples, full.parameters, full, distances)
+    made = _calibration((alone.model, full.model, alone.model), samples, full.parameters, full, distances)
     beyond = made.fallback(full.model, alone.model)
     return replace(full.model, fallback=None if beyond is None else replace(beyond, model=alone.model))
 
 
-def _made(
+def _calibration(
     models: tuple[Model, Model, Model],
     samples: Samples,
     parameters: Sequence[ModelParameter],
