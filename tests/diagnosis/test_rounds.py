@@ -1,4 +1,4 @@
-"""Effects that one scan shows are those that are there; stand-ins give way, and what is not needed goes."""
+"""Effects that one scan shows are those that are there; stand-ins are replaced, and what is not needed is removed."""
 
 from __future__ import annotations
 

@@ -182,7 +182,7 @@ def test_joint_states_of_another_time_are_refused(late: float) -> None:
 
 
 def test_messages_of_other_joints_in_turn_are_told_apart() -> None:
-    """Names of the last message are remembered: others, in another order, or twice the same one, are looked at anew."""
+    """Names of the last message are remembered: others, in another order, or twice the same one, are looked at again."""
     heard = arm()
     for names, q in (("ab", (0.1, 0.2)), ("ba", (0.3, 0.4)), ("b", (0.5,)), ("xy", (9.0, 9.0)), ("ab", (0.6, 0.7))):
         heard.receive(stamped(1.0, name=list(names), position=list(q), velocity=[], effort=[]), 1.0, 0.1)

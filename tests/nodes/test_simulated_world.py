@@ -45,7 +45,7 @@ def postures(count: int = 30, seed: int = 4) -> Array:
 
 
 def perfect(compliance: Array | float = 0.0, T_tip_tool: Array | None = None) -> World:
-    """The UR10 as drawn, its masses as stated."""
+    """The nominal UR10 with its stated masses."""
     inertias = read_inertias(urdf("ur10"), CHAIN)
     return World(CHAIN, np.random.default_rng(0), 0.0, 0.0, None, T_tip_tool, inertias, compliance)
 

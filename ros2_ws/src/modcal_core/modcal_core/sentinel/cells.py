@@ -31,7 +31,7 @@ _FARTHEST = 0.2  # rad or m; a joint that is farther away does not follow this c
 
 @dataclass(frozen=True)
 class MonitoredArm:
-    """The arm that is watched. names: of its joints. chain, bodies: None where no description states them."""
+    """The arm that is watched. names: of its joints. chain, bodies: of its description, else None."""
 
     names: tuple[str, ...]
     chain: Chain | None = None

@@ -3,7 +3,7 @@
 Hypotheses, their prices and the prior of their sizes are those of ``moves``: the mean over all changes, and over the
 recordings that each may have begun with, of how much more probable they make what was recorded is an e-value. It is
 tempered: to the power at which no reference recording, each judged by the others, shows more than as many of them do by
-chance (Markov). A change is named when as much is met by chance once in a hundred hours of recordings.
+chance (Markov). The limit aims at one false name in a hundred hours of recordings.
 """
 
 from __future__ import annotations
