@@ -24,7 +24,7 @@ from modcal_nodes.cli.options import Decimal
 from modcal_nodes.ros import MUTUAL, interrupt, joined, passing, stopped_by, type_of
 
 _SPIN = 0.05  # s
-_KNOWN = 2.0  # s from a node's discovery, after which all that it offers is known
+_KNOWN = 2.0  # s without news of what a node offers, after which all of it is known
 _GONE = 5.0  # s without the server, after which no answer will come
 _TOLD = 2.0  # s between two lines of feedback in which only numbers have changed
 _SAID = ("outcome", "message", "success")  # of a result, in the first line
@@ -68,20 +68,22 @@ def call_command(node: str, name: str, written: str, patience: float, output: Ou
 
 
 def _found(here: Node, turn: Callable[[float], None], node: str, name: str, patience: float) -> tuple[str, str]:
-    """Full name and type of what a node is asked for. Raises BadCommand where it is not there."""
+    """Full name and type of what a node is asked for. Raises BadCommand where it is not there.
+
+    Discovery tells of services and actions in any order, so a service is taken only when no action can follow.
+    """
     space, _, leaf = node.rpartition("/")
     offered: dict[str, str] = {}
     end = time.monotonic() + patience
-    while time.monotonic() < end:
+    while time.monotonic() < end and "/action/" not in offered.get(name, ""):
         turn(_SPIN)
         with suppress(NodeNameNonExistentError):
             found = here.get_service_names_and_types_by_node(leaf, space or "/")
             found += get_action_server_names_and_types_by_node(here, leaf, space or "/")
-            if found and not offered:
-                end = min(end, time.monotonic() + _KNOWN)
-            offered = {each.removeprefix(f"{node}/"): types[0] for each, types in found}
-        if name in offered:
-            return name if name.startswith("/") else f"{node}/{name}", offered[name]
+            if (now := {each.removeprefix(f"{node}/"): types[0] for each, types in found}) != offered:
+                offered, end = now, time.monotonic() + _KNOWN
+    if name in offered:
+        return name if name.startswith("/") else f"{node}/{name}", offered[name]
     if offered:
         own = [each for each, kind in offered.items() if "/" not in each and not kind.startswith("rcl_interfaces")]
         raise BadCommand(f"{node}/{name}", "is neither a service nor an action", f"there are {', '.join(sorted(own))}")
