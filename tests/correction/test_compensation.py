@@ -19,7 +19,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import least_change, passing_directions
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.correction.compensation import compensate
+from modcal_core.correction.commander import compensate
 from modcal_core.correction.correction import ArmState, Correction, Target
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import AXIS, Effect
@@ -34,7 +34,7 @@ from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.robots.urdf import Inertias
 
 T0 = 1.7e9
 STEEP = Effect("gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint", Shape("sine", {"cycles": 160.0}))

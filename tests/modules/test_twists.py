@@ -20,8 +20,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.modules.catalogue import Catalogue
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.library import Assembly
-from modcal_core.modules.poe import chain_of, module_frames
+from modcal_core.modules.library import Assembly, chain_of, module_frames
 from modcal_core.modules.requirements import (
     dexterity,
     farthest_reach,
@@ -37,7 +36,7 @@ from modcal_core.robots.bodies import chain_gravity_wrench, payload_wrench
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import body_jacobian, chain_forward
 from modcal_core.robots.mechanism import random_postures
-from modcal_core.robots.urdf_inertias import read_inertias
+from modcal_core.robots.urdf import read_inertias
 
 CODING = Coding(LIBRARY)
 CATALOGUE = Catalogue(CODING)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.images import info_topic, lens_data, raw_image, read_corners, read_messages, size_of, stamp_of
     from modcal_msgs_py.images import stamps_of, tag_topics
     from modcal_msgs_py.layout import OneMessage, jazzy, learn
-    from modcal_msgs_py.lerobot import episodes_of, is_lerobot
+    from modcal_msgs_py.recording_write import episodes_of, is_lerobot
     from modcal_msgs_py.mcap_read import list_topics, read_recording
     from modcal_msgs_py.mcap_repair import Repair, repair_bag
     from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.commands import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_expected
     from modcal_msgs_py.commands import fill_markers, fill_object_state, fill_picture, seen
     from modcal_msgs_py.commands import status_values
-    from modcal_msgs_py.plain_data import fill_message, message_data
+    from modcal_msgs_py.playing import fill_message, message_data
     from modcal_msgs_py.playing import OfferedTopic, messages_in_order, offered_topics
     from modcal_msgs_py.readings import SignalsHeard, nanoseconds, reading_of, seconds, set_nanoseconds, set_seconds
     from modcal_msgs_py.recording_write import write_recording

@@ -9,12 +9,12 @@ if TYPE_CHECKING:
     from modcal_core.camera.bundle import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, MARKER_CORNERS, TAG, BoardView
     from modcal_core.camera.bundle import BundleMarker, MarkerBundle, PrintedTarget
     from modcal_core.camera.fit import CameraImages
-    from modcal_core.camera.causes import CameraCause
+    from modcal_core.camera.changes import CameraCause
     from modcal_core.camera.claim import ALL_BUT_IMAGES, APPLY, CANNOT_TELL, ToolError
     from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, SHAPE_NAMES
     from modcal_core.camera.corners import MIN_CORNERS, CameraState, CornerTable, corner_rows, enough_corners, grams
     from modcal_core.camera.fit import CameraFit, uncertainty_about
-    from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
+    from modcal_core.camera.mounting import board_poses, first_lens, fit_lens
     from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, STATED, Lens
     from modcal_core.camera.mounting import MIN_VIEWS
     from modcal_core.camera.equations import ReadingsBeside, beside

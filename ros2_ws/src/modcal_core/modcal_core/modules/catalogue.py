@@ -14,8 +14,7 @@ import numpy as np
 
 from modcal_core.geometry import Array, se3
 from modcal_core.modules.coding import BASES, Coding
-from modcal_core.modules.library import SIZES, TURNS, ModuleType
-from modcal_core.modules.poe import TURN
+from modcal_core.modules.library import SIZES, TURN, TURNS, ModuleType
 from modcal_core.modules.urdf import body, path
 
 

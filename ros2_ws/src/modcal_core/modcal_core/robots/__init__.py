@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.delta_kinematics import tool_positions
     from modcal_core.robots.dh import from_dh, plain, read_rows, to_dh, vector
     from modcal_core.robots.fastest_motion import JointPath, constant_bounds, motion, within_bounds, within_torque
-    from modcal_core.robots.inverse_kinematics import inverse, inverse_batch
+    from modcal_core.robots.mechanism import inverse, inverse_batch
     from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames
     from modcal_core.robots.kinematics import pose_and_jacobian, spatial_jacobian
     from modcal_core.robots.acceleration import LoadedArm, require_method
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_cpc, from_csv, from_table, from_ur_conf
     from modcal_core.robots.tables import loss, nearest_dh, to_cpc, to_csv, to_table
     from modcal_core.robots.urdf import joint_origins, other_tips, read_chain, read_path
-    from modcal_core.robots.urdf_inertias import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
-    from modcal_core.robots.urdf_inertias import moved_centres, read_inertias, weightless
+    from modcal_core.robots.urdf import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
+    from modcal_core.robots.urdf import moved_centres, read_inertias, weightless
     from modcal_core.robots.urdf_tree import CollisionShape, Tree, collision_shapes, parse, rerooted
     from modcal_core.robots.urdf_write import calibrated_urdf, chain_urdf, joint_element
     from modcal_core.robots.urdf_write import number, origin_element, ros2_control_offsets, urdf_text, xacro_origins
-    from modcal_core.robots.weighing import Stands, Weighed, gravity_columns, gravity_efforts, weigh
+    from modcal_core.robots.bodies import Stands, Weighed, gravity_columns, gravity_efforts, weigh
 else:
     from modcal_core.lazy import lazy_face
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from modcal_nodes.calibrating.diagnostics import Standing, collected, model_status, sample_status, standing_of_json
     from modcal_nodes.calibrating.intake import CommandSubscription, Intake, KnownArm, lacking, listen, policy
     from modcal_nodes.calibrating.intake import require_policy
-    from modcal_nodes.calibrating.publishers import Publishers
+    from modcal_nodes.calibrating.check import Publishers
     from modcal_nodes.calibrating.state import StateFolder
     from modcal_nodes.calibrating.worker import SolveWorker, Solved, condense, solve
 else:

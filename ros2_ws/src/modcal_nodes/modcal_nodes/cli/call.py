@@ -18,9 +18,8 @@ from modcal_core.errors import BadCommand, plain
 from modcal_core.files import parse_yaml, to_yaml
 from modcal_core.report import Summary, SummaryLine
 from modcal_msgs_py import fill_message, message_data
-from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.options import Decimal
+from modcal_nodes.cli.options import UNMET, Decimal
 from modcal_nodes.ros import MUTUAL, interrupt, joined, passing, stopped_by, type_of
 
 _SPIN = 0.05  # s

@@ -16,9 +16,8 @@ from modcal_core.public import check
 from modcal_core.report import calibration_files, checkup_report, report_files
 from modcal_core.robots import is_serial_arm, read_chain
 from modcal_nodes.cli.calibrate import CertifiedOptions, calibration_name, certified, frozen_samples
-from modcal_nodes.cli.certificate import certified_hashes, exit_code, particulars
 from modcal_nodes.cli.console import Output, saving
-from modcal_nodes.cli.options import EXISTING, given
+from modcal_nodes.cli.options import EXISTING, certified_hashes, exit_code, given, particulars
 from modcal_nodes.io import of_cell
 
 

@@ -18,9 +18,8 @@ from modcal_core.measurements import require
 from modcal_core.moves import Values, series_of, values_of
 from modcal_core.outcome import offsets_of
 from modcal_core.report import History, HistoryEntry, Side, compare, history_report
-from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, saving
-from modcal_nodes.cli.options import EXISTING, Decimal
+from modcal_nodes.cli.options import EXISTING, UNMET, Decimal
 from modcal_nodes.io import SCHEMA
 
 _DATED = re.compile(r"(\d{4}-\d{2}-\d{2})")

@@ -198,8 +198,7 @@ def plan_command(robot: Path | None, output: Output, options: PlanOptions) -> No
 
 
 def _by_camera(robot: Path | None, asked: PlanOptions, output: Output) -> None:
-    from modcal_nodes.cli.camera import plan_next_images
-    from modcal_nodes.cli.camera_input import CameraOptions
+    from modcal_nodes.cli.camera_input import CameraOptions, plan_next_images
 
     if asked.camera is None or asked.target is None:
         joints = asked.target is None and asked.camera is None

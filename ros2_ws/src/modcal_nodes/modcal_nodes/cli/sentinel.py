@@ -13,10 +13,9 @@ from modcal_core.report import sentinel_report
 from modcal_core.robots import read_inertias
 from modcal_core.sentinel import BagHistory, Cells, MonitoredArm, Normal, cells_of, judge_bags
 from modcal_msgs_py import episodes_of, is_lerobot, read_recording
-from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, saving
 from modcal_nodes.cli.inputs import described
-from modcal_nodes.cli.options import EXISTING, given
+from modcal_nodes.cli.options import EXISTING, UNMET, given
 from modcal_nodes.io import ChainOptions, TopicOptions, Watch, option, repeated
 
 

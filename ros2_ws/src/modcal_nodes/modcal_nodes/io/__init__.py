@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from modcal_nodes.io.options import ChainOptions, FrozenOptions, Options, SplitOptions, TopicOptions
     from modcal_nodes.io.options import Watch, option, repeated, silent
     from modcal_nodes.io.recorded import calibrate_bag, of_calibrated, opened
-    from modcal_nodes.io.report_schema import SCHEMA
+    from modcal_nodes.io.options import SCHEMA
 else:
     from modcal_core.lazy import lazy_face
 

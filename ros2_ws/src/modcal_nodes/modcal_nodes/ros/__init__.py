@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_nodes.ros.actions import DONE, FAILED, REFUSED, Action, interface
-    from modcal_nodes.ros.declaring import declare, follow
+    from modcal_nodes.ros.lifecycle import declare, follow
     from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, Refusals, noted
-    from modcal_nodes.ros.joining import MUTUAL, interrupt, joined, passing, stopped_by, type_of
+    from modcal_nodes.ros.topic_recorder import MUTUAL, interrupt, joined, passing, stopped_by, type_of
     from modcal_nodes.ros.launch_files import LAUNCHES
     from modcal_nodes.ros.lifecycle import ManagedNode, StatedNode
     from modcal_nodes.ros.parameters import ACCELERATION_LIMITS, ARTICULATION_ESTIMATOR, BOARD_DETECTOR, CALIBRATOR
