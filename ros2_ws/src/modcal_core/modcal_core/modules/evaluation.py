@@ -27,11 +27,10 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.modules.catalogue import Arms, Catalogue
 from modcal_core.modules.coding import BASES, Coding
 from modcal_core.modules.library import Library
 from modcal_core.modules.requirements import ARM, CODE, POSTURE, REACH, REQUIREMENTS, Options, structure
-from modcal_core.modules.targets import Target, TargetPostures, reach, starts
+from modcal_core.modules.targets import Arms, Catalogue, Target, TargetPostures, reach, starts
 
 MET = -1  # no requirement is broken
 _KEPT = 3  # starts that go on after the first steps

@@ -11,10 +11,21 @@ from modcal_core.articulation import Choice, JointFit, JointModel, Track, descri
 from modcal_core.files import to_json
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import spread_rows
-from modcal_core.report.blocks import Block, Figures, Paragraph, Scene3D, Section, TableBlock, VerbResult
+from modcal_core.report.blocks import (
+    Block,
+    Figures,
+    Page,
+    Paragraph,
+    Quantity,
+    Scene3D,
+    Section,
+    TableBlock,
+    VerbResult,
+    in_units,
+    quantity_tables,
+)
 from modcal_core.report.charts import Axis, Chart
 from modcal_core.report.figures import MAX_MARKS, mark_components, residual_panel
-from modcal_core.report.page import Page, Quantity, in_units, quantity_tables
 from modcal_core.report.tables import STATISTICS
 
 _MAX_SEEN, _MAX_PLACES = 400, 61  # that a page can show and a person look through

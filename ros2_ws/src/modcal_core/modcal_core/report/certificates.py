@@ -16,9 +16,8 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, counted
-from modcal_core.report.blocks import Block, Facts, Figures, Listing, Paragraph, Section, Signatures, tone_of
+from modcal_core.report.blocks import Block, Facts, Figures, Listing, Page, Paragraph, Section, Signatures, tone_of
 from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
-from modcal_core.report.page import Page
 from modcal_core.report.particulars import Particulars
 from modcal_core.report.tables import STATISTICS, error_tables
 from modcal_core.verdict import PoseTest, Tolerance, pose_test

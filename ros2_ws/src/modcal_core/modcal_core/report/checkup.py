@@ -15,15 +15,16 @@ from modcal_core.report.blocks import (
     Block,
     Figures,
     Listing,
+    Page,
     Section,
     Summary,
     SummaryLine,
     TableBlock,
     VerbResult,
+    files_section,
     tone_of,
 )
 from modcal_core.report.charts import AFTER, BAD, BEFORE, SOFT, Axis, Chart, Panel
-from modcal_core.report.page import Page, files_section
 from modcal_core.report.tables import csv_text, stations_table
 from modcal_core.sentinel import ArmVerdict
 

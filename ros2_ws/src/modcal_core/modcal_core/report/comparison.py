@@ -16,8 +16,7 @@ from modcal_core.files import to_json
 from modcal_core.moves import Series
 from modcal_core.outcome import ToolDifference, tool_difference
 from modcal_core.report.as_json import picked, sizes_to_json
-from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, VerbResult, legend, tone_of
-from modcal_core.report.page import scaled
+from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, VerbResult, legend, scaled, tone_of
 
 _MAX_SAID = 90  # characters of a verdict in a table
 

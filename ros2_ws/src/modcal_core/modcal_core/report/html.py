@@ -20,10 +20,14 @@ from modcal_core.report.blocks import (
     Fold,
     HeatTable,
     Listing,
+    Page,
     Paragraph,
     Section,
     TableBlock,
     Tiles,
+    files_section,
+    parameter_tables,
+    size_tables,
     tone_of,
 )
 from modcal_core.report.figures import (
@@ -33,7 +37,6 @@ from modcal_core.report.figures import (
     scene,
     timeline,
 )
-from modcal_core.report.page import Page, files_section, parameter_tables, size_tables
 from modcal_core.report.tables import (
     STATISTICS,
     STATUS_WORDS,

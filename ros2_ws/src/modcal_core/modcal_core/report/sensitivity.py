@@ -17,17 +17,18 @@ from modcal_core.report.blocks import (
     Figures,
     Fold,
     Listing,
+    Page,
     Scene3D,
     Section,
     SummaryLine,
     TableBlock,
     VerbResult,
     explained,
+    files_section,
     legend,
 )
 from modcal_core.report.charts import AFTER, GOOD, LARGE, Axis, Chart, Panel
 from modcal_core.report.figures import MAX_POINTS, ShownPostures, arm_lines
-from modcal_core.report.page import Page, files_section
 from modcal_core.report.tables import STATISTICS, csv_text, percent, stations_table
 from modcal_core.robots import is_serial_arm, plain
 

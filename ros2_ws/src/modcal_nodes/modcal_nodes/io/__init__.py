@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from modcal_nodes.io.inputs import read_particulars, read_topics, stated_from
     from modcal_nodes.io.options import ChainOptions, FrozenOptions, Options, SplitOptions, TopicOptions
     from modcal_nodes.io.options import Watch, option, repeated, silent
-    from modcal_nodes.io.recorded import calibrate_bag, of_calibrated, opened
+    from modcal_nodes.io.inputs import calibrate_bag, of_calibrated, opened
     from modcal_nodes.io.options import SCHEMA
 else:
     from modcal_core.lazy import lazy_face
