@@ -37,18 +37,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["CLOUD", "FLUSH_SECONDS", "JOINT_COMMANDS", "JOINT_STATES", "READINGS", "SUFFIXES", "TAGS", "TYPES"]
-__all__ += ["AddedTopic", "Bag", "BagWriter", "Colour", "Commands", "JointInput", "JointStateBytes", "Joints"]
-__all__ += ["ObjectInput", "OfferedTopic", "OneMessage", "PackedMessage", "RawImage", "RecordingBuilder", "Repair"]
-__all__ += ["Signal", "SignalsHeard", "Topics", "accepted", "arrows", "calibration_data", "caption", "chosen_topic"]
-__all__ += ["colour_of", "corner_topics", "desired_pose", "dots", "ellipsoids", "fill_accelerations"]
-__all__ += ["fill_calibration", "fill_change", "fill_checked", "fill_corners", "fill_estimate", "fill_expected"]
-__all__ += ["fill_identity", "fill_markers", "fill_message", "fill_object_state", "fill_object_status", "fill_picture"]
-__all__ += ["fill_point", "fill_pose", "fill_target", "fill_verdict", "fill_wrench", "image_topics", "info_topic"]
-__all__ += ["jazzy", "learn", "lens_data", "list_topics", "message_data", "messages_in_order", "nanoseconds"]
-__all__ += ["offered_topics", "qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording"]
-__all__ += ["reading_of", "repair_bag", "require_new", "require_version", "role_of", "seconds", "seen"]
-__all__ += ["set_nanoseconds", "set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics"]
-__all__ += ["why_left_out", "wrench_numbers", "write_recording"]
-__all__ += ["asked_of_box", "episodes_of", "fill_held_box", "is_lerobot"]

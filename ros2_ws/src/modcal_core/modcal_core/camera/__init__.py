@@ -27,13 +27,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL", "CHARUCO", "CHESSBOARD", "COMMON"]
-__all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE"]
-__all__ += ["POSE", "READOUT", "SCALE", "SHAPE", "SHAPE_NAMES", "STATED", "TAG", "BoardView", "BundleMarker"]
-__all__ += ["CameraCause", "CameraFit", "CameraImages", "CameraProblem", "CameraSolution", "CameraState"]
-__all__ += ["CameraWatch", "CornerTable", "ImageMoments", "Lens", "MarkerBundle", "Moved"]
-__all__ += ["PrintedTarget", "ReadingsBeside", "ToolError", "beside", "board_poses", "corner_rows"]
-__all__ += ["enough_corners", "first_lens", "fit_lens", "grams", "plan_images"]
-__all__ += ["read_any_target", "read_target", "solve_camera", "target_from_data", "target_to_data"]
-__all__ += ["ViewSpread", "uncertainty_about", "view_distances"]

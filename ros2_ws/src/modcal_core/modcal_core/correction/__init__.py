@@ -15,8 +15,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ArmState", "CalibratedRobot", "Commander", "CommanderSettings", "Correction", "GripperRays"]
-__all__ += ["HeldBox", "JointSetpoint", "Placing", "StackPlace", "held_box", "placing", "rests"]
-__all__ += ["Residuals", "arm_state_of", "corrected_urdf", "ellipsoid", "enlarged_axes", "finite", "joint_axes"]
-__all__ += ["known_to", "residuals", "tool_ellipsoid"]

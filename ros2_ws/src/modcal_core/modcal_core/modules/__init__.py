@@ -19,9 +19,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["JOINT", "Assembly", "Coding", "Generation", "Library", "Module", "ModuleError", "ModuleErrors", "Synthesis"]
-__all__ += ["SynthesisTask", "Watch", "assembly_from_data", "assembly_to_data", "chain_of", "described", "incidence_of"]
-__all__ += ["learn", "library_from_data", "module_frames", "picture", "published", "recording_evidence", "sentence"]
-__all__ += ["store_from_data", "store_to_data", "surprise", "synthesize", "task_from_data", "to_data", "to_markdown"]
-__all__ += ["twists_from_data", "urdf_of", "with_recording"]

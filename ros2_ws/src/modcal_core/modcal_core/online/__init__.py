@@ -10,6 +10,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ASKED", "BETTER", "SUSPECTED", "ChangeHypothesis", "Estimator", "Policy", "RandomWalk", "SampleStream"]
-__all__ += ["Supervisor"]

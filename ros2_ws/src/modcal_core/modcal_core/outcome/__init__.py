@@ -16,8 +16,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["STAGES", "Finding", "Outcome", "Step", "ToolDifference", "Trace", "at_tool", "counted", "description_note"]
-__all__ += ["findings", "instrument_notes", "iso_date", "load_findings", "load_notes", "moved_note", "not_asked_note"]
-__all__ += ["offsets_of", "one_instrument_notes", "parameters", "readmitted_note", "residual_notes", "stated_note"]
-__all__ += ["tool_difference", "unproved_note", "unseen_note"]

@@ -27,12 +27,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ACCURACY", "ARMS", "BATCH", "CANDIDATES", "CRITERIA", "DESIGNS", "MAX_STATIONS", "NAMED", "PROOF"]
-__all__ += ["RETURNS", "SKIPPED", "STARTS", "UNSEEN", "Advice", "Advisor", "ClosedChain", "DecidingStations"]
-__all__ += ["FilledTable", "Goal", "Measured", "Method", "Plan", "PlanRequest", "Pool", "Session", "Site", "Spheres"]
-__all__ += ["Station", "Studied", "Study", "TimedMotion", "Trajectory", "allowed", "calibration_chain", "clearance"]
-__all__ += ["design", "dh_closed_chain", "free_way", "from_data", "from_side", "of_recording", "of_robot"]
-__all__ += ["orthogonal_array", "plan", "propose", "require_likely", "sensitivity", "site_from_data", "sizes_of"]
-__all__ += ["spheres_of", "stations_from_data", "stations_from_rows", "study", "text_of", "timed", "to_data"]
-__all__ += ["to_table", "trajectory_from_data", "undecided_by_posture", "with_limits", "with_returns", "with_table"]

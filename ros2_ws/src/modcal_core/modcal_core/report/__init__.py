@@ -20,10 +20,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["REMEDY", "STATUS_WORDS", "URDF", "Articulation", "Hashes", "History", "HistoryEntry", "LimitsFound"]
-__all__ += ["Particulars", "Report", "Side", "Summary", "SummaryLine", "TableBlock", "Tone", "VerbResult"]
-__all__ += ["articulation_report", "calibration_files", "camera_certificate", "camera_report", "camera_tolerance"]
-__all__ += ["certificate", "certificate_html", "checkup_data", "checkup_report", "compare", "csv_text", "explained"]
-__all__ += ["history_report", "is_made_from", "kinematics_text", "limits_report", "plan_report", "report_files"]
-__all__ += ["sensitivity_report", "sentence", "sentinel_report", "short_status", "summary", "to_json_data"]

@@ -36,21 +36,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DISTAL", "DOWN", "LEAN", "NO_HASH", "OFFSET"]
-__all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain"]
-__all__ += ["CollisionShape", "Delta", "Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight"]
-__all__ += ["Inertias", "JointColumns", "JointPath", "LoadedArm", "Mechanism", "NearestTable", "Payload", "Stands"]
-__all__ += ["Tree", "Weighed", "Window", "bias_torque", "body_jacobian", "calibrated_urdf", "chain_forward"]
-__all__ += ["chain_gravity_wrench", "chain_urdf", "collision_shapes", "constant_bounds", "delta_from_data"]
-__all__ += ["delta_inverse", "delta_to_data", "equivalent_inertia", "followers_of", "forward", "frames", "from_cpc"]
-__all__ += ["from_csv", "from_dh", "from_table", "from_ur_conf", "from_ur_kinematics", "gravity_wrench", "held_behind"]
-__all__ += ["gravity_columns", "gravity_efforts"]
-__all__ += ["inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element", "joint_origins", "joint_ranges"]
-__all__ += ["kinematics_yaml_data", "lacks_hash", "loss", "mass_matrix", "motion", "moved_centres", "nearest_dh"]
-__all__ += ["number", "offset_wrench", "origin_element", "other_tips", "parse", "passable", "payload_wrench", "plain"]
-__all__ += ["pose_and_jacobian", "position_jacobians", "random_postures", "reachable", "read_chain", "read_drives"]
-__all__ += ["read_inertias", "read_path", "read_rows", "require_method", "rerooted", "ros2_control_offsets"]
-__all__ += ["rotation_to_axis", "spatial_jacobian", "takes", "to_cpc", "to_csv", "to_dh", "to_table", "tool_frames"]
-__all__ += ["tool_pose", "tool_positions", "torque", "urdf_text", "vector", "weigh", "weightless", "with_payload"]
-__all__ += ["within_bounds", "within_torque", "xacro_origins"]

@@ -14,5 +14,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["MeasuredArm", "Proposal", "Tables", "find", "import_tables", "json_schema", "read_tables", "read_track"]

@@ -19,7 +19,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["Buffer", "ByCamera", "CheckService", "CommandSubscription", "CornerIntake", "Intake", "KnownArm"]
-__all__ += ["Publishers", "SolveWorker", "Solved", "Standing", "StateFolder", "collected", "condense", "lacking"]
-__all__ += ["listen", "model_status", "policy", "require_policy", "sample_status", "solve", "standing_of_json"]

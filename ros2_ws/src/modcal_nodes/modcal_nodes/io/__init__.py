@@ -16,8 +16,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["SCHEMA", "ChainOptions", "FrozenOptions", "Options", "SplitOptions", "TopicOptions", "Watch"]
-__all__ += ["calibrate_bag", "calibration_of", "of_calibrated", "of_cell", "opened", "option", "read_assembly"]
-__all__ += ["read_calibration", "read_cell", "read_delta", "read_library", "read_particulars", "read_topics"]
-__all__ += ["repeated", "silent", "stated_from"]

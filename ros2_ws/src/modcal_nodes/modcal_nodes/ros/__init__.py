@@ -23,12 +23,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ACCELERATION_LIMITS", "ARTICULATION_ESTIMATOR", "BOARD_DETECTOR", "CALIBRATOR", "CORRECTOR", "DONE"]
-__all__ += ["DOOR_DEMO", "ERROR", "FAILED", "FRESH", "IMPEDANCE_SETPOINT", "LATCHED", "LAUNCHES", "MUTUAL", "OK"]
-__all__ += ["RECORDER", "REFUSED", "SENSOR", "SIMULATED_CELL", "SIMULATED_FURNITURE", "STATION_RUNNER"]
-__all__ += ["TRAJECTORY_SENDER", "UNHEARD", "VIEWER", "WARN", "Action", "Broadcaster", "Complaint", "GuardedNode"]
-__all__ += ["Health", "ManagedNode", "MonitoredSubscription", "NodeEnds", "Parameter", "Refusals", "StatedNode"]
-__all__ += ["Status", "Taken", "TopicRecorder", "always", "corrected_frame", "declare", "follow", "interface"]
-__all__ += ["interrupt", "joined", "log_at", "noted", "passing", "run", "settle_in", "static_frames", "stopped_by"]
-__all__ += ["subscription_status", "tracker_status", "type_of"]

@@ -18,6 +18,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["SWITCHES", "TRACKER", "TRACKER_PHASE", "Beat", "CellTime", "Grid", "Plant", "Poses", "PullRecord"]
-__all__ += ["Pulling", "Rates", "Servo", "States", "World", "draw", "effort_limits", "legs", "recorded", "stamp"]

@@ -17,7 +17,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["Coach", "ImageFolder", "annotated", "board_pose", "camera_key", "detect", "draw_sheet", "grey_of"]
-__all__ += ["images_worth", "joint_column", "lens_from_data", "read_bag_images", "read_camera_info"]
-__all__ += ["read_corner_tables", "read_images", "require_size", "worth_line"]
