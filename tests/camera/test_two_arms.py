@@ -35,7 +35,7 @@ from modcal_msgs_py.layout import message_class
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_nodes.cli.camera_input import arm_between
 from modcal_nodes.cli.main import run
-from modcal_nodes.simulation.machine import World
+from modcal_nodes.simulation.mjcf import World
 
 CAMERA_ON_LEFT = se3.transform(so3.exp([0.02, 0.01, 0.7]), [0.06, 0.02, 0.03])
 

@@ -34,7 +34,7 @@ from modcal_msgs_py.commands import fill_pose
 from modcal_msgs_py.readings import seconds, set_seconds
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_calibration
-from modcal_nodes.simulation.machine import World
+from modcal_nodes.simulation.mjcf import World
 from modcal_nodes.simulation.plant import make_world
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"

@@ -30,7 +30,7 @@ from modcal_core.robots.mechanism import passable
 from modcal_core.robots.urdf import read_chain, read_inertias
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.delta_world import make_delta_world
-from modcal_nodes.simulation.machine import World
+from modcal_nodes.simulation.mjcf import World
 from modcal_nodes.simulation.plant import SWITCHES, Grid, Switches, make_world
 from modcal_nodes.simulation.program import Program, legs, tour, within_limits
 

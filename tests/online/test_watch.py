@@ -18,7 +18,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.supervisor import ChangeDetector, find_change
-from modcal_nodes.simulation.machine import World
+from modcal_nodes.simulation.mjcf import World
 
 NOISE_M, NOISE_RAD = 5e-5, 5e-5
 

@@ -25,7 +25,7 @@ from modcal_core.report.as_json import loads_to_json
 from modcal_core.report.charts import AFTER, BAD, Axis, Chart, Panel, round_numbers
 from modcal_core.robots.urdf import Inertias
 from modcal_core.verdict.contradicted import long_tool, sane_inertias
-from modcal_nodes.simulation.machine import World
+from modcal_nodes.simulation.mjcf import World
 
 CHAIN = ur10()
 SANE = Inertias(np.full(6, 3.0), np.tile([0.1, 0.0, 0.1], (6, 1)), np.zeros((6, 3, 3)))

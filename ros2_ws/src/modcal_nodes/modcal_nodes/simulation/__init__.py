@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from modcal_nodes.simulation.plant import Rates
     from modcal_nodes.simulation.plant import recorded
     from modcal_nodes.simulation.spoken import Poses, States, stamp
-    from modcal_nodes.simulation.machine import World
+    from modcal_nodes.simulation.mjcf import World
 else:
     from modcal_core.lazy import lazy_face
 

@@ -23,7 +23,7 @@ from modcal_core.robots import Chain, Delta, Inertias, Mechanism, read_chain, re
 from modcal_nodes.io import Watch, read_delta, silent
 from modcal_nodes.ros import OK, WARN, Status
 from modcal_nodes.simulation.delta_world import make_delta_world, require_drivable
-from modcal_nodes.simulation.machine import Machine, World, tracker_and_tool
+from modcal_nodes.simulation.mjcf import Machine, World, tracker_and_tool
 from modcal_nodes.simulation.program import Program, tour, within_limits
 
 if TYPE_CHECKING:
