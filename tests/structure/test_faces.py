@@ -95,5 +95,5 @@ def test_no_face_shows_a_name_that_a_file_inside_has() -> None:
         for found in imports_of(face.split(".")[0], MODULES[face])
         if hidden_by_a_file(face, found.module)
     ]
-    assert hidden_by_a_file("modcal_core.report", "modcal_core.report.tables.page")
+    assert hidden_by_a_file("modcal_core.report", "modcal_core.report.tables.charts")
     assert not hidden_by_a_file("modcal_core.geometry", "modcal_core.geometry.so3")
