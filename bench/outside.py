@@ -45,7 +45,8 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import ORDER_ONLY, JointTrack, ReadingTrack, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.preprocess import prepare
-from modcal_core.robots.urdf import read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.inputs import read_robot
 
 Array = np.ndarray

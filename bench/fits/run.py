@@ -42,7 +42,8 @@ from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples, between
 from modcal_core.preprocess import prepare
 from modcal_core.robot import Robot
-from modcal_core.robots.urdf import read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 
 TRUE_MM = 1e-3  # RMS that a fit to exact readings may leave to count as the truth
 MAX, NAMED = 1.1, 0.95  # times the floor, and share of the seeds, that a Delta has to reach

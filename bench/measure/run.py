@@ -41,7 +41,8 @@ from modcal_core.planning.pool import of_recording, of_robot
 from modcal_core.planning.session import FRAME, POINT, POSE, Session, Station
 from modcal_core.planning.site import Noise, Site
 from modcal_core.robot import Robot
-from modcal_core.robots.urdf import read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.measuring import Replay
 
 Array = np.ndarray

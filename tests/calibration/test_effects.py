@@ -24,7 +24,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.urdf import Inertias, read_inertias
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
 ELBOW, LIFT, WRIST = "elbow_joint", "shoulder_lift_joint", "wrist_2_joint"
 T0 = 1.7e9

@@ -30,7 +30,8 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.report.report import calibration_files
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
-from modcal_core.robots.urdf import HeldBehind, Inertias, joint_origins, read_chain
+from modcal_core.robots.urdf import joint_origins, read_chain
+from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 
 @pytest.mark.slow

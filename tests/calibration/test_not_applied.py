@@ -20,7 +20,7 @@ from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.urdf import Inertias
+from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.verdict.not_applied import carried_over
 
 CHAIN = ur10()

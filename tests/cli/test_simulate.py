@@ -14,7 +14,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording
 from modcal_core.preprocess import prepare
 from modcal_core.robots.kinematics import chain_forward
-from modcal_core.robots.urdf import read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_delta

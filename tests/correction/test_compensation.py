@@ -34,7 +34,7 @@ from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
-from modcal_core.robots.urdf import Inertias
+from modcal_core.robots.urdf_inertias import Inertias
 
 T0 = 1.7e9
 STEEP = Effect("gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint", Shape("sine", {"cycles": 160.0}))

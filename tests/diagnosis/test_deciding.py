@@ -25,7 +25,7 @@ from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.planning.next_stations import propose, undecided_by_posture
 from modcal_core.planning.site import clearance, site_from_data, spheres_of, visible
-from modcal_core.robots.urdf import read_inertias
+from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.main import run
 from modcal_nodes.cli.plan import _worth
 

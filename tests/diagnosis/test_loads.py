@@ -20,7 +20,8 @@ from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.as_json import to_json_data
 from modcal_core.robots.kinematics import chain_forward
-from modcal_core.robots.urdf import read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 
 URDF = (Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf").read_text(encoding="utf-8")
 CHAIN = read_chain(URDF, tip="tool0")

@@ -15,7 +15,7 @@ from modcal_core.impedance.wrench import DOWN
 from modcal_core.robots.acceleration import read_drives
 from modcal_core.robots.bodies import HeldWeight, chain_gravity_wrench, payload_wrench
 from modcal_core.robots.kinematics import pose_and_jacobian
-from modcal_core.robots.urdf import read_inertias
+from modcal_core.robots.urdf_inertias import read_inertias
 
 MAX, STANDS = 50.0, 47.5  # N: that may be felt; at which a pull stands
 HANGS = 0.7  # kg at the tip, of which the robot description knows nothing

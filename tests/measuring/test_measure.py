@@ -34,7 +34,8 @@ from modcal_core.planning.session import (
 )
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.robots.mechanism import forward
-from modcal_core.robots.urdf import read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.main import run
 from modcal_nodes.measuring.folder import CellInProcess
 from modcal_nodes.ros.parameters import SIMULATED_CELL

@@ -20,7 +20,8 @@ from modcal_core.modules.coding import assembly_from_data
 from modcal_core.modules.library import Assembly, Module, chain_of, library_from_data, origins, published_text
 from modcal_core.modules.urdf import body, urdf_of
 from modcal_core.robots.kinematics import chain_forward
-from modcal_core.robots.urdf import read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 
 PUBLISHED = yaml.safe_load(published_text())
 

@@ -35,7 +35,7 @@ from modcal_core.robots.bodies import chain_gravity_wrench, payload_wrench
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import body_jacobian, chain_forward
 from modcal_core.robots.mechanism import random_postures
-from modcal_core.robots.urdf import read_inertias
+from modcal_core.robots.urdf_inertias import read_inertias
 
 CODING = Coding(LIBRARY)
 CATALOGUE = Catalogue(CODING)

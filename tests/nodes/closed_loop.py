@@ -29,7 +29,8 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import inverse
-from modcal_core.robots.urdf import read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.commands import fill_pose
 from modcal_msgs_py.readings import seconds, set_seconds
 from modcal_nodes.cli.main import run

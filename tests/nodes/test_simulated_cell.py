@@ -23,7 +23,8 @@ from sensor_msgs.msg import JointState, Temperature
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.urdf import read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.plant import Plant, make_world
 

@@ -27,7 +27,8 @@ from modcal_core.robots.acceleration import read_drives
 from modcal_core.robots.bodies import STANDARD_GRAVITY
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import passable
-from modcal_core.robots.urdf import read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.delta_world import make_delta_world
 from modcal_nodes.simulation.mjcf import World

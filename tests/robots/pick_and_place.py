@@ -21,7 +21,8 @@ from modcal_core.robots.bodies import Payload, with_payload
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.fastest_motion import JointPath, Timing, constant_bounds, motion, within_bounds, within_torque
 from modcal_core.robots.mechanism import inverse
-from modcal_core.robots.urdf import Inertias, read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
 URDF = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"
 SHARE = 0.95  # of the torque is planned with; the servo has the rest

@@ -19,7 +19,8 @@ from modcal_core.robots.acceleration import Drives, Window, largest_box, read_dr
 from modcal_core.robots.bodies import Payload, with_payload
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.fastest_motion import JointPath, motion, within_bounds, within_torque
-from modcal_core.robots.urdf import Inertias, read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
 
 def arm(text: str) -> tuple[Chain, Inertias, Drives]:

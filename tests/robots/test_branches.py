@@ -20,7 +20,8 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.robots.bodies import STANDARD_GRAVITY, payload_wrench
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
-from modcal_core.robots.urdf import Inertias, read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
 OTHER = ("right_1", "right_2")
 LEFT = ("torso", "left_1", "left_2", "left_3", "left_4", "left_5")

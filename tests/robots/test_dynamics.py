@@ -14,7 +14,8 @@ from modcal_core.errors import BadRobot
 from modcal_core.robots.acceleration import bias_torque, torque
 from modcal_core.robots.bodies import Payload, chain_gravity_wrench, equivalent_inertia, mass_matrix, with_payload
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf import Inertias, read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
 EXACT = 1e-10
 SEEDS = range(6)

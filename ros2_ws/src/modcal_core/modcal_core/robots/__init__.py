@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_cpc, from_csv, from_table, from_ur_conf
     from modcal_core.robots.tables import loss, nearest_dh, to_cpc, to_csv, to_table
     from modcal_core.robots.urdf import joint_origins, other_tips, read_chain, read_path
-    from modcal_core.robots.urdf import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
-    from modcal_core.robots.urdf import moved_centres, read_inertias, weightless
+    from modcal_core.robots.urdf_inertias import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
+    from modcal_core.robots.urdf_inertias import moved_centres, read_inertias, weightless
     from modcal_core.robots.urdf_tree import CollisionShape, Tree, collision_shapes, parse, rerooted
     from modcal_core.robots.urdf_write import calibrated_urdf, chain_urdf, joint_element
     from modcal_core.robots.urdf_write import number, origin_element, ros2_control_offsets, urdf_text, xacro_origins

@@ -51,7 +51,8 @@ from modcal_core.errors import BadRobot, Overloaded
 from modcal_core.geometry import Array, sealed, so3
 from modcal_core.robots.bodies import STANDARD_GRAVITY, Bodies, Payload, beyond, with_payload
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf import Inertias, read_chain, read_inertias
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 from modcal_core.robots.urdf_tree import parse
 
 # --- The torques that a motion takes: M(q) q̈ + C(q, q̇) q̇ + g(q), without friction

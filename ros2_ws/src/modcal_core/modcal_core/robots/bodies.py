@@ -31,7 +31,7 @@ from modcal_core.errors import BadRecording, BadRobot, NotEnoughData
 from modcal_core.geometry import Array, se3, sealed, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import Frames, frames, link_frames, spatial_jacobian
-from modcal_core.robots.urdf import HeldBehind, Inertias
+from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 DOWN = np.array([0.0, 0.0, -1.0])  # in the base, where nothing else is known

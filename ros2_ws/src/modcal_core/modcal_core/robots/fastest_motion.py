@@ -34,7 +34,7 @@ from modcal_core.geometry import Array
 from modcal_core.robots.acceleration import DOWN, Drives, Window, bias_of, window
 from modcal_core.robots.bodies import Bodies
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf import Inertias
+from modcal_core.robots.urdf_inertias import Inertias
 
 # --- A path through joint positions without a time: how far along each joint stands, and its first two derivatives
 

@@ -32,7 +32,7 @@ from modcal_core.robots import bodies, delta_kinematics, kinematics
 from modcal_core.robots.chain import Chain, Follower, ranges
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.kinematics import Frames, frames, tip_motions
-from modcal_core.robots.urdf import HeldBehind, Inertias
+from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 ALL_SIX = (True, True, True, True, True, True)
 TOLERANCE = 1e-10  # m and rad

@@ -29,7 +29,7 @@ GROUPS = {
         "target": ("target", "Write a board to print for calibrating with a camera."),
         "payload": ("limits", "Weigh what the arm carries by the torques of its joints at rest."),
         "limits": ("limits", "Compute how fast each joint may accelerate with this payload."),
-        "simulate": ("measure", "Record a simulated cell with errors that its model lacks."),
+        "simulate": ("simulate", "Record a simulated cell with errors that its model lacks."),
     },
     "Measure": {"measure": ("measure", "Measure station after station until an accuracy is proven.")},
     "Get and look at a recording": {

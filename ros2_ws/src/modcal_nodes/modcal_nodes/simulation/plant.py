@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,6 @@ from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack
 from modcal_core.robots import Chain, Delta, Inertias, Mechanism, read_chain, read_inertias
 from modcal_nodes.io import Watch, read_delta, silent
-from modcal_nodes.ros import OK, WARN, Status
 from modcal_nodes.simulation.delta_world import make_delta_world, require_drivable
 from modcal_nodes.simulation.mjcf import Machine, World, tracker_and_tool
 from modcal_nodes.simulation.program import Program, tour, within_limits
@@ -402,37 +401,6 @@ class Beat:
             # a beat that was missed is not made up for: the call sends all that is due
             due = max(due + self._period, time.monotonic() - self._period)
             time.sleep(max(due - time.monotonic(), 0.0))
-
-
-LATE = 0.1  # s of wall time that the cell may lag behind its own clock
-
-
-class Rates:
-    """Messages a second, counted from one report to the next, and how far the cell is behind."""
-
-    def __init__(self, grids: Mapping[str, Grid], factor: float) -> None:
-        self._grids, self._factor = grids, factor
-        self._since = time.monotonic()
-        self._counts = {name: grid.count for name, grid in grids.items()}
-        self.lag = 0.0  # s of wall time, the worst since the last report
-
-    def note(self, lag: float) -> None:
-        """Take notice that the cell is behind by so many seconds of its own time."""
-        self.lag = max(self.lag, lag / self._factor)
-
-    def status(self) -> Status:
-        """What was achieved since the last time."""
-        now = time.monotonic()
-        span = max(now - self._since, 1e-3)
-        counts = {name: grid.count for name, grid in self._grids.items()}
-        values: dict[str, object] = {
-            f"{name} [Hz]": f"{(counts[name] - self._counts[name]) / span:.1f}" for name in counts
-        }
-        values["lag [s]"] = f"{self.lag:.4f}"
-        late = self.lag > LATE
-        self._since, self._counts, self.lag = now, counts, 0.0
-        message = "behind its own clock: lower the rates or time_factor" if late else "publishes in time"
-        return Status("rates", WARN if late else OK, message, values)
 
 
 _TEMPERATURE_RATE = 1.0  # Hz
