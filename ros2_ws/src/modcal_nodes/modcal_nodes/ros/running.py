@@ -248,7 +248,7 @@ def run(make: Callable[[], Node], rest: float = 0.0) -> None:
     """Spin the node until it is stopped (Ctrl-C, SIGTERM, shutdown), then close it, however often it is told.
 
     rest: seconds between two looks for messages, of a node that need not answer within a millisecond. A look of the
-    executor costs as much as handling ten messages, so while messages come they are taken past it (see resting.py).
+    executor costs as much as handling ten messages, so while messages come they are taken past it.
 
     ``--help`` is answered in place of starting. A ModcalError while it starts or closes, NodeEnds, a parameter outside
     its bounds, or a file that is not there, ends the process with exit code 2 and one line on stderr.

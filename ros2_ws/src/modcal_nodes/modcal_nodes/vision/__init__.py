@@ -5,11 +5,10 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.vision.bag import read_bag_images
+    from modcal_nodes.vision.bag import grey_of, read_bag_images
     from modcal_nodes.vision.coaching import Coach, images_worth, worth_line
     from modcal_nodes.vision.corner_table import camera_key, read_corner_tables
     from modcal_nodes.vision.detection import annotated, board_pose, detect
-    from modcal_nodes.vision.bag import grey_of
     from modcal_nodes.vision.images import ImageFolder, joint_column, lens_from_data, read_camera_info, read_images
     from modcal_nodes.vision.images import require_size
     from modcal_nodes.vision.sheet import draw_sheet
