@@ -27,7 +27,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import frame_on_plane
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import chain_forward
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 ANCHORS = np.array([[1.5, 0.3, 0.2], [-1.2, 1.1, 0.1], [0.2, -1.6, 1.8]])
 ZEROS = np.array([0.123, 0.05, -0.2])

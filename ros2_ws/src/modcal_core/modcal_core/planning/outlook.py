@@ -50,9 +50,8 @@ from modcal_core.hypotheses import proved
 from modcal_core.measurements import POSE, Samples
 from modcal_core.measurements.kinds import dimensions
 from modcal_core.moves import find_regimes
-from modcal_core.planning.closed_chain import readings_at
 from modcal_core.planning.exchange import ACCURACY, Criterion, Search, information
-from modcal_core.planning.pool import Pool
+from modcal_core.planning.pool import Pool, readings_at
 from modcal_core.planning.site import Noise
 from modcal_core.robots import Inertias, Mechanism, weightless
 from modcal_core.verdict import sane_inertias
