@@ -66,6 +66,8 @@ def choose(
     allowed = np.ones(len(evidence.effects), bool)
     for key in refused:
         allowed[scanner.numbers_of(key)] = False
+    for known in fit.model.effects:  # twice the same is once, and what a second order leaves
+        allowed[[i for i in scanner.numbers_of(known.key) if scanner.effects[i].shape == known.shape]] = False
     if not (allowed & (evidence.score > 0.0)).any():
         return None
     plain = allowed & (evidence.complexity < FREE)

@@ -9,7 +9,8 @@ if TYPE_CHECKING:
     from modcal_core.effects.drivers import remembered, undelayed
     from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, JOINTS, LENGTH, PAIRS
     from modcal_core.effects.effect import RADIAL, READING, RODS, SHIFT, STEPS, ZERO, Effect, Knots, Term, all_columns
-    from modcal_core.effects.effect import columns, is_large_move, is_move, is_turned, knots_of, motion, place_index
+    from modcal_core.effects.effect import columns, is_large_move, is_move, is_of_clock, is_turned, knots_of
+    from modcal_core.effects.effect import motion, place_index
     from modcal_core.effects.effect import plain_columns, prior_stds, shape_columns, zeros
     from modcal_core.effects.family import FREE, PLAIN, USUAL, Family, ReportEntry, nothing_plainer
     from modcal_core.effects.placements import AS_LIKELY, by_hand, of_readings, one_motion, put_back_first
@@ -29,6 +30,7 @@ __all__ += ["AxisCurves", "Carried", "DriverLimits", "Drivers", "Effect", "Famil
 __all__ += ["Quantity", "ReportEntry", "Setting", "Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs"]
 __all__ += ["by_hand", "candidates", "carried_signals", "claimed", "columns", "companionless", "complexity"]
 __all__ += ["component_names", "curve", "curve_sizes", "drivers_at", "family_named", "is_large_move", "is_move"]
+__all__ += ["is_of_clock"]
 __all__ += ["is_turned", "knots_of", "known_families", "motion", "nothing_plainer", "of_readings", "one_motion"]
 __all__ += ["periodic", "place_index", "plain_columns", "prior_stds", "public_driver", "put_back_first"]
 __all__ += ["remembered", "require_known", "shape_columns", "undelayed", "unit_of", "value", "with_companions"]

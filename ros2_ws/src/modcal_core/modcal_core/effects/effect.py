@@ -369,6 +369,11 @@ def zeros(effects: Iterable[Effect], drivers: Drivers) -> Array:
     return out
 
 
+def is_of_clock(effect: Effect) -> bool:
+    """Whether it is what an instrument's clock does: all joints have moved on meanwhile."""
+    return effect.direction == JOINTS and of_readings(effect.place)
+
+
 def is_move(effect: Effect) -> bool:
     """Whether an effect is a move of base or tool at one time."""
     return effect.place in ("base", "tool") and effect.driver == "time" and effect.shape.kind in STEPS
