@@ -53,7 +53,7 @@ def without_bursts(track: ReadingTrack, name: str, notes: list[str]) -> ReadingT
     number = np.arange(len(t))
     first, rate = _earliest(ends, t[ends])
     if np.percentile(t[ends] - first - rate * ends, _MOST) <= _STEADY * rate:
-        return replace(track, stamps=first + rate * number)
+        return replace(track, stamps=np.asarray(first + rate * number))
     pause = np.where(pause < 1.5 * usual, pause, usual)
     before = np.repeat(ends, count) - np.arange(len(t))  # readings of the burst that follow each
     return replace(track, stamps=np.repeat(t[ends], count) - before * np.repeat(pause / count, count))
