@@ -71,7 +71,7 @@ def knots_of(functions: Array, at: Drivers) -> Knots | None:
 
 
 READING = -1  # the place of what is done to readings: direction 0 scales them, 1 + f shifts the zero of frame f
-STEPS = ("step", "until")  # shapes of what happens at one time
+STEPS = ("step", "until", "between")  # shapes of what happens at one time, or at two
 AXIS, ACROSS, LENGTH, ALL, SHIFT, JOINTS, RADIAL = "axis", "across", "length", "all", "shift", "joints", "radial"
 ZERO = "zero"  # direction of the number that an instrument adds to what it reads
 PAIRS = "rods"  # of parallelograms, by what their two rods differ
@@ -355,7 +355,7 @@ def prior_stds(effect: Effect, drivers: Drivers) -> Array:
             out.append(
                 (EXPECTED_LENGTH if terms[0].direction < 3 or terms[0].place == READING else EXPECTED_ANGLE) / rms
             )
-    if effect.shape.kind == "until" and len(effect.amplitudes):  # a move may be of any size
+    if effect.shape.kind in STEPS[1:] and len(effect.amplitudes):  # a move may be of any size
         out = np.maximum(out, np.abs(effect.amplitudes).max()).tolist()
     return np.array([*out, *(effect.shape.expected(name) for name in effect.refined)])
 

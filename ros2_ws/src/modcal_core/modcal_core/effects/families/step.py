@@ -6,6 +6,7 @@ What holds in the end is geometry; so the effect is what was different before.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from modcal_core.measurements import Samples, joints_instead
 from modcal_core.measurements.kinds import kinds
 
 NAME = "step"
+_ENDS = 60  # times between stations, of which any two are tried as the ends of a shift, for time
 _BY_POSITION = " by position:"
 
 
@@ -31,6 +33,9 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
     for time in breaks(drivers):
         for place, direction in places:
             yield moved(place, direction, float(time))
+    for since, at in combinations(breaks(drivers)[:: max(1, len(breaks(drivers)) // _ENDS)].tolist(), 2):
+        for f in lengths:
+            yield Effect(NAME, OF_FRAME + samples.frames[f], ZERO, "time", Shape("between", {"since": since, "at": at}))
 
 
 def moved(place: str, direction: str, time: float) -> Effect:
@@ -51,6 +56,11 @@ def same_as(effect: Effect, samples: Samples) -> tuple[str, ...]:
 def sentence(entry: ReportEntry) -> str:
     """How far and when; and the joint that may err instead."""
     said = over_time(entry)
+    if entry.direction == ZERO and (since := entry.sizes.get("since")):
+        when = " to ".join(
+            f"{'stamp' if unit == 's' else 'row'} {at:.0f}" for at, _, unit in (since, entry.sizes["at"])
+        )
+        return f"the zero of {entry.place.removeprefix(OF_FRAME)} was off by {entry.thousandths('zero')} from {when}"
     if entry.direction == ZERO:
         return f"the zero of {said.removeprefix(OF_FRAME)}"
     joints = [name.partition(_BY_POSITION)[2] for name in entry.same_as if _BY_POSITION in name]
