@@ -70,6 +70,10 @@ def at_tool(model: Model, effects: Sequence[int], samples: Samples) -> float:
 _TOLD = 2  # rivals that a sentence gives; report.json has all of them
 MAX_SEEN = 500  # samples at which the size at the tool is taken
 _LEAST_CHANCE = 1e-6
+_OF_THE_ARM = 1e-3  # of the reach, which effects of an arm seldom move its tool by
+_OF_THE_REST = 20.0  # times the RMS miss of the others; an effect that acts at few postures grows towards them
+_LEVER = 0.1  # of the reach; an error of the arm that turns the tool moves it by the angle times this, at least
+_SAME_POSTURE = 0.01  # rad or m; teeth of a gear are some 0.06 rad apart
 
 
 @dataclass(frozen=True)
@@ -170,6 +174,7 @@ def findings(
             )
         )
     wrong = case.wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
+    wrong &= _not_the_arm(shipped, samples, case.wrong)
     return (*_outliers(diagnosis.fit, samples, wrong), *entries)
 
 
@@ -192,6 +197,25 @@ def _certain(model: Model, samples: Samples) -> np.ndarray:
     drivers = model.drivers(samples)
     known = [family_named(effect.family).certain(effect, drivers) for effect in model.effects]
     return np.all([np.ones(len(samples), bool), *known], axis=0)
+
+
+def _not_the_arm(model: Model, samples: Samples, wrong: np.ndarray) -> np.ndarray:
+    """True for samples that no arm misses so, (N,): an effect that the model lacks may act at a few postures alone.
+
+    It does not where a sample that is not wrong came to the same posture alike, and does not move a tool that far, for
+    itself and beside the others.
+    """
+    e, reach = errors(model, samples), model.chain.reach()
+    miss = e.position_norm.copy()
+    miss[samples.is_pose] = np.maximum(miss[samples.is_pose], _LEVER * reach * e.rotation_norm)
+    if not wrong.any() or wrong.all():
+        return wrong
+    from scipy.spatial import cKDTree  # takes a tenth of a second to load
+
+    at = np.hstack([samples.q, samples.approach])
+    beside = cKDTree(at[~wrong]).query(at, distance_upper_bound=_SAME_POSTURE)[0] < np.inf
+    most = min(_OF_THE_ARM * reach, _OF_THE_REST * float(np.sqrt(np.mean(miss[~wrong] ** 2))))
+    return np.asarray(beside | (miss > most))
 
 
 def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, ...]:
