@@ -104,7 +104,10 @@ def one(task: harness.Task) -> harness.Result:
     found = {f"{e.family} {'joint' if e.place in chain.names else e.place}" for e in made.report.effects}
     wanted = NAMED.get(kind.partition(" ")[2])
     floor = 1e3 * NOISE * (np.sqrt(3.0) if kind in CLOCKS else 1.0)
-    right = found == ({wanted} if wanted else set())
+    single = (
+        {"outliers tracker"} if kind == "clock lost" else set()
+    )  # late by a period and more before one that is lost
+    right = found - single == ({wanted} if wanted else set())
     return {"named": right, "found": sorted(found), "status": made.report.status, "second": left.rms / floor}
 
 
