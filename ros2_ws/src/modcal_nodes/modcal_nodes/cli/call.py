@@ -31,8 +31,9 @@ from modcal_msgs_py import (
     offered_topics,
     set_nanoseconds,
 )
+from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.options import EXISTING, UNMET, Decimal
+from modcal_nodes.cli.options import EXISTING, Decimal
 from modcal_nodes.ros import MUTUAL, interrupt, joined, passing, stopped_by, type_of
 
 _CLOCK = "/clock"

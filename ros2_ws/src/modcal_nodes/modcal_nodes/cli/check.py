@@ -20,9 +20,10 @@ from modcal_core.robots import is_serial_arm, read_chain, read_inertias
 from modcal_core.sentinel import BagHistory, Cells, MonitoredArm, Normal, cells_of, judge_bags
 from modcal_msgs_py import episodes_of, is_lerobot, read_recording
 from modcal_nodes.cli.calibrate import CertifiedOptions, calibration_name, certified, frozen_samples
+from modcal_nodes.cli.certificate import UNMET, certified_hashes, exit_code, particulars
 from modcal_nodes.cli.console import Output, saving
 from modcal_nodes.cli.inputs import described
-from modcal_nodes.cli.options import EXISTING, UNMET, certified_hashes, exit_code, given, particulars
+from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, TopicOptions, Watch, of_cell, option, repeated
 
 

@@ -20,8 +20,9 @@ from modcal_core.measurements import require
 from modcal_core.moves import Values, series_of, values_of
 from modcal_core.outcome import offsets_of
 from modcal_core.report import STATUS_WORDS, History, HistoryEntry, Side, compare, explained, history_report
+from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, saving, speaking, written
-from modcal_nodes.cli.options import EXISTING, UNMET, WRITTEN, Decimal, Whole, given
+from modcal_nodes.cli.options import EXISTING, WRITTEN, Decimal, Whole, given
 from modcal_nodes.fleet import DONE, Row, calibrate_all, find_bags, names_of, write_table
 from modcal_nodes.io import SCHEMA, Options
 
