@@ -93,17 +93,21 @@ def test_clean_arms_come_out_clean(kind: str) -> None:
         assert to_json_data(report)["effects"] == []
 
 
-def lifted(q: Array) -> Array:
-    """Torque of gravity about the shoulder's lift [N m], by Pinocchio's own reading of the URDF."""
+def weighed(q: Array) -> tuple[Array, Array]:
+    """Torque of gravity about the shoulder's lift [N m], (N,), and moments of the arm's weight about x and y of its
+    base [N m], (N, 2), by Pinocchio's own reading of the URDF.
+    """
     model = pinocchio.buildModelFromXML(urdf("ur10"))
     data = model.createData()
     order = [model.joints[model.getJointId(name)].idx_q for name in ur10().names]
-    out = []
+    torque, moments = [], []
     for posture in q:
         configuration = np.zeros(model.nq)
         configuration[order] = posture
-        out.append(-pinocchio.computeGeneralizedGravity(model, data, configuration)[order[1]])
-    return np.array(out)
+        torque.append(-pinocchio.computeGeneralizedGravity(model, data, configuration)[order[1]])
+        x, y, _ = pinocchio.centerOfMass(model, data, configuration)
+        moments.append((-9.81 * data.mass[0] * y, 9.81 * data.mass[0] * x))
+    return np.array(torque), np.array(moments)
 
 
 LIFT, ELBOW, WRIST_2 = "shoulder_lift_joint", "elbow_joint", "wrist_2_joint"
@@ -120,7 +124,7 @@ CAUSES: dict[str, tuple[Error, tuple[str, str, str]]] = {
     "backlash": (
         at_joint(2, lambda q: 2e-4 * np.sign(np.diff(q[:, 2], prepend=0.0))), ("backlash", ELBOW, f"direction:{ELBOW}")
     ),
-    "compliance": (at_joint(1, lambda q: lifted(q) / 2e5), ("compliance", LIFT, f"load:{LIFT}")),
+    "compliance": (at_joint(1, lambda q: weighed(q)[0] / 2e5), ("compliance", LIFT, f"load:{LIFT}")),
 }  # fmt: skip
 
 
@@ -160,6 +164,23 @@ def test_two_causes_at_once() -> None:
     gear, soft = CAUSES["gear, 101 a turn"], CAUSES["compliance"]
     report = report_of(recorded(5, lambda q: gear[0](q) + soft[0](q)))
     assert sorted(named(report)) == sorted([gear[1], soft[1]])
+
+
+def test_what_an_arm_stands_on_yields_in_its_own_way() -> None:
+    """A table on a cantilever: it turns about one axis and sinks, and hardly bends the other way."""
+    samples = recorded(9, nothing)
+    moments = weighed(samples.q)[1]
+    yields = 1e-6 * np.array([[0.0, 0.3], [0.0, 0.0], [0.0, 2.0], [0.5, 0.0], [0.0, 4.0], [0.0, 0.0]])
+    moved = se3.exp(moments @ yields.T)
+    reading = np.einsum("nij,nj->ni", moved[:, :3, :3], samples.reading) + moved[:, :3, 3]
+    report = report_of(replace(samples, reading=reading, R=moved[:, :3, :3] @ samples.R))
+    assert named(report) == [("compliance", "base", "load:shoulder_pan_joint")]
+    sound, final = clean(9, "pose").size_mm("final"), report.size_mm("final")
+    assert sound is not None
+    assert final is not None
+    assert final.rms < 1.15 * sound.rms
+    value, std, _ = report.effects[0].parameters["compliance"]
+    assert value == pytest.approx(np.linalg.norm(yields[3:], 2), abs=5.0 * std + 2e-7)
 
 
 def test_what_has_no_name_is_still_placed() -> None:

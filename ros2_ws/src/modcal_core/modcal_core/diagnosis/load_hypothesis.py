@@ -294,4 +294,5 @@ def _each(cell: Cell) -> tuple[StatedPayload, ...]:
 
 def by_weight(effect: Effect) -> bool:
     """Whether an effect goes by a load that is computed from weight."""
-    return effect.driver.partition(":")[0] in ("load", "payload", "moment") or effect.driver.startswith("offset_")
+    kind = effect.driver.partition(":")[0]
+    return kind in ("load", "payload", "moment", "weight", "tip_weight") or kind.startswith("offset_")

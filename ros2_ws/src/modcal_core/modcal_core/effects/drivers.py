@@ -4,8 +4,9 @@ A driver has the name that people and reports use: ``position:J``, ``load:J``, `
 ``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``; ``following:J`` is the commanded position less the
 measured one, ``path:J`` how far the joint is ahead of followers with play. Others are ways to know a load and are
 reported as ``load:J``: ``effort:J`` is the torque that the actuator itself reports, ``payload:J`` that of 1 kg at the
-tip, ``offset_x:J`` … what it changes by for each metre beside the tip, and ``moment:J`` the two components across the
-axis; ``clock`` is the time of what does not move the arm. A family may bring more.
+tip, ``offset_x:J`` … what it changes by for each metre beside the tip, and ``moment:J``, ``weight:J`` or, of 1 kg at
+the tip, ``tip_weight:J`` the two components across the axis; ``clock`` is the time of what does not move the arm. A
+family may bring more.
 
 Time goes on for as long again as the recording lasted, for a session rarely ends with it; from there it returns to the
 recording's end, so that days later nothing is extrapolated. Temperatures go on for as far again as they were seen, for
@@ -103,7 +104,7 @@ def undelayed(name: str, lag: float) -> str:
     return f"{name} with its lag of {-lag:.3g} s undone" if lag < 0.0 else name
 
 
-_LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
+_LOADS = ("effort", "payload", "moment", "weight", "tip_weight", "offset_x", "offset_y", "offset_z")
 _FEW = 3  # messages that are no course of a sensor; what was told holds from one on
 _MAX_POINTS = 20_000  # of a signal; a faster one is thinned
 _MAX_KEPT = 96e6  # bytes of drivers and shapes that are kept for one set of samples
@@ -368,6 +369,8 @@ KINDS: Mapping[str, DriverKind] = {
     "offset_y": partial(_offset, axis=1),
     "offset_z": partial(_offset, axis=2),
     "moment": lambda at, joint: at.gravity[_column(at, joint), 3:5],  # across the joint's axis, (2, N)
+    "weight": lambda at, joint: at.gravity[_column(at, joint), 3:5],
+    "tip_weight": lambda at, joint: at.payload[_column(at, joint), 3:5],
 }
 SIGNALS = ("temperature", "signal")  # kinds that are found among the recorded tracks, by their whole name
 

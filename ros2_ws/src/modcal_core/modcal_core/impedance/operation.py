@@ -235,7 +235,8 @@ class Operation:
         elif self.task.mode == "admittance" and self.phase != "arrive":
             sure = self.tool_force.sure
             F = np.concatenate([relative(self.expected, T, sure[:3]), relative(self.expected, T, sure[3:])])
-            self.impedance.step(F, h, self.governor.caution)
+            caution = max(self.governor.caution, self.governor.damping / self.task.damping[0])
+            self.impedance.step(F, h, caution)
             goal = self.impedance.command(self.expected)
         else:
             goal = self.expected
@@ -339,7 +340,9 @@ class Operation:
         if self._late:
             most = 0.0
         told = self.tool_force
-        sight = self.governor.in_sight(told.size, told.delay, told.stiffness)
+        self.governor.touch(math.sqrt(self.force[:3] @ self.force[:3]), told.tool)
+        along = self.impedance.gains.task[:, 0]
+        sight = self.governor.in_sight(told.size, told.delay, *told.hold(along, self.setpoint_filter))
         return self.governor.step(wanted, min(most, sight), self.tool_force.foreseen, h)
 
     def _enter(self, phase: str, now: float) -> None:

@@ -4,14 +4,18 @@ A force that rises slows the pace down before it becomes too much: full speed up
 With the damping B of the impedance law, something rigid is then pushed with the force at which B times the pace is that
 force, whatever the arm's stiffness.
 
-At a hard stop that comes too late: there the force grows by K v, stiffness of hand and arm times speed, and goes on
-growing when the pace is cut: for the delay T, until what is felt has been understood, sent and done, and for the way
-v²/2a in which it brakes at a. So
+At a hard stop that comes too late: there the force grows by K v, stiffness of hand and arm in series times speed, and
+goes on growing when the pace is cut: for the delay T, until what is felt has been understood, sent and done, and for
+the way v²/2a in which it brakes at a. Before that, the arm's mass m runs into the contact, of stiffness C. So
 
-    F + K (v T + v²/2a) ≤ F_last,        Ḟ = K v.
+    F + v √(C m) + K (v T + v²/2a) ≤ F_last,        Ḟ = K v.
 
-The first says how fast it may be before anything is felt, as one drives on sight (K is believed). The second says what
-a force that rises will have come to, F + Ḟ (T + v/2a), with no K in it; that is the force which the pace answers.
+The first says how fast it may be before anything is felt, as one drives on sight. The second says what a force that
+rises will have come to, F + Ḟ (T + v/2a), with no K in it; that is the force which the pace answers.
+
+C is what was stated only where a touch, the first of which comes slowly, shows no more (:meth:`SpeedGovernor.touch`);
+else it is that of steel. A force sensor may fall silent just before a stop. So the first also holds with the time that
+it takes to see that, and the force that may then come.
 
 A pull waits for a late input with the last setpoint standing. After ``patience`` it is over, and what is held is to be
 let go, for which joint states are needed. Where they are the input that is missing, a servo holds on to where it was
@@ -31,13 +35,18 @@ from modcal_core.impedance.wrench import LowPass
 _HARDLY = 0.05  # of the full speed: by then nearly the most force is on it
 _PROMPT, _DOUBLES, _HEEDED = 0.03, 0.04, 0.5  # s: age that is usual, that doubles the damping, and for how long
 _RATE_HZ = 20.0  # of the low-pass, what is above which counts as rising
+_RIGID = 700e3  # N/m: steel fingers on a steel handle
+_UNSEEN, _HIDDEN = 0.05, 1.2  # s until servos' leads show a force that a sensor hides, and times the last force by then
+# N by which a force rises at a touch: more than noise; m in which it does so of fingers, however soft, and not of what
+# opens; times stiffer than is stated may a touch seem, for delays
+_TOUCH, _TOUCH_WAY, _STIFFER = 1.5, 0.8e-3, 1.5
 
 
 @dataclass(frozen=True)
 class GovernorSettings:
     """slowdown, stop: force [N] and moment [N m] at which the pace begins to fall, and at which it is zero.
 
-    max_force: force that a hard stop may come to [N]. contact_stiffness: of hand, arm and object together [N/m].
+    max_force: force that a hard stop may come to [N]. contact_stiffness: of hand and object [N/m].
     still_m: way [m] that counts as having moved. still_s: how long nothing may move under nearly the most force, or
     with the expected pose ``max_lead`` [m] ahead [s]. give_up_s: or under any force.
     """
@@ -45,7 +54,7 @@ class GovernorSettings:
     slowdown: tuple[float, float] = (30.0, 6.0)
     stop: tuple[float, float] = (47.5, 14.0)
     max_force: float = 50.0
-    contact_stiffness: float = 15e3
+    contact_stiffness: float = 20e3
     still_m: float = 0.002
     still_s: float = 1.0
     give_up_s: float = 8.0
@@ -81,7 +90,8 @@ class ForcePrediction:
 class SpeedGovernor:
     """The speed along the path [m/s], which gathers gently and brakes hard.
 
-    caution: how many times slower it goes, and how many times more a hand is damped, as inputs come late.
+    caution: how many times slower it goes, and how many times more a hand is damped, as inputs come late. damping: with
+    which what is as stiff as a hard stop is not hit again and again [N s/m].
     """
 
     def __init__(self, settings: GovernorSettings, gather: float = 0.15, brake: float = 2.0) -> None:
@@ -89,6 +99,8 @@ class SpeedGovernor:
         self.settings, self._gather, self._brake = settings, gather, brake
         self.speed, self.caution = 0.0, 1.0
         self._mark = (math.nan, 0.0)
+        self._from, self._soft, self._stiff = (math.inf, np.zeros(3)), False, False
+        self.damping = 0.0
 
     def heed(self, age: float, h: float) -> None:
         """Take h seconds in which inputs were so old [s]: what is stable at once need not be so a moment later."""
@@ -105,15 +117,35 @@ class SpeedGovernor:
         self.speed = min(max(aim, self.speed - self._brake * h), self.speed + self._gather * h)
         return self.speed * h
 
-    def in_sight(self, force: float, delay: float, stiffness: float = 0.0) -> float:
+    def touch(self, force: float, tool: Array) -> None:
+        """Take a felt force [N] with where the tool (3,) was then [m]: how a force rises tells how stiff a touch is."""
+        way, rise = math.dist(tool, self._from[1]), force - self._from[0]
+        if rise >= _TOUCH and way <= _TOUCH_WAY:
+            self._soft = True
+            self._stiff = self._stiff or rise > _STIFFER * self.settings.contact_stiffness * way
+        if not 0.0 <= rise < _TOUCH or way > _TOUCH_WAY:
+            self._from = force, tool
+
+    @property
+    def contact(self) -> float:
+        """Stiffness of hand and object [N/m]: what is stated where every touch agrees, else that of steel."""
+        stated = self.settings.contact_stiffness
+        return stated if self._soft and not self._stiff else max(stated, _RIGID)
+
+    def in_sight(self, force: float, delay: float, stiffness: float, mass: float) -> float:
         """Largest speed [m/s] at which a hard stop now, at this force [N], keeps the peak below the limit.
 
-        delay: how long it goes on as it does before it brakes [s]. stiffness: of the arm, where it was measured and is
-        more than was stated of a contact [N/m]. Solves F + K (v T + v²/2a) = F_last.
+        delay: how long it goes on as it does before it brakes [s]. stiffness: by which the servos hold the tool [N/m].
+        mass: of the arm, at the tool [kg]. Solves F + v √(C m) + K (v T + v²/2a) = F_last.
         """
-        way = max(self.settings.max_force - force, 0.0) / max(self.settings.contact_stiffness, stiffness)
-        slow = self._brake * delay
-        return math.sqrt(slow * slow + 2.0 * self._brake * way) - slow
+        contact, most = self.contact, self.settings.max_force
+        hit, series = math.sqrt(contact * mass), contact * stiffness / (contact + stiffness)
+        self.damping = series * delay
+        speeds = []
+        for last, late in ((most, delay), (_HIDDEN * most, delay + _UNSEEN)):
+            slow = self._brake * (late + hit / series)
+            speeds.append(math.sqrt(slow * slow + 2.0 * self._brake * max(last - force, 0.0) / series) - slow)
+        return min(speeds)
 
     @property
     def braking(self) -> float:

@@ -26,7 +26,8 @@ from modcal_core.impedance.setpoint_filter import SetpointFilter
 from modcal_core.impedance.speed_governor import ForcePrediction
 from modcal_core.impedance.task import ImpedanceTask, JointPositions
 from modcal_core.impedance.unfelt_force import UnfeltForce
-from modcal_core.impedance.wrench import WrenchSensor
+from modcal_core.impedance.wrench import LowPass, WrenchSensor
+from modcal_core.robots import mass_matrix
 
 _CREEP, _FREE = 0.01, 8e-3  # m/s for the first m, which no hand goes without what it holds
 _UNTOLD = 0.5  # of the usual speed beyond that, until the force sensor has felt anything
@@ -102,6 +103,9 @@ class SensorEvidence:
         return usual if self.corroborated else min(usual, exploring * min(1.0, creep / _CREEP))
 
 
+# kg m² that a rotor adds through its gear, beside the masses of a description; kg of an arm whose masses are not known;
+# and at most, next to a singular posture; rad that joints may have gone since it was looked up
+_ROTOR, _MASS, _HEAVY, _ELSEWHERE = 0.1, 12.0, 50.0, 0.05
 _MISTOLD = 0.1  # of a force may a sensor tell more or less: a sensor and a stated mass are no better
 _TOGETHER = 0.02  # s by which a wrench may be older than joints that it is compared with: one of 50 Hz
 
@@ -110,8 +114,8 @@ class ToolForce:
     """felt (6,): wrench on the tool in its axes. foreseen (6,): what it will have come to when the arm stands.
 
     delay: from a touch until the arm begins to brake [s]. size: of the felt force and of what the servos show beside
-    it, or of what the efforts show where that is more [N]; ``foreseen`` has that as well. efforts: see there.
-    stiffness: by which the servos hold the tool along its way, as it was measured, or 0 [N/m].
+    it, or of what the efforts show where that is more [N]; ``foreseen`` has that as well. tool (3,): where it was as it
+    felt that [m]. efforts: see there.
     """
 
     def __init__(
@@ -127,8 +131,8 @@ class ToolForce:
         arm: what is known of the efforts that they report.
         """
         self.task, self.limits = task, limits
-        self.felt, self.foreseen = np.zeros(6), np.zeros(6)
-        self.delay = self.size = self.stiffness = 0.0
+        self.felt, self.foreseen, self.tool = np.zeros(6), np.zeros(6), np.zeros(3)
+        self.delay = self.size = 0.0
         self._foresight = ForcePrediction()
         self._leads = LeadCheck(_stiffness(task))
         self._unfelt = UnfeltForce(joints, task.servo_lag, limits.period)
@@ -138,17 +142,26 @@ class ToolForce:
         judged = task.mode == "admittance" and bool(np.isfinite(known).any())
         self._evidence, self._least = SensorEvidence(judged), known
         self._scale: tuple[float, float] | None = None  # of the sensor, by the tool's weight, and its deviation
+        self._arm, self._hangs, self._mobility = arm, 0.0, (np.full(joints, np.inf), np.zeros((joints, joints)))
+        self._place: LowPass | None = None
 
     def begin(self, J: Array, motion: FreeMotion | None, mass: float) -> str:
         """The arm stands and is about to pull: why it must not, as text; empty where it may. J (6, n): of the tool.
 
         motion: what was seen of the arm before. mass: that hangs on the force sensor, if it is stated [kg].
         """
-        efforts, most = self.efforts, self.limits.force
+        efforts, most, self._hangs = self.efforts, self.limits.force, mass
         efforts.begin(J, motion)
         if not self.by_efforts:
             self._scale = None if motion is None else motion.sensor.scale(mass, self.task.gravity)
-            if self._scale is None or abs(self._scale[0] - 1.0) - _SURE * self._scale[1] <= _MISTOLD:
+            if self._scale is None:
+                return ""
+            if abs(self._scale[0] - 1.0) - _SURE * self._scale[1] <= _MISTOLD:
+                # what was measured of the sensor takes the place of what is assumed of the joints: a sound one is not
+                # blamed for servos that are softer, or for their friction
+                self._least = np.full(J.shape[1], np.nan)
+                self._joints = JointLeadCheck(self._least, self.task.servo_lag, self.limits.period)
+                self._evidence = SensorEvidence(False)
                 return ""
             said = f"the force sensor tells {self._scale[0]:.2f} of what tool_mass weighs, within {self._scale[1]:.2f}"
             return f"{said}: correct its unit, its sign (wrench_by_tool) or tool_mass, or use wrench: efforts"
@@ -200,13 +213,14 @@ class ToolForce:
         if task.mode == "admittance" and heard >= joints.stamp - _TOGETHER:
             load = self.efforts.load if self.efforts.tells else None
             self._unfelt.take(joints, now, self.felt, sent.jacobian, self.limits.force, load)
-        self.stiffness = self._unfelt.stiffness(sent.jacobian[:3] @ sent.velocity, sent.jacobian)
         self._joints.heard(joints.stamp, now)
         if (servos := self._unfelt.servos) is not None:
             self._joints.learned(*servos)
         age = max(now - joints.stamp, now - heard, 0.0)
         lag = self.efforts.lag if self.by_efforts else sensor.lag
         self.delay = age + self.limits.period + lag + self._foresight.lag + task.servo_lag
+        self._place = self._place or LowPass(1.0 / (2.0 * math.pi * lag))
+        self.tool = self._place.take(T[:3, 3], joints.stamp)
         felt = math.sqrt(self.felt[:3] @ self.felt[:3])
         self.size = max(felt + self._unfelt.force + self.unsure, self.efforts.force)
         known = self.felt.copy()
@@ -265,6 +279,22 @@ class ToolForce:
         if self.by_efforts:
             return task.speed
         return self._evidence.following(task.speed, task.exploration_speed, self._leads.creep(self.limits.force))
+
+    def hold(self, way: Array, sent: SetpointFilter) -> tuple[float, float]:
+        """Stiffness by which the servos hold the tool [N/m], and the arm's mass [kg], along a way (3,) in its axes."""
+        task = self.task
+        stiff = task.stiffness[0]  # what a compliant stack is asked for
+        if task.mode == "admittance":
+            stiff = self._unfelt.stiffness(way, sent.jacobian, task.arm_stiffness)
+        if self._arm is None:
+            return stiff, _MASS + self._hangs
+        at, mobility = self._mobility
+        if not np.abs(sent.q - at).max() <= _ELSEWHERE:
+            M = mass_matrix(self._arm.chain, self._arm.bodies, sent.q[None])[0]
+            mobility = np.linalg.inv(M + np.diag(_ROTOR * self._arm.chain.revolute))
+            self._mobility = sent.q.copy(), mobility
+        levers = sent.jacobian[:3].T @ way
+        return stiff, 1.0 / max(float(levers @ mobility @ levers), 1.0 / _HEAVY) + self._hangs
 
     @property
     def servos(self) -> str:

@@ -165,7 +165,6 @@ _MAX = 0.4  # of max_force_n may go unfelt, for as much again comes until the ar
 _RECALL = 3.0  # servo lags for which a force that has gone still explains a lead: a servo unwinds by its lag
 _SUSPECTED = 0.2  # of it: from there on nothing is learned
 _FORGETS = 0.98  # of what the models' errors were, with every moment
-_TOLD = 0.3  # of what a tool yields must be sure, to tell how stiff it is held
 _WORSE = 1.5  # times the error of the other model: then it is the other one
 _RINGS = 0.06  # s for which that must last: an arm that was jerked rings, and for half of that its inertia is a load
 _AT_ONCE = 3  # readings of which the least is what a pull slows down for: one may be late
@@ -241,18 +240,19 @@ class UnfeltForce:
         self._softness = model.count, found
         return found
 
-    def stiffness(self, way: Array, J: Array) -> float:
-        """Stiffness [N/m] by which the joints' servos surely hold the tool at most along a way (3,); 0 where that is
-        not known.
+    def stiffness(self, way: Array, J: Array, stated: float) -> float:
+        """Stiffness [N/m] by which the servos hold the tool at most along a way (3,), and no more than is stated.
 
         J (6, n): the tool's Jacobian in its axes, as the way.
         """
-        model, levers = self.model, J[:3].T @ way / max(math.sqrt(way @ way), 1e-12)
-        if model.count < FEWEST or self._errors[0] > _WORSE**2 * self._errors[1] > 0.0:
-            return 0.0
-        yields = levers * levers @ np.stack([model.compliance, model.unsure_by])[:, : self._n].T
-        least = float(yields[0] - _SURE * yields[1])
-        return 1.0 / least if least > _TOLD * float(yields[0]) > 0.0 else 0.0
+        model, n = self.model, self._n
+        if model.count < FEWEST:
+            return stated
+        in_axes = self._errors[0] > _WORSE**2 * self._errors[1] > 0.0
+        levers, rows = (way, slice(n, n + 3)) if in_axes else (J[:3].T @ way, slice(0, n))
+        yields = levers * levers @ np.stack([model.compliance, model.unsure_by])[:, rows].T
+        least = max(float(yields[0] - _SURE * yields[1]), 1e-9)
+        return min(1.0 / least, stated)
 
     def sent(self, q: Array, now: float) -> None:
         """Note the reference (n,) that is sent at time ``now`` [s]."""

@@ -27,6 +27,7 @@ from modcal_core.diagnosis import Cause, Diagnosis, Loads, by_weight, one_motion
 from modcal_core.effects import (
     ALL,
     AXIS,
+    ZERO,
     Effect,
     NominalArm,
     Quantity,
@@ -95,8 +96,8 @@ class Finding:
     """One entry. effects: what it consists of, fitted to all samples (a gear may have several lines). before, after:
     RMS error on held-out without it and with it [m], all else in the final model. gain_mm2, ci95: mean square that its
     removal costs on held-out [mm²], with the 95 % interval over stations; None where there is nothing to remove. tool:
-    RMS by which it moves the tool [m]. shown: whether it may be named as a cause, by stations that were not used, in
-    any partition of them.
+    RMS by which it moves the tool [m], None of what only readings show. shown: whether it may be named as a cause, by
+    stations that were not used, in any partition of them.
     """
 
     family: str
@@ -183,7 +184,7 @@ def findings(
                 effects=(*effects, *companions),
                 gain_mm2=None if part is None else part.mm2,
                 ci95=None if part is None else part.ci95_mm2,
-                tool=at_tool(shipped, together, few),
+                tool=None if first.direction == ZERO else at_tool(shipped, together, few),
                 shown=rivals is not None,
             )
         )

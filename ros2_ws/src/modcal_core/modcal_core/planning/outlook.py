@@ -44,7 +44,7 @@ from modcal_core.calibration import (
 )
 from modcal_core.claim import Neighbourhood, arms_near, usual_std
 from modcal_core.diagnosis import Sought, causes_of_moves, diagnose, with_residual_curves
-from modcal_core.effects import Effect
+from modcal_core.effects import Effect, of_readings
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import proved
 from modcal_core.measurements import POSE, Samples
@@ -185,7 +185,7 @@ class Outlook:
         J = self._derivatives(self._samples(q, approach, POSE))[:, :3]
         k = len(self.about.parameters)
         for effect in self.about.model.effects:
-            if effect.place == "tracker":
+            if of_readings(effect.place):
                 J[..., k : k + len(effect.values)] = 0.0
             k += len(effect.values)
         return J

@@ -259,7 +259,7 @@ def effect_shapes(report: Outcome) -> tuple[Chart, ...]:
 def _is_curve(effect: Effect) -> bool:
     kind = effect.driver.partition(":")[0]
     many = effect.direction in (JOINTS, RADIAL) or "," in effect.driver
-    return not many and kind not in ("velocity", "reading", "constant", "moment", "path")
+    return not many and kind not in ("velocity", "reading", "constant", "moment", "weight", "tip_weight", "path")
 
 
 def _shape(report: Outcome, effects: tuple[Effect, ...], driver: Array, component: int, name: str) -> Chart:

@@ -29,7 +29,7 @@ REMEDY = (
     "--instrument-mm."
 )
 NOT_SOUGHT = (
-    "Only geometry was fitted: gear errors, compliance, backlash, coupling, temperature, drift, steps and latency "
+    "Only geometry was fitted: gear errors, compliance, backlash, coupling, temperature, drift and steps "
     "were not looked for."
 )
 STATUS_WORDS: dict[Status, str] = {"at_floor": "at the floor", "open": "open", "cannot_tell": "cannot tell"}

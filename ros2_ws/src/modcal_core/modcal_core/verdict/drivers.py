@@ -30,6 +30,7 @@ _FREQUENCIES = 0.6, 2.0  # rad per deviation of the postures: less than half a w
 _NEAR_STATIONS = 300  # stations from which neighbours in posture are close enough to say anything
 _SLOW, _FAST = 4, 44  # waves over the order of the stations
 _MAX_WAVES, _LOADED_WAVES = 130, 60  # waves a turn that are looked for alone, and times the joint's load
+ON_BASE = "the moment of the arm's weight on it"
 OTHER_JOINTS = "the positions of the other joints"
 _MAX_SIGNALS, _MAX_BESIDE, _MAX_NAMED = 40, 14, 6  # signals, other joints, names in a sentence
 _CUTS = (0.25, 0.5, 0.75)  # of the order of the stations, at which everything may have become another
@@ -144,7 +145,7 @@ class PlaceDrivers:
         yield Part("", "all joints, or the readings' time (a filter, an average, a late clock)", "the last move", moved)
         yield _part("", "the tool", "how it is turned against gravity", self.tool, np.r_[self.down, np.sign(self.down)])
         yield _part("", "the tool", "the side from which the tracker looks at it", self.tool, _curves(self.sight))
-        yield _part("", "the base", "the moment of the arm's weight on it", self.base, moments_on_base(self.at))
+        yield _part("", "the base", ON_BASE, self.base, moments_on_base(self.at))
         where = np.concatenate([_standard(np.asarray(self.rest.view.f.p[-1])), self.flat, self.flat**3])
         who = "the tool (or the target on it)"
         yield _part("", who, "where it is and how it is turned in the cell", self.tool, where)

@@ -26,7 +26,7 @@ from modcal_core.geometry import Array
 from modcal_core.robots import is_serial_arm
 from modcal_core.verdict.account import DRAWS
 from modcal_core.verdict.case import Case, by_sample
-from modcal_core.verdict.drivers import OTHER_JOINTS, Part
+from modcal_core.verdict.drivers import ON_BASE, OTHER_JOINTS, Part
 from modcal_core.verdict.grounds import too_many
 from modcal_core.verdict.predictable import MIN_STATIONS, RestStudy
 from modcal_core.verdict.rest import rows_asked
@@ -88,6 +88,8 @@ def _sure(gains: Array) -> tuple[float, bool]:
 def _is_itself(part: Part, effect: Effect) -> bool:
     """Whether a part is an effect's own place and driver in other words, or a group that has them."""
     kind, _, whose = effect.public_driver.partition(":")
+    if part.driver == ON_BASE:
+        return effect.place == "base" and kind == "load"
     same = whose in part.driver or (whose != effect.place and OTHER_JOINTS in part.driver)
     return bool(part.place) and same and effect.place in part.place.split() and _IN_WORDS.get(kind, kind) in part.driver
 

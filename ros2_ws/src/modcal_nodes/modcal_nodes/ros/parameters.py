@@ -367,7 +367,7 @@ IMPEDANCE_SETPOINT = {
     "cutoff_hz": Parameter(30.0, "Cutoff of the force's low-pass [Hz].", 0.5, 500.0),
     "servo_lag_s": Parameter(0.03, "Lag of the arm behind steadily moving setpoints [s].", 0.0, 1.0),
     "contact_stiffness_n_m": Parameter(
-        15e3, "Assumed stiffness of arm, hand and object at a hard stop [N/m].", 100.0, 1e6
+        20e3, "Stiffness of fingers and object; steel is assumed where the first touch is stiffer [N/m].", 100.0, 1e6
     ),
     "arm_stiffness_n_m": Parameter(
         100e3, "Stiffest that the servos hold the tool, by which a force that is not felt is judged [N/m].", 100.0, 1e7

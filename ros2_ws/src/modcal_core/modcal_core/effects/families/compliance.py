@@ -1,8 +1,10 @@
-"""A joint that deflects under its load, or a bearing that tilts under the moment across its axis.
+"""A joint that deflects under its load, a bearing that tilts under the moment across its axis, or a yielding base.
 
 The deflection is the load times a compliance [rad/(N m), m/N], or that of a spring that gets stiffer. Loads are those
 of gravity and, where the actuators report them, their torques; without masses a compliance is known per kilogram only.
 A recorded number may say how much is carried (``/payload_kg``): then the load at the tip is it times that of 1 kg.
+What the arm stands on (a table, a column, a cart) may turn and shift in any direction with the moment about either of
+its horizontal axes.
 """
 
 from __future__ import annotations
@@ -12,15 +14,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import ACROSS, AXIS, Effect
+from modcal_core.effects.effect import ACROSS, ALL, AXIS, Effect
 from modcal_core.effects.family import Family, ReportEntry, complexity_of_joint, in_words
 from modcal_core.effects.registry import KILOGRAMS as KILOGRAMS
 from modcal_core.effects.registry import carried_signals, loads, varies
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, unit_of, value
-from modcal_core.robots import Mechanism
+from modcal_core.robots import Mechanism, is_serial_arm
 
-NAME = "compliance"
+NAME, BASE = "compliance", "base"
 _NO_SPRING = (
     "no spring does that: a controller that compensates too much does, or weight that pulls another way, or loads or "
     "readings of the opposite sign"
@@ -46,6 +48,9 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
                 yield Effect(NAME, name, AXIS, f"{beside},{signal}", Shape("products"))
         if drivers.arm.weighed:  # a sliding joint's column is bent by the moment as a bearing is
             yield Effect(NAME, name, ACROSS, f"moment:{name}", Shape("linear"))
+    on_base = f"{'weight' if drivers.arm.weighed else 'tip_weight'}:{drivers.arm.chain.names[0]}"
+    if is_serial_arm(drivers.arm.chain) and any(map(varies, drivers.values(on_base))):
+        yield Effect(NAME, BASE, ALL, on_base, Shape("several"))
 
 
 def of_joint(joint: str, compliance: float) -> Effect:
@@ -70,7 +75,13 @@ def carrying(effects: Sequence[Effect]) -> tuple[Effect, ...]:
 
 
 def sizes(effect: Effect, chain: Mechanism) -> Sizes:
-    """Compliance and, where masses are known, stiffness; how much a spring hardens."""
+    """Compliance and, where masses are known, stiffness; how much a spring hardens. Of a base the largest turn by a
+    moment.
+    """
+    if effect.place == BASE:
+        turn, std = effect.values[6:].reshape(3, 2), float(effect.std[6:].max())
+        unit, name = ("kg rad/(N m)", "_times_mass") if effect.driver.startswith("tip") else ("rad/(N m)", "")
+        return {f"compliance{name}": (float(np.linalg.norm(turn, 2)), std, unit)}
     unit = unit_of(effect, chain)
     load = "N m" if unit == "rad" else "N"
     # an actuator's torque is the opposite of the load that it holds
@@ -108,6 +119,8 @@ def sentence(entry: ReportEntry) -> str:
     angle, per = ("µrad", "N m") if "rad" in unit else ("µm", "N")
     amount = f"{in_words((1e6 * abs(size), 1e6 * std, angle))} per {per}"
     what = f"{entry.place}'s bearing or column tilts" if entry.direction == ACROSS else f"{entry.place} deflects"
+    if entry.place == BASE:
+        what = "what the arm stands on turns"
     way = "under" if size > 0.0 else "against"
     if name == "compliance_per_unit":
         said = f"{what} {way} a load at the tip that a recorded number tells, by {amount} that 1 kg exerts there, for "
@@ -115,10 +128,10 @@ def sentence(entry: ReportEntry) -> str:
     elif name == "compliance_times_mass":
         said = f"{what} {way} load by {amount} that 1 kg at the tip exerts"
         said += "; the description states no masses, so no stiffness is known"
-    elif size > 0.0:
+    elif size > 0.0 and entry.place != BASE:
         return f"{what} under load, stiffness {in_words(entry.sizes['stiffness'])}"
     else:
-        said = f"{what} against load by {amount}"
+        said = f"{what} {way} load by {amount}"
     return said if size > 0.0 else f"{said}; {_NO_SPRING}"
 
 
