@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import BadCommand, BadRobot, BadTable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.typed_table import trajectory_from_data
+from modcal_core.planning.station_files import trajectory_from_data
 from modcal_core.robots.acceleration import read_drives
 from modcal_core.robots.bodies import STANDARD_GRAVITY
 from modcal_core.robots.chain import Chain

@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from modcal_core.planning.session import MAX_STATIONS, PROOF, SKIPPED, UNSEEN, Goal, Session, Station, from_data
     from modcal_core.planning.session import to_data
     from modcal_core.planning.site import Site, Spheres, clearance, site_from_data, spheres_of
-    from modcal_core.planning.typed_table import FilledTable, Trajectory, require_likely, stations_from_data
-    from modcal_core.planning.typed_table import stations_from_rows, text_of, to_table, trajectory_from_data, with_table
+    from modcal_core.planning.station_files import Trajectory, stations_from_data
+    from modcal_core.planning.typed_table import FilledTable, require_likely
+    from modcal_core.planning.station_files import stations_from_rows, trajectory_from_data
+    from modcal_core.planning.typed_table import text_of, to_table, with_table
 else:
     from modcal_core.lazy import lazy_face
 

@@ -1,4 +1,4 @@
-"""The modcal command: one file per verb, gathered in main."""
+"""The modcal command: verbs of one subject in a file, gathered in main."""
 
 from typing import TYPE_CHECKING
 

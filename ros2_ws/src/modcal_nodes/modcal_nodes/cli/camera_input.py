@@ -16,9 +16,9 @@ from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
 from modcal_core.robots import Tree, chain_forward, held_behind, parse, read_chain, rerooted
 from modcal_msgs_py import Topics, read_recording
+from modcal_nodes.cli.certificate import certified_hashes, exit_code
 from modcal_nodes.cli.console import Output
 from modcal_nodes.cli.inputs import arm_line
-from modcal_nodes.cli.options import certified_hashes, exit_code
 from modcal_nodes.io import Options, Watch, opened, option, repeated
 
 if TYPE_CHECKING:

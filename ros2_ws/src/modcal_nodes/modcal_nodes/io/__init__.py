@@ -5,7 +5,8 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.io.inputs import calibrate_bag, calibration_of, of_calibrated, of_cell, opened, read_assembly
+    from modcal_nodes.io.recorded import calibrate_bag, of_calibrated, opened
+    from modcal_nodes.io.inputs import calibration_of, of_cell, read_assembly
     from modcal_nodes.io.inputs import read_calibration, read_cell, read_delta, read_library, read_particulars
     from modcal_nodes.io.inputs import read_topics, stated_from
     from modcal_nodes.io.options import SCHEMA, ChainOptions, FrozenOptions, Options, SplitOptions, TopicOptions, Watch
