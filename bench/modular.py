@@ -25,7 +25,7 @@ from modules.workshop import Arm, Made, shelf_of
 from modcal_core.calibration.adjoint import identify_twists
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.modules.errors import learn, recording_evidence
-from modcal_core.modules.poe import chain_of
+from modcal_core.modules.library import chain_of
 
 ASSEMBLIES = (1, 2, 3, 5, 8, 12)  # after so many the next one is looked at
 KNOWN = {"published answer": five_joints, "three parallel axes": lambda: PARALLEL}

@@ -56,7 +56,7 @@ def imported(name: str, folder: Path) -> Path:
 def series(letter: str, folder: Path) -> tuple[Robot, Samples]:
     """The UR10 and the stations of its series a or d, one reading each."""
     from modcal_nodes.cli.inputs import described
-    from modcal_nodes.io.recorded import opened
+    from modcal_nodes.io.inputs import opened
     from modcal_nodes.measuring.folder import one_a_station
 
     recorded = opened(imported(f"ipa_ur10_series_{letter}", folder))

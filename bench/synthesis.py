@@ -6,7 +6,7 @@ Three searches judge as many assemblies as the budget allows. Noted are the firs
 of structure broken, both poses reached within the limits and by less than 1e-6, way in m and axis in rad, checked with
 the chain of the assembly) and the least cost in the end.
 
-* ours: modcal_core.modules.genetic, as `modcal synthesize` runs it, without its patience.
+* ours: modcal_core.modules.evaluation, as `modcal synthesize` runs it, without its patience.
 * random: assemblies that keep the rules of structure, drawn evenly, judged by the same evaluator.
 * published: the genetic search as printed. Bit strings, one cut, bits flipped; 10000 for whatever breaks a hard
   requirement; the best are kept. One descent for each target, limits looked at afterwards, 0.01 counts as reached. Not
@@ -35,12 +35,9 @@ import yaml
 from harness import over
 
 from modcal_core.modules.coding import BASES, Coding
-from modcal_core.modules.evaluation import Effort, Evaluator, uses_of
-from modcal_core.modules.genetic import SearchSettings, evolve, valid
-from modcal_core.modules.library import published
-from modcal_core.modules.poe import chain_of
-from modcal_core.modules.synthesis import SynthesisTask
-from modcal_core.modules.synthesis_data import task_from_data
+from modcal_core.modules.evaluation import Effort, Evaluator, SearchSettings, evolve, uses_of, valid
+from modcal_core.modules.library import chain_of, published
+from modcal_core.modules.synthesis import SynthesisTask, task_from_data
 from modcal_core.robots.kinematics import chain_forward
 
 LIBRARY = published()

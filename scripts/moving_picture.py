@@ -22,11 +22,11 @@ import numpy as np  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
 from modcal_core.report.charts import DARK, LIGHT  # noqa: E402
+from modcal_core.report.figures import scene  # noqa: E402
 from modcal_core.report.report import Report  # noqa: E402
-from modcal_core.report.scene import scene  # noqa: E402
 from modcal_core.robots.mechanism import tool_frames  # noqa: E402
+from modcal_nodes.io.inputs import calibrate_bag  # noqa: E402
 from modcal_nodes.io.options import Options  # noqa: E402
-from modcal_nodes.io.recorded import calibrate_bag  # noqa: E402
 
 Array = NDArray[np.float64]
 SCALE = 100  # how much longer errors are drawn

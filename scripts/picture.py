@@ -16,8 +16,8 @@ import numpy as np  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from modcal_core.report.report import Report  # noqa: E402
+from modcal_nodes.io.inputs import calibrate_bag  # noqa: E402
 from modcal_nodes.io.options import Options  # noqa: E402
-from modcal_nodes.io.recorded import calibrate_bag  # noqa: E402
 
 STAGES = (
     ("nominal", "nominal", "#b3261e"),

@@ -12,7 +12,7 @@ from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 NOISE_M = 5e-5
 NOISE_RAD = 5e-5

@@ -39,7 +39,7 @@ from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.changes import CameraWatch
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.intrinsics import first_lens, fit_lens
+from modcal_core.camera.mounting import first_lens, fit_lens
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M
 from modcal_core.camera.views import POSTURES, postures_in_view

@@ -31,9 +31,9 @@ from modcal_core.measurements.inspection import inspect
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording, SignalTrack
 from modcal_core.modules.coding import assembly_from_data
 from modcal_core.modules.library import library_from_data, published, published_text
-from modcal_core.modules.synthesis_data import task_from_data
+from modcal_core.modules.synthesis import task_from_data
 from modcal_core.planning.site import site_from_data
-from modcal_core.planning.station_files import stations_from_data
+from modcal_core.planning.typed_table import stations_from_data
 from modcal_core.robots.acceleration import LoadedArm
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.tables import from_table

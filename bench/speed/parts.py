@@ -34,14 +34,13 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import cut_stations
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.evaluation import Evaluator
-from modcal_core.modules.genetic import SearchSettings, evolve
+from modcal_core.modules.evaluation import Evaluator, SearchSettings, evolve
 from modcal_core.modules.library import published
-from modcal_core.modules.synthesis_data import task_from_data
-from modcal_core.online.change_detector import ChangeDetector
+from modcal_core.modules.synthesis import task_from_data
 from modcal_core.online.estimator import Estimator
-from modcal_core.robots.inverse_kinematics import inverse
+from modcal_core.online.supervisor import ChangeDetector
 from modcal_core.robots.kinematics import chain_forward, spatial_jacobian
+from modcal_core.robots.mechanism import inverse
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording

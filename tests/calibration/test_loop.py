@@ -23,7 +23,7 @@ from modcal_core.measurements.recording import ORDER_ONLY, SOCKETS, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.outcome.contents import independent_units
 from modcal_core.report.as_json import to_json_data
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 
 @pytest.mark.parametrize("block", [1, 7, None])

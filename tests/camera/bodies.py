@@ -20,7 +20,7 @@ from modcal_core.camera.lens import Lens
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 RADIUS = 0.09  # of the block, from its middle to its faces [m]
 SIDE = 0.04  # of a marker [m]

@@ -13,9 +13,8 @@ from modcal_core.calibration import Model
 from modcal_core.camera.arm_poses import ArmPoses, with_parameters
 from modcal_core.camera.corners import CameraState, CommonPrior, CornerTable
 from modcal_core.camera.fit import Camera, CameraFit, CameraImages, Cameras
-from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.mounting import Mounting, find_mounting
+from modcal_core.camera.mounting import Mounting, board_poses, find_mounting
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
 from modcal_core.geometry import se3

@@ -13,9 +13,9 @@ from modcal_core.camera.lens import Lens
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inverse_kinematics import inverse_batch
+from modcal_core.robots.mechanism import inverse_batch
 from modcal_core.robots.urdf import read_chain
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 PANDA = Path(__file__).parents[2] / "examples" / "robots" / "panda.urdf"
 HOME = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.8, 0.8])

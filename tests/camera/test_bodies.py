@@ -28,9 +28,8 @@ from finite_differences import assert_jacobian
 from modcal_core.camera.bundle import APRILTAG_ORDER, ARUCO_ORDER, BoardView, MarkerBundle
 from modcal_core.camera.corners import COMMON, SHAPE, CornerTable, corner_rows, images_with_pose
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.mounting import IN_WORLD, require_order
+from modcal_core.camera.mounting import IN_WORLD, board_poses, require_order
 from modcal_core.camera.prepared import far_markers, fitted, prepare_images, together
 from modcal_core.camera.solve import CameraProblem, CameraSolution, left_out_points, solve_camera
 from modcal_core.camera.target_file import target_from_data

@@ -16,9 +16,8 @@ from modcal_core.calibration.parameters import View, ordered_candidates
 from modcal_core.camera.claim import ALL_BUT_IMAGES, APPLY, AS_STATED, DO_NOT_APPLY, arm_draws
 from modcal_core.camera.corners import CornerTable, common_prior, corner_rows
 from modcal_core.camera.equations import Sizes
-from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import FISHEYE, Lens
-from modcal_core.camera.mounting import find_mounting
+from modcal_core.camera.mounting import board_poses, find_mounting
 from modcal_core.camera.views import postures_in_view
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3, so3

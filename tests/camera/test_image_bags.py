@@ -27,8 +27,7 @@ from modcal_msgs_py.layout import message_class
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_nodes.cli.main import run
-from modcal_nodes.vision.bag import JointLog, chosen_stamps
-from modcal_nodes.vision.grey import grey_of
+from modcal_nodes.vision.bag import JointLog, chosen_stamps, grey_of
 from modcal_nodes.vision.images import SCALED
 
 

@@ -12,8 +12,8 @@ from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
 from modcal_core.camera.corners import CornerTable, corner_rows, enough_corners
-from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import FISHEYE, Lens
+from modcal_core.camera.mounting import board_poses, first_lens, fit_lens
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array

@@ -16,8 +16,8 @@ from camera.flange import flange_arm, flange_joints
 from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit, CameraImages
-from modcal_core.camera.intrinsics import first_lens, fit_lens
 from modcal_core.camera.lens import Lens
+from modcal_core.camera.mounting import first_lens, fit_lens
 from modcal_core.camera.prepared import nominal, prepare_images
 from modcal_core.files import read_yaml
 from modcal_core.geometry import se3

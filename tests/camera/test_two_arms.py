@@ -26,8 +26,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robot import Robot
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inverse_kinematics import inverse_batch
 from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.mechanism import inverse_batch
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_tree import rerooted
 from modcal_msgs_py.images import CLOUD, fill_corners
@@ -35,7 +35,7 @@ from modcal_msgs_py.layout import message_class
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_nodes.cli.camera_input import arm_between
 from modcal_nodes.cli.main import run
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 CAMERA_ON_LEFT = se3.transform(so3.exp([0.02, 0.01, 0.7]), [0.06, 0.02, 0.03])
 

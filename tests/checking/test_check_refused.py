@@ -16,7 +16,7 @@ from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.public import check
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 pytestmark = pytest.mark.slow
 STEP = se3.exp(np.array([4e-3, -3e-3, 2e-3, 1e-3, 2e-3, -1e-3]))

@@ -21,7 +21,7 @@ from modcal_core.report.blocks import SummaryLine
 from modcal_core.report.checkup import checkup_data, checkup_summary
 from modcal_core.robot import Robot
 from modcal_core.robots.kinematics import spatial_jacobian
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 pytestmark = pytest.mark.slow
 ELSEWHERE = se3.exp([1.8, -0.7, 0.4, 0.3, -0.5, 2.1])  # where the instrument stands the next day

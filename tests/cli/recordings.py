@@ -13,8 +13,8 @@ from cells import record, ur10
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_nodes.simulation.mjcf import World
 from modcal_nodes.simulation.program import Program, tour
-from modcal_nodes.simulation.world import World
 
 URDF = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"
 START = 1.7e9

@@ -16,11 +16,11 @@ from cli.recordings import URDF
 from modcal_core.articulation.urdf import frames, read
 from modcal_core.geometry import se3, so3
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
-from modcal_core.robots.inverse_kinematics import inverse
 from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.mechanism import inverse
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.recording_write import write_recording
-from modcal_msgs_py.tables.tracks import read_track
+from modcal_msgs_py.tables.moments import read_track
 from modcal_nodes.cli.main import run
 
 

@@ -17,8 +17,7 @@ from modcal_core.geometry import se3
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.modules.coding import assembly_to_data
 from modcal_core.modules.errors import twists_from_data
-from modcal_core.modules.library import Assembly, published_text
-from modcal_core.modules.poe import chain_of
+from modcal_core.modules.library import Assembly, chain_of, published_text
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.recording_write import write_recording

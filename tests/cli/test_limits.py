@@ -18,11 +18,10 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import JointTrack, Recording
 from modcal_core.robots.acceleration import read_drives
-from modcal_core.robots.bodies import Payload
+from modcal_core.robots.bodies import Payload, Stands, weigh
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_core.robots.weighing import Stands, weigh
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 

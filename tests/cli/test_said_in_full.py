@@ -19,8 +19,8 @@ from robots.test_urdf import robot, serial
 from modcal_core.errors import BadRecording, BadRobot, BadTable, about, plain
 from modcal_core.outcome.contents import Outcome
 from modcal_core.report.blocks import SummaryLine, TableBlock
-from modcal_core.report.terminal import summary
-from modcal_core.report.words import sentence
+from modcal_core.report.report import summary
+from modcal_core.report.tables import sentence
 from modcal_core.verdict.verdict import Row, Verdict
 from modcal_nodes.cli.console import Terminal, show
 from modcal_nodes.cli.main import run

@@ -13,7 +13,7 @@ import pytest
 from cli.conftest import Refused
 from cli.recordings import part, stations, with_joints
 
-from modcal_msgs_py.descriptions import digest
+from modcal_msgs_py.messages import digest
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 

@@ -19,7 +19,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import least_change, passing_directions
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.correction.compensation import compensate
+from modcal_core.correction.commander import compensate
 from modcal_core.correction.correction import ArmState, Correction, Target
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import AXIS, Effect

@@ -21,9 +21,9 @@ from modcal_core.correction.commander import (
     Commander,
     CommanderSettings,
     SetpointStream,
+    compensate,
     corrected_urdf,
 )
-from modcal_core.correction.compensation import compensate
 from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.correction.picture import ellipsoid, enlarged_axes, joint_axes, known_to, residuals, tool_ellipsoid
 from modcal_core.errors import BadCommand, BadRobot, NotReachable
@@ -34,8 +34,7 @@ from modcal_core.online.supervisor import Live
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.mechanism import tool_frames
-from modcal_nodes.simulation.mjcf import body_name
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World, body_name
 
 AT = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
 

@@ -28,9 +28,9 @@ from modcal_core.preprocess import prepare
 from modcal_core.report.as_json import to_json_data
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.ros.parameters import SIMULATED_CELL
+from modcal_nodes.simulation.mjcf import World
 from modcal_nodes.simulation.plant import Plant
-from modcal_nodes.simulation.recording import recorded as simulated
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.plant import recorded as simulated
 
 pytestmark = pytest.mark.slow
 

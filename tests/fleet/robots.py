@@ -12,7 +12,7 @@ from cli.recordings import START, stations, with_joints, with_reading
 from modcal_core.geometry import se3, so3
 from modcal_core.measurements.recording import Recording
 from modcal_msgs_py.recording_write import write_recording
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 
 def robot(seed: int) -> World:

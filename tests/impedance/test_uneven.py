@@ -15,8 +15,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.safety_monitor import ArmSetpoint, Limits, SafetyMonitor, SensorReadings
 from modcal_core.impedance.setpoint_filter import SetpointFilter
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inverse_kinematics import inverse
 from modcal_core.robots.kinematics import body_jacobian, chain_forward
+from modcal_core.robots.mechanism import inverse
 
 
 def asked(guard: SafetyMonitor, chain: Chain, q: Array, now: float) -> None:

@@ -28,7 +28,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.online.supervisor import Live
 from modcal_core.outcome.contents import Outcome
 from modcal_core.report.as_json import to_json_data
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 
 def blocks(seed: int) -> tuple[worlds.World, worlds.Samples, tuple[StationDistance, ...]]:

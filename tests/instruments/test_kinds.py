@@ -18,6 +18,8 @@ from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.noise import errors
 from modcal_core.calibration.parameters import INSTRUMENT, ordered_candidates
 from modcal_core.calibration.structure import views_of
+from modcal_core.effects import ZERO
+from modcal_core.effects.families import step
 from modcal_core.errors import BadRecording, ModcalError, NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -68,14 +70,19 @@ def test_it_is_placed_from_no_guess(kind: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "own_target"), [*((k, False) for k in READINGS), ("range", True), ("bearing", True)])
 def test_derivatives(kind: str, own_target: bool) -> None:
-    """Of what is measured along each direction, by every parameter of arm, tool, frame and instrument."""
+    """Of what is measured along each direction, by every parameter of arm, tool, frame and instrument, and by a zero
+    that stepped.
+    """
     model, samples = located(kind, own_target)
     parameters = ordered_candidates(ur10(), model.frames, views_of(samples), model.instruments)
-    x = 0.02 * np.random.default_rng(2).normal(size=len(parameters))
+    if kind in ("range", "ray"):
+        shift = step.moved(f"frame {model.frames[0]}", ZERO, float(np.median(samples.stamps)))
+        model = model.with_effects((shift.started(np.zeros(1)),))
+    x = 0.02 * np.random.default_rng(2).normal(size=len(parameters) + len(model.effects))
     at = linearise(model, parameters, x, samples)
     assert any(p.place == INSTRUMENT for p in parameters) == (kind in ("range", "ray") or own_target)
     N = len(samples)
-    J = at.J.reshape(len(parameters), 3, N)
+    J = at.J.reshape(len(x), 3, N)
     if kind == "bearing":
         # the plane across a line of sight turns with it, so derivatives are compared through the cost
         def half_square(values: Array) -> Array:

@@ -7,7 +7,7 @@ wire, where an anchor stands, a ray) it is compared with what was put in, too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -24,10 +24,11 @@ from modcal_core.calibration.initial import Known
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.loop import calibrate
 from modcal_core.measurements.kinds.kind import frame_on_plane
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import chain_forward
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 ANCHORS = np.array([[1.5, 0.3, 0.2], [-1.2, 1.1, 0.1], [0.2, -1.6, 1.8]])
 ZEROS = np.array([0.123, 0.05, -0.2])
@@ -168,6 +169,24 @@ def test_the_ray_is_found_where_the_plane_is_known() -> None:
     tilt = T[:3, :3] @ ray[3:] - true[:3, :3] @ (RAY_ALONG / np.linalg.norm(RAY_ALONG))
     assert np.abs(gap).max() < 3.5 * max(fit.deviation(f"instrument laser/ray_{d}") for d in "xyz") < 3e-4
     assert np.abs(tilt).max() < 3.5 * max(fit.deviation(f"instrument laser/ray_tilt_{i}") for i in (1, 2)) < 5e-4
+
+
+@pytest.mark.parametrize(("name", "device"), [("one wire", "wire_0"), ("three wires", "wire_1"), ("a ray", "laser")])
+def test_a_zero_that_shifts_and_comes_back_is_no_joint_that_moved(name: str, device: str) -> None:
+    rng = np.random.default_rng(8)
+    w, devices = worlds.world(8), CELLS[name][0]
+    samples = read(w, devices, postures(w, devices, 160, rng), rng)
+    row = np.unique(samples.stamps, return_inverse=True)[1]
+    off = (row >= 50) & (row < 120) & (samples.frame == samples.frames.index(device))
+    samples = replace(samples, reading=samples.reading + 2e-3 * off[:, None] * np.eye(3)[0])
+    effects = calibrate(samples, ur10(), np.random.default_rng(0)).report.effects
+    assert {(e.family, e.place, e.direction) for e in effects} == {("step", f"frame {device}", "zero")}
+    (shift,), stamps = effects, np.unique(samples.stamps)
+    for name, at in (("since", 50), ("at", 120)):
+        assert stamps[at - 1] < shift.parameters[name][0] < stamps[at]
+    size, std, _ = shift.parameters["zero"]
+    assert abs(size - 2e-3) < 4.0 * std < 1e-4
+    assert shift.sentence.startswith(f"the zero of {device} was off by ")
 
 
 def test_two_sensors_that_look_at_one_plane_share_it() -> None:

@@ -17,7 +17,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 Reading = Callable[[Array], Array]  # pose of the tool in the base (4, 4) -> what is read
 TOOL = se3.exp([0.05, 0.03, 0.12, 0.2, -0.1, 0.3])

@@ -333,6 +333,26 @@ def test_other_stamps_stay(apart: float) -> None:
     assert clean.notes == ()
 
 
+def test_stamps_of_arrival_in_motion_get_the_rate_of_the_instrument() -> None:
+    """Delays of a part of a period, some of more, with readings lost; and a timer that is late and says when it was."""
+    recording, rng = streams(30, dwell=0.0), np.random.default_rng(4)
+    (track,) = recording.readings
+    delay = rng.exponential(0.003, len(track.stamps)) + 0.02 * (rng.random(len(track.stamps)) < 0.02)
+    kept = np.flatnonzero(rng.random(len(delay)) > 0.02)
+    arrived = np.maximum.accumulate(track.stamps + delay)[kept]
+    late = replace(recording, readings=(replace(track.rows(kept), stamps=arrived, received=arrived),))
+    assert any("about a steady rate of" in said for said in inspect(late).findings)
+    prepared = prepare(late, ur10())
+    assert any("these times fit the motion better" in note for note in prepared.notes)
+    off = prepared.samples.stamps - track.stamps[kept][: len(prepared.samples)]
+    assert np.percentile(np.abs(off - np.median(off)), 99) < 3e-4
+
+    taken = track.stamps + delay
+    there = np.stack([np.interp(taken, track.stamps, x) for x in track.values.T], axis=1)
+    timer = replace(recording, readings=(replace(track, stamps=taken, received=taken, values=there),))
+    assert not any("fit the motion better" in note for note in prepare(timer, ur10()).notes)
+
+
 def counts(recording: Recording) -> dict[str, int]:
     return dict(dropped(recording, cut_stations(recording, ur10().names)))
 

@@ -17,8 +17,7 @@ from modules.arms import LIBRARY, five_joints, random_assembly
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.modules.coding import assembly_from_data
-from modcal_core.modules.library import Assembly, Module, library_from_data, published_text
-from modcal_core.modules.poe import chain_of, origins
+from modcal_core.modules.library import Assembly, Module, chain_of, library_from_data, origins, published_text
 from modcal_core.modules.urdf import body, urdf_of
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain

@@ -11,10 +11,9 @@ import yaml
 from modules.arms import LIBRARY, five_joints, random_assembly
 
 from modcal_core.errors import BadTable
-from modcal_core.modules.catalogue import Catalogue
 from modcal_core.modules.coding import Coding, Entry, assembly_from_data, assembly_of, assembly_to_data, incidence_of
-from modcal_core.modules.library import Assembly, library_from_data, published_text
-from modcal_core.modules.poe import chain_of
+from modcal_core.modules.library import Assembly, chain_of, library_from_data, published_text
+from modcal_core.modules.targets import Catalogue
 from modcal_core.modules.urdf import body
 
 CODING = Coding(LIBRARY)

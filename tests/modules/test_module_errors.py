@@ -27,8 +27,7 @@ from modcal_core.modules.errors import (
     twists_from_data,
     with_recording,
 )
-from modcal_core.modules.library import Assembly, Module
-from modcal_core.modules.poe import chain_of
+from modcal_core.modules.library import Assembly, Module, chain_of
 
 # One set of ten modules: a base, four joints, four links, a gripper.
 JOINTS = [Module("JR", serial=f"J{k}") for k in range(1, 5)]

@@ -16,15 +16,12 @@ from modules.arms import LIBRARY, random_assembly
 from modcal_core.errors import BadTable, NotReachable
 from modcal_core.geometry import se3, so3
 from modcal_core.modules import targets as reaching
-from modcal_core.modules.catalogue import Catalogue
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.evaluation import Effort, Evaluator
-from modcal_core.modules.genetic import Archive, SearchSettings, evolve
-from modcal_core.modules.poe import chain_of
+from modcal_core.modules.evaluation import Archive, Effort, Evaluator, SearchSettings, evolve
+from modcal_core.modules.library import chain_of
 from modcal_core.modules.requirements import REQUIREMENTS
-from modcal_core.modules.synthesis import SynthesisTask, allowed, synthesize, to_data, to_markdown
-from modcal_core.modules.synthesis_data import task_from_data
-from modcal_core.modules.targets import Target
+from modcal_core.modules.synthesis import SynthesisTask, allowed, synthesize, task_from_data, to_data, to_markdown
+from modcal_core.modules.targets import Catalogue, Target
 from modcal_core.robots.kinematics import chain_forward
 
 CODING = Coding(LIBRARY)

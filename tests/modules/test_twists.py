@@ -18,10 +18,8 @@ from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.modules.catalogue import Catalogue
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.library import Assembly
-from modcal_core.modules.poe import chain_of, module_frames
+from modcal_core.modules.library import Assembly, chain_of, module_frames
 from modcal_core.modules.requirements import (
     dexterity,
     farthest_reach,
@@ -31,7 +29,7 @@ from modcal_core.modules.requirements import (
     structure,
     upright,
 )
-from modcal_core.modules.targets import Target, TargetPostures, frames
+from modcal_core.modules.targets import Catalogue, Target, TargetPostures, frames
 from modcal_core.modules.urdf import path, urdf_of
 from modcal_core.robots.bodies import chain_gravity_wrench, payload_wrench
 from modcal_core.robots.chain import Chain

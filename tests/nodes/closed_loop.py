@@ -28,15 +28,15 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inverse_kinematics import inverse
+from modcal_core.robots.mechanism import inverse
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.commands import fill_pose
 from modcal_msgs_py.readings import seconds, set_seconds
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_calibration
+from modcal_nodes.simulation.mjcf import World
 from modcal_nodes.simulation.plant import make_world
-from modcal_nodes.simulation.world import World
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 CELL: dict[str, Any] = {

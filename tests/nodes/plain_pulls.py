@@ -13,7 +13,7 @@ import numpy as np
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.inverse_kinematics import inverse
+from modcal_core.robots.mechanism import inverse
 from modcal_nodes.simulation.furniture import Furniture
 from modcal_nodes.simulation.pulling import Pulling
 

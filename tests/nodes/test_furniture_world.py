@@ -22,7 +22,7 @@ from modcal_core.errors import BadCommand, BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.bodies import STANDARD_GRAVITY
-from modcal_core.robots.inverse_kinematics import inverse
+from modcal_core.robots.mechanism import inverse
 from modcal_nodes.simulation.furniture import GRASP_STIFFNESS, KINDS, KNOWN, Furniture, draw, resistance
 from modcal_nodes.simulation.mjcf import Servo
 from modcal_nodes.simulation.pulling import Pulling, effort_limits

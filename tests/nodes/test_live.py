@@ -25,8 +25,8 @@ from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.typed import calibration_data
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_calibration
+from modcal_nodes.simulation.mjcf import World
 from modcal_nodes.simulation.plant import make_world
-from modcal_nodes.simulation.world import World
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 SEED = 11

@@ -21,8 +21,7 @@ from std_srvs.srv import Trigger
 
 from modcal_nodes.calibrating.worker import SolveWorker
 from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.resting import RestingExecutor
-from modcal_nodes.ros.running import FRESH, SENSOR
+from modcal_nodes.ros.running import FRESH, SENSOR, RestingExecutor
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, always
 
 REST, PERIOD, COUNT = 0.01, 0.02, 600

@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import BadCommand, BadRobot, BadTable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.station_files import trajectory_from_data
+from modcal_core.planning.typed_table import trajectory_from_data
 from modcal_core.robots.acceleration import read_drives
 from modcal_core.robots.bodies import STANDARD_GRAVITY
 from modcal_core.robots.chain import Chain
@@ -31,9 +31,9 @@ from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.delta_world import make_delta_world
+from modcal_nodes.simulation.mjcf import World
 from modcal_nodes.simulation.plant import SWITCHES, Grid, Switches, make_world
 from modcal_nodes.simulation.program import Program, legs, tour, within_limits
-from modcal_nodes.simulation.world import World
 
 CHAIN = chain_of("ur10")
 COMPLIANCE = np.array([1e-5, 2e-5, 3e-5, 0.0, 5e-5, 6e-5])

@@ -28,8 +28,8 @@ from modcal_core.loop import calibrate
 from modcal_core.online.supervisor import Policy, Supervisor
 from modcal_core.robots.kinematics import chain_forward
 from modcal_msgs_py.readings import set_seconds
-from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.diagnostics import collected
+from modcal_nodes.calibrating.intake import Buffer
 from modcal_nodes.calibrating.state import (
     State,
     StateLock,

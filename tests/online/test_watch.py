@@ -17,8 +17,8 @@ from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.change_detector import ChangeDetector, find_change
-from modcal_nodes.simulation.world import World
+from modcal_core.online.supervisor import ChangeDetector, find_change
+from modcal_nodes.simulation.mjcf import World
 
 NOISE_M, NOISE_RAD = 5e-5, 5e-5
 

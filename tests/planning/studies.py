@@ -14,7 +14,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.site import Site
 from modcal_core.robots.chain import Chain
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 
 @dataclass(frozen=True)

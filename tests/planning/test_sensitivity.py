@@ -16,7 +16,7 @@ from modcal_core.calibration.structure import choose_parameters
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.closed_chain import (
+from modcal_core.planning.pool import (
     ClosedChain,
     calibration_chain,
     dh_closed_chain,

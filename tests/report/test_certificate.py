@@ -36,7 +36,7 @@ from modcal_core.report.comparison import Side, compare
 from modcal_core.verdict.iso9283 import CYCLES, POSES, pose_test
 from modcal_core.verdict.tolerance import Asked
 from modcal_core.verdict.verdict import Reason, Verdict
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 INSTRUMENT = Stated(instrument_mm=0.03)
 PREDICTABLE = Verdict("open", (Reason("predictable", "About 20 % can be predicted."),))

@@ -17,9 +17,9 @@ from modcal_core.measurements.dwells import SAME
 from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.outcome.contents import Outcome
 from modcal_core.report.as_json import to_json_data
+from modcal_core.report.blocks import FILES, as_script_data
+from modcal_core.report.figures import scene
 from modcal_core.report.html import to_html
-from modcal_core.report.page import FILES, as_script_data
-from modcal_core.report.scene import scene
 
 Element = tuple[str, dict[str, str]]
 

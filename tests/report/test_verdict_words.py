@@ -20,8 +20,7 @@ from modcal_core.measurements.samples import cut_stations
 from modcal_core.outcome.contents import STAGES, Outcome
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import to_html
-from modcal_core.report.tables import account_tables
-from modcal_core.report.words import NOT_SOUGHT, REMEDY, sentence
+from modcal_core.report.tables import NOT_SOUGHT, REMEDY, account_tables, sentence
 from modcal_core.verdict.floor import reading_scatter_mm
 from modcal_core.verdict.tolerance import Asked
 from modcal_core.verdict.verdict import Row, Verdict

@@ -20,7 +20,7 @@ from modcal_core.robots.acceleration import Drives, Window, read_drives, torque,
 from modcal_core.robots.bodies import Payload, with_payload
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.fastest_motion import JointPath, Timing, constant_bounds, motion, within_bounds, within_torque
-from modcal_core.robots.inverse_kinematics import inverse
+from modcal_core.robots.mechanism import inverse
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 

@@ -14,8 +14,8 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robot import Robot
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inverse_kinematics import inverse, inverse_batch
 from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.mechanism import inverse, inverse_batch
 from modcal_core.robots.urdf import read_chain
 
 ROBOTS = Path(__file__).resolve().parents[2] / "examples" / "robots"

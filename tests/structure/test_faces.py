@@ -59,22 +59,12 @@ def test_the_rule_knows_a_face_from_a_file() -> None:
     assert not past_the_face("modcal_core.calibration.fit", "modcal_core.errors.ModcalError")
 
 
-def declared(source: str) -> list[str]:
-    """The names of ``__all__`` as an ``__init__.py`` writes them down."""
-    found: list[str] = []
-    for node in ast.parse(source).body:
-        target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
-        if isinstance(target, ast.Name) and target.id == "__all__":
-            found += ast.literal_eval(node.value)  # type: ignore[attr-defined]
-    return found
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("package", FACES)
 def test_a_face_shows_what_it_names(package: str) -> None:
     source = (SRC / package.split(".")[0] / Path(*package.split("."))).joinpath("__init__.py").read_text()
-    names = declared(source)
     shown = importlib.import_module(package)
+    names = getattr(shown, "__all__", [])
     assert ast.get_docstring(ast.parse(source))
     assert len(names) == len(set(names))
     for name in names:
@@ -105,5 +95,5 @@ def test_no_face_shows_a_name_that_a_file_inside_has() -> None:
         for found in imports_of(face.split(".")[0], MODULES[face])
         if hidden_by_a_file(face, found.module)
     ]
-    assert hidden_by_a_file("modcal_core.report", "modcal_core.report.words.page")
+    assert hidden_by_a_file("modcal_core.report", "modcal_core.report.tables.charts")
     assert not hidden_by_a_file("modcal_core.geometry", "modcal_core.geometry.so3")

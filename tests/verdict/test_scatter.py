@@ -19,7 +19,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.predictable import MAX_PREDICTABLE
-from modcal_nodes.simulation.world import World
+from modcal_nodes.simulation.mjcf import World
 
 STAND, SEAT = "scatter of the base", "scatter of the tool"
 

@@ -10,12 +10,17 @@ from typing import Any
 
 
 def lazy_face(package: str, file: str) -> Callable[[str], Any]:
-    """The ``__getattr__`` of a package; its ``__init__.py``, ``file``, imports the names under ``if TYPE_CHECKING``."""
+    """The ``__getattr__`` of a package; its ``__init__.py``, ``file``, imports the names under ``if TYPE_CHECKING``.
+
+    They are ``__all__``, where that is not written down.
+    """
     modules: dict[str, str] = {}
 
     def get(name: str) -> Any:
         if not modules:
             modules.update(_names(Path(file).read_text(encoding="utf-8")))
+        if name == "__all__":
+            return sorted(modules)
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         try:

@@ -27,7 +27,7 @@ from modcal_core.diagnosis import (
     with_arm,
     with_residual_curves,
 )
-from modcal_core.effects import remembered
+from modcal_core.effects import is_of_clock, remembered
 from modcal_core.effects.families import payload
 from modcal_core.hypotheses import require_plausible
 from modcal_core.measurements import Samples
@@ -66,18 +66,18 @@ def calibrate(
     Raises ModcalError for data that cannot carry a fit.
     """
     task, drawn = tasks_of(samples, chain, rng, cell or Cell(), inertias, block)
-    look_for_effects = look_for_effects and len(task.explain) > 0
-    effects = partial(_with_effects, block=block, progress=progress, changed=changed) if look_for_effects else None
+    effects = partial(_with_effects, block=block, progress=progress, changed=changed) if look_for_effects else _on_time
     fits = _fitted(task, effects)
     seen = fits if drawn is task else _fitted(drawn, effects)
     outcome, shipped = scored(task, fits, drawn, seen)
-    return Solution(replace(outcome, searched=look_for_effects), shipped, seen.final)
+    searched = look_for_effects and len(task.explain) > 0
+    return Solution(replace(outcome, searched=searched), shipped, seen.final)
 
 
-def _fitted(task: Task, effects: Callable[[Task, Fits], Fits] | None) -> Fits:
+def _fitted(task: Task, effects: Callable[[Task, Fits], Fits]) -> Fits:
     """Fits to *train*. effects: adds them, chosen by *explain*."""
     fits = _geometry(task)
-    if effects is not None and len(task.explain):
+    if len(task.explain):
         fits = supported(task, effects(task, fits))
     # when something moved is read from all stations: one next to it that was held out belongs to either side
     fits = replace(fits, final=replace(fits.final, model=sharpened(fits.final.model, task.samples)))
@@ -112,6 +112,16 @@ def _with_effects(
     final = with_residual_curves(diagnosis.fit, train, explain, task.cell.distances, block)
     together = final is not diagnosis.fit
     return replace(fits, geometric=geometric, final=final, diagnosis=diagnosis, loads=loads, together=together)
+
+
+def _on_time(task: Task, fits: Fits) -> Fits:
+    """Geometry alone, and in motion what the instrument's clock is late by, or drifts: in it postures are wrong."""
+    if not task.train.moving.any():
+        return fits
+    known = fits.diagnosis.causes
+    sought = Sought(task.train, task.explain, task.cell.distances, only=is_of_clock, known=known)
+    diagnosis = diagnose(fits.geometric, sought)
+    return replace(fits, final=diagnosis.fit, diagnosis=diagnosis)
 
 
 def _require_plausible(task: Task, nominal: Fit, fitted: Fit) -> None:

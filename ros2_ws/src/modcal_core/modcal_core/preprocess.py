@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,12 +25,15 @@ from modcal_core.measurements import (
     LIMIT,
     MAX_GLITCHES,
     UNUSABLE,
+    Cleaned,
     Dropped,
+    Hung,
     Recording,
     Samples,
     StationRules,
     Stretch,
     align,
+    at_steady_rate,
     cleaned,
     cut_stations,
     dropped,
@@ -49,6 +52,7 @@ _SETTLED = 1e-6  # s; in a shorter delay a tool at 1 m/s moves less than a micro
 _EXPANDED = 2e-5  # rad or m: what an expansion may miss: less than an encoder's step of 18 bits
 _MAX_OF = 95  # % of the samples that must be expanded so well; the rest are starts and stops
 _MAX = 3000  # samples that a delay is fitted to
+_PLAINLY = 0.9  # of what stamps leave, below which a steady rate fits better: of hundreds of readings beyond doubt
 # s; a shorter delay is the cell's own, and belongs to the calibration as an effect; a longer one is a clock's
 LONGEST_LATENCY = 0.025
 
@@ -80,19 +84,17 @@ def prepare(
     since, until: stamps [s] between which dropped readings are counted.
     """
     clean = cleaned(recording, chain.names, chain)
-    recording = clean.recording
-    require_usable(recording, chain)
-    aligned, notes = align(recording, chain.names, lambda q: forward(chain, q), clock_limit)
-    repeated = hung(aligned, chain.names)
-    recording, aligned = repeated.left_out(recording), repeated.left_out(aligned)
-    samples = cut_stations(aligned, chain.names, rules)
-    if samples.moving.any():
-        stood = np.isfinite(samples.sigma_position).any()
-        # clocks are settled anew, and said again if they are still off
-        samples, notes = _settle_delays(recording, aligned, samples, chain, rules)
-        if not stood:
-            said = "The arm was almost always moving: readings were used one by one, with interpolated postures."
-            notes = (said, *notes)
+    require_usable(clean.recording, chain)
+    timed = _timed(clean.recording, chain, rules, clock_limit, clean.spread)
+    if timed.samples.moving.any():
+        timed = _at_likelier_times(timed, clean, chain, rules, clock_limit)
+    recording, aligned, repeated, samples, notes = (
+        timed.recording,
+        timed.aligned,
+        timed.hung,
+        timed.samples,
+        timed.notes,
+    )
     samples = replace(samples, signals=(*samples.signals, *other_joints(aligned, samples)))
     unused = dropped(aligned, samples, rules, since, until)
     own = own_statement(aligned, chain.names, rules)
@@ -102,6 +104,57 @@ def prepare(
     return Prepared(
         samples, recording.warnings + clean.notes + repeated.notes + notes + own.notes, lost, own.stated, doubts
     )
+
+
+@dataclass(frozen=True)
+class _Timed:
+    """A recording with its readings on the joints' clock. recording, aligned: before and after, without what hung."""
+
+    recording: Recording
+    aligned: Recording
+    hung: Hung
+    samples: Samples
+    notes: tuple[str, ...]
+
+
+def _timed(
+    recording: Recording, chain: Mechanism, rules: StationRules | None, clock_limit: float, spread: Sequence[str]
+) -> _Timed:
+    """The samples of a clean recording. spread: frames whose stamps are no instrument's: no delay is its own."""
+    aligned, notes = align(recording, chain.names, lambda q: forward(chain, q), clock_limit)
+    repeated = hung(aligned, chain.names)
+    recording, aligned = repeated.left_out(recording), repeated.left_out(aligned)
+    samples = cut_stations(aligned, chain.names, rules)
+    if samples.moving.any():
+        stood = np.isfinite(samples.sigma_position).any()
+        # clocks are settled again, and said again if they are still off
+        samples, notes = _settle_delays(recording, aligned, samples, chain, rules, spread)
+        if not stood:
+            said = "The arm was almost always moving: readings were used one by one, with interpolated postures."
+            notes = (said, *notes)
+    return _Timed(recording, aligned, repeated, samples, notes)
+
+
+def _at_likelier_times(
+    as_stamped: _Timed, clean: Cleaned, chain: Mechanism, rules: StationRules | None, clock_limit: float
+) -> _Timed:
+    """The samples by the stamps, or by the steady rates that these suggest, as the arm's motion has it."""
+    said = {track.frame: at_steady_rate(track) for track in clean.recording.readings if track.frame not in clean.spread}
+    frames = tuple(frame for frame, (_, why) in said.items() if why)
+    if not frames:
+        return as_stamped
+    readings = tuple(said[t.frame][0] if t.frame in frames else t for t in clean.recording.readings)
+    evenly = _timed(replace(clean.recording, readings=readings), chain, rules, clock_limit, (*clean.spread, *frames))
+    left = [_delays(timed.samples, chain)[1] for timed in (as_stamped, evenly)]
+    better = [
+        f
+        for f in frames
+        if left[1][evenly.samples.frames.index(f)] < _PLAINLY * left[0][as_stamped.samples.frames.index(f)]
+    ]
+    if len(better) < len(frames):
+        return as_stamped
+    notes = (f"Readings in {f}: {said[f][1]}: these times fit the motion better and were taken." for f in frames)
+    return replace(evenly, notes=(*notes, *evenly.notes))
 
 
 def _flickering(recording: Recording, unused: dict[str, int], since: float, until: float) -> tuple[str, ...]:
@@ -150,7 +203,12 @@ def prepare_pieces(
 
 
 def _settle_delays(
-    recording: Recording, aligned: Recording, samples: Samples, chain: Mechanism, rules: StationRules | None
+    recording: Recording,
+    aligned: Recording,
+    samples: Samples,
+    chain: Mechanism,
+    rules: StationRules | None,
+    spread: Sequence[str],
 ) -> tuple[Samples, tuple[str, ...]]:
     """The samples cut again with the readings of each frame on the joints' clock, as their motion shows it.
 
@@ -162,14 +220,15 @@ def _settle_delays(
     offset, drifts = _aligned_by(recording, aligned, samples.frames)
     rest = np.zeros(len(offset))
     for _ in range(_ROUNDS):
-        step = _delays(samples, chain)
+        step, _ = _delays(samples, chain)
         rest += step
         samples = cut_stations(_shifted(aligned, samples.frames, rest), chain.names, rules)
         if np.abs(step).max() < _SETTLED:
             break
     total = offset + rest
     as_recorded = cut_stations(_shifted(aligned, samples.frames, -offset), chain.names, rules)
-    own = (np.abs(total) <= LONGEST_LATENCY) & ~drifts & _within_reach(as_recorded, samples, total)
+    own = (np.abs(total) <= LONGEST_LATENCY) & ~drifts & ~np.isin(samples.frames, spread)
+    own &= _within_reach(as_recorded, samples, total)
     samples = cut_stations(_shifted(aligned, samples.frames, np.where(own, -offset, rest)), chain.names, rules)
     said = tuple(
         f"Readings in {frame} were {1e3 * total[f]:+.2f} ms late, by their motion"
@@ -212,9 +271,11 @@ def _shifted(recording: Recording, frames: tuple[str, ...], delays: Array) -> Re
     return replace(recording, readings=readings)
 
 
-def _delays(samples: Samples, chain: Mechanism) -> Array:
-    """Delay of the readings of each frame [s], (F,); zero where nothing moves or the data cannot carry a fit."""
-    out = np.zeros(len(samples.frames))
+def _delays(samples: Samples, chain: Mechanism) -> tuple[Array, Array]:
+    """Delay of the readings of each frame [s], (F,), and what a fit with it leaves [m], (F,); zero and infinite where
+    nothing moves or the data cannot carry a fit.
+    """
+    out, left = np.zeros(len(samples.frames)), np.full(len(samples.frames), np.inf)
     for f in range(len(out)):
         rows = np.flatnonzero((samples.frame == f) & samples.moving & np.isfinite(samples.velocity).all(axis=1))
         if not len(rows) or not is_direct(np.unique(samples.kind[rows]).tolist()):
@@ -225,7 +286,8 @@ def _delays(samples: Samples, chain: Mechanism) -> Array:
         try:
             located = fit_cell(chain, few, Cell()).model
             choice = choose_parameters(located, views_of(few))
-            out[f] = identify(located.with_effects((late,)), few, choice.parameters).model.effects[0].values[0]
+            fit = identify(located.with_effects((late,)), few, choice.parameters)
+            out[f], left[f] = fit.model.effects[0].values[0], fit.noise.position
         except NotEnoughData:
             continue
-    return out
+    return out, left

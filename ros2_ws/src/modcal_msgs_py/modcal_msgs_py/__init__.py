@@ -8,47 +8,27 @@ if TYPE_CHECKING:
     from modcal_msgs_py.bag import Bag, read_bag
     from modcal_msgs_py.bag_files import SUFFIXES, qos_profile
     from modcal_msgs_py.bag_open import PackedMessage
-    from modcal_msgs_py.track_rows import Commands
-    from modcal_msgs_py.commands import JointInput, ObjectInput, desired_pose, fill_accelerations, fill_point
-    from modcal_msgs_py.commands import fill_pose, fill_target, fill_wrench, require_new, require_version
-    from modcal_msgs_py.commands import wrench_numbers
+    from modcal_msgs_py.commands import Colour, JointInput, ObjectInput, arrows, caption, colour_of, desired_pose, dots
+    from modcal_msgs_py.commands import ellipsoids, fill_accelerations, fill_expected, fill_markers, fill_object_state
+    from modcal_msgs_py.commands import fill_picture, fill_point, fill_pose, fill_target, fill_wrench, require_new
+    from modcal_msgs_py.commands import require_version, seen, status_values, wrench_numbers
     from modcal_msgs_py.images import CLOUD, TAGS, RawImage, chosen_topic, corner_topics, fill_corners, image_topics
     from modcal_msgs_py.images import info_topic, lens_data, raw_image, read_corners, read_messages, size_of, stamp_of
     from modcal_msgs_py.images import stamps_of, tag_topics
     from modcal_msgs_py.layout import OneMessage, jazzy, learn
-    from modcal_msgs_py.lerobot import episodes_of, is_lerobot
     from modcal_msgs_py.mcap_read import list_topics, read_recording
     from modcal_msgs_py.mcap_repair import Repair, repair_bag
     from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
     from modcal_msgs_py.messages import RecordingBuilder, why_left_out
-    from modcal_msgs_py.commands import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_expected
-    from modcal_msgs_py.commands import fill_markers, fill_object_state, fill_picture, seen
-    from modcal_msgs_py.commands import status_values
-    from modcal_msgs_py.plain_data import fill_message, message_data
-    from modcal_msgs_py.playing import OfferedTopic, messages_in_order, offered_topics
+    from modcal_msgs_py.playing import OfferedTopic, fill_message, message_data, messages_in_order, offered_topics
     from modcal_msgs_py.readings import SignalsHeard, nanoseconds, reading_of, seconds, set_nanoseconds, set_seconds
-    from modcal_msgs_py.recording_write import write_recording
+    from modcal_msgs_py.recording_write import episodes_of, is_lerobot, write_recording
     from modcal_msgs_py.topics import JOINT_COMMANDS, JOINT_STATES, READINGS, TYPES, AddedTopic, Joints, Signal, Topics
     from modcal_msgs_py.topics import accepted, role_of
-    from modcal_msgs_py.track_rows import JointStateBytes
+    from modcal_msgs_py.track_rows import Commands, JointStateBytes
     from modcal_msgs_py.typed import asked_of_box, calibration_data, fill_calibration, fill_change, fill_checked
     from modcal_msgs_py.typed import fill_estimate, fill_held_box, fill_identity, fill_object_status, fill_verdict
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["CLOUD", "FLUSH_SECONDS", "JOINT_COMMANDS", "JOINT_STATES", "READINGS", "SUFFIXES", "TAGS", "TYPES"]
-__all__ += ["AddedTopic", "Bag", "BagWriter", "Colour", "Commands", "JointInput", "JointStateBytes", "Joints"]
-__all__ += ["ObjectInput", "OfferedTopic", "OneMessage", "PackedMessage", "RawImage", "RecordingBuilder", "Repair"]
-__all__ += ["Signal", "SignalsHeard", "Topics", "accepted", "arrows", "calibration_data", "caption", "chosen_topic"]
-__all__ += ["colour_of", "corner_topics", "desired_pose", "dots", "ellipsoids", "fill_accelerations"]
-__all__ += ["fill_calibration", "fill_change", "fill_checked", "fill_corners", "fill_estimate", "fill_expected"]
-__all__ += ["fill_identity", "fill_markers", "fill_message", "fill_object_state", "fill_object_status", "fill_picture"]
-__all__ += ["fill_point", "fill_pose", "fill_target", "fill_verdict", "fill_wrench", "image_topics", "info_topic"]
-__all__ += ["jazzy", "learn", "lens_data", "list_topics", "message_data", "messages_in_order", "nanoseconds"]
-__all__ += ["offered_topics", "qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording"]
-__all__ += ["reading_of", "repair_bag", "require_new", "require_version", "role_of", "seconds", "seen"]
-__all__ += ["set_nanoseconds", "set_seconds", "size_of", "stamp_of", "stamps_of", "status_values", "tag_topics"]
-__all__ += ["why_left_out", "wrench_numbers", "write_recording"]
-__all__ += ["asked_of_box", "episodes_of", "fill_held_box", "is_lerobot"]

@@ -11,8 +11,8 @@ from modcal_core.errors import BadRobot
 from modcal_core.measurements import Origin, Recording, Samples, Stretch
 from modcal_core.preprocess import prepare_pieces
 from modcal_core.robot import Robot
-from modcal_msgs_py.descriptions import began, digest, instruments
 from modcal_msgs_py.mcap_read import read_pieces
+from modcal_msgs_py.messages import began, digest, instruments
 from modcal_msgs_py.topics import Topics
 
 _CLOCK_LIMIT = 0.5  # s

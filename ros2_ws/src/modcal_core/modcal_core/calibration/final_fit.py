@@ -31,7 +31,7 @@ from modcal_core.calibration.parameters import ModelParameter, least_change
 from modcal_core.calibration.prediction import driver_ranges, typical_sizes
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import ParameterChoice
-from modcal_core.effects import Effect, claimed, is_move, prior_stds
+from modcal_core.effects import STEPS, Effect, claimed, is_move, prior_stds
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, marks_of, spread_rows
@@ -46,14 +46,15 @@ def sharpened(model: Model, samples: Samples) -> Model:
     """The model with the moment of every step, and of every load that came, put between the stations that fit best."""
     effects = model.effects
     for i, effect in enumerate(effects):
-        if effect.shape.kind in ("step", "until", "since"):
-            effects = (*effects[:i], _sharpened(model, effects, i, samples), *effects[i + 1 :])
+        for end in ("since", "at") if effect.shape.kind in (*STEPS, "since") else ():
+            if end in effect.shape.settings:
+                effects = (*effects[:i], _sharpened(model, effects, i, samples, end), *effects[i + 1 :])
     return model if effects is model.effects else model.with_effects(effects)
 
 
-def _sharpened(model: Model, effects: tuple[Effect, ...], i: int, samples: Samples) -> Effect:
+def _sharpened(model: Model, effects: tuple[Effect, ...], i: int, samples: Samples, end: str) -> Effect:
     stamps = np.unique(samples.stamps)
-    here = int(np.searchsorted(stamps, effects[i].shape.settings["at"]))
+    here = int(np.searchsorted(stamps, effects[i].shape.settings[end]))
     gaps = [k for k in range(here - _AROUND, here + _AROUND + 1) if 0 < k < len(stamps)]
     near = samples.select(
         (samples.stamps >= stamps[max(gaps[0] - 1, 0)]) & (samples.stamps <= stamps[min(gaps[-1], len(stamps) - 1)])
@@ -61,7 +62,7 @@ def _sharpened(model: Model, effects: tuple[Effect, ...], i: int, samples: Sampl
     lever = model.chain.reach()  # what a turn is worth, where it moves nothing
     best, least = effects[i], np.inf
     for k in sorted(gaps, key=lambda k: abs(k - here)):
-        shape = effects[i].shape.with_settings({"at": float(0.5 * (stamps[k - 1] + stamps[k]))})
+        shape = effects[i].shape.with_settings({end: float(0.5 * (stamps[k - 1] + stamps[k]))})
         moved = replace(effects[i], shape=shape)
         e = errors(model.with_effects((*effects[:i], moved, *effects[i + 1 :])), near)
         cost = float(np.sum(e.position_norm**2)) + lever**2 * float(np.sum(e.rotation_norm**2))

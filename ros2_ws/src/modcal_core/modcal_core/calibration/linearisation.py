@@ -31,7 +31,7 @@ import scipy
 
 from modcal_core.calibration.model import Model, Sights, look
 from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
-from modcal_core.effects import READING, RODS, Drivers, Effect, Knots, Term, all_columns, knots_of, motion
+from modcal_core.effects import READING, RODS, Drivers, Effect, Knots, Term, all_columns, knots_of, motion, zeros
 from modcal_core.geometry import Array, error_transform, local_twists, se3, so3
 from modcal_core.measurements import Samples
 from modcal_core.robots import Frames, tool_frames
@@ -290,7 +290,9 @@ class RowView:
         twists, scale = motion(now.effects, at) if now.effects else ({}, np.ones(N))
         # readings from the root, (3, N)
         T_root_frame = se3.inverse(now.T_frame_base @ now.chain.T_base_root)
-        true = samples.reading / scale[:, None] if now.effects else samples.reading
+        true = samples.reading
+        if now.effects:
+            true = np.c_[true[:, :1] - zeros(now.effects, at)[:, None], true[:, 1:]] / scale[:, None]
         if len(now.frames) == 1:
             reading = T_root_frame[0, :3, :3] @ true.T
             y = reading + T_root_frame[0, :3, 3:]
@@ -406,6 +408,14 @@ class RowView:
             rows, by_constants = self.sights.constants[instrument]
             out[: 3 * N].reshape(3, N)[:, rows] = np.tensordot(change, by_constants, 1)
 
+    def _zero_column(self, frame: int, out: Array) -> None:
+        """Write what changes, (3 N + 3 M,), per unit that the zero of a frame's one number is off."""
+        out[:] = 0.0
+        if self.sights is not None:
+            rows, scale = self.sights.rows, self.sights.scale  # along which a length grows
+            along = scale * np.sign(self.samples.reading[rows, 0]) / np.maximum(np.linalg.norm(scale, axis=0), 1e-300)
+            out[: self.position.size].reshape(3, -1)[:, rows] = along * (self.samples.frame[rows] == frame)
+
     def only_frame(self, frames: Sequence[int], out: Array) -> None:
         """Make a column (3 N + 3 M,) zero for samples of other frames than these."""
         N = self.position.shape[1]
@@ -479,7 +489,9 @@ class RowView:
         """The motion of the tool, (3 N + 3 M,), per unit along one direction of a place; computed once."""
         if (place, direction) not in self._units:
             out = np.empty(self.position.size + self.rotation.size)
-            if direction >= RODS:
+            if place == READING and direction:
+                self._zero_column(direction - 1, out)
+            elif direction >= RODS:
                 self.rods_column(place, direction, out)
             else:
                 self.column(place, np.eye(6)[direction], out=out)

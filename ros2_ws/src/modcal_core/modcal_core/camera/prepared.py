@@ -30,14 +30,16 @@ from modcal_core.camera.corners import (
 )
 from modcal_core.camera.equations import numbered
 from modcal_core.camera.fit import START, Camera, CameraFit, CameraImages, Cameras, fit_cameras
-from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
 from modcal_core.camera.mounting import (
     MIN_VIEWS,
     Mounting,
+    board_poses,
     explained,
     find_mounting,
+    first_lens,
+    fit_lens,
     require_order,
     start_of_body,
 )

@@ -14,8 +14,7 @@ import numpy as np
 
 from modcal_core.calibration import Model, least_change
 from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle, PrintedTarget
-from modcal_core.camera.causes import CameraCause, find_causes, held_out
-from modcal_core.camera.changes import Moved, find_change
+from modcal_core.camera.changes import CameraCause, Moved, find_causes, find_change, held_out
 from modcal_core.camera.claim import (
     APPLY,
     Decision,

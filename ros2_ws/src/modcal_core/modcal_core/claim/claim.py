@@ -29,7 +29,7 @@ from modcal_core.claim.evidence import Drawn, draw
 from modcal_core.claim.known import known, with_carried
 from modcal_core.claim.neighbourhood import FREE, SHARES, Neighbourhood, arms_near, joint_motion, shows_base
 from modcal_core.claim.remedy import OpenDirection, open_direction
-from modcal_core.effects import STEPS, NominalArm
+from modcal_core.effects import STEPS, NominalArm, of_readings
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import POSE, Samples
 from modcal_core.measurements.kinds import KIND_NAMES
@@ -270,7 +270,7 @@ def _without_scale(about: Neighbourhood, J: Array) -> Array:
     """The derivatives without those of a reading's scale, which moves no tool."""
     out, j = J, len(about.parameters)
     for effect in about.model.effects:
-        if effect.place == "tracker":
+        if of_readings(effect.place):
             out = out.copy() if out is J else out
             out[j : j + len(effect.values)] = 0.0
         j += len(effect.values)

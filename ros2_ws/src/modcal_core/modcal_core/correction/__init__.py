@@ -8,15 +8,10 @@ if TYPE_CHECKING:
     from modcal_core.correction.commander import CalibratedRobot, Commander, CommanderSettings, JointSetpoint
     from modcal_core.correction.commander import corrected_urdf, finite
     from modcal_core.correction.correction import ArmState, Correction
-    from modcal_core.correction.held_object import GripperRays, HeldBox, StackPlace, Placing, held_box, placing, rests
+    from modcal_core.correction.held_object import GripperRays, HeldBox, Placing, StackPlace, held_box, placing, rests
     from modcal_core.correction.picture import Residuals, arm_state_of, ellipsoid, enlarged_axes, joint_axes, known_to
     from modcal_core.correction.picture import residuals, tool_ellipsoid
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ArmState", "CalibratedRobot", "Commander", "CommanderSettings", "Correction", "GripperRays"]
-__all__ += ["HeldBox", "JointSetpoint", "Placing", "StackPlace", "held_box", "placing", "rests"]
-__all__ += ["Residuals", "arm_state_of", "corrected_urdf", "ellipsoid", "enlarged_axes", "finite", "joint_axes"]
-__all__ += ["known_to", "residuals", "tool_ellipsoid"]

@@ -87,15 +87,15 @@ def enlarged_axes(nominal: Chain, calibrated: Chain, q: Array, scale: float) -> 
     return p + scale * (p_true - p), direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
 
-def ellipsoid(covariance: Array, deviations: float = DEVIATIONS) -> tuple[Array, Array]:
-    """Rotation (3, 3) and half axes (3,) [m] of the surface so many standard deviations from the centre.
+def ellipsoid(covariance: Array) -> tuple[Array, Array]:
+    """Rotation (3, 3) and half axes (3,) [m] of the surface DEVIATIONS from the centre.
 
     covariance: (3, 3) [m²]; the rotation's columns are its principal directions.
     """
     variances, directions = np.linalg.eigh(0.5 * (covariance + covariance.T))
     if np.linalg.det(directions) < 0.0:
         directions[:, 0] *= -1.0
-    return directions, deviations * np.sqrt(np.maximum(variances, 0.0))
+    return directions, DEVIATIONS * np.sqrt(np.maximum(variances, 0.0))
 
 
 def tool_ellipsoid(correction: Correction, at: ArmState) -> tuple[Array, Array]:

@@ -113,7 +113,8 @@ class StepBank:
     """What is −1 before a time of its own and nothing from then on, or nothing and then 1.
 
     parts: samples between the times. at: which of these begins with each one's time, (C,). after: whether it is what is
-    from then on that is not nothing.
+    from then on that is not nothing. since: which begins with the time
+    from which on it is 1 instead, (C,).
     """
 
     effects: tuple[Effect, ...]
@@ -121,6 +122,7 @@ class StepBank:
     parts: Parts
     at: np.ndarray
     after: bool
+    since: np.ndarray | None = None
 
     @property
     def width(self) -> int:
@@ -129,7 +131,7 @@ class StepBank:
 
     def sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
         """See :class:`Bank`."""
-        sign = 1.0 if self.after else -1.0
+        sign = -1.0 if self.since is None and not self.after else 1.0
         columns = [of[key] for key in self.keys]
         each = [self._part(known.once("running", self.parts, x, partial(self.parts.running, x))) for x in columns]
         return sign * np.stack(each, axis=1)
@@ -151,7 +153,7 @@ class StepBank:
 
     def _part(self, running: Array) -> Array:
         """Sums on the one side of each time, (C, k), from the running sums."""
-        before = running[self.at]
+        before = running[self.at] if self.since is None else running[self.at] - running[self.since]
         return np.asarray(running[-1] - before if self.after else before)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from modcal_core.calibration import Fit, Model, NoiseModel
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.effects import BY_HAND, FREE, Effect, candidates, complexity, family_named, one_motion, put_back_first
+from modcal_core.effects import FREE, Effect, by_hand, candidates, complexity, family_named, one_motion, put_back_first
 from modcal_core.effects.families import unknown
 from modcal_core.measurements import Samples, spread_rows
 
@@ -66,6 +66,8 @@ def choose(
     allowed = np.ones(len(evidence.effects), bool)
     for key in refused:
         allowed[scanner.numbers_of(key)] = False
+    for known in fit.model.effects:  # twice the same is once, and what a second order leaves
+        allowed[[i for i in scanner.numbers_of(known.key) if scanner.effects[i].shape == known.shape]] = False
     if not (allowed & (evidence.score > 0.0)).any():
         return None
     plain = allowed & (evidence.complexity < FREE)
@@ -119,9 +121,9 @@ def _outside(evidence: Evidence, best: int, allowed: np.ndarray) -> int:
     """What outside the arm went the same way at the same time and explains as much, else the best itself."""
     effects, chosen = evidence.effects, evidence.effects[best]
     alike = [i for i, e in enumerate(effects) if (e.driver, e.shape) == (chosen.driver, chosen.shape)]
-    same = [i for i in alike if i == best or (allowed[i] and effects[i].place in BY_HAND)]
+    same = [i for i in alike if i == best or (allowed[i] and by_hand(effects[i].place))]
     left = np.maximum(1.0 - evidence.explained[same], 1e-300)
-    outside = [effects[i].place in BY_HAND for i in same]
+    outside = [by_hand(effects[i].place) for i in same]
     likely = -0.5 * evidence.freedom * np.log(left) / max(evidence.inflation, 1.0)
     return same[put_back_first(same.index(best), outside, likely)]
 

@@ -136,8 +136,10 @@ class Scanner:
         keys, _ = self._factor(first)
         x = self.drivers.values(first.driver)
         if first.shape.kind in STEPS:
-            parts, at = self._parts_at(first.driver, x, [e.shape.settings["at"] for e in alike])
-            return StepBank(effects, keys, parts, at, first.shape.kind == "step")
+            ends = [[e.shape.settings[name] for e in alike] for name in ("since", "at") if name in first.shape.settings]
+            parts, which = self._parts_at(first.driver, x, np.concatenate(ends).tolist())
+            since, at = which[: len(which) - len(alike)], which[-len(alike) :]
+            return StepBank(effects, keys, parts, at, first.shape.kind == "step", since if len(since) else None)
         cycles = _cycles(alike)
         step = wave_step(cycles)
         if step is None:

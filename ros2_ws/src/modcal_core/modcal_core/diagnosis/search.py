@@ -65,7 +65,7 @@ _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing; 
 class Sought:
     """What effects are looked for in. train: samples that are fitted. explain: samples that decide. suspects: what to
     look for besides the candidates. known: causes of effects that the fit has already; they stay. least_freedom: rows
-    beyond what is fitted, with fewer of which nothing is looked for.
+    beyond what is fitted, with fewer of which nothing is looked for. only: which candidates are.
     """
 
     train: Samples
@@ -75,6 +75,7 @@ class Sought:
     suspects: Callable[[Drivers], Iterable[Effect]] = lambda _: ()
     known: Sequence[Cause] = ()
     least_freedom: int = MIN_FREEDOM
+    only: Callable[[Effect], bool] = lambda _: True
 
 
 def diagnose(fit: Fit, sought: Sought) -> Diagnosis:
@@ -99,7 +100,7 @@ def _searched(fit: Fit, sought: Sought, reject: bool = True) -> Diagnosis:
     alone = isolated_outliers(fit, both) if reject else np.zeros(len(both), bool)
     both = both.select(_evenly(np.flatnonzero(~alone), _MAX_SCANNED))
     drivers = fit.model.drivers(both)
-    scanner = Scanner([*candidates(drivers), *sought.suspects(drivers)], drivers)
+    scanner = Scanner([*filter(sought.only, candidates(drivers)), *sought.suspects(drivers)], drivers)
     fitted = train.select(_evenly(np.arange(len(train)), _MAX_FITTED))
     search = _EffectSearch(fit, scanner, fitted, explain, distances, tuple(sought.known), reject)
     left: EffectChoice | None = None

@@ -8,11 +8,12 @@ if TYPE_CHECKING:
     from modcal_core.effects.drivers import Carried, DriverLimits, Drivers, NominalArm, drivers_at, public_driver
     from modcal_core.effects.drivers import remembered, undelayed
     from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, JOINTS, LENGTH, PAIRS
-    from modcal_core.effects.effect import RADIAL, READING, RODS, SHIFT, STEPS, Effect, Knots, Term, all_columns
-    from modcal_core.effects.effect import columns, is_large_move, is_move, is_turned, knots_of, motion, place_index
-    from modcal_core.effects.effect import plain_columns, prior_stds, shape_columns
+    from modcal_core.effects.effect import RADIAL, READING, RODS, SHIFT, STEPS, ZERO, Effect, Knots, Term, all_columns
+    from modcal_core.effects.effect import columns, is_large_move, is_move, is_of_clock, is_turned, knots_of
+    from modcal_core.effects.effect import motion, place_index
+    from modcal_core.effects.effect import plain_columns, prior_stds, shape_columns, zeros
     from modcal_core.effects.family import FREE, PLAIN, USUAL, Family, ReportEntry, nothing_plainer
-    from modcal_core.effects.placements import AS_LIKELY, BY_HAND, one_motion, put_back_first
+    from modcal_core.effects.placements import AS_LIKELY, by_hand, of_readings, one_motion, put_back_first
     from modcal_core.effects.registry import both_signs, candidates, carried_signals, claimed, companionless, complexity
     from modcal_core.effects.registry import family_named, known_families, require_known, with_companions
     from modcal_core.effects.shapes import PERIODIC, Setting, Shape, ShapeKind, periodic
@@ -23,21 +24,14 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["ACROSS", "ALL", "AS_LIKELY", "AXIS", "BY_HAND", "EXPECTED_ANGLE", "EXPECTED_LENGTH", "FREE", "JOINTS"]
-__all__ += ["LENGTH", "PAIRS", "PERIODIC", "PLAIN", "RADIAL", "READING", "RODS", "SHIFT", "STEPS", "USUAL"]
-__all__ += ["AxisCurves", "Carried", "DriverLimits", "Drivers", "Effect", "Family", "Knots", "NominalArm", "Quantity"]
-__all__ += ["ReportEntry", "Setting", "Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs", "candidates"]
-__all__ += ["carried_signals", "claimed", "columns", "companionless", "complexity", "component_names", "curve"]
-__all__ += ["curve_sizes", "drivers_at", "family_named", "is_large_move", "is_move", "is_turned", "knots_of"]
-__all__ += ["known_families", "motion", "nothing_plainer", "one_motion", "periodic", "place_index", "plain_columns"]
-__all__ += [
-    "prior_stds",
-    "public_driver",
-    "put_back_first",
-    "remembered",
-    "require_known",
-    "shape_columns",
-    "undelayed",
-    "unit_of",
-]
-__all__ += ["value", "with_companions"]
+__all__ = ["ACROSS", "ALL", "AS_LIKELY", "AXIS", "EXPECTED_ANGLE", "EXPECTED_LENGTH", "FREE", "JOINTS", "LENGTH"]
+__all__ += ["PAIRS", "PERIODIC", "PLAIN", "RADIAL", "READING", "RODS", "SHIFT", "STEPS", "USUAL", "ZERO"]
+__all__ += ["AxisCurves", "Carried", "DriverLimits", "Drivers", "Effect", "Family", "Knots", "NominalArm"]
+__all__ += ["Quantity", "ReportEntry", "Setting", "Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs"]
+__all__ += ["by_hand", "candidates", "carried_signals", "claimed", "columns", "companionless", "complexity"]
+__all__ += ["component_names", "curve", "curve_sizes", "drivers_at", "family_named", "is_large_move", "is_move"]
+__all__ += ["is_of_clock"]
+__all__ += ["is_turned", "knots_of", "known_families", "motion", "nothing_plainer", "of_readings", "one_motion"]
+__all__ += ["periodic", "place_index", "plain_columns", "prior_stds", "public_driver", "put_back_first"]
+__all__ += ["remembered", "require_known", "shape_columns", "undelayed", "unit_of", "value", "with_companions"]
+__all__ += ["zeros"]

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from modcal_core.effects.drivers import Drivers, public_driver
+from modcal_core.effects.placements import OF_FRAME, of_readings
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import DIRECTIONS, Array, local_twists
 from modcal_core.robots import Mechanism, delta_kinematics
@@ -69,9 +70,10 @@ def knots_of(functions: Array, at: Drivers) -> Knots | None:
     return at.kept.made_of((functions,), Knots.of) if functions.size >= _MIN else None
 
 
-READING = -1  # the place of what scales readings: behind everything
-STEPS = ("step", "until")  # shapes of what happens at one time
+READING = -1  # the place of what is done to readings: direction 0 scales them, 1 + f shifts the zero of frame f
+STEPS = ("step", "until", "between")  # shapes of what happens at one time, or at two
 AXIS, ACROSS, LENGTH, ALL, SHIFT, JOINTS, RADIAL = "axis", "across", "length", "all", "shift", "joints", "radial"
+ZERO = "zero"  # direction of the number that an instrument adds to what it reads
 PAIRS = "rods"  # of parallelograms, by what their two rods differ
 RODS, ROWS = delta_kinematics.RODS, delta_kinematics.ROWS  # directions of a Delta's arms behind the six of a twist
 LENGTHS_OF_PAIRS = ("radius", "x", "y", "z")  # settings that come with them
@@ -101,9 +103,10 @@ class Term:
 class Effect:
     """One effect of the error model.
 
-    family: as in reports. place: a joint, "base", "tool" or "tracker". direction: x y z rx ry rz of the place, "axis"
-    (along the joint's), "across" it, "length" (along the link before the joint), "shift" (x y z), "all" six, "joints"
-    (the axes of all joints at once), "rods" (of a Delta's parallelograms) or "radial" (from the tracker). driver: see
+    family: as in reports. place: a joint, "base", "tool", "tracker" or "frame NAME". direction: x y z rx ry rz of the
+    place, "axis" (along the joint's), "across" it, "length" (along the link before the joint), "shift" (x y z), "all"
+    six, "joints" (the axes of all joints at once), "rods" (of a Delta's parallelograms), "radial" (from the tracker) or
+    "zero" (of what an instrument reads). driver: see
     :mod:`modcal_core.effects.drivers`. shape: how it follows the driver. values, std: amplitudes and their standard
     deviations (m,), in rad or m per unit of the driver, then the settings that are fitted with them.
     """
@@ -219,7 +222,7 @@ def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
         basis = drivers.basis(effect.driver, effect.lag, effect.shape)
         return [
             [Term(k, d, phi, basis) if share == 1.0 else Term(k, d, share * phi) for d, share in towards]
-            for towards in _directions(effect.direction, chain, k)
+            for towards in _directions(effect, drivers, k)
             for phi in basis
         ]
 
@@ -239,7 +242,7 @@ def plain_columns(effect: Effect, drivers: Drivers) -> tuple[list[tuple[int, int
         return None
     k = place_index(effect.place, drivers.arm.chain)
     basis = drivers.basis(effect.driver, effect.lag, effect.shape)
-    towards = [direction for ((direction, _),) in _directions(effect.direction, drivers.arm.chain, k)]
+    towards = [direction for ((direction, _),) in _directions(effect, drivers, k)]
     return [(k, direction) for direction in towards for _ in basis], np.concatenate([basis] * len(towards))
 
 
@@ -295,7 +298,7 @@ def motion(effects: Iterable[Effect], drivers: Drivers) -> tuple[dict[int, Array
     for effect in effects:
         for term in _moved(effect, drivers):
             if term.place == READING:
-                scale = scale + term.size
+                scale = scale + term.size * (term.direction == 0)
             else:
                 rows = 6 if term.direction < RODS else ROWS
                 twist = twists.setdefault(term.place, np.zeros((rows, len(drivers))))
@@ -328,7 +331,7 @@ def _sums(effect: Effect, drivers: Drivers, summed: Callable[[Array], Array]) ->
     directions times functions, (d, N).
     """
     k = place_index(effect.place, drivers.arm.chain)
-    towards = _directions(effect.direction, drivers.arm.chain, k)
+    towards = _directions(effect, drivers, k)
     for several, size in zip(towards, summed(effect.amplitudes.reshape(len(towards), -1)), strict=True):
         yield from (Term(k, direction, size if share == 1.0 else share * size) for direction, share in several)
 
@@ -349,10 +352,26 @@ def prior_stds(effect: Effect, drivers: Drivers) -> Array:
             out.append(EXPECTED_BEND)
         else:
             rms = max(float(np.sqrt(np.mean(sum(t.size**2 for t in terms)))), 1e-12)
-            out.append((EXPECTED_LENGTH if terms[0].direction < 3 else EXPECTED_ANGLE) / rms)
-    if effect.shape.kind == "until" and len(effect.amplitudes):  # a move may be of any size
+            out.append(
+                (EXPECTED_LENGTH if terms[0].direction < 3 or terms[0].place == READING else EXPECTED_ANGLE) / rms
+            )
+    if effect.shape.kind in STEPS[1:] and len(effect.amplitudes):  # a move may be of any size
         out = np.maximum(out, np.abs(effect.amplitudes).max()).tolist()
     return np.array([*out, *(effect.shape.expected(name) for name in effect.refined)])
+
+
+def zeros(effects: Iterable[Effect], drivers: Drivers) -> Array:
+    """What the effects add to the readings of instruments that read one number [m], (N,)."""
+    out = np.zeros(len(drivers))
+    for effect in effects:
+        for term in _moved(effect, drivers) if effect.direction == ZERO else ():
+            out += term.size * (drivers.samples.frame == term.direction - 1)
+    return out
+
+
+def is_of_clock(effect: Effect) -> bool:
+    """Whether it is what an instrument's clock does: all joints have moved on meanwhile."""
+    return effect.direction == JOINTS and of_readings(effect.place)
 
 
 def is_move(effect: Effect) -> bool:
@@ -366,10 +385,10 @@ def is_large_move(effect: Effect) -> bool:
 
 
 def place_index(place: str, chain: Mechanism) -> int:
-    """0 … for base, joints and tool; READING for the tracker."""
+    """0 … for base, joints and tool; READING for the tracker and instruments by their frames."""
     if place in chain.names:
         return chain.first_place + chain.names.index(place)
-    return {"base": 0, "tool": chain.tool_place, "tracker": READING}[place]
+    return READING if of_readings(place) else {"base": 0, "tool": chain.tool_place}[place]
 
 
 def axis_direction(chain: Mechanism, j: int) -> int:
@@ -377,8 +396,12 @@ def axis_direction(chain: Mechanism, j: int) -> int:
     return 5 if chain.revolute[j] else 2
 
 
-def _directions(direction: str, chain: Mechanism, k: int) -> list[list[tuple[int, float]]]:
+def _directions(effect: Effect, drivers: Drivers, k: int) -> list[list[tuple[int, float]]]:
     """The directions of a place that move together, each with its share; one list for every amplitude."""
+    direction, chain, frames = effect.direction, drivers.arm.chain, drivers.samples.frames
+    if direction == ZERO:
+        name = effect.place.removeprefix(OF_FRAME)
+        return [[(1 + (frames.index(name) if name in frames else len(frames)), 1.0)]]
     if direction == AXIS:
         return [[(axis_direction(chain, k - chain.first_place), 1.0)]]
     if direction == ACROSS:

@@ -15,12 +15,22 @@ from modcal_core.geometry import Array
 
 AS_LIKELY = 3.5  # in log-likelihood (33 to 1), within which two placements move the readings alike
 _ONE_MOTION = {"base": "tracker", "tool": "target"}  # two names of one placement: neither moves but against the other
-BY_HAND = (*_ONE_MOTION, *_ONE_MOTION.values())
+OF_FRAME = "frame "  # what the place of an instrument begins with, before its frame
 
 
 def one_motion(place: str) -> tuple[str, ...]:
     """The other name of a placement, for ``same_as``; none of a place of the arm."""
     return (_ONE_MOTION[place],) if place in _ONE_MOTION else ()
+
+
+def of_readings(place: str) -> bool:
+    """Whether a place is an instrument, where effects change what is read and move no tool."""
+    return place == "tracker" or place.startswith(OF_FRAME)
+
+
+def by_hand(place: str) -> bool:
+    """Whether people put a place back by hand, or an instrument that stands there."""
+    return place in (*_ONE_MOTION, *_ONE_MOTION.values()) or of_readings(place)
 
 
 def put_back_first(best: int, outside: Sequence[bool], log_likelihood: Array, within: float = AS_LIKELY) -> int:

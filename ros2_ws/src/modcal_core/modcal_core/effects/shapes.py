@@ -246,7 +246,7 @@ def _of_cycles(kind: str, size: int, *, refined: bool) -> ShapeKind:
     return ShapeKind(basis, size, refined=cycles, slopes={"cycles": by_cycles})
 
 
-_AT = {"at": Setting(unit="s")}
+_AT, _SINCE = {"at": Setting(unit="s")}, {"since": Setting(unit="s")}
 KINDS: Mapping[str, ShapeKind] = {
     "linear": ShapeKind(lambda x, _: x[None]),
     # a signal that was delayed by the setting already
@@ -267,6 +267,7 @@ KINDS: Mapping[str, ShapeKind] = {
     "step": ShapeKind(lambda x, s: np.asarray((x >= s["at"]).astype(float)[None]), fixed=_AT),
     # a step that is zero at the end, so that the final state needs no effect
     "until": ShapeKind(lambda x, s: np.asarray(-(x < s["at"]).astype(float)[None]), fixed=_AT),
+    "between": ShapeKind(lambda x, s: ((x >= s["since"]) & (x < s["at"])).astype(float)[None], fixed=_SINCE | _AT),
     "settle": ShapeKind(settle, refined={"tau": Setting(unit="s", name="time_constant")}),
     "spline": ShapeKind(splines, lambda s: int(s["count"])),
     "polynomial": ShapeKind(polynomial, lambda s: int(s["degree"])),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.effects.effect import ACROSS, ALL, AXIS, LENGTH, SHIFT, Effect, axis_direction, place_index
+from modcal_core.effects.effect import ACROSS, ALL, AXIS, LENGTH, SHIFT, ZERO, Effect, axis_direction, place_index
 from modcal_core.effects.shapes import PERIODIC, SPLINE_DEGREE, WHOLE_CYCLES, near_functions
 from modcal_core.geometry import DIRECTIONS, Array
 from modcal_core.robots import Mechanism
@@ -96,7 +96,7 @@ def unit_of(effect: Effect, chain: Mechanism) -> str:
     """m or rad: what its amplitudes are in, where it has one direction."""
     names = chain.names
     slides = effect.direction == AXIS and effect.place in names and not chain.revolute[names.index(effect.place)]
-    return "m" if slides or effect.direction in ("x", "y", "z", LENGTH, SHIFT) else "rad"
+    return "m" if slides or effect.direction in ("x", "y", "z", LENGTH, SHIFT, ZERO) else "rad"
 
 
 def unit_of_driver(effect: Effect, chain: Mechanism) -> str:

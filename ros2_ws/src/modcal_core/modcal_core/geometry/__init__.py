@@ -15,8 +15,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["DIRECTIONS", "HAT", "Array", "Descent", "along_screw", "combined", "cross", "crossed", "crossed_rows"]
-__all__ += ["descend", "error_transform", "error_values", "local_twists", "pose_error", "posed", "relative"]
-__all__ += ["rotation_vector", "sealed", "speeds"]
-__all__ += ["tool_from", "turned", "view"]

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_core.measurements.alignment import LIMIT, align
     from modcal_core.measurements.checks import joint_limits, remedies_of, require_usable
-    from modcal_core.measurements.dropouts import BETWEEN, DAY, ELSEWHEN, GLITCHES, MAX_GLITCHES, UNUSABLE, Dropped
-    from modcal_core.measurements.dropouts import cleaned, dropped, elsewhen, hung, together, unexpected
+    from modcal_core.measurements.dropouts import BETWEEN, DAY, ELSEWHEN, GLITCHES, MAX_GLITCHES, UNUSABLE, Cleaned
+    from modcal_core.measurements.dropouts import Dropped, Hung, cleaned, dropped, elsewhen, hung, together, unexpected
     from modcal_core.measurements.dwells import LATE_STEPS, LEFT, MIN_RETURNS, NOISE_FACTOR, SAME, SECOND_DIFFERENCE
     from modcal_core.measurements.dwells import SHORTEST, TRAVEL, Approach, StationRules, dwells_of, find_dwells
     from modcal_core.measurements.dwells import fitted_rules, inliers, posture_numbers, returns, spread_rows
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged, efforts_at_rest
     from modcal_core.measurements.path import UNKNOWN, WIDTHS, ahead, went_on
+    from modcal_core.measurements.rates import at_steady_rate
     from modcal_core.measurements.recording import APART, BEARING, IMPORTED, ORDER_ONLY, PART, POINT, POSE, RANGE, RAY
     from modcal_core.measurements.recording import SOCKETS, TARGETS, TOUCH, UNREAD, JointTrack, Listed, ReadingTrack
     from modcal_core.measurements.recording import Recording, SignalTrack, Stretch, commanded_at, following, is_told
@@ -35,8 +36,20 @@ else:
 __all__ = ["APART", "BEARING", "BETWEEN", "DAY", "ELSEWHEN", "GLITCHES", "IMPORTED", "LATE_STEPS", "LEFT", "LIMIT"]
 __all__ += ["FACES", "MAX_GLITCHES", "MIN_RETURNS", "NOISE_FACTOR", "ORDER_ONLY", "PART", "POINT", "POSE", "RANGE"]
 __all__ += ["RAY", "SAME", "SECOND_DIFFERENCE", "SHARED", "SHORTEST", "SOCKETS", "TARGETS", "TOUCH", "TRAVEL"]
-__all__ += ["UNKNOWN", "UNREAD", "UNUSABLE", "WIDTHS", "Box", "Scan"]
-__all__ += ["Approach", "Dropped", "JointTrack", "Listed", "Origin", "ReadingTrack", "Recording", "Samples", "Schema"]
+__all__ += ["UNKNOWN", "UNREAD", "UNUSABLE", "WIDTHS", "Box", "Scan", "at_steady_rate"]
+__all__ += [
+    "Approach",
+    "Cleaned",
+    "Dropped",
+    "Hung",
+    "JointTrack",
+    "Listed",
+    "Origin",
+    "ReadingTrack",
+    "Recording",
+    "Samples",
+    "Schema",
+]
 __all__ += ["SignalTrack", "StationRules", "Stretch", "added", "after", "ahead", "align", "as_recording", "averaged"]
 __all__ += ["between"]
 __all__ += ["cleaned", "commanded_at", "cut_stations", "dropped", "dwells_of", "efforts_at_rest", "elsewhen"]

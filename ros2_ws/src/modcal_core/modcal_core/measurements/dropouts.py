@@ -11,7 +11,6 @@ than its tracker does so in motion. It must last, and the arm must have been els
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -23,6 +22,7 @@ from modcal_core.measurements.checks import joint_limits
 from modcal_core.measurements.dwells import LEFT, StationRules, dwells_of, inliers
 from modcal_core.measurements.kinds.kind import farthest
 from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.rates import without_bursts
 from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack, joints_by_time
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots import Mechanism, followers_of
@@ -41,10 +41,6 @@ _UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1.0 / 0.0254}  # of 
 _WITHIN = 0.8  # share of the implausible readings that are plausible in another unit, from which they are in it
 _NO_RATE = 1e6  # N m, N or per second; no actuator exerts so much
 _NO_DEGREES = 1e4  # rad or m; larger than any joint's position, in whatever unit
-_BURST = 1e-3  # s between readings that are handed over together; no instrument measures so often
-_LONGEST_PAUSE = 1.0  # s between bursts; longer are pauses between stations
-_STEADY = 0.6  # of a step between readings, within which ends of bursts lie between two readings
-_FEWEST_IN_BURSTS, _SMALLEST_BURST = 10, 3  # readings, in all and in one; two are one that was written twice
 DAY, _SPREADS = 86_400.0, 40.0  # s, and usual distances from the middle: a stamp farther off is of another time
 
 
@@ -53,12 +49,14 @@ class Cleaned:
     """A recording of what says something, a sentence for each topic, and what was left out, by reason.
 
     doubts: the same sentences of topics that are wrong too often for single wrong messages; they make a verdict open.
+    spread: frames whose readings came in bursts.
     """
 
     recording: Recording
     notes: tuple[str, ...] = ()
     lost: tuple[tuple[str, int], ...] = ()
     doubts: tuple[str, ...] = ()
+    spread: tuple[str, ...] = ()
 
 
 def cleaned(recording: Recording, names: tuple[str, ...], chain: Mechanism | None = None) -> Cleaned:
@@ -74,12 +72,15 @@ def cleaned(recording: Recording, names: tuple[str, ...], chain: Mechanism | Non
     joints = tuple(_joints(track, names, chain, notes, lost, doubts) for track in recording.joints)
     reach = 0.0 if chain is None else chain.reach()
     readings = tuple(_readings(track, reach, notes, lost, doubts) for track in recording.readings)
+    as_stamped = readings
+    readings = tuple(without_bursts(track, f"{track.topic} ({track.frame})", notes) for track in readings)
+    spread = tuple(old.frame for old, new in zip(as_stamped, readings, strict=True) if new is not old)
     signals = tuple(_signals(track) for track in recording.signals)
     before, after = (recording.joints, recording.readings, recording.signals), (joints, readings, signals)
     if all(a is b for old, new in zip(before, after, strict=True) for a, b in zip(old, new, strict=True)):
         return Cleaned(recording, (), tuple(lost.items()))
     clean = replace(recording, joints=joints, readings=readings, signals=signals)
-    return Cleaned(clean, tuple(notes), tuple(lost.items()), tuple(doubts))
+    return Cleaned(clean, tuple(notes), tuple(lost.items()), tuple(doubts), spread)
 
 
 def _followed(recording: Recording, chain: Mechanism | None) -> Recording:
@@ -234,51 +235,7 @@ def _readings(
             if reason == IMPLAUSIBLE and those.sum() > MAX_GLITCHES * (~(broken | gone)).sum():
                 doubts.append(_too_often(notes[-1]))
     rows = rows | other | odd
-    return _evenly(track.rows(~rows) if rows.any() else track, name, notes)
-
-
-def _evenly(track: ReadingTrack, name: str, notes: list[str]) -> ReadingTrack:
-    """The track with its stamps spread, where readings were handed over in bursts and stamped when they arrived.
-
-    They get the times of a steady rate where the ends of all bursts agree with one; else the last of a burst keeps its
-    stamp, and those before it share the time since the burst before. What that leaves is a delay, fitted as any other.
-    """
-    t = track.stamps
-    if len(t) < _FEWEST_IN_BURSTS or (np.diff(t) < 0.0).any():
-        return track
-    step = np.diff(t)
-    ends = np.r_[np.flatnonzero(step > _BURST), len(t) - 1]
-    count = np.diff(np.r_[-1, ends])
-    pause = np.diff(t[ends], prepend=np.nan)
-    usual = float(np.nanmedian(pause)) if len(ends) > 2 else np.inf
-    inside = step[step <= _BURST]
-    if np.median(count) < _SMALLEST_BURST or usual > _LONGEST_PAUSE or np.median(inside) in (0.0, np.inf):
-        return track
-    notes.append(
-        f"{name}: {len(t)} readings came in bursts of {np.median(count):.0f}, {1e3 * float(np.median(inside)):.2g} ms "
-        f"after each other, every {usual:.3g} s, with the stamps of their arrival: they were spread evenly."
-    )
-    steady = _steady(ends[:-1] + 0.5, t[ends[:-1]])
-    if steady is not None:
-        return replace(track, stamps=steady(np.arange(len(t))))
-    pause = np.where(pause < 1.5 * usual, pause, usual)
-    before = np.repeat(ends, count) - np.arange(len(t))  # readings of the burst that follow each
-    return replace(track, stamps=np.repeat(t[ends], count) - before * np.repeat(pause / count, count))
-
-
-def _steady(number: Array, end: Array) -> Callable[[np.ndarray], Array] | None:
-    """Stamps by number, of readings of a steady rate of which some are handed over at these times [s].
-
-    number: of the last reading before, and a half: the next one is later. None where no rate fits, as of lost readings.
-    """
-    from scipy.optimize import linprog  # few recordings need it, and looking into a bag is to be quick
-
-    since = end - end[0]
-    one = np.ones(len(end))
-    sides = np.concatenate([np.stack([one, number, -one], axis=1), np.stack([-one, -number, -one], axis=1)])
-    found = linprog([0.0, 0.0, 1.0], sides, np.r_[since, -since], bounds=[(None, None), (None, None), (0.0, None)])
-    first, step, off = np.full(3, np.inf) if found.x is None else found.x
-    return (lambda k: np.asarray(end[0] + first + step * k)) if off <= _STEADY * step else None
+    return track.rows(~rows) if rows.any() else track
 
 
 def _require_one_unit(track: ReadingTrack, whole: np.ndarray, odd: np.ndarray, reach: float) -> None:

@@ -18,6 +18,7 @@ from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropouts import MAX_GLITCHES, cleaned
 from modcal_core.measurements.dwells import MIN_RETURNS, StationRules, find_dwells, returns
 from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.rates import at_steady_rate
 from modcal_core.measurements.recording import POINT, POSE, Recording, joints_by_time
 from modcal_core.robots import Mechanism
 
@@ -102,6 +103,7 @@ def inspect(recording: Recording, chain: Mechanism | None = None) -> Inspection:
         facts.append(_facts(reading.topic, f"{reading.kind} in frame {reading.frame}", reading.stamps))
         findings += _clock_findings(name, reading.stamps, reading.received)
         findings += _stuck_finding(name, reading.values)
+        findings += [f"{name}: {said}: the arm's motion will decide."] if (said := at_steady_rate(reading)[1]) else []
     for signal in recording.signals:
         facts.append(_facts(signal.topic, signal.name, signal.stamps))
     findings += _receive_finding(recording)

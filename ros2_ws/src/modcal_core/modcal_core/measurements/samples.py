@@ -337,7 +337,8 @@ def explained_by_posture(samples: Samples, at: float) -> tuple[str, ...]:
     Each station is put on the side on which the stations lie that are nearest to it in that joint. Where the order has
     nothing to do with the joint, that is right for half of them.
     """
-    rows = spread_rows(len(samples), _MAX)
+    first = np.unique(samples.station, return_index=True)[1]  # several instruments read at each
+    rows = first[spread_rows(len(first), _MAX)]
     after = samples.stamps[rows] >= at
     if min(after.sum(), (~after).sum()) <= _NEAREST:
         return ()

@@ -8,20 +8,13 @@ if TYPE_CHECKING:
     from modcal_core.modules.coding import Coding, assembly_from_data, assembly_to_data, incidence_of
     from modcal_core.modules.errors import ModuleError, ModuleErrors, learn, recording_evidence, store_from_data
     from modcal_core.modules.errors import store_to_data, surprise, twists_from_data, with_recording
-    from modcal_core.modules.genetic import Generation
-    from modcal_core.modules.library import JOINT, Assembly, Library, Module, library_from_data, published
-    from modcal_core.modules.poe import chain_of, module_frames
-    from modcal_core.modules.synthesis import Synthesis, SynthesisTask, Watch, described, sentence, synthesize, to_data
-    from modcal_core.modules.synthesis import to_markdown
-    from modcal_core.modules.synthesis_data import task_from_data
+    from modcal_core.modules.evaluation import Generation
+    from modcal_core.modules.library import JOINT, Assembly, Library, Module, chain_of, library_from_data, module_frames
+    from modcal_core.modules.library import published
+    from modcal_core.modules.synthesis import Synthesis, SynthesisTask, Watch, described, sentence, synthesize
+    from modcal_core.modules.synthesis import task_from_data, to_data, to_markdown
     from modcal_core.modules.urdf import picture, urdf_of
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["JOINT", "Assembly", "Coding", "Generation", "Library", "Module", "ModuleError", "ModuleErrors", "Synthesis"]
-__all__ += ["SynthesisTask", "Watch", "assembly_from_data", "assembly_to_data", "chain_of", "described", "incidence_of"]
-__all__ += ["learn", "library_from_data", "module_frames", "picture", "published", "recording_evidence", "sentence"]
-__all__ += ["store_from_data", "store_to_data", "surprise", "synthesize", "task_from_data", "to_data", "to_markdown"]
-__all__ += ["twists_from_data", "urdf_of", "with_recording"]

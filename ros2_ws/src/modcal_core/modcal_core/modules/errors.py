@@ -52,8 +52,7 @@ from modcal_core.geometry import DIRECTIONS, Array, se3
 from modcal_core.hypotheses import require_plausible
 from modcal_core.measurements import Samples
 from modcal_core.modules.coding import assembly_from_data, assembly_to_data
-from modcal_core.modules.library import Assembly, Library, ModuleTolerance
-from modcal_core.modules.poe import TO_AXIS, Piece, chain_of, pieces
+from modcal_core.modules.library import TO_AXIS, Assembly, Library, ModuleTolerance, Piece, chain_of, pieces
 from modcal_core.robots import Chain
 from modcal_core.schema import NUMBER, SIZE, TEXT, list_of, require, whole
 
@@ -179,7 +178,7 @@ class ModuleErrors:
 
     @property
     def twists(self) -> dict[Key, Array]:
-        """Means by key, as :func:`modcal_core.modules.poe.chain_of` takes them."""
+        """Means by key, as :func:`modcal_core.modules.library.chain_of` takes them."""
         return {key: part.twist for key, part in self.parts.items()}
 
 

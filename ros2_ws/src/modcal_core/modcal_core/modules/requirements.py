@@ -21,9 +21,8 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array, se3
-from modcal_core.modules.catalogue import Arms
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.targets import TargetPostures, frames, starts
+from modcal_core.modules.targets import Arms, TargetPostures, frames, starts
 from modcal_core.robots import STANDARD_GRAVITY
 
 CODE, REACH, ARM, POSTURE = "code", "reachability", "arm", "posture"

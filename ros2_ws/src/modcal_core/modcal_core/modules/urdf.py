@@ -17,8 +17,20 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.modules.library import JOINT, Assembly, Library, Module, ModuleType
-from modcal_core.modules.poe import BASE_LINK, FROM_AXIS, TIP_LINK, TO_AXIS, TURN, WHOLE, module_frames
+from modcal_core.modules.library import (
+    BASE_LINK,
+    FROM_AXIS,
+    JOINT,
+    TIP_LINK,
+    TO_AXIS,
+    TURN,
+    WHOLE,
+    Assembly,
+    Library,
+    Module,
+    ModuleType,
+    module_frames,
+)
 from modcal_core.robots import joint_element, number, origin_element, urdf_text
 
 if TYPE_CHECKING:

@@ -3,14 +3,10 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.online.change_detector import ChangeHypothesis
     from modcal_core.online.estimator import Estimator, RandomWalk
     from modcal_core.online.stream import SampleStream
-    from modcal_core.online.supervisor import ASKED, BETTER, SUSPECTED, Policy, Supervisor
+    from modcal_core.online.supervisor import ASKED, BETTER, SUSPECTED, ChangeHypothesis, Policy, Supervisor
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ASKED", "BETTER", "SUSPECTED", "ChangeHypothesis", "Estimator", "Policy", "RandomWalk", "SampleStream"]
-__all__ += ["Supervisor"]

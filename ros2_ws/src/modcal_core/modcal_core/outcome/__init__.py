@@ -6,18 +6,12 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.outcome.contents import STAGES, Outcome, Step, Trace, iso_date
-    from modcal_core.outcome.entries import Finding, at_tool, findings, load_findings, parameters
-    from modcal_core.outcome.joint_offsets import offsets_of
-    from modcal_core.outcome.notes import counted, description_note, instrument_notes, load_notes, moved_note
-    from modcal_core.outcome.notes import not_asked_note, one_instrument_notes, readmitted_note, residual_notes
-    from modcal_core.outcome.notes import stated_note, unproved_note, unseen_note
-    from modcal_core.outcome.difference import ToolDifference, tool_difference
+    from modcal_core.outcome.entries import Finding, at_tool, counted, description_note, findings, instrument_notes
+    from modcal_core.outcome.entries import load_findings, load_notes, moved_note, not_asked_note, one_instrument_notes
+    from modcal_core.outcome.entries import parameters, readmitted_note, residual_notes, stated_note, unproved_note
+    from modcal_core.outcome.entries import unseen_note
+    from modcal_core.outcome.joint_offsets import ToolDifference, offsets_of, tool_difference
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["STAGES", "Finding", "Outcome", "Step", "ToolDifference", "Trace", "at_tool", "counted", "description_note"]
-__all__ += ["findings", "instrument_notes", "iso_date", "load_findings", "load_notes", "moved_note", "not_asked_note"]
-__all__ += ["offsets_of", "one_instrument_notes", "parameters", "readmitted_note", "residual_notes", "stated_note"]
-__all__ += ["tool_difference", "unproved_note", "unseen_note"]

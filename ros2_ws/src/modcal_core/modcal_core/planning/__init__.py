@@ -8,31 +8,20 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.planning.advice import BATCH, Advice, Advisor, Method
-    from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh_closed_chain, sizes_of
     from modcal_core.planning.exchange import ACCURACY, CRITERIA
     from modcal_core.planning.next_stations import DecidingStations, propose, undecided_by_posture
-    from modcal_core.planning.sensitivity_study import DESIGNS, design, orthogonal_array
-    from modcal_core.planning.route import TimedMotion, free_way, from_side, timed
     from modcal_core.planning.planner import STARTS, Plan, PlanRequest, plan
-    from modcal_core.planning.pool import CANDIDATES, Pool, allowed, of_recording, of_robot, with_limits
-    from modcal_core.planning.session import MAX_STATIONS, Goal
-    from modcal_core.planning.route import RETURNS, with_returns
-    from modcal_core.planning.sensitivity_study import ARMS, NAMED, Measured, Studied, Study, sensitivity, study
-    from modcal_core.planning.session import PROOF, SKIPPED, UNSEEN, Session, Station, from_data, to_data
+    from modcal_core.planning.pool import CANDIDATES, ClosedChain, Pool, allowed, calibration_chain, dh_closed_chain
+    from modcal_core.planning.pool import of_recording, of_robot, sizes_of, with_limits
+    from modcal_core.planning.route import RETURNS, TimedMotion, free_way, from_side, timed, with_returns
+    from modcal_core.planning.sensitivity_study import ARMS, DESIGNS, NAMED, Measured, Studied, Study, design
+    from modcal_core.planning.sensitivity_study import orthogonal_array, sensitivity, study
+    from modcal_core.planning.session import MAX_STATIONS, PROOF, SKIPPED, UNSEEN, Goal, Session, Station, from_data
+    from modcal_core.planning.session import to_data
     from modcal_core.planning.site import Site, Spheres, clearance, site_from_data, spheres_of
-    from modcal_core.planning.station_files import Trajectory, stations_from_data, stations_from_rows
-    from modcal_core.planning.station_files import trajectory_from_data
-    from modcal_core.planning.typed_table import FilledTable, require_likely, text_of, to_table, with_table
+    from modcal_core.planning.typed_table import FilledTable, Trajectory, require_likely, stations_from_data
+    from modcal_core.planning.typed_table import stations_from_rows, text_of, to_table, trajectory_from_data, with_table
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ACCURACY", "ARMS", "BATCH", "CANDIDATES", "CRITERIA", "DESIGNS", "MAX_STATIONS", "NAMED", "PROOF"]
-__all__ += ["RETURNS", "SKIPPED", "STARTS", "UNSEEN", "Advice", "Advisor", "ClosedChain", "DecidingStations"]
-__all__ += ["FilledTable", "Goal", "Measured", "Method", "Plan", "PlanRequest", "Pool", "Session", "Site", "Spheres"]
-__all__ += ["Station", "Studied", "Study", "TimedMotion", "Trajectory", "allowed", "calibration_chain", "clearance"]
-__all__ += ["design", "dh_closed_chain", "free_way", "from_data", "from_side", "of_recording", "of_robot"]
-__all__ += ["orthogonal_array", "plan", "propose", "require_likely", "sensitivity", "site_from_data", "sizes_of"]
-__all__ += ["spheres_of", "stations_from_data", "stations_from_rows", "study", "text_of", "timed", "to_data"]
-__all__ += ["to_table", "trajectory_from_data", "undecided_by_posture", "with_limits", "with_returns", "with_table"]

@@ -28,10 +28,9 @@ from modcal_core.effects import Drivers, Effect, columns, prior_stds
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.measurements import LEFT, TRAVEL, Samples
-from modcal_core.planning.closed_chain import readings_at
 from modcal_core.planning.exchange import ACCURACY, Criterion, Search, exchange, grown, information
 from modcal_core.planning.outlook import Outlook, Refit, chance_seen, nominal_outlook
-from modcal_core.planning.pool import Pool
+from modcal_core.planning.pool import Pool, readings_at
 from modcal_core.planning.route import nearest_order
 from modcal_core.planning.session import DECIDE, FIT, MEASURED, PROOF, RETURN, UNSEEN, Session, Station
 from modcal_core.robots import random_postures

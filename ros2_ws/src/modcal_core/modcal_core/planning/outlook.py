@@ -44,15 +44,14 @@ from modcal_core.calibration import (
 )
 from modcal_core.claim import Neighbourhood, arms_near, usual_std
 from modcal_core.diagnosis import Sought, causes_of_moves, diagnose, with_residual_curves
-from modcal_core.effects import Effect
+from modcal_core.effects import Effect, of_readings
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import proved
 from modcal_core.measurements import POSE, Samples
 from modcal_core.measurements.kinds import dimensions
 from modcal_core.moves import find_regimes
-from modcal_core.planning.closed_chain import readings_at
 from modcal_core.planning.exchange import ACCURACY, Criterion, Search, information
-from modcal_core.planning.pool import Pool
+from modcal_core.planning.pool import Pool, readings_at
 from modcal_core.planning.site import Noise
 from modcal_core.robots import Inertias, Mechanism, weightless
 from modcal_core.verdict import sane_inertias
@@ -186,7 +185,7 @@ class Outlook:
         J = self._derivatives(self._samples(q, approach, POSE))[:, :3]
         k = len(self.about.parameters)
         for effect in self.about.model.effects:
-            if effect.place == "tracker":
+            if of_readings(effect.place):
                 J[..., k : k + len(effect.values)] = 0.0
             k += len(effect.values)
         return J

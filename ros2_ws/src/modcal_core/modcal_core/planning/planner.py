@@ -17,7 +17,6 @@ from modcal_core.calibration import EQUATIONS_PER_PARAMETER, SHARES, Calibration
 from modcal_core.claim import Claim, expected_claim
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
-from modcal_core.planning.closed_chain import readings_at
 from modcal_core.planning.exchange import (
     ACCURACY,
     Criterion,
@@ -28,7 +27,7 @@ from modcal_core.planning.exchange import (
     observability,
 )
 from modcal_core.planning.outlook import nominal_outlook, unrepeated
-from modcal_core.planning.pool import CANDIDATES, Ground, Pool, survey
+from modcal_core.planning.pool import CANDIDATES, Ground, Pool, readings_at, survey
 from modcal_core.planning.route import RETURNS, Route, route
 from modcal_core.planning.site import Site
 from modcal_core.robots import Mechanism

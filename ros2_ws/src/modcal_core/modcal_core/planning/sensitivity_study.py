@@ -46,7 +46,7 @@ from scipy.special import ndtri
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
-from modcal_core.planning.closed_chain import ClosedChain
+from modcal_core.planning.pool import ClosedChain
 from modcal_core.robots import Mechanism, joint_ranges, takes
 
 DESIGNS = ("l25", "array", "sobol")

@@ -9,26 +9,14 @@ if TYPE_CHECKING:
     from modcal_core.report.camera import camera_report
     from modcal_core.report.camera_page import camera_certificate, camera_tolerance
     from modcal_core.report.certificates import Hashes, certificate, certificate_html, is_made_from
-    from modcal_core.report.checkup import checkup_data, checkup_report
-    from modcal_core.report.comparison import Side, compare
-    from modcal_core.report.history import History, HistoryEntry, history_report
+    from modcal_core.report.checkup import checkup_data, checkup_report, sentinel_report
+    from modcal_core.report.comparison import History, HistoryEntry, Side, compare, history_report
     from modcal_core.report.limits import LimitsFound, limits_report
     from modcal_core.report.particulars import Particulars
-    from modcal_core.report.planning import plan_report
-    from modcal_core.report.report import Report, calibration_files, kinematics_text, report_files
-    from modcal_core.report.sensitivity import sensitivity_report
-    from modcal_core.report.sentinel import sentinel_report
-    from modcal_core.report.tables import csv_text
-    from modcal_core.report.terminal import summary
-    from modcal_core.report.words import REMEDY, STATUS_WORDS, sentence, short_status
+    from modcal_core.report.report import Report, calibration_files, kinematics_text, report_files, summary
+    from modcal_core.report.sensitivity import plan_report, sensitivity_report
+    from modcal_core.report.tables import REMEDY, STATUS_WORDS, csv_text, sentence, short_status
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["REMEDY", "STATUS_WORDS", "URDF", "Articulation", "Hashes", "History", "HistoryEntry", "LimitsFound"]
-__all__ += ["Particulars", "Report", "Side", "Summary", "SummaryLine", "TableBlock", "Tone", "VerbResult"]
-__all__ += ["articulation_report", "calibration_files", "camera_certificate", "camera_report", "camera_tolerance"]
-__all__ += ["certificate", "certificate_html", "checkup_data", "checkup_report", "compare", "csv_text", "explained"]
-__all__ += ["history_report", "is_made_from", "kinematics_text", "limits_report", "plan_report", "report_files"]
-__all__ += ["sensitivity_report", "sentence", "sentinel_report", "short_status", "summary", "to_json_data"]

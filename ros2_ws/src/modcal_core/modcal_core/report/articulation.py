@@ -11,11 +11,22 @@ from modcal_core.articulation import Choice, JointFit, JointModel, Track, descri
 from modcal_core.files import to_json
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import spread_rows
-from modcal_core.report.blocks import Block, Figures, Paragraph, Scene3D, Section, TableBlock, VerbResult
+from modcal_core.report.blocks import (
+    Block,
+    Figures,
+    Page,
+    Paragraph,
+    Quantity,
+    Scene3D,
+    Section,
+    TableBlock,
+    VerbResult,
+    in_units,
+    quantity_tables,
+)
 from modcal_core.report.charts import Axis, Chart
-from modcal_core.report.figures import MAX_POINTS, mark_components, residual_panel
-from modcal_core.report.page import Page, Quantity, in_units, quantity_tables
-from modcal_core.report.words import STATISTICS
+from modcal_core.report.figures import MAX_MARKS, mark_components, residual_panel
+from modcal_core.report.tables import STATISTICS
 
 _MAX_SEEN, _MAX_PLACES = 400, 61  # that a page can show and a person look through
 _BEYOND = 0.15  # of the path's size, by which the axis goes on beyond what turns about it
@@ -239,7 +250,7 @@ def _residual(found: Articulation, data: dict[str, Any]) -> Chart:
     far = int((~shown).sum())
     unit, scale = _UNITS[data["configuration"]["unit"]]
     rows = np.flatnonzero(shown)
-    rows = rows[spread_rows(len(rows), MAX_POINTS // 3)]
+    rows = rows[spread_rows(len(rows), MAX_MARKS // 3)]
     at = scale * found.choice.fit.configurations[rows]
     x = Axis.around(f"motion of the joint, {unit}" if unit else "motion of the joint", at if len(at) else np.zeros(1))
     panel = residual_panel(x, 1e3 * left[shown] if len(rows) else np.ones(1))

@@ -13,7 +13,7 @@ from modcal_core.claim import Claim, Statistic
 from modcal_core.diagnosis import EffectChoice, Loads
 from modcal_core.effects import Quantity
 from modcal_core.outcome import STAGES, Finding, Outcome
-from modcal_core.report.words import sentence
+from modcal_core.report.tables import sentence
 from modcal_core.verdict import Row, Tolerance, Verdict, reading_scatter_mm
 
 if TYPE_CHECKING:

@@ -19,12 +19,24 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.outcome import Trace, counted
-from modcal_core.report.blocks import Block, Figures, Fold, Listing, Section, TableBlock, tone_of
+from modcal_core.report.blocks import (
+    Block,
+    Figures,
+    Fold,
+    Listing,
+    Page,
+    Section,
+    TableBlock,
+    files_section,
+    parameter_tables,
+    quantity_tables,
+    size_tables,
+    tone_of,
+)
 from modcal_core.report.certificates import MAX_REASONS, Certificate, Hashes, box_in_words
 from modcal_core.report.charts import AFTER, Axis, Chart, Panel
-from modcal_core.report.page import Page, files_section, parameter_tables, quantity_tables, size_tables
+from modcal_core.report.figures import ShownPostures
 from modcal_core.report.particulars import Particulars
-from modcal_core.report.scene import ShownPostures
 from modcal_core.robots import chain_forward
 from modcal_core.verdict import Asked, Tolerance
 

@@ -16,12 +16,10 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, counted
-from modcal_core.report.blocks import Block, Facts, Figures, Listing, Paragraph, Section, Signatures, tone_of
+from modcal_core.report.blocks import Block, Facts, Figures, Listing, Page, Paragraph, Section, Signatures, tone_of
 from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
-from modcal_core.report.page import Page
 from modcal_core.report.particulars import Particulars
-from modcal_core.report.tables import error_tables
-from modcal_core.report.words import STATISTICS
+from modcal_core.report.tables import STATISTICS, error_tables
 from modcal_core.verdict import PoseTest, Tolerance, pose_test
 
 MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10

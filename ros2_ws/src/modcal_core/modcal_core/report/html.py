@@ -20,22 +20,33 @@ from modcal_core.report.blocks import (
     Fold,
     HeatTable,
     Listing,
+    Page,
     Paragraph,
     Section,
     TableBlock,
     Tiles,
+    files_section,
+    parameter_tables,
+    size_tables,
     tone_of,
 )
 from modcal_core.report.figures import (
     effect_shapes,
     error_histogram,
     residual_charts,
+    scene,
     timeline,
 )
-from modcal_core.report.page import Page, files_section, parameter_tables, size_tables
-from modcal_core.report.scene import scene
-from modcal_core.report.tables import account_tables, distances_table, effects_table, error_tables, span
-from modcal_core.report.words import STATISTICS, STATUS_WORDS, sentence
+from modcal_core.report.tables import (
+    STATISTICS,
+    STATUS_WORDS,
+    account_tables,
+    distances_table,
+    effects_table,
+    error_tables,
+    sentence,
+    span,
+)
 
 _MAX_COLUMNS = 28  # drivers of a map
 _MAX_LISTED = 30  # stations that were left out

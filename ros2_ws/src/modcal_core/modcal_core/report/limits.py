@@ -12,11 +12,18 @@ import numpy as np
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.outcome import counted
-from modcal_core.report.blocks import Listing, Section, Summary, SummaryLine, TableBlock, VerbResult
-from modcal_core.report.page import Page, files_section
-from modcal_core.report.scene import ShownPostures
-from modcal_core.report.tables import csv_text
-from modcal_core.report.words import percent
+from modcal_core.report.blocks import (
+    Listing,
+    Page,
+    Section,
+    Summary,
+    SummaryLine,
+    TableBlock,
+    VerbResult,
+    files_section,
+)
+from modcal_core.report.figures import ShownPostures
+from modcal_core.report.tables import csv_text, percent
 from modcal_core.robots import JointPath, LoadedArm, Window, constant_bounds, motion, with_payload, within_torque
 
 _MAX = 200  # postures written one by one

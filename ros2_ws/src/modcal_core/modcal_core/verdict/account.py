@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from modcal_core.calibration import Errors, errors, without
-from modcal_core.effects import Effect, claimed, companionless, is_move, with_companions
+from modcal_core.effects import STEPS, Effect, claimed, companionless, with_companions
 from modcal_core.geometry import Array
 from modcal_core.verdict.case import Case
 from modcal_core.verdict.floor import Floor
@@ -66,7 +66,7 @@ def entries_of(effects: Sequence[Effect]) -> list[tuple[int, ...]]:
     groups: dict[tuple[object, ...], list[int]] = {}
     for i, effect in enumerate(effects):
         if claimed(effect):
-            key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
+            key = (*effect.key, effect.shape.settings["at"]) if effect.shape.kind in STEPS else effect.key
             groups.setdefault(key, []).append(i)
     return [tuple(numbers) for numbers in groups.values()]
 

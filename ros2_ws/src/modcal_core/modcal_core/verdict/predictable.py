@@ -257,7 +257,7 @@ def _parameters(J: Array, case: Case) -> Array:
 
     J: their derivatives (K, 6, N) in units of the noise.
     """
-    flat = J.reshape(len(J), -1)
+    flat = J.reshape(len(J), int(np.prod(J.shape[1:])))
     if case.fitted:
         held = np.array([1.0 / p.prior_std for p in case.known.parameters])
         held = np.r_[held, np.zeros(len(J) - len(held))]  # what the readings hardly show explains nothing

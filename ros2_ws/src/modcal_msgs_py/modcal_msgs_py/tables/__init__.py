@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_msgs_py.tables.convert import Tables, import_tables, json_schema, read_tables
+    from modcal_msgs_py.tables.moments import read_track
     from modcal_msgs_py.tables.propose import MeasuredArm, Proposal, find
-    from modcal_msgs_py.tables.tracks import read_track
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["MeasuredArm", "Proposal", "Tables", "find", "import_tables", "json_schema", "read_tables", "read_track"]

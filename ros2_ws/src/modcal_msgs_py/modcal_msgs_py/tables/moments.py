@@ -1,23 +1,102 @@
-"""The columns of a table that say when a row was taken: dates, seconds, or nothing but the order of the rows."""
+"""Rows of tables: when each was taken, several files as one table, and the track of a handle."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from itertools import pairwise, product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import ORDER_ONLY, Schema
 from modcal_msgs_py.tables.columns import Numbers
-from modcal_msgs_py.tables.labels import words
-from modcal_msgs_py.tables.readings import COLUMN, mapping, one_of
+from modcal_msgs_py.tables.labels import COMMANDED, MEASURED, grouped, words
+from modcal_msgs_py.tables.readings import COLUMN, UNITS, mapping, one_of
+from modcal_msgs_py.tables.sheet import Sheet, joined, number, sniff
 from modcal_msgs_py.tables.table import Table
+
+_SHARED = 0.5  # of the rows must have a partner
+_KEYS = words("station id pose index nr no number point frame time timestamp stamp t sample")
+_STEP = 0.5  # of the usual step of the finer file, by which times may differ
+_MIN_SHARED, _MIN_COLUMNS = 3, 2
+
+
+@dataclass(frozen=True)
+class Together:
+    """A file with the columns of others beside its own. stated: the entries under joined. said: how."""
+
+    sheet: Sheet
+    stated: tuple[dict[str, Any], ...] = ()
+    said: tuple[str, ...] = ()
+
+
+def together(paths: Sequence[Path]) -> list[Together]:
+    """The first file with the others joined to it, in every likely way. Raises BadTable where there is none."""
+    ways = [Together(sniff(paths[0]))]
+    for path in paths[1:]:
+        other = sniff(path, _MIN_COLUMNS)
+        first = ways[0].sheet
+        ways = [way for known in ways for way in _joined(known, other, path)]
+        if not ways:
+            said = f"shares no column of station numbers or times with {first.path.name}, and has other rows"
+            raise BadTable(path.name, said, "state joined: {files, by} in a mapping, see docs/import.md")
+    return ways
+
+
+def _joined(known: Together, other: Sheet, path: Path) -> Iterator[Together]:
+    ours, theirs = Numbers.of(known.sheet), Numbers.of(other)
+    form = {**other.form.entry(), "decimal": other.form.decimal}
+    options: list[tuple[dict[str, Any], str]] = []
+    if (found := _shared(ours, theirs)) is not None:
+        a, b, within = found
+        how = f"{ours.shown(a)} of {known.sheet.path.name} is {theirs.shown(b)} of {path.name}"
+        near = {} if within is None else {"within": within}
+        how += "" if within is None else f", the nearest within {within:g}"
+        options.append(({"by": {ours.key(a): theirs.key(b)}, **near}, how))
+    if len(known.sheet.rows) == len(other.rows):
+        how = f"rows of {path.name} belong to those of {known.sheet.path.name} in their order, as the fit bears out"
+        options.append(({"by": "row"}, how))
+    for by, how in options:
+        stated = {"files": path.name, **form, **by}
+        sheet = joined(known.sheet, stated, path.parent, known.sheet.path.name, other)
+        yield Together(sheet, (*known.stated, stated), (*known.said, how))
+
+
+def _shared(ours: Numbers, theirs: Numbers) -> tuple[int, int, float | None] | None:
+    """Columns by which rows belong together: same numbers, else times that are near; and how near."""
+    sides = [
+        [k for k in n.usable if isinstance(n.key(k), str) and _KEYS & set(n.labels[k].words)] for n in (ours, theirs)
+    ]
+    found = [
+        (share + 0.2 * (ours.labels[a].words == theirs.labels[b].words) + 0.1 * (within is None), (a, b, within))
+        for a, b in product(*sides)
+        for share, within in [_share(ours.values[:, a], theirs.values[:, b])]
+        if share >= _SHARED
+    ]
+    return max(found, key=lambda pair: pair[0])[1] if found else None
+
+
+def _share(a: Array, b: Array) -> tuple[float, float | None]:
+    """Share of the rows with a partner, and how near partners are where their numbers are not the same."""
+    a, b = a[np.isfinite(a)], np.sort(b[np.isfinite(b)])
+    if len(a) < _MIN_SHARED or len(b) < _MIN_SHARED:
+        return 0.0, None
+    if len(np.unique(b)) == len(b) and (same := float(np.isin(a, b).mean())) >= _SHARED:
+        return same, None
+    if (np.diff(a) < 0.0).any():
+        return 0.0, None
+    within = float(f"{_STEP * min(float(np.median(np.diff(np.unique(x)))) for x in (a, b)):.2g}")
+    at = np.clip(np.searchsorted(b, a)[:, None] + np.array([-1, 0]), 0, len(b) - 1)
+    gap = np.abs(a[:, None] - b[at]).min(axis=1)
+    return (float((gap <= within).mean()), within) if within > 0.0 else (0.0, None)
+
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "excel": 86400.0}  # excel: days since 1899-12-30
 _EXCEL_1970 = 25569.0  # days
@@ -173,3 +252,106 @@ def _seconds(numbers: Numbers, k: int) -> RowTimes | None:
         return None
     stated = {"seconds": numbers.key(k), **({"unit": unit} if unit != "s" else {})}
     return RowTimes(stated, (k,), f"{numbers.shown(k)} holds the time in {unit} ({how})")
+
+
+_FORMS = "x y z, or x y z qx qy qz qw, a time before them or not"
+_WIDTHS = (3, 7)  # of a bare row without its time
+_MISSING = 0.5  # share of the rows that may lack a number
+
+
+@dataclass(frozen=True)
+class TextTrack:
+    """Positions (m, 3) [m], or poses x y z qx qy qz qw (m, 7); stamps (m,) [s] or None; how many rows were left out.
+
+    unread: columns of angles, whose convention no track tells.
+    """
+
+    values: Array
+    stamps: Array | None = None
+    left_out: int = 0
+    unread: str = ""
+
+
+def read_track(path: Path) -> TextTrack:
+    """The track in a text file, from rows of numbers alone or by the labels above them. Raises BadTable.
+
+    Separators of bare rows are blanks, commas or semicolons, and # begins a comment; of four or eight numbers, the
+    first is the time. A table may have any separator, unit of length and further columns; rows of it in which a
+    tracker wrote no number are left out.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise BadTable(str(path), "is neither a bag nor text", f"give a bag, or lines of {_FORMS}") from error
+    words = [(k, row) for k, line in enumerate(lines, 1) if (row := _words(line))]
+    if not words:
+        raise BadTable(str(path), "holds no numbers", f"give lines of {_FORMS}")
+    if any(number(word) is None for word in words[0][1]):
+        return _labelled(path, words[0][0])
+    return _bare(path, words)
+
+
+def _words(line: str) -> list[str]:
+    return line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+
+
+def _bare(path: Path, words: list[tuple[int, list[str]]]) -> TextTrack:
+    """Rows of 3 or 7 numbers, or of 4 or 8 that begin with a time."""
+    width = len(words[0][1])
+    for line, row in words:
+        if any(number(word) is None for word in row):
+            raise BadTable(f"{path}, line {line}", "is not numbers", f"give {_FORMS}")
+        if len(row) != width or not {width, width - 1} & set(_WIDTHS):
+            raise BadTable(f"{path}, line {line}", f"has {len(row)} numbers", f"give in every line {_FORMS}")
+    values = np.array([list(map(number, row)) for _, row in words], float)
+    if width in _WIDTHS:
+        return TextTrack(values)
+    stamps = values[:, 0]
+    back = np.flatnonzero(~(np.diff(stamps) >= 0.0))
+    if len(back):
+        line = words[int(back[0]) + 1][0]
+        said = f"has {width} numbers, and the first is no time: it goes back"
+        raise BadTable(f"{path}, line {line}", said, f"give {_FORMS}")
+    return TextTrack(values[:, 1:], stamps)
+
+
+def _labelled(path: Path, line: int) -> TextTrack:
+    """The one position, with the one quaternion and the time where there are such, that labels name."""
+    try:
+        numbers = Numbers.of(sniff(path))
+    except BadTable as error:
+        raise BadTable(f"{path}, line {line}", "is not numbers", f"give {_FORMS}, or labels above them") from error
+    time = find_time(numbers, set())
+    free = {k: label for k, label in numbers.labels.items() if k not in time.columns}
+    read = {k: label for k, label in free.items() if label.role in (MEASURED, COMMANDED) and not label.computed}
+    axes = {k: axis for k, label in read.items() if (axis := label.axis("position")) is not None}
+    if twice := [k for k, axis in axes.items() if list(axes.values()).count(axis) > 1]:
+        said = f"has two columns labelled {numbers.shown(twice[0])}"
+        raise BadTable(str(path), said, "give each a label of its own")
+    named = grouped(read, "position")
+    if len(named) != 1:
+        shown = ", ".join(numbers.shown(place[0]) for place in named)
+        said = f"{len(named)} positions by its labels ({shown})" if named else "no columns x, y and z by its labels"
+        raise BadTable(str(path), f"has {said}", "give one: columns x, y, z, and qx, qy, qz, qw for rotations")
+    units = {free[k].unit for k in named[0]}
+    unit = units.pop() or "m" if len(units) == 1 else ""
+    if unit not in ("m", "cm", "mm", "in"):
+        raise BadTable(str(path), "has columns of the position in several units, or none of length", "give metres")
+    turns = grouped(free, "quaternion")
+    if len(turns) > 1:
+        raise BadTable(str(path), f"has {len(turns)} quaternions by its labels", "give one: qx, qy, qz, qw")
+    values = UNITS[unit] * numbers.values[:, list(named[0])]
+    if turns:
+        values = np.hstack([values, numbers.values[:, list(turns[0])]])
+    kept: np.ndarray = np.asarray(np.isfinite(values).all(axis=1))
+    stamps = None
+    if "seconds" in time.stated:
+        stamps = in_seconds(numbers.values[:, time.columns[0]], time.stated.get("unit", "s"))
+        kept &= np.isfinite(stamps)
+        stamps = stamps[kept]
+    if kept.mean() < _MISSING:
+        said = f"has {int((~kept).sum())} of {len(kept)} rows without all numbers of the handle, half is allowed"
+        raise BadTable(str(path), said, "record while the handle is seen")
+    angles = [] if turns else grouped(free, "angles")
+    unread = numbers.shown(*angles[0]) if angles else ""
+    return TextTrack(values[kept], stamps, int((~kept).sum()), unread)

@@ -56,12 +56,11 @@ from modcal_msgs_py.tables.fits import (
     worse,
 )
 from modcal_msgs_py.tables.labels import MEASURED
-from modcal_msgs_py.tables.moments import RowTimes, find_time, stamps_of
+from modcal_msgs_py.tables.moments import RowTimes, Together, find_time, stamps_of, together
 from modcal_msgs_py.tables.proof import astray, by_target, corrected
 from modcal_msgs_py.tables.readings import rigid_poses
 from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, ray_of, sight_columns
 from modcal_msgs_py.tables.table import Table
-from modcal_msgs_py.tables.together import Together, together
 
 _ORDERS = 6  # of columns without labels that are judged in full
 _MAX_BODIES = 10  # that are judged where labels do not tell

@@ -5,21 +5,14 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.calibrating.buffer import Buffer
     from modcal_nodes.calibrating.by_camera import ByCamera
-    from modcal_nodes.calibrating.check import CheckService
     from modcal_nodes.calibrating.corners import CornerIntake
     from modcal_nodes.calibrating.diagnostics import Standing, collected, model_status, sample_status, standing_of_json
-    from modcal_nodes.calibrating.intake import CommandSubscription, Intake, KnownArm, lacking, listen, policy
+    from modcal_nodes.calibrating.intake import Buffer, CommandSubscription, Intake, KnownArm, lacking, listen, policy
     from modcal_nodes.calibrating.intake import require_policy
-    from modcal_nodes.calibrating.publishers import Publishers
     from modcal_nodes.calibrating.state import StateFolder
-    from modcal_nodes.calibrating.worker import SolveWorker, Solved, condense, solve
+    from modcal_nodes.calibrating.worker import CheckService, Publishers, SolveWorker, Solved, condense, solve
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["Buffer", "ByCamera", "CheckService", "CommandSubscription", "CornerIntake", "Intake", "KnownArm"]
-__all__ += ["Publishers", "SolveWorker", "Solved", "Standing", "StateFolder", "collected", "condense", "lacking"]
-__all__ += ["listen", "model_status", "policy", "require_policy", "sample_status", "solve", "standing_of_json"]

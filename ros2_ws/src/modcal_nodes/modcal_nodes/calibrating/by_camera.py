@@ -13,12 +13,10 @@ from modcal_core.camera import BoardView, Moved
 from modcal_core.files import write_folder
 from modcal_core.geometry import Array
 from modcal_core.online import BETTER
-from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.corners import MIN, CameraSolved, CornerIntake, solve_corners
-from modcal_nodes.calibrating.intake import KnownArm
-from modcal_nodes.calibrating.publishers import Publishers
+from modcal_nodes.calibrating.intake import Buffer, KnownArm
 from modcal_nodes.calibrating.state import forget_images, read_images, write_images
-from modcal_nodes.calibrating.worker import SolveWorker
+from modcal_nodes.calibrating.worker import Publishers, SolveWorker
 
 
 class ByCamera:

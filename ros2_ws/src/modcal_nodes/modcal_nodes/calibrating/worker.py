@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
+import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from threading import Thread
 from typing import Any
 
+import numpy as np
 import rclpy
+from rcl_interfaces.msg import Parameter
+from rclpy.callback_groups import ReentrantCallbackGroup
+from std_msgs.msg import Bool, Float64, String
+from std_srvs.srv import Trigger
 
 from modcal_core.calibration import Calibration
-from modcal_core.errors import ModcalError
+from modcal_core.camera import Moved
+from modcal_core.errors import ModcalError, NotEnoughData
+from modcal_core.files import parse_yaml
 from modcal_core.measurements import Dropped, Samples
+from modcal_core.online import ChangeHypothesis, Estimator
 from modcal_core.outcome import one_instrument_notes
+from modcal_core.public import check
 from modcal_core.recalibrate import Job, ModelComparison, Recalibration, SampleMemory, recalibrate
-from modcal_core.report import calibration_files, sentence
+from modcal_core.report import calibration_files, checkup_data, sentence
 from modcal_core.robots import Mechanism
+from modcal_msgs_py import fill_calibration, fill_change, fill_checked, fill_estimate, fill_identity, fill_verdict
 from modcal_nodes.calibrating.diagnostics import Standing, standing_of
-from modcal_nodes.ros import settle_in
+from modcal_nodes.ros import DONE, FAILED, LATCHED, Action, GuardedNode, interface, settle_in
 
 _YIELDING = 5  # of niceness: what nodes do within milliseconds goes before what takes seconds
 
@@ -189,3 +202,205 @@ class SolveWorker:
         """End what is being worked on."""
         self._process.kill()
         self._process.join()
+
+
+class Publishers:
+    """The calibrator's publishers. All are latched but the running estimate."""
+
+    def __init__(self, node: GuardedNode) -> None:
+        self._node = node
+        self._chain: Mechanism | None = None
+        self._observers: Callable[[], Sequence[str]] = tuple
+        self._types = {name: interface(name) for name in ("Calibration", "Change", "Checked", "Estimate", "Verdict")}
+        self._model, self._report, self._change, self._checked = (
+            node.create_publisher(self._types[name], topic, LATCHED)
+            for name, topic in (
+                ("Calibration", "~/calibration"), ("Verdict", "~/report"), ("Change", "~/change"),
+                ("Checked", "~/checked"),
+            )
+        )  # fmt: skip
+        self._description = node.create_publisher(String, "~/robot_description", LATCHED)
+        self._estimate = node.create_publisher(self._types["Estimate"], "~/estimate", 10)
+        self._residual = node.create_publisher(Float64, "~/residual", LATCHED)
+        self._before = node.create_publisher(Float64, "~/residual_before", LATCHED)
+        self._trusted = node.create_publisher(Bool, "~/trusted", LATCHED)
+        self._holds = False  # whether a model is trusted
+
+    def identify(self, chain: Mechanism, observers: Callable[[], Sequence[str]]) -> None:
+        """Speak of this arm from now on, as seen in the frames that observers gives at any time."""
+        self._chain, self._observers = chain, observers
+
+    def about(self, observers: Sequence[str] = ()) -> str:
+        """What an answer is about, in words. observers: frames that led to it; empty: those that are read."""
+        told = self._message("Verdict", observers).about
+        return f"[robot {told.robot}, {told.base} to {told.tip}, seen by {', '.join(told.observers)}]"
+
+    def hold(self, holds: bool | None = None) -> None:
+        """Publish whether a model is trusted; None: as it was, so that who asks is not left waiting for one."""
+        self._holds = self._holds if holds is None else holds
+        self._trusted.publish(Bool(data=self._holds))
+
+    def _message(self, name: str, observers: Sequence[str] = ()) -> Any:
+        message = self._types[name]()
+        if hasattr(message, "about"):
+            fill_identity(message.about, self._chain, observers or self._observers())
+        message.header.frame_id = "" if self._chain is None else self._chain.base
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        return message
+
+    def model(self, files: Mapping[str, str], calibration: Mapping[str, Any] | None = None) -> None:
+        """Publish a model that is trusted from now on. calibration: data of calibration.yaml; None: it is read."""
+        if "calibrated.urdf" in files:
+            self._description.publish(String(data=files["calibrated.urdf"]))
+        if calibration is None and (text := files.get("calibration.yaml")):
+            calibration = parse_yaml(text, "calibration.yaml")
+        if calibration is not None:
+            self._model.publish(fill_calibration(self._message("Calibration"), Parameter, calibration))
+        if "report.json" in files:
+            self._report.publish(self.verdict(files["report.json"]))
+        self.hold(True)
+
+    def verdict(self, report: str, observers: Sequence[str] = ()) -> Any:
+        """What the text of a report.json says of its model, as a Verdict. observers: frames that led to it."""
+        return fill_verdict(self._message("Verdict", observers), json.loads(report))
+
+    def result(self, rms: float | None, comparison: ModelComparison) -> None:
+        """Publish how large the error is on stations that the fit has not seen, and was before [m]."""
+        if rms is not None and np.isfinite(rms):
+            self._residual.publish(Float64(data=float(rms)))
+        if np.isfinite(comparison.before):
+            self._before.publish(Float64(data=float(comparison.before)))
+
+    def change(self, hypothesis: ChangeHypothesis) -> None:
+        """Publish that something has changed, and what it may be; the model is not to be trusted blindly."""
+        self._suspect(
+            place=hypothesis.place,
+            direction=hypothesis.direction,
+            driver=hypothesis.driver,
+            since_s=hypothesis.since,
+            size_mm=1e3 * hypothesis.size,
+            same_as=hypothesis.same_as,
+            sentence=hypothesis.sentence,
+        )
+
+    def check(self, found: Mapping[str, Any]) -> Any:
+        """Publish what a check has found, the data of check.json; returns the message."""
+        message = fill_checked(self._message("Checked"), lambda: self._message("Change"), found)
+        self._checked.publish(message)
+        return message
+
+    def moved(self, moved: Moved) -> None:
+        """Publish that images show something to have been moved."""
+        self._suspect(
+            place=moved.what,
+            direction="all",
+            driver="time",
+            since_s=moved.since,
+            size_mm=1e3 * moved.shift_m,
+            size_deg=float(np.degrees(moved.turn_rad)),
+            sentence=moved.sentence,
+        )
+
+    def _suspect(self, **change: Any) -> None:
+        self._change.publish(fill_change(self._message("Change"), change))
+        self.hold(False)
+
+    def no_change(self) -> None:
+        """Publish that nothing is suspected any more."""
+        self._change.publish(self._message("Change"))
+
+    def estimate(self, estimator: Estimator) -> None:
+        """Publish the values as they stand, and their standard deviations."""
+        if np.isfinite(estimator.values).all() and np.isfinite(estimator.std).all():
+            message = self._message("Estimate")
+            self._estimate.publish(fill_estimate(message, estimator.names, estimator.values, estimator.std))
+
+
+@dataclass(frozen=True)
+class LiveCheck:
+    """sentence: for a person. data: of check.json. changed: whether anything is named or left unexplained."""
+
+    sentence: str
+    data: dict[str, Any]
+    changed: bool
+
+
+def live_check(
+    heard: SampleMemory,
+    chain: Mechanism,
+    calibration: Calibration,
+    clock_limit: float,
+    newest: int,
+    since: float | None,
+) -> LiveCheck:
+    """The check by the newest stations; of those since a stamp [s] where something is suspected to have changed.
+
+    Raises ModcalError for too few, or for what is not of this arm.
+    """
+    samples, _, _ = heard.prepared(chain, clock_limit)
+    found = check(calibration, newest_of(samples, newest, since))
+    said = f"{found.sentence} {found.advice.sentence}"
+    return LiveCheck(said, checkup_data(found), found.status != "unchanged")
+
+
+def newest_of(samples: Samples, count: int, since: float | None) -> Samples:
+    """The samples of the newest stations, of those since a stamp where one is given. Raises NotEnoughData."""
+    first = -np.inf if since is None else since
+    stations = samples.station[samples.stamps >= first]
+    kept = np.unique(stations)[-count:]
+    if len(kept) < count:
+        where = "" if since is None else " since something seems to have changed"
+        raise NotEnoughData(
+            f"{len(kept)} stations{where}", f"a check looks at {count}", "drive to more, or set check_stations"
+        )
+    return samples.select(np.flatnonzero(np.isin(samples.station, kept)))
+
+
+_CHECK = "check"
+
+
+class CheckService:
+    """Checks of the trusted model, as the action and the Trigger ~/check."""
+
+    def __init__(self, node: GuardedNode, worker: SolveWorker, outputs: Publishers, begin: Callable[[], str]) -> None:
+        """begin: calls :meth:`begin` with what is to be checked; returns why it cannot, or nothing."""
+        self._node, self._worker, self._outputs, self._begun = node, worker, outputs, 0.0
+        self._action = Action(node, "Check", begin, self.cancel, self._progress)
+        self._ask = begin
+        node.create_service(Trigger, "~/check", self._on_check, callback_group=ReentrantCallbackGroup())
+
+    async def _on_check(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Say what has changed since the trusted model was made, by the newest stations; answer when known."""
+        if refusal := self._ask():
+            response.success, response.message = False, refusal
+            return response
+        result = await self._action.ended()
+        response.success, response.message = result.outcome == DONE, result.message
+        return response
+
+    def begin(self, *work: Any) -> str:
+        """Have it done; returns why not, or nothing. work: the arguments of :func:`live_check`."""
+        if self._worker.doing:
+            return f"busy with {self._worker.doing}: ask again"
+        self._begun = time.monotonic()
+        self._worker.give(_CHECK, live_check, *work, finish=self._found, fail=partial(self._action.end, FAILED))
+        return ""
+
+    def cancel(self, why: str = "cancelled") -> None:
+        """End the check that is being made, if one is."""
+        if self._worker.doing == _CHECK:
+            self._worker.drop()
+            self._action.end(FAILED, why)
+
+    def _progress(self, feedback: Any) -> None:
+        feedback.phase, feedback.elapsed_s = "checking", time.monotonic() - self._begun
+
+    def _found(self, check: LiveCheck) -> None:
+        message = self._outputs.check(check.data)
+        log = self._node.get_logger()
+        said = f"check: {check.sentence}"
+        if check.changed:  # a place that logs keeps its severity
+            log.warning(said)
+        else:
+            log.info(said)
+        self._action.end(DONE, f"{check.sentence} {self._outputs.about()}", checked=message)

@@ -13,12 +13,10 @@ from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome
 from modcal_core.public import evaluate
 from modcal_core.report import Hashes, Particulars, VerbResult, report_files, summary, to_json_data
-from modcal_nodes.cli.camera import by_camera, calibrate_images
-from modcal_nodes.cli.camera_input import CameraOptions
-from modcal_nodes.cli.certificate import certified_hashes, exit_code, particulars
+from modcal_nodes.cli.camera_input import CameraOptions, by_camera, calibrate_images
 from modcal_nodes.cli.console import Output, saving
 from modcal_nodes.cli.inputs import arm_line, chain_line
-from modcal_nodes.cli.options import EXISTING, given
+from modcal_nodes.cli.options import EXISTING, certified_hashes, exit_code, given, particulars
 from modcal_nodes.io import (
     FrozenOptions,
     Options,

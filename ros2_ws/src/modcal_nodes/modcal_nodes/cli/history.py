@@ -1,27 +1,98 @@
-"""``modcal history`` and ``modcal compare``: what grows over many calibrations, and how two of them differ."""
+"""``modcal history``, ``modcal compare`` and ``modcal fleet``: many calibrations, two of them, and many recordings."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import click
+from distributed import Client
 
 from modcal_core.calibration import Calibration, fingerprint
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadCommand, BadTable, plain
 from modcal_core.files import read_json
 from modcal_core.measurements import require
 from modcal_core.moves import Values, series_of, values_of
 from modcal_core.outcome import offsets_of
-from modcal_core.report import History, HistoryEntry, Side, compare, history_report
-from modcal_nodes.cli.certificate import UNMET
-from modcal_nodes.cli.console import Output, saving
-from modcal_nodes.cli.options import EXISTING, Decimal
-from modcal_nodes.io import SCHEMA
+from modcal_core.report import STATUS_WORDS, History, HistoryEntry, Side, compare, explained, history_report
+from modcal_nodes.cli.console import Output, saving, speaking, written
+from modcal_nodes.cli.options import EXISTING, UNMET, WRITTEN, Decimal, Whole, given
+from modcal_nodes.fleet import DONE, Row, calibrate_all, find_bags, names_of, write_table
+from modcal_nodes.io import SCHEMA, Options
+
+_COLUMNS = {
+    "recording": "",
+    "status": "verdict: at the floor, open, or cannot tell",
+    "RMS mm before": "held-out error of the nominal model",
+    "RMS mm after": "the same with geometry and effects corrected",
+}
+
+
+@click.command("fleet")
+@click.argument("bags", nargs=-1, required=True)
+@click.option("--out", type=WRITTEN, default=Path("fleet"), help="Folder of the results.")
+@click.option("--csv", "as_csv", is_flag=True, help="Write fleet.csv in place of fleet.parquet.")
+@click.option("--jobs", type=Whole(min=1), metavar="N", help="Processes of this machine. Default: one per core.")
+@click.option("--dask", "address", metavar="ADDRESS", help="Address of a Dask scheduler, in place of this machine.")
+@given(Options, without=("tolerance_mm", "tolerance_of", "factory_kinematics"))
+@speaking
+def fleet_command(
+    bags: tuple[str, ...],
+    out: Path,
+    as_csv: bool,
+    jobs: int | None,
+    address: str | None,
+    output: Output,
+    options: Options,
+) -> int:
+    """Calibrate every recording in BAGS (bags, folders that hold some, patterns).
+
+    Writes a folder for each, and a table with a row for each. Exit 2 when some could not be calibrated; all others are
+    then written nevertheless.
+    """
+    named = names_of(find_bags(bags, out), out)
+    files: dict[str, Any] = {name: value.resolve() for name, value in vars(options).items() if isinstance(value, Path)}
+    asked = replace(options, **files)
+    name = "fleet.csv" if as_csv else "fleet.parquet"
+    done = count(1)
+    with _client(address, jobs) as client, output.working() as watch:
+        rows = calibrate_all(named, out, asked, client, lambda _: watch("calibrating", next(done) / len(named)))
+    write_table(out / name, rows)
+    data = {"modcal_fleet": 1, "out": str(out), "recordings": rows}
+    output.result(
+        data,
+        explained(_COLUMNS, [_shown(row) for row in rows], words=2),
+        written(out, [name, "a folder for each recording"], "Table", name),
+    )
+    if left := [row for row in rows if row["state"] != DONE]:
+        first = f"{left[0]['name']} {left[0]['state']}: {left[0]['said']}"
+        click.echo(plain(f"modcal: {len(left)} of {len(rows)} recordings were not calibrated; {first}"), err=True)
+    return 2 if left else 0
+
+
+def _shown(row: Row) -> tuple[str, ...]:
+    if row["state"] != DONE:
+        return row["name"], row["state"], "", ""
+    sizes = ["" if (x := row[f"{stage}_rms_mm"]) is None else f"{x:.3f}" for stage in ("nominal", "final")]
+    return row["name"], STATUS_WORDS[row["status"]], *sizes
+
+
+def _client(address: str | None, workers: int | None) -> Client:
+    """A client of the cluster at this address, or of so many workers here. Raises BadCommand where none answers."""
+    if address is None:
+        here = "127.0.0.1:0"  # Dask's own default is a port that another cluster may have, open to the network
+        return Client(n_workers=workers, threads_per_worker=1, dashboard_address=here, set_as_default=False)
+    try:
+        return Client(address, timeout="10s", set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        said = f"no scheduler answers ({' '.join(str(error).split())})"
+        raise BadCommand(f"--dask {address}", said, "give its address, host:port") from error
+
 
 _DATED = re.compile(r"(\d{4}-\d{2}-\d{2})")
 _DEPTH = 3  # folders below the one that is given

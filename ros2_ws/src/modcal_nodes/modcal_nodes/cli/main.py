@@ -24,10 +24,10 @@ from modcal_nodes.one_thread import limit_blas
 GROUPS = {
     "Begin": {"examples": ("examples", "Copy the examples that the documentation uses into a folder.")},
     "Prepare a measurement": {
-        "sensitivity": ("sensitivity", "Report which parameters of an arm matter most."),
+        "sensitivity": ("plan", "Report which parameters of an arm matter most."),
         "plan": ("plan", "Choose stations: for an accuracy, or to tell explanations apart."),
         "target": ("target", "Write a board to print for calibrating with a camera."),
-        "payload": ("payload", "Weigh what the arm carries by the torques of its joints at rest."),
+        "payload": ("limits", "Weigh what the arm carries by the torques of its joints at rest."),
         "limits": ("limits", "Compute how fast each joint may accelerate with this payload."),
         "simulate": ("simulate", "Record a simulated cell with errors that its model lacks."),
     },
@@ -41,10 +41,10 @@ GROUPS = {
         "calibrate": ("calibrate", "Identify the arm from BAG, and find what its model lacks."),
         "evaluate": ("calibrate", "Score a frozen CALIBRATION on another BAG."),
         "check": ("check", "Tell what has changed since CALIBRATION, from ten new stations."),
-        "sentinel": ("sentinel", "Tell whether an arm has changed, from ordinary recordings of its work."),
+        "sentinel": ("check", "Tell whether an arm has changed, from ordinary recordings of its work."),
         "history": ("history", "Show what grows over a robot's calibrations and checks."),
         "compare": ("history", "Compare two calibrations or reports: what differs, does it matter?"),
-        "fleet": ("fleet", "Calibrate many recordings, and put the results in one table."),
+        "fleet": ("history", "Calibrate many recordings, and put the results in one table."),
     },
     "Use the result": {
         "export": ("export", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
@@ -53,14 +53,14 @@ GROUPS = {
     "Running nodes": {
         "watch": ("watch", "Show the status of all nodes of a cell, live."),
         "call": ("call", "Call a service or an action of a node, and print its answer."),
-        "play": ("play", "Publish the messages of BAG again."),
+        "play": ("call", "Publish the messages of BAG again."),
     },
     "Doors and drawers": {
         "articulate": ("articulate", "Identify how the handle in BAG moves, and write it as a URDF."),
-        "door": ("door", "Open a simulated door or drawer with the nodes, and report."),
+        "door": ("articulate", "Open a simulated door or drawer with the nodes, and report."),
     },
     "Arms made of modules": {
-        "synthesize": ("synthesize", "Find an assembly of modules for a task."),
+        "synthesize": ("assemble", "Find an assembly of modules for a task."),
         "assemble": ("assemble", "Build a robot description from a list of modules."),
         "modules": ("assemble", "Learn the errors of physical modules over several assemblies."),
     },

@@ -32,10 +32,9 @@ from modcal_core.planning import (
     text_of,
     with_table,
 )
-from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, written
 from modcal_nodes.cli.inputs import arm_line, read_robot
-from modcal_nodes.cli.options import EXISTING, WRITTEN, given
+from modcal_nodes.cli.options import EXISTING, UNMET, WRITTEN, given
 from modcal_nodes.cli.simulate import parameter
 from modcal_nodes.io import ChainOptions, Watch, opened, option, read_cell, repeated
 from modcal_nodes.measuring import (

@@ -5,19 +5,12 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.io.inputs import read_assembly, read_library
-    from modcal_nodes.io.inputs import calibration_of, of_cell, read_calibration, read_cell, read_delta
-    from modcal_nodes.io.inputs import read_particulars, read_topics, stated_from
-    from modcal_nodes.io.options import ChainOptions, FrozenOptions, Options, SplitOptions, TopicOptions
-    from modcal_nodes.io.options import Watch, option, repeated, silent
-    from modcal_nodes.io.recorded import calibrate_bag, of_calibrated, opened
-    from modcal_nodes.io.report_schema import SCHEMA
+    from modcal_nodes.io.inputs import calibrate_bag, calibration_of, of_calibrated, of_cell, opened, read_assembly
+    from modcal_nodes.io.inputs import read_calibration, read_cell, read_delta, read_library, read_particulars
+    from modcal_nodes.io.inputs import read_topics, stated_from
+    from modcal_nodes.io.options import SCHEMA, ChainOptions, FrozenOptions, Options, SplitOptions, TopicOptions, Watch
+    from modcal_nodes.io.options import option, repeated, silent
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["SCHEMA", "ChainOptions", "FrozenOptions", "Options", "SplitOptions", "TopicOptions", "Watch"]
-__all__ += ["calibrate_bag", "calibration_of", "of_calibrated", "of_cell", "opened", "option", "read_assembly"]
-__all__ += ["read_calibration", "read_cell", "read_delta", "read_library", "read_particulars", "read_topics"]
-__all__ += ["repeated", "silent", "stated_from"]

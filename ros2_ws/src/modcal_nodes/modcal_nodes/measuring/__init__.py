@@ -12,6 +12,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["NEXT", "CellInProcess", "Folder", "Measurer", "Replay", "StationSequence", "StoredSession"]
-__all__ += ["one_a_station", "outcome_data"]

@@ -252,8 +252,8 @@ def required(reports: JointReports | None, stale: float) -> None:
 class Worker:
     """Does one piece of work at a time elsewhere; what comes of it is taken where :meth:`finish` is called."""
 
-    def __init__(self, name: str) -> None:
-        self._pool = ThreadPoolExecutor(1, name)
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(1, "thinking")
         self._future: Future[Any] | None = None
         self._then: Callable[[Any], None] = lambda _: None
 

@@ -233,7 +233,7 @@ class StationSequence:
         clock: Callable[[], float],
     ) -> None:
         self._chosen, self._send, self._tell, self._clock = chosen, send, tell, clock
-        self._worker = Worker("thinking")
+        self._worker = Worker()
         self._place: Place | None = None
         self._joints: JointReports | None = None
         self._runner: Runner | None = None

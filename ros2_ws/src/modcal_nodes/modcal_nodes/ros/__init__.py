@@ -6,29 +6,19 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_nodes.ros.actions import DONE, FAILED, REFUSED, Action, interface
-    from modcal_nodes.ros.declaring import declare, follow
     from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, Refusals, noted
-    from modcal_nodes.ros.joining import MUTUAL, interrupt, joined, passing, stopped_by, type_of
     from modcal_nodes.ros.launch_files import LAUNCHES
-    from modcal_nodes.ros.lifecycle import ManagedNode, StatedNode
+    from modcal_nodes.ros.lifecycle import ManagedNode, StatedNode, declare, follow
     from modcal_nodes.ros.parameters import ACCELERATION_LIMITS, ARTICULATION_ESTIMATOR, BOARD_DETECTOR, CALIBRATOR
     from modcal_nodes.ros.parameters import CORRECTOR, DOOR_DEMO, IMPEDANCE_SETPOINT, RECORDER, SIMULATED_CELL
     from modcal_nodes.ros.parameters import SIMULATED_FURNITURE, STATION_RUNNER, TRAJECTORY_SENDER, VIEWER, Parameter
     from modcal_nodes.ros.running import FRESH, LATCHED, SENSOR, run, settle_in
-    from modcal_nodes.ros.subscriptions import ERROR, OK, WARN, Health, MonitoredSubscription, Status, always
-    from modcal_nodes.ros.subscriptions import log_at, subscription_status, tracker_status
+    from modcal_nodes.ros.subscriptions import ERROR, OK, WARN, Health, MonitoredSubscription, Status, always, log_at
+    from modcal_nodes.ros.subscriptions import subscription_status, tracker_status
     from modcal_nodes.ros.tf_frames import Broadcaster, corrected_frame, static_frames
-    from modcal_nodes.ros.topic_recorder import UNHEARD, Complaint, Taken, TopicRecorder
+    from modcal_nodes.ros.topic_recorder import MUTUAL, UNHEARD, Complaint, Taken, TopicRecorder, interrupt, joined
+    from modcal_nodes.ros.topic_recorder import passing, stopped_by, type_of
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ACCELERATION_LIMITS", "ARTICULATION_ESTIMATOR", "BOARD_DETECTOR", "CALIBRATOR", "CORRECTOR", "DONE"]
-__all__ += ["DOOR_DEMO", "ERROR", "FAILED", "FRESH", "IMPEDANCE_SETPOINT", "LATCHED", "LAUNCHES", "MUTUAL", "OK"]
-__all__ += ["RECORDER", "REFUSED", "SENSOR", "SIMULATED_CELL", "SIMULATED_FURNITURE", "STATION_RUNNER"]
-__all__ += ["TRAJECTORY_SENDER", "UNHEARD", "VIEWER", "WARN", "Action", "Broadcaster", "Complaint", "GuardedNode"]
-__all__ += ["Health", "ManagedNode", "MonitoredSubscription", "NodeEnds", "Parameter", "Refusals", "StatedNode"]
-__all__ += ["Status", "Taken", "TopicRecorder", "always", "corrected_frame", "declare", "follow", "interface"]
-__all__ += ["interrupt", "joined", "log_at", "noted", "passing", "run", "settle_in", "static_frames", "stopped_by"]
-__all__ += ["subscription_status", "tracker_status", "type_of"]

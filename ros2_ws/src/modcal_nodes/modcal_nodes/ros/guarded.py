@@ -149,10 +149,10 @@ class GuardedNode(Node):
     """A node whose callbacks cannot end it. Stands first among the bases: ``class Arm(GuardedNode, LifecycleNode)``."""
 
     _faults: CallbackFaults | None = None
-    parameters_without_effect = ""  # what is said of those that no node knows (see declaring.py)
+    parameters_without_effect = ""  # what is said of those that no node knows (see lifecycle.py)
     most_at_once = 100  # messages of one topic before others have their turn
     active: bool = True  # whether messages are taken; of a managed node, see lifecycle.py
-    heard_by_executor = False  # whether something is subscribed to that no poller takes (see resting.py)
+    heard_by_executor = False  # whether something is subscribed to that no poller takes (see running.py)
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.pollers: list[Callable[[], int]] = []  # take what waits in a subscription; how much that was
@@ -170,7 +170,7 @@ class GuardedNode(Node):
 
     @property
     def hurried(self) -> bool:
-        """Whether it has no time to rest now (see resting.py)."""
+        """Whether it has no time to rest now (see running.py)."""
         return False
 
     @property

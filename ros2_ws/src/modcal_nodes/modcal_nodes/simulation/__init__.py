@@ -6,18 +6,13 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_nodes.simulation.furniture import draw
-    from modcal_nodes.simulation.mjcf import Servo
-    from modcal_nodes.simulation.plant import SWITCHES, TRACKER, TRACKER_PHASE, Beat, CellTime, Grid, Plant
+    from modcal_nodes.simulation.mjcf import Servo, World
+    from modcal_nodes.simulation.plant import SWITCHES, TRACKER, TRACKER_PHASE, Beat, CellTime, Grid, Plant, recorded
     from modcal_nodes.simulation.program import legs
     from modcal_nodes.simulation.pulling import PullRecord, Pulling, effort_limits
     from modcal_nodes.simulation.rates import Rates
-    from modcal_nodes.simulation.recording import recorded
     from modcal_nodes.simulation.spoken import Poses, States, stamp
-    from modcal_nodes.simulation.world import World
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["SWITCHES", "TRACKER", "TRACKER_PHASE", "Beat", "CellTime", "Grid", "Plant", "Poses", "PullRecord"]
-__all__ += ["Pulling", "Rates", "Servo", "States", "World", "draw", "effort_limits", "legs", "recorded", "stamp"]

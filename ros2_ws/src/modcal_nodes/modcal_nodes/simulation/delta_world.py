@@ -28,8 +28,7 @@ from modcal_core.robots import (
     Delta,
     reachable,
 )
-from modcal_nodes.simulation.machine import Machine, tracker_and_tool
-from modcal_nodes.simulation.mjcf import NO_MASS, PAYLOAD, placed, text
+from modcal_nodes.simulation.mjcf import NO_MASS, PAYLOAD, Machine, placed, text, tracker_and_tool
 
 PLATFORM_RADIUS = 0.05  # m; it may be anything, for only the difference of the radii shows
 ROD_SPACING = 0.04  # m, from the middle of an elbow to a rod

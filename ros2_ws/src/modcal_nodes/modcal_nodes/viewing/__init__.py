@@ -3,10 +3,8 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.viewing.stations import JudgedStations, Stations
+    from modcal_nodes.viewing.drawing import JudgedStations, Stations
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["JudgedStations", "Stations"]
