@@ -36,7 +36,9 @@ _HARDLY = 0.05  # of the full speed: by then nearly the most force is on it
 _PROMPT, _DOUBLES, _HEEDED = 0.03, 0.04, 0.5  # s: age that is usual, that doubles the damping, and for how long
 _RATE_HZ = 20.0  # of the low-pass, what is above which counts as rising
 _RIGID = 700e3  # N/m: steel fingers on a steel handle
-_UNSEEN, _HIDDEN = 0.05, 1.2  # s until servos' leads show a force that a sensor hides, and times the last force by then
+# Of a force that a sensor hides: the lead of a servo that shows it [m], at most at this share of the last force; how
+# long it must do so [s]; and times the last force that may have come by then
+_LEAD, _UNFELT, _UNSEEN, _HIDDEN = 2e-4, 0.4, 0.05, 1.2
 # N by which a force rises at a touch: more than noise; m in which it does so of fingers, however soft, and not of what
 # opens; times stiffer than is stated may a touch seem, for delays
 _TOUCH, _TOUCH_WAY, _STIFFER = 1.5, 0.8e-3, 1.5
@@ -142,7 +144,8 @@ class SpeedGovernor:
         hit, series = math.sqrt(contact * mass), contact * stiffness / (contact + stiffness)
         self.damping = series * delay
         speeds = []
-        for last, late in ((most, delay), (_HIDDEN * most, delay + _UNSEEN)):
+        unseen = min(_LEAD * stiffness, _UNFELT * most)
+        for last, late in ((most, delay), (_HIDDEN * most - unseen, delay + _UNSEEN)):
             slow = self._brake * (late + hit / series)
             speeds.append(math.sqrt(slow * slow + 2.0 * self._brake * max(last - force, 0.0) / series) - slow)
         return min(speeds)

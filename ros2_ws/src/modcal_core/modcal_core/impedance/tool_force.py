@@ -135,7 +135,7 @@ class ToolForce:
         self.delay = self.size = 0.0
         self._foresight = ForcePrediction()
         self._leads = LeadCheck(_stiffness(task))
-        self._unfelt = UnfeltForce(joints, task.servo_lag, limits.period)
+        self._unfelt = UnfeltForce(joints, task.servo_lag, limits.period, task.arm_stiffness)
         known = np.full(joints, np.nan) if least is None else least
         self.efforts = JointForce(arm, task.gravity)
         self._joints = JointLeadCheck(known, task.servo_lag, limits.period)

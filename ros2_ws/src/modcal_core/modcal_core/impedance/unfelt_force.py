@@ -162,6 +162,9 @@ _TRAVELLED = 0.03
 _SHARE = 1.0  # of a change of the felt force that is not believed to be hidden beside it: what is learned of a servo
 # that yields by half as much as it does would show that
 _MAX = 0.4  # of max_force_n may go unfelt, for as much again comes until the arm stands
+# N that a lead must take on the softest servos beyond what is felt, for a sensor not to answer it: ten times the noise
+# of a mean of so many readings
+_ANSWERS, _AVERAGED = 1.5, 5
 _RECALL = 3.0  # servo lags for which a force that has gone still explains a lead: a servo unwinds by its lag
 _SUSPECTED = 0.2  # of it: from there on nothing is learned
 _FORGETS = 0.98  # of what the models' errors were, with every moment
@@ -187,9 +190,12 @@ class UnfeltForce:
     cannot explain. Call every tick.
     """
 
-    def __init__(self, joints: int, lag: float, period: float) -> None:
-        """For a number of joints whose servos lag by about so much, with a reference every period [s]."""
-        self.period = period
+    def __init__(self, joints: int, lag: float, period: float, stiffest: float = 100e3) -> None:
+        """For a number of joints whose servos lag by about so much, with a reference every period [s].
+
+        stiffest: by which they may hold the tool [N/m].
+        """
+        self.period, self.stiffest = period, stiffest
         self.model = ServoModel(np.full(joints + 6, _SOFTEST), lag)
         self.force = self.sure = 0.0
         self._n = joints
@@ -201,7 +207,7 @@ class UnfeltForce:
         self._noted: _Moment | None = None
         self._waiting: deque[_Moment] = deque()
         self._learned = False
-        self._felt: deque[tuple[float, Array]] = deque()  # of the last lags: stamp [s], force (3,) [N]
+        self._felt: deque[_Moment] = deque()  # of the last lags
         self._recalled = _RECALL * lag
         self._errors = np.zeros(2)  # m², of the joints' rows and of the tool's
         self._before = _MomentWindow(joints + 6)
@@ -329,8 +335,8 @@ class UnfeltForce:
 
     def _judge(self, at: _Moment, by: Array | None, most: float) -> None:
         """What is hidden, if the newest reference is in effect and if one is that leads by more (n,)."""
-        self._felt.append((at.stamp, at.felt))
-        while self._felt[0][0] < at.stamp - self._recalled:
+        self._felt.append(at)
+        while self._felt[0].stamp < at.stamp - self._recalled:
             self._felt.popleft()
         maybe, likely, self.sure = self._hidden(at, by)
         self._likely.append(likely)
@@ -375,7 +381,15 @@ class UnfeltForce:
             left = np.stack([alone, alone + np.concatenate([by, at.J @ by])], axis=1)
         errors = np.sqrt(self._errors) + FLOOR
         maybe, likely, sure = 0.0, 0.0, math.inf
-        followed = _SHARE * max(math.dist(one, felt) for _, one in self._felt)
+        followed = _SHARE * max(math.dist(one.felt, felt) for one in self._felt)
+        some = np.array([one.felt for one in self._felt])
+        first, last = some[:_AVERAGED].mean(axis=0), some[-_AVERAGED:].mean(axis=0)
+        since = model.left(at.rows - self._felt[0].rows)
+        older = np.zeros(len(at.rows)) if by is None else np.concatenate([by, at.J @ by])
+        silent = max(
+            min(self._silent(at, leads + late, spread, math.dist(last, then)) for late in (0.0, older))
+            for leads, then in ((alone, felt), (since, first))
+        )
         for rows, L, error in ((slice(0, n), at.J, errors[0]), (slice(n, n + 6), np.eye(6), errors[1])):
             if error <= _WORSE * errors.min():
                 known = model.compliance[rows], model.unsure_by[rows]
@@ -384,7 +398,22 @@ class UnfeltForce:
                 if error == errors.min():
                     maybe = max(float(size[0]) - followed, 0.0)
                     likely = maybe if least[0] > 0.0 else 0.0
-        return maybe, likely, max(sure - followed, 0.0)
+        return max(maybe, silent), max(likely, silent), max(sure - followed, silent)
+
+    def _silent(self, at: _Moment, left: Array, spread: Array, followed: float) -> float:
+        """The force [N] that may be hidden by a sensor that has not changed as much as a lead surely takes; else 0.
+
+        left, spread (m,): what is left of the leads, and its deviation. followed: change of the felt force [N].
+        """
+        model, n = self.model, self._n
+        way = at.J[:3] @ left[:n]
+        far = math.sqrt(way @ way)
+        levers = (at.J[:3].T @ way / max(far, 1e-9)) ** 2
+        softest = float(levers @ (model.compliance + _SURE * model.unsure_by)[:n])
+        unsure = math.sqrt(float(levers @ spread[:n] ** 2))
+        if far < _STANDS_OUT * unsure or (far - _SURE * unsure) / softest - followed < _ANSWERS:
+            return 0.0
+        return max(far * self.stiffest - followed, 0.0)
 
     def _differs(self, moment: _Moment, share: float = 1.0) -> bool:
         """Whether a moment tells something that the last one which was noted does not. share: of what differs."""
