@@ -167,7 +167,7 @@ class _Everything:
     def _made(self, i: int) -> Array:
         """What an effect of the model makes of the rest, (R,)."""
         own = self._effects[i].amplitudes
-        return -np.tensordot(own, self._J[self._amplitudes[i]], axes=1)[self._seen]
+        return np.asarray(np.tensordot(own, self._J[self._amplitudes[i]], axes=1)[self._seen])
 
     def _columns(self, effect: Effect) -> Array:
         """What a unit of each amplitude of an effect does to the readings, in units of the noise, (m, 6, N)."""
