@@ -56,7 +56,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 130),
     "modcal_nodes/vision": (1950, 1410),
     "modcal_nodes/watching": (270, 200),
-    "tests": (47460, 32830),
+    "tests": (47470, 32840),
     "modcal_core/sentinel": (1070, 780),
 }
 SOURCE = (94500, 61700)
