@@ -10,7 +10,7 @@ speaks for it that is not of its own recording:
 | series A, D: one UR10 | gears of pan, lift, elbow, wrist 2 in both; of wrist 3 in A | each in the other series |
 | UR5 grid | gears of pan, lift, elbow | as above, another arm |
 | WAM grid | none | |
-| Panda 3, Panda 4 | against the load of joint 2; 240 waves a turn of joint 4; 120 or 240 of joint 3 | each in both arms |
+| Panda 3, Panda 4 | against load, joint 2; 240 waves a turn of joint 4; 120 or 240 of joint 3 | both arms |
 | iiwa 14 | a step of base or plate; give of joints 3, 4; of joint 2 play or a curve | nothing: not confirmed |
 """
 

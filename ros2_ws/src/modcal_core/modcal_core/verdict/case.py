@@ -189,7 +189,7 @@ def by_sample(row: Array, pose: np.ndarray, count: int) -> Array:
 
 
 def derivatives(model: Model, parameters: Sequence[ModelParameter], samples: Samples) -> tuple[Array, Array]:
-    """Residuals (6, N), measured less predicted, and derivatives (K, 6, N) of what is predicted by parameters and effects."""
+    """Measured less predicted (6, N), and derivatives (K, 6, N) of what is predicted by parameters and effects."""
     values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
     at = linearise(model, parameters, values, samples)
     pose = np.flatnonzero(samples.is_pose)
