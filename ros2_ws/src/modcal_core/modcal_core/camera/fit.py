@@ -314,6 +314,11 @@ class CameraFit:
         return self.cameras.first.poses
 
     @property
+    def model(self) -> Model:
+        """The arm's model, with the effects that were added to it."""
+        return self.poses.model
+
+    @property
     def prior(self) -> CommonPrior:
         """What is expected of lens and target of the first camera."""
         return self.cameras.first.prior
