@@ -1,6 +1,6 @@
 """Wires whose zero shifts, anchors that move, joints that slip, and clocks that stamp arrivals: what is named?
 
-    make bench NAME=instruments ARGS="--seeds 20 --only three"
+    make bench NAME=gauges ARGS="--seeds 20 --only three"
 
 The arms are those of bench/claims, which share no code with modcal. Wires: 160 rows of three, or 300 of one; the zero
 of the first is off by 0.5 to 5 mm between two rows, or its anchor moves, or a joint slips. Clocks: 90 s in motion, a
