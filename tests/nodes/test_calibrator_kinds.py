@@ -36,7 +36,8 @@ Send = tuple[Any, Callable[[int], Any]]  # publisher, and its message at a stati
 
 def play(said: Diagnostics, wait: Any, joints: Any, names: tuple[str, ...], q: Array, readings: list[Send]) -> None:
     """Finished stations: a joint state and readings of the same stamp, two seconds apart."""
-    wait(lambda: joints.get_subscription_count() > 0 and said.found(joints.topic_name), 60.0)
+    everyone = {joints, *(publisher for publisher, _ in readings)}  # each is discovered by itself
+    wait(lambda: all(p.get_subscription_count() > 0 and said.found(p.topic_name) for p in everyone), 60.0)
     for i in range(len(q)):
         for publisher, made in ((joints, JointState(name=list(names), position=q[i].tolist())), *(
             (publisher, read(i)) for publisher, read in readings
