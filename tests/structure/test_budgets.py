@@ -18,13 +18,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Package: lines and statements at most.
 CEILINGS: dict[str, tuple[int, int]] = {
-    "bench": (15760, 11410),
+    "bench": (15770, 11410),
     "launch": (80, 50),
     "modcal": (50, 30),
     "modcal_core": (2540, 1410),
     "modcal_core/articulation": (5220, 3580),
     "modcal_core/calibration": (7000, 4340),
-    "modcal_core/camera": (4590, 2950),
+    "modcal_core/camera": (4600, 2950),
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (1250, 790),
     "modcal_core/diagnosis": (2990, 2060),
