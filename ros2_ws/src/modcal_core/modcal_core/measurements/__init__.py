@@ -33,29 +33,15 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["APART", "BEARING", "BETWEEN", "DAY", "ELSEWHEN", "GLITCHES", "IMPORTED", "LATE_STEPS", "LEFT", "LIMIT"]
-__all__ += ["FACES", "MAX_GLITCHES", "MIN_RETURNS", "NOISE_FACTOR", "ORDER_ONLY", "PART", "POINT", "POSE", "RANGE"]
+__all__ = ["APART", "BEARING", "BETWEEN", "DAY", "ELSEWHEN", "FACES", "GLITCHES", "IMPORTED", "LATE_STEPS", "LEFT"]
+__all__ += ["LIMIT", "MAX_GLITCHES", "MIN_RETURNS", "NOISE_FACTOR", "ORDER_ONLY", "PART", "POINT", "POSE", "RANGE"]
 __all__ += ["RAY", "SAME", "SECOND_DIFFERENCE", "SHARED", "SHORTEST", "SOCKETS", "TARGETS", "TOUCH", "TRAVEL"]
-__all__ += ["UNKNOWN", "UNREAD", "UNUSABLE", "WIDTHS", "Box", "Scan", "at_steady_rate"]
-__all__ += [
-    "Approach",
-    "Cleaned",
-    "Dropped",
-    "Hung",
-    "JointTrack",
-    "Listed",
-    "Origin",
-    "ReadingTrack",
-    "Recording",
-    "Samples",
-    "Schema",
-]
-__all__ += ["SignalTrack", "StationRules", "Stretch", "added", "after", "ahead", "align", "as_recording", "averaged"]
-__all__ += ["between"]
+__all__ += ["UNKNOWN", "UNREAD", "UNUSABLE", "WIDTHS", "Approach", "Box", "Cleaned", "Dropped", "Hung", "JointTrack"]
+__all__ += ["Listed", "Origin", "ReadingTrack", "Recording", "Samples", "Scan", "Schema", "SignalTrack", "StationRules"]
+__all__ += ["Stretch", "added", "after", "ahead", "align", "as_recording", "at_steady_rate", "averaged", "between"]
 __all__ += ["cleaned", "commanded_at", "cut_stations", "dropped", "dwells_of", "efforts_at_rest", "elsewhen"]
-__all__ += ["explained_by_posture"]
-__all__ += ["find_dwells", "fitted_rules", "following", "hung", "inliers", "inspect", "is_told", "joint_limits"]
-__all__ += ["joints_by_time", "joints_instead", "marks_of", "measure_box"]
-__all__ += ["moving_beside", "other_joints", "others_at", "others_by_name", "out_of_time", "posture_numbers"]
-__all__ += ["remedies_of", "require", "require_new", "require_usable", "returns", "share_of_known", "shown"]
-__all__ += ["spoken_name", "spread_rows", "staircase", "together", "told", "told_at", "unexpected", "went_on"]
+__all__ += ["explained_by_posture", "find_dwells", "fitted_rules", "following", "hung", "inliers", "inspect", "is_told"]
+__all__ += ["joint_limits", "joints_by_time", "joints_instead", "marks_of", "measure_box", "moving_beside"]
+__all__ += ["other_joints", "others_at", "others_by_name", "out_of_time", "posture_numbers", "remedies_of", "require"]
+__all__ += ["require_new", "require_usable", "returns", "share_of_known", "shown", "spoken_name", "spread_rows"]
+__all__ += ["staircase", "together", "told", "told_at", "unexpected", "went_on"]
