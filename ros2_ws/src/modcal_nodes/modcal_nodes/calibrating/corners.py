@@ -75,7 +75,6 @@ class CornerJob:
     effects: bool
     heard: SampleMemory
     clock_limit: float
-    page: bool = True
     further: tuple[CameraImages, ...] = ()
 
 
@@ -98,7 +97,7 @@ def solve_corners(job: CornerJob) -> CameraSolved:
         ),
         np.random.default_rng(job.seed),
     )
-    report = camera_report(solution, robot, len(job.views), {}, page=job.page)
+    report = camera_report(solution, robot, len(job.views), {})
     middle, _, high = solution.claim.in_view.interval
     return CameraSolved(
         dict(report.files),

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,85 +23,26 @@ from modcal_core.calibration import (
     StatedPayload,
     StatedTool,
     StationDistance,
-    What,
     from_data,
 )
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, refusing
 from modcal_core.files import read_yaml
 from modcal_core.geometry import Array, se3
-from modcal_core.measurements import Schema, require, shown, told
 from modcal_core.measurements.kinds import frame_on_plane
 from modcal_core.report import Particulars
 from modcal_core.robots import Delta, delta_from_data
+from modcal_core.schema import NUMBER, TEXT, list_of, record, require
 from modcal_msgs_py import Topics, calibration_data
 
 if TYPE_CHECKING:
     from modcal_core.modules import Assembly, Library
 
-_NUMBER = {"type": "number"}
 _TEXT = {"type": "string", "minLength": 1}
-_TEXTS = {"type": ["array", "null"], "items": {"type": "string"}}
 _WHAT = {"type": "string", "enum": list(WHATS)}
-_THREE = {"type": "array", "items": _NUMBER, "minItems": 3, "maxItems": 3}
-
-
-def _mapping(properties: Schema, *required: str) -> Schema:
-    return {"type": "object", "properties": properties, "required": list(required), "additionalProperties": False}
-
-
-def _list(items: Schema) -> Schema:
-    return {"type": ["array", "null"], "items": items}
-
-
-_PAIR = {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2}
-_STAMPS = {"type": "array", "items": _NUMBER, "minItems": 2, "maxItems": 2}
-_DISTANCE = {"distance_m": _NUMBER, "std_m": _NUMBER}
-_PLANE = _mapping({"normal": _THREE, "offset_m": _NUMBER}, "normal", "offset_m")
-_QUATERNION = {"type": "array", "items": _NUMBER, "minItems": 4, "maxItems": 4}
-_POSE = {"position_m": _THREE, "quaternion": _QUATERNION}
-SCHEMA = _mapping(
-    {
-        "distances": _list(
-            {
-                "type": "object",
-                "oneOf": [
-                    _mapping({"between": _PAIR, **_DISTANCE}, "between", "distance_m"),
-                    _mapping({"stamps": _STAMPS, **_DISTANCE}, "stamps", "distance_m"),
-                ],
-            }
-        ),
-        "fixed": _TEXTS,
-        "own_target": _TEXTS,
-        "sockets": _TEXTS,
-        "known": _list(
-            _mapping(
-                {"frame": _TEXT, "in": _TEXT, "plane": _PLANE, **_POSE, "std_m": _NUMBER, "std_deg": _NUMBER},
-                "frame",
-                "in",
-            )
-        ),
-        "tool": {
-            **_mapping({**_POSE, "std_m": _NUMBER, "std_deg": _NUMBER}, "position_m", "std_m"),
-            "type": ["object", "null"],
-        },
-        "payloads": _list(_mapping({"mass_kg": _NUMBER, "centre_m": _THREE}, "mass_kg")),
-        "gravity": {**_THREE, "type": ["array", "null"]},
-        "moved": _list(_mapping({"stamp": _NUMBER, "what": _WHAT}, "stamp", "what")),
-        "own_in_recordings": {**_WHAT, "type": ["string"]},
-        "repeatability_mm": _NUMBER,
-        "repeatability_deg": _NUMBER,
-        "repeatability_iso": _NUMBER,
-        "instrument_mm": _NUMBER,
-        "instrument_deg": _NUMBER,
-        "topics": {"type": ["object", "null"], "additionalProperties": {"type": ["string", "array"], "items": _TEXT}},
-        "ignore": _TEXTS,
-        "tf": {"type": ["string", "null"]},
-        "certificate": {**_mapping({field.name: _TEXT for field in fields(Particulars)}), "type": ["object", "null"]},
-    }
-)
-
-
-T = TypeVar("T")
+_VECTOR = list_of(NUMBER, 3, 3)
+_POSE = {"position_m": _VECTOR, "quaternion": list_of(NUMBER, 4, 4)}
+_SPREAD = {"std_m": NUMBER, "std_deg": NUMBER}
+_DISTANCE = {"distance_m": NUMBER, "std_m": NUMBER}
 # Names of the options of the command line, and what they state
 STATEMENTS = {
     "repeatability_mm": "repeatability_mm",
@@ -110,17 +51,41 @@ STATEMENTS = {
     "instrument_mm": "instrument_mm",
     "instrument_deg": "instrument_deg",
 }
+_OPTIONAL = {  # or nothing
+    "distances": list_of(
+        {
+            "type": "object",
+            "oneOf": [
+                record(("between", "distance_m"), between=list_of(TEXT, 2, 2), **_DISTANCE),
+                record(("stamps", "distance_m"), stamps=list_of(NUMBER, 2, 2), **_DISTANCE),
+            ],
+        }
+    ),
+    **dict.fromkeys(("fixed", "own_target", "sockets", "ignore"), list_of(TEXT)),
+    "known": list_of(
+        record(
+            ("frame", "in"),
+            plane=record(("normal", "offset_m"), normal=_VECTOR, offset_m=NUMBER),
+            **{"frame": _TEXT, "in": _TEXT, **_POSE, **_SPREAD},
+        )
+    ),
+    "tool": record(("position_m", "std_m"), **_POSE, **_SPREAD),
+    "payloads": list_of(record(("mass_kg",), mass_kg=NUMBER, centre_m=_VECTOR)),
+    "gravity": _VECTOR,
+    "moved": list_of(record(("stamp", "what"), stamp=NUMBER, what=_WHAT)),
+    "topics": {"type": "object", "additionalProperties": {"type": ["string", "array"], "items": _TEXT}},
+    "tf": TEXT,
+    "certificate": record(**{field.name: _TEXT for field in fields(Particulars)}),
+}
+SCHEMA = record(
+    own_in_recordings=_WHAT,
+    **dict.fromkeys(STATEMENTS, NUMBER),
+    **{name: {**schema, "type": [schema["type"], "null"]} for name, schema in _OPTIONAL.items()},
+)
 _MIN_STD = 1e-7  # m, deg; what is stated better is stated as fixed
 _MAX_KG, _FARTHEST_M = 5000.0, 10.0  # the heaviest arms carry less than they weigh, which is three tonnes
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
 _OF_CELL = re.compile("cell file|known distance|frame '.*', known in")  # what a cell file alone can state
-_AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
-_AS_STATED = "a number, e.g. repeatability_mm: 0.02"
-_AS_MOVED = "{stamp: 1700000000.5, what: tool}, or what: base, or both"
-_AS_PAYLOAD = "{mass_kg: 2.5, centre_m: [0, 0, 0.05]}, in the tip link"
-_AS_GRAVITY = "[0, 0, -9.81], in the base link"
-_AS_TOOL = "{position_m: [0, 0, 0.055], std_m: 0.001}, and with orientation quaternion and std_deg"
-_AS_KNOWN = "{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}}, or with position_m and quaternion"
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -146,29 +111,31 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
     stated = stated or Stated()
     if path is None:
         return Cell(fixed=fixed, stated=stated)
-    data = _read_cell(path)
-    distances = tuple(_part(path, _distance, "distances", d, _AS_DISTANCE) for d in data.get("distances") or ())
+    return _cell(_read_cell(path), fixed, stated, str(path))
+
+
+@refusing
+def _cell(data: Mapping[str, Any], fixed: tuple[str, ...], stated: Stated, source: str) -> Cell:
+    """What the data of a cell file says; as :func:`read_cell`."""
+    distances = tuple(map(_distance, data.get("distances") or ()))
     for distance in distances:
         if not (0.0 < distance.distance < 50.0 and 0.0 < distance.std < 1.0):
             ends = distance.between if isinstance(distance, Distance) else map(str, distance.stamps)
-            raise BadTable(
-                f"{path}: distance {' to '.join(ends)}",
-                f"{distance.distance:g} ± {distance.std:g} m, 0 to 50 m is allowed",
-                "give metres",
-            )
-    own = data.get("own_in_recordings")
+            said = f"{distance.distance:g} ± {distance.std:g} m, 0 to 50 m is allowed"
+            raise BadTable(f"{source}: distance {' to '.join(ends)}", said, "give metres")
+    moved = (Move(float(m["stamp"]), m["what"]) for m in data.get("moved") or ())
     return Cell(
         distances,
-        (*(str(f) for f in data.get("fixed") or ()), *fixed),
-        tuple(_part(path, _known, "known", k, _AS_KNOWN) for k in data.get("known") or ()),
-        tuple(str(f) for f in data.get("own_target") or ()),
-        stated.over(_part(path, stated_from, "repeatability and instrument", data, _AS_STATED)),
-        tuple(str(f) for f in data.get("sockets") or ()),
-        tuple(sorted((_part(path, _move, "moved", m, _AS_MOVED) for m in data.get("moved") or ()), key=lambda m: m.at)),
-        None if own is None else _part(path, _what, "own_in_recordings", own, ", ".join(WHATS)),
-        None if data.get("tool") is None else _part(path, _tool, "tool", data["tool"], _AS_TOOL),
-        None if data.get("gravity") is None else _part(path, _gravity, "gravity", data["gravity"], _AS_GRAVITY),
-        payloads=tuple(_part(path, _payload, "payloads", p, _AS_PAYLOAD) for p in data.get("payloads") or ()),
+        (*(data.get("fixed") or ()), *fixed),
+        tuple(map(_known, data.get("known") or ())),
+        tuple(data.get("own_target") or ()),
+        stated.over(stated_from(data)),
+        tuple(data.get("sockets") or ()),
+        tuple(sorted(moved, key=lambda move: move.at)),
+        data.get("own_in_recordings"),
+        None if data.get("tool") is None else _tool(data["tool"]),
+        None if data.get("gravity") is None else _gravity(data["gravity"]),
+        payloads=tuple(map(_payload, data.get("payloads") or ())),
     )
 
 
@@ -217,30 +184,12 @@ def stated_from(data: Mapping[str, Any]) -> Stated:
     return Stated(**{field: None if value is None else float(value) for field, value in values.items()})
 
 
-def _part(path: Path, read: Callable[[Any], T], what: str, data: Any, expected: str) -> T:
-    try:
-        return read(data)
-    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise BadTable(f"{path}: {what}", f"{shown(data)} is not {expected}: {told(error)}", _REMEDY) from error
-
-
-def _move(data: Mapping[str, Any]) -> Move:
-    return Move(float(data["stamp"]), _what(data["what"]))
-
-
-def _what(said: Any) -> What:
-    for what in WHATS:
-        if said == what:
-            return what
-    raise ValueError(f"{said!r} is not one of {', '.join(WHATS)}")
-
-
 def _distance(data: Mapping[str, Any]) -> AnyDistance:
     distance, std = float(data["distance_m"]), float(data.get("std_m", 5e-5))
     if "stamps" in data:
-        first, second = (float(t) for t in data["stamps"])
-        return StationDistance((first, second), distance, std)
-    return Distance((str(data["between"][0]), str(data["between"][1])), distance, std)
+        first, second = data["stamps"]
+        return StationDistance((float(first), float(second)), distance, std)
+    return Distance(tuple(data["between"]), distance, std)
 
 
 def _gravity(data: Any) -> tuple[float, float, float]:
@@ -275,23 +224,19 @@ def _deviations(data: Mapping[str, Any]) -> tuple[float, float]:
 
 def _pose(data: Mapping[str, Any]) -> Array:
     """The transform (4, 4) of position_m and quaternion."""
-    pose = [*data.get("position_m", (0.0, 0.0, 0.0)), *data.get("quaternion", (0.0, 0.0, 0.0, 1.0))]
-    values = np.array([float(x) for x in pose])
-    if values.shape != (7,) or not 0.99 < float(np.linalg.norm(values[3:])) < 1.01:
-        raise ValueError("a position has three numbers, a quaternion four and length one")
-    return se3.from_pose(values)
+    pose = np.array([*data.get("position_m", (0.0, 0.0, 0.0)), *data.get("quaternion", (0.0, 0.0, 0.0, 1.0))], float)
+    if not 0.99 < float(np.linalg.norm(pose[3:])) < 1.01:
+        raise ValueError("a quaternion has length one")
+    return se3.from_pose(pose)
 
 
 def _known(data: Mapping[str, Any]) -> Known:
     """A frame in another: its plane, its pose, or, for the same plane, nothing."""
-    extra = set(data) - {"frame", "in", "plane", "position_m", "quaternion", "std_m", "std_deg"}
-    if extra:
-        raise ValueError(f"unknown {', '.join(sorted(extra))}")
-    frame, to = str(data["frame"]), str(data["in"])
+    frame, to = data["frame"], data["in"]
     if "plane" in data:
-        normal = np.array([float(x) for x in data["plane"]["normal"]])
-        if normal.shape != (3,) or not 0.99 < float(np.linalg.norm(normal)) < 1.01:
-            raise ValueError("a normal has three numbers and length one")
+        normal = np.array(data["plane"]["normal"], float)
+        if not 0.99 < float(np.linalg.norm(normal)) < 1.01:
+            raise ValueError("a normal has length one")
         return Known(frame, to, frame_on_plane(normal, float(data["plane"]["offset_m"])))
     std: tuple[float, float] | None = None
     if "std_m" in data or "std_deg" in data:
