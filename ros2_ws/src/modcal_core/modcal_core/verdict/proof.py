@@ -9,7 +9,8 @@ effect's own place and driver in other words stays out.
 
 What is as likely in its place, within these odds, is a rival: the effect is one of these. Where something in its place
 is likelier beyond the odds, it is no cause. Where an effect makes less beside the others than what is predictable of
-the rest, or may be, *none of these* is as likely, and it is no cause either. Where too many stations were rejected besides, nothing is proved.
+the rest, or may be, *none of these* is as likely, and it is no cause either. Where too many stations were rejected
+besides, nothing is proved.
 """
 
 from __future__ import annotations
