@@ -36,7 +36,7 @@ from modcal_core.moves import (
     spread_out,
     with_new_frames,
 )
-from modcal_core.outcome import Outcome, unseen_note
+from modcal_core.outcome import Outcome, counted, unseen_note
 from modcal_core.verdict import Applied, applicable, own_rows
 
 Status = Literal["unchanged", "changed", "ambiguous", "unexplained"]
@@ -91,14 +91,13 @@ class Checked:
     @property
     def sentence(self) -> str:
         """The answer as a sentence."""
-        seen = f"{self.stations} station{'s' if self.stations != 1 else ''}"
-        if self.status == "unchanged" and self.alike:
-            return f"No change is seen, by {seen} that say as much as {self.far_apart:.1f} far apart."
-        if self.status == "unchanged" and self.placed:
-            new = f"frame {self.placed[0]} stands" if len(self.placed) == 1 else f"{len(self.placed)} new frames stand"
-            return f"Nothing has changed in arm and tool, by {seen}; where {new} was found from them."
+        seen = counted(self.stations, "station")
         if self.status == "unchanged":
-            return f"Nothing has changed, by {seen}."
+            said = "No change is seen" if self.alike else "Nothing has changed"
+            worth = f" that say as much as {self.far_apart:.1f} far apart" if self.alike else ""
+            new = self.placed[0] if len(self.placed) == 1 else f"{len(self.placed)} new frames"
+            where = f"; the place of {new} was found from them" if self.placed else ""
+            return f"{said}, by {seen}{worth}{where}."
         unexplained = self.status == "unexplained"
         said = " ".join(change.sentence for change in self.changes if change.likely or not unexplained)
         if not unexplained:
