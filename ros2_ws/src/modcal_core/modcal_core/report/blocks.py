@@ -296,7 +296,7 @@ class Page:
         self,
         data: Mapping[str, Any],
         files: Mapping[str, str],
-        tables: Sequence[Summary] = (),
+        tables: Sequence[TableBlock] = (),
         what: str = "Report",
         first: str = "report.html",
     ) -> VerbResult:
@@ -304,7 +304,8 @@ class Page:
         page = replace(self, blocks=[*self.blocks, files_section(files)])
         name = first if first.endswith(".html") else "report.html"
         lines = (SummaryLine(line) if isinstance(line, str) else line for line in self.lines)
-        said = [*tables, SummaryLine(self.said or self.answer, self.tone), *lines]
+        shown = [table for table in tables if filled(table)]
+        said: list[str | Summary] = [*shown, SummaryLine(self.said or self.answer, self.tone), *lines]
         return VerbResult(data, said, {**files, name: page.html()}, what, first)
 
     def html(self) -> str:
