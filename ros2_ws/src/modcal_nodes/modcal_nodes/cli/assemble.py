@@ -23,8 +23,8 @@ from modcal_core.modules import (
     assembly_to_data,
     chain_of,
     described,
-    incidence_of,
     learn,
+    matrix_text,
     module_frames,
     picture,
     recording_evidence,
@@ -170,7 +170,6 @@ def assemble_command(spec: Path, library_file: Path | None, store: Path | None, 
         "assembly.svg": picture(assembly, library),
     }
     strangers = [] if errors is None else [s for s in named if s not in known]
-    matrix = incidence_of(assembly, library)
     data = {
         "robot": str(out / "robot.urdf"),
         "assembly": stated,
@@ -178,7 +177,7 @@ def assemble_command(spec: Path, library_file: Path | None, store: Path | None, 
         "known": [s for s in named if s in known],
         "strangers": strangers,
     }
-    shown: list[str | Summary] = [*_table(assembly, library), "assembly incidence matrix:", str(matrix)]
+    shown: list[str | Summary] = [*_table(assembly, library), "assembly incidence matrix:", matrix_text(stated["aim"])]
     shown.append(f"code: {stated['code']}")
     if errors is not None:
         shown.append(f"{len(data['known'])} of {len(assembly.modules)} modules are known from {store}")
