@@ -1,19 +1,16 @@
 """Assemblies as numbers, in the published code (Gao et al. 2014): what a search cuts, mixes and changes.
 
 A base is [length, turn], 3 and 2 bits, the turn being that of the first joint on it. Every further sub-assembly is a
-joint with its link, [joint, turn, link, length, turn], 1, 2, 2, 3 and 2 bits: the first turn is that of the link on the
-joint, the second that of whatever comes next on the link. Written out: ``00001 0·01·10·100·00 …``. Read as whole
-numbers, a base is one of 32 and a sub-assembly, called a *gene* here, one of 1024; an arm of n joints is n + 1 of them.
+joint with its link, [joint, turn, link, length, turn], 1, 2, 2, 3 and 2 bits: ``00001 0·01·10·100·00 …``. The first
+turn is that of the link on the joint, the second that of whatever comes next. As whole numbers, a base is one of 32 and
+a sub-assembly, called a *gene* here, one of 1024; an arm of n joints is n + 1 of them. Kinds and lengths are the
+library's: one with more than two kinds of joint has one more bit for them; a code that no module has makes a gene that
+cannot be built.
 
-The kinds behind the codes, and the lengths, are the library's. One with more than two kinds of joint has one more bit
-for them; a code that no module has makes a gene that cannot be built.
-
-In the assembly incidence matrix columns are the joints in order, then the gripper; rows are the base and the kinds of
-link. An entry (link number, joint number, turn) says that this link of its kind is bolted to that joint; of the two,
-the one nearer the gripper is turned by so many quarter turns about z against the other. The gripper's number is 1. So
-the column of an inner joint has two entries, of the link before it and the link behind it, and a link has two, in
-neighbouring columns; a link between joints k and k + 1 is told from another of its kind by its number alone. Lengths
-are not in the matrix: they stand beside it, for each numbered link.
+In the assembly incidence matrix columns are the joints in order, then the gripper, whose number is 1; rows are the base
+and the kinds of link. An entry (link number, joint number, turn) says that this link of its kind is bolted to that
+joint, the one nearer the gripper turned by so many quarter turns about z. A link has two, in neighbouring columns.
+Lengths stand beside the matrix, for each numbered link.
 """
 
 from __future__ import annotations
