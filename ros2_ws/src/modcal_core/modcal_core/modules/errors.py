@@ -45,7 +45,7 @@ from modcal_core.geometry import DIRECTIONS, Array, se3
 from modcal_core.hypotheses import require_plausible
 from modcal_core.measurements import Samples
 from modcal_core.modules.coding import assembly_from_data, assembly_to_data
-from modcal_core.modules.library import TO_AXIS, Assembly, Library, ModuleTolerance, Piece, chain_of, pieces
+from modcal_core.modules.library import TO_AXIS, Assembly, Library, ModuleTolerance, Piece, chain_of, origins, pieces
 from modcal_core.robots import Chain
 from modcal_core.schema import NUMBER, SIZE, TEXT, list_of, require, whole
 
@@ -236,16 +236,8 @@ def surprise(known: ModuleErrors, new: RecordingEvidence, library: Library) -> S
 
 def deviation_of(assembly: Assembly, library: Library, errors: Mapping[Key, Array]) -> Array:
     """δ_1 … δ_{n-1}, (n - 1, 6) [m, rad], that these module errors make in an assembly, not only to first order."""
-    out = []
-    for segment in pieces(assembly, library)[1:-1]:
-        true, drawn = np.eye(4), np.eye(4)
-        for piece in segment:
-            true, drawn = true @ piece.T, drawn @ piece.T
-            key = (assembly.modules[piece.module].serial, piece.part)
-            if not piece.is_interface and key in errors:
-                true = true @ se3.exp(errors[key])
-        out.append(se3.log(se3.inverse(drawn) @ true))
-    return np.stack(out)
+    drawn, true = (origins(assembly, library, known)[1:-1] for known in (None, errors))
+    return np.asarray(se3.log(se3.inverse(drawn) @ true))
 
 
 def part_std(tolerance: ModuleTolerance, part: str) -> Array:

@@ -207,22 +207,19 @@ class Evaluator:
             return np.take_along_axis(x, best, 2)[..., 0]
 
         out.q[which] = np.take_along_axis(postures.q, best[..., None], 2)[:, :, 0]
-        soft_of: dict[int, Array] = {}
-        hard_of: dict[int, Array] = {}
+        of: dict[int, tuple[Array, Array]] = {}  # by requirement: by how much it is broken, and its cost
         for i, (amount, soft) in measured.items():
-            costs = chosen(soft)
-            soft_of[i] = costs.max(axis=1) if REQUIREMENTS[self.uses[i].name].worst else costs.sum(axis=1)
-            hard_of[i] = chosen(amount).max(axis=1)
-        for i, use in self._at(ARM):
-            hard_of[i], soft_of[i] = _measure(use)(postures.arms, use.options)
+            costs, worst = chosen(soft), REQUIREMENTS[self.uses[i].name].worst
+            of[i] = chosen(amount).max(axis=1), costs.max(axis=1) if worst else costs.sum(axis=1)
+        of |= {i: _measure(use)(postures.arms, use.options) for i, use in self._at(ARM)}
         total, over_all = np.zeros(len(which)), np.zeros(len(which))
         first = np.full(len(which), MET)
-        for i in sorted(soft_of):
-            out.terms[which, i] = soft_of[i]
-            total += self.uses[i].weight * soft_of[i]
+        for i, (amount, soft) in sorted(of.items(), key=lambda item: item[0]):
+            out.terms[which, i] = soft
+            total += self.uses[i].weight * soft
             if self.uses[i].hard:
-                over_all += hard_of[i]
-                first = np.where((first == MET) & (hard_of[i] > 0.0), i, first)
+                over_all += amount
+                first = np.where((first == MET) & (amount > 0.0), i, first)
         out.broken[which], out.level[which], out.amount[which] = first, (first != MET).astype(int), over_all
         out.cost[which] = np.where(first == MET, total, np.inf)
 

@@ -171,12 +171,9 @@ class Target:
 
     @classmethod
     def build(cls, R: ArrayLike, p: ArrayLike, mask: ArrayLike = (1, 1, 1, 1, 1, 1), name: str = "") -> Target:
-        """A target of a rotation (3, 3) that may be rounded: made orthonormal, a lone axis that counts first."""
-        kept = np.array(mask, dtype=bool)
-        T = np.eye(4)
-        T[:3, :3] = _orthonormal(np.asarray(R, dtype=float), kept[:3])
-        T[:3, 3] = np.asarray(p, dtype=float)
-        return sealed(cls(T, kept, name))
+        """A target of a rotation (3, 3) that may be rounded: the nearest one is taken."""
+        T = se3.transform(so3.nearest_rotation(np.asarray(R, dtype=float)), p)
+        return sealed(cls(T, np.array(mask, dtype=bool), name))
 
     @property
     def constraints(self) -> int:
@@ -187,20 +184,18 @@ class Target:
     def rows(self) -> tuple[Array, Array]:
         """A (r, 12) and b (r,) of the rows ``A x − b``, x the 3 × 4 upper part of a pose, row by row."""
         R, p = self.T[:3, :3], self.T[:3, 3]
-        out: list[Array] = []
-        free = np.flatnonzero(~self.mask[:3])
+        unit = np.eye(12).reshape(3, 4, 12)  # of every entry of the pose
+        free, out = np.flatnonzero(~self.mask[:3]), list[Array]()
         if len(free) == 0:
-            out += [np.sqrt(0.5) * _entry(i, c) for c in range(3) for i in range(3)]
+            out += [*np.sqrt(0.5) * unit[:, :3].swapaxes(0, 1).reshape(9, 12)]
         elif len(free) == 1:
-            out += [_entry(i, int(free[0])) for i in range(3)]
+            out += [*unit[:, free[0]]]
         elif len(free) == 2:
             a = int(np.flatnonzero(self.mask[:3])[0])
             j, k = (a + 1) % 3, (a + 2) % 3
             # of R'ᵀ R the entry (k, j), the sine of a turn about a, against (j, k)
-            across = sum(0.5 * (R[d, k] * _entry(d, j) - R[d, j] * _entry(d, k)) for d in range(3))
-            out.append(np.asarray(across))
-        for i in np.flatnonzero(self.mask[3:]):
-            out.append(np.asarray(sum(R[d, i] * _entry(d, 3) for d in range(3))))
+            out.append(0.5 * (R[:, k] @ unit[:, j] - R[:, j] @ unit[:, k]))
+        out += [R[:, i] @ unit[:, 3] for i in np.flatnonzero(self.mask[3:])]
         A = np.stack(out) if out else np.zeros((0, 12))
         wanted = np.concatenate([R, p[:, None]], axis=1).ravel()
         return A, A @ wanted
@@ -232,27 +227,6 @@ class Target:
             return way, np.zeros_like(way)
         turn = so3.log(between)
         return way, np.linalg.norm(turn * self.mask[:3], axis=-1)
-
-
-def _entry(i: int, j: int) -> Array:
-    out = np.zeros((3, 4))
-    out[i, j] = 1.0
-    return out.ravel()
-
-
-def _orthonormal(R: Array, counts: np.ndarray) -> Array:
-    """The nearest rotation; where one axis is free of turning, the nearest that keeps this axis exactly."""
-    free = np.flatnonzero(~counts)
-    if len(free) != 1:
-        return so3.nearest_rotation(R)
-    c = int(free[0])
-    j, k = (c + 1) % 3, (c + 2) % 3
-    out = np.empty((3, 3))
-    out[:, c] = R[:, c] / np.linalg.norm(R[:, c])
-    x = R[:, j] - out[:, c] * (out[:, c] @ R[:, j])
-    out[:, j] = x / np.linalg.norm(x)
-    out[:, k] = np.cross(out[:, c], out[:, j])
-    return out
 
 
 # --- Where the parts of many arms are at given postures: what the requirements look at

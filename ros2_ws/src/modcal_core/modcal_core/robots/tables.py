@@ -286,23 +286,15 @@ def _require_units(joints: Sequence[Mapping[str, Any]], chain: Chain, unit: str,
 
 def _scaled(table: Mapping[str, Any], length: float, angle: float) -> dict[str, Any]:
     """The table with every length and every angle times a factor."""
-    out = dict(table)
-    for key in _POSES:
-        if key in out:
-            pose = out[key]
-            out[key] = {"xyz": [length * v for v in pose["xyz"]], "rpy": [angle * v for v in pose["rpy"]]}
-    out["joints"] = [_scaled_row(row, length, angle) for row in table["joints"]]
-    return out
+    factors = dict.fromkeys((*_LENGTHS, "xyz", "l"), length) | dict.fromkeys((*_ANGLES, "rpy"), angle)
 
+    def scaled(part: Mapping[str, Any]) -> dict[str, Any]:
+        limit = length if part.get("type") == "prismatic" else angle
+        own = factors | {"lower": limit, "upper": limit}
+        return {key: np.multiply(value, own[key]).tolist() if key in own else value for key, value in part.items()}
 
-def _scaled_row(row: Mapping[str, Any], length: float, angle: float) -> dict[str, Any]:
-    out = dict(row)
-    limit = length if row.get("type") == "prismatic" else angle
-    factors = dict.fromkeys(_LENGTHS, length) | dict.fromkeys(_ANGLES, angle) | {"lower": limit, "upper": limit}
-    out.update({key: factor * out[key] for key, factor in factors.items() if key in out})
-    if "l" in out:
-        out["l"] = [length * v for v in out["l"]]
-    return out
+    poses = {key: scaled(table[key]) for key in _POSES if key in table}
+    return {**table, **poses, "joints": [scaled(row) for row in table["joints"]]}
 
 
 def _joint(row: list[str], header: list[str], where: str) -> dict[str, Any]:

@@ -337,20 +337,12 @@ def _check(tree: Tree) -> None:
             said = f"is the child of joints {carried[joint.child]} and {joint.name}"
             raise BadRobot(f"link '{joint.child}'", said, "give each link one parent")
         carried[joint.child] = joint.name
-    _check_depth(tree, carried)
-
-
-def _check_depth(tree: Tree, carried: Mapping[str, str]) -> None:
-    """Refuse loops, and more joints in a row than Python's stack should be asked for."""
-    depth: dict[str, int] = {}
-    for joint in tree.joints:
-        row, link = list[str](), joint.child
-        while link in carried and link not in depth and len(row) <= len(tree.links):
-            row.append(link)
-            link = tree.above[link].parent
-        if len(row) > len(tree.links):
-            raise BadRobot(f"joint {joint.name}", "closes a loop", "give a tree of links")
-        first = depth.get(link, 0)
-        depth.update({below: first + k for k, below in enumerate(reversed(row), 1)})
-    if (deepest := max(depth.values(), default=0)) > _DEEPEST:
-        raise BadRobot("robot description", f"has {deepest} joints in a row, {_DEEPEST} is the limit", _ONE_ROBOT)
+    reached, level, depth = set[str](), [link for link in tree.links if link not in carried], 0
+    while level:
+        reached.update(level)
+        level = [joint.child for link in level for joint in tree.below[link]]
+        depth += bool(level)
+    if looped := next((joint.name for joint in tree.joints if joint.child not in reached), None):
+        raise BadRobot(f"joint {looped}", "closes a loop", "give a tree of links")
+    if depth > _DEEPEST:  # more than Python's stack should be asked for
+        raise BadRobot("robot description", f"has {depth} joints in a row, {_DEEPEST} is the limit", _ONE_ROBOT)
