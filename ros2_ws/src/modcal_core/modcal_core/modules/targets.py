@@ -171,9 +171,9 @@ class Target:
 
     @classmethod
     def build(cls, R: ArrayLike, p: ArrayLike, mask: ArrayLike = (1, 1, 1, 1, 1, 1), name: str = "") -> Target:
-        """A target of a rotation (3, 3) that may be rounded: the nearest one is taken."""
-        T = se3.transform(so3.nearest_rotation(np.asarray(R, dtype=float)), p)
-        return sealed(cls(T, np.array(mask, dtype=bool), name))
+        """A target of a rotation (3, 3) that may be rounded: made orthonormal, a lone axis that counts first."""
+        kept = np.array(mask, dtype=bool)
+        return sealed(cls(se3.transform(_orthonormal(np.asarray(R, dtype=float), kept[:3]), p), kept, name))
 
     @property
     def constraints(self) -> int:
@@ -227,6 +227,21 @@ class Target:
             return way, np.zeros_like(way)
         turn = so3.log(between)
         return way, np.linalg.norm(turn * self.mask[:3], axis=-1)
+
+
+def _orthonormal(R: Array, counts: np.ndarray) -> Array:
+    """The nearest rotation; where one axis is free of turning, the nearest that keeps this axis exactly."""
+    free = np.flatnonzero(~counts)
+    if len(free) != 1:
+        return so3.nearest_rotation(R)
+    c = int(free[0])
+    j, k = (c + 1) % 3, (c + 2) % 3
+    out = np.empty((3, 3))
+    out[:, c] = R[:, c] / np.linalg.norm(R[:, c])
+    x = R[:, j] - out[:, c] * (out[:, c] @ R[:, j])
+    out[:, j] = x / np.linalg.norm(x)
+    out[:, k] = np.cross(out[:, c], out[:, j])
+    return out
 
 
 # --- Where the parts of many arms are at given postures: what the requirements look at
