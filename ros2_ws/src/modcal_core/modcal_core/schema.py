@@ -158,6 +158,7 @@ def _check_one_of(data: Any, choices: Sequence[Schema], where: str, remedy: str)
     """Of mappings the choice is the one whose required keys are there; its complaints are the mapping's."""
     if not isinstance(data, Mapping):
         return
+    choices = [choice for choice in choices if choice["type"] == "object"]
     fitting = [choice for choice in choices if all(key in data for key in choice.get("required", ()))]
     if len(fitting) != 1:
         ways = " or ".join(" and ".join(choice.get("required", ())) for choice in choices)

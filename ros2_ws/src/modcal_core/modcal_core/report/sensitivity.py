@@ -27,7 +27,7 @@ from modcal_core.report.blocks import (
 from modcal_core.report.charts import AFTER, GOOD, LARGE, Axis, Chart, Panel
 from modcal_core.report.figures import MAX_POINTS, ShownPostures, arm_lines
 from modcal_core.report.tables import STATISTICS, csv_text, percent, stations_table
-from modcal_core.robots import is_serial_arm, plain
+from modcal_core.robots import plain
 
 _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
@@ -102,7 +102,7 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
     """
     points: list[dict[str, Any]] = []
     chain = plan.ground.model.chain
-    own = chain.own if is_serial_arm(chain) else np.ones(chain.n, bool)  # no controller takes a joint that follows
+    own = chain.own  # no controller takes a joint that follows
     now = 0.0
 
     def stand(q: Array) -> None:

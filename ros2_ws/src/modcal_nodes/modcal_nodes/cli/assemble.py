@@ -22,8 +22,8 @@ from modcal_core.modules import (
     assembly_to_data,
     chain_of,
     described,
-    incidence_of,
     learn,
+    matrix_text,
     module_frames,
     picture,
     recording_evidence,
@@ -171,7 +171,7 @@ def assemble_command(spec: Path, library_file: Path | None, store: Path | None, 
         "known": [s for s in named if s in known],
         "strangers": strangers,
     }
-    matrix, code = str(incidence_of(assembly, library)), f"code: {stated['code']}"
+    matrix, code = matrix_text(stated["aim"]), f"code: {stated['code']}"
     shown: list[str | Summary] = [_table(assembly, library), "assembly incidence matrix:", matrix, code]
     if errors is not None:
         shown.append(f"{len(data['known'])} of {len(assembly.modules)} modules are known from {store}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -25,24 +25,23 @@ from modcal_core.calibration import (
     StationDistance,
     from_data,
 )
-from modcal_core.errors import BadTable, refusing
+from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements.kinds import frame_on_plane
 from modcal_core.report import Particulars
 from modcal_core.robots import Delta, delta_from_data
-from modcal_core.schema import NUMBER, TEXT, list_of, record, require
+from modcal_core.schema import NUMBER, POSITIVE, TEXT, Schema, list_of, record, require
 from modcal_msgs_py import Topics, calibration_data
 
 if TYPE_CHECKING:
     from modcal_core.modules import Assembly, Library
 
-_TEXT = {"type": "string", "minLength": 1}
-_WHAT = {"type": "string", "enum": list(WHATS)}
-_VECTOR = list_of(NUMBER, 3, 3)
-_POSE = {"position_m": _VECTOR, "quaternion": list_of(NUMBER, 4, 4)}
-_SPREAD = {"std_m": NUMBER, "std_deg": NUMBER}
-_DISTANCE = {"distance_m": NUMBER, "std_m": NUMBER}
+_MIN_STD = 1e-7  # m, deg; what is stated better is stated as fixed
+_MAX_KG, _FARTHEST_M = 5000.0, 10.0  # the heaviest arms carry less than they weigh, which is three tonnes
+_UNIT = 0.01  # by which the length of a normal or a quaternion may be off
+_REMEDY = "see docs/calibration.md and docs/instruments.md"
+_OF_CELL = re.compile("cell file|known distance|frame '.*', known in")  # what a cell file alone can state
 # Names of the options of the command line, and what they state
 STATEMENTS = {
     "repeatability_mm": "repeatability_mm",
@@ -51,41 +50,58 @@ STATEMENTS = {
     "instrument_mm": "instrument_mm",
     "instrument_deg": "instrument_deg",
 }
-_OPTIONAL = {  # or nothing
-    "distances": list_of(
-        {
-            "type": "object",
-            "oneOf": [
-                record(("between", "distance_m"), between=list_of(TEXT, 2, 2), **_DISTANCE),
-                record(("stamps", "distance_m"), stamps=list_of(NUMBER, 2, 2), **_DISTANCE),
-            ],
-        }
-    ),
-    **dict.fromkeys(("fixed", "own_target", "sockets", "ignore"), list_of(TEXT)),
-    "known": list_of(
-        record(
-            ("frame", "in"),
-            plane=record(("normal", "offset_m"), normal=_VECTOR, offset_m=NUMBER),
-            **{"frame": _TEXT, "in": _TEXT, **_POSE, **_SPREAD},
+_TEXT: Schema = {"type": "string", "minLength": 1}
+_WHAT: Schema = {"type": "string", "enum": list(WHATS)}
+_THREE = list_of(NUMBER, 3, 3)
+_POSE = {"position_m": _THREE, "quaternion": list_of(NUMBER, 4, 4)}
+_STD_M: Schema = {"type": "number", "minimum": _MIN_STD, "maximum": 1.0}
+_STD = {"std_m": _STD_M, "std_deg": {"type": "number", "minimum": _MIN_STD}}
+_DISTANCE = {"distance_m": {**POSITIVE, "maximum": 50.0}, "std_m": {**POSITIVE, "maximum": 1.0}}
+_FAR: Schema = {"type": "number", "minimum": -_FARTHEST_M, "maximum": _FARTHEST_M}
+_PLANE = record(("normal", "offset_m"), normal=_THREE, offset_m=NUMBER)
+
+
+def _or_null(schema: Schema) -> Schema:
+    return {**schema, "type": [schema["type"], "null"]}
+
+
+_TEXTS = _or_null(list_of(TEXT))
+_TOPICS: Schema = {"type": "object", "additionalProperties": {"type": ["string", "array"], "items": _TEXT}}
+SCHEMA = record(
+    distances=_or_null(
+        list_of(
+            {
+                "type": "object",
+                "oneOf": [
+                    record(("between", "distance_m"), between=list_of(TEXT, 2, 2), **_DISTANCE),
+                    record(("stamps", "distance_m"), stamps=list_of(NUMBER, 2, 2), **_DISTANCE),
+                ],
+            }
         )
     ),
-    "tool": record(("position_m", "std_m"), **_POSE, **_SPREAD),
-    "payloads": list_of(record(("mass_kg",), mass_kg=NUMBER, centre_m=_VECTOR)),
-    "gravity": _VECTOR,
-    "moved": list_of(record(("stamp", "what"), stamp=NUMBER, what=_WHAT)),
-    "topics": {"type": "object", "additionalProperties": {"type": ["string", "array"], "items": _TEXT}},
-    "tf": TEXT,
-    "certificate": record(**{field.name: _TEXT for field in fields(Particulars)}),
-}
-SCHEMA = record(
+    fixed=_TEXTS,
+    own_target=_TEXTS,
+    sockets=_TEXTS,
+    known=_or_null(list_of(record(("frame", "in"), frame=_TEXT, plane=_PLANE, **{"in": _TEXT}, **_POSE, **_STD))),
+    tool=_or_null(record(("position_m", "std_m"), **_POSE, **_STD)),
+    payloads=_or_null(
+        list_of(
+            record(
+                ("mass_kg",),
+                mass_kg={"type": "number", "minimum": 0.0, "maximum": _MAX_KG},
+                centre_m=list_of(_FAR, 3, 3),
+            )
+        )
+    ),
+    gravity=_or_null(_THREE),
+    moved=_or_null(list_of(record(("stamp", "what"), stamp=NUMBER, what=_WHAT))),
     own_in_recordings=_WHAT,
     **dict.fromkeys(STATEMENTS, NUMBER),
-    **{name: {**schema, "type": [schema["type"], "null"]} for name, schema in _OPTIONAL.items()},
+    topics=_or_null(_TOPICS),
+    ignore=_TEXTS,
+    tf=_or_null(TEXT),
+    certificate=_or_null(record(**{field.name: _TEXT for field in fields(Particulars)})),
 )
-_MIN_STD = 1e-7  # m, deg; what is stated better is stated as fixed
-_MAX_KG, _FARTHEST_M = 5000.0, 10.0  # the heaviest arms carry less than they weigh, which is three tonnes
-_REMEDY = "see docs/calibration.md and docs/instruments.md"
-_OF_CELL = re.compile("cell file|known distance|frame '.*', known in")  # what a cell file alone can state
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -111,31 +127,26 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
     stated = stated or Stated()
     if path is None:
         return Cell(fixed=fixed, stated=stated)
-    return _cell(_read_cell(path), fixed, stated, str(path))
-
-
-@refusing
-def _cell(data: Mapping[str, Any], fixed: tuple[str, ...], stated: Stated, source: str) -> Cell:
-    """What the data of a cell file says; as :func:`read_cell`."""
-    distances = tuple(map(_distance, data.get("distances") or ()))
-    for distance in distances:
-        if not (0.0 < distance.distance < 50.0 and 0.0 < distance.std < 1.0):
-            ends = distance.between if isinstance(distance, Distance) else map(str, distance.stamps)
-            said = f"{distance.distance:g} ± {distance.std:g} m, 0 to 50 m is allowed"
-            raise BadTable(f"{source}: distance {' to '.join(ends)}", said, "give metres")
-    moved = (Move(float(m["stamp"]), m["what"]) for m in data.get("moved") or ())
+    data = _read_cell(path)
+    own, gravity = data.get("own_in_recordings"), data.get("gravity")
+    moved = sorted((Move(float(m["stamp"]), m["what"]) for m in data.get("moved") or ()), key=lambda m: m.at)
+    if gravity is not None and not any(gravity):
+        raise BadTable(f"{path}: gravity", "has no length", "give a direction in the base link, e.g. [0, 0, -9.81]")
     return Cell(
-        distances,
+        tuple(_distance(d) for d in data.get("distances") or ()),
         (*(data.get("fixed") or ()), *fixed),
-        tuple(map(_known, data.get("known") or ())),
+        tuple(_known(k, f"{path}: known: {k['frame']}") for k in data.get("known") or ()),
         tuple(data.get("own_target") or ()),
         stated.over(stated_from(data)),
         tuple(data.get("sockets") or ()),
-        tuple(sorted(moved, key=lambda move: move.at)),
-        data.get("own_in_recordings"),
-        None if data.get("tool") is None else _tool(data["tool"]),
-        None if data.get("gravity") is None else _gravity(data["gravity"]),
-        payloads=tuple(map(_payload, data.get("payloads") or ())),
+        tuple(moved),
+        own,
+        None if data.get("tool") is None else _tool(data["tool"], f"{path}: tool"),
+        None if gravity is None else _three(gravity),
+        payloads=tuple(
+            StatedPayload(float(p["mass_kg"]), _three(p.get("centre_m", (0.0, 0.0, 0.0))))
+            for p in data.get("payloads") or ()
+        ),
     )
 
 
@@ -184,66 +195,54 @@ def stated_from(data: Mapping[str, Any]) -> Stated:
     return Stated(**{field: None if value is None else float(value) for field, value in values.items()})
 
 
-def _distance(data: Mapping[str, Any]) -> AnyDistance:
-    distance, std = float(data["distance_m"]), float(data.get("std_m", 5e-5))
-    if "stamps" in data:
-        first, second = data["stamps"]
-        return StationDistance((float(first), float(second)), distance, std)
-    return Distance(tuple(data["between"]), distance, std)
-
-
-def _gravity(data: Any) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in data)
-    if not 0.0 < np.linalg.norm([x, y, z]) < np.inf:
-        raise ValueError("a direction has a length")
+def _three(data: Sequence[Any]) -> tuple[float, float, float]:
+    x, y, z = map(float, data)
     return x, y, z
 
 
-def _payload(data: Mapping[str, Any]) -> StatedPayload:
-    x, y, z = (float(v) for v in data.get("centre_m", (0.0, 0.0, 0.0)))
-    mass = float(data["mass_kg"])
-    if not (0.0 <= mass <= _MAX_KG and np.abs([x, y, z]).max() <= _FARTHEST_M):
-        raise ValueError(f"0 to {_MAX_KG:g} kg within {_FARTHEST_M:g} m of the tip are allowed")
-    return StatedPayload(mass, (x, y, z))
+def _distance(data: Mapping[str, Any]) -> AnyDistance:
+    distance, std = float(data["distance_m"]), float(data.get("std_m", 5e-5))
+    if "stamps" in data:
+        first, second = map(float, data["stamps"])
+        return StationDistance((first, second), distance, std)
+    first, second = data["between"]
+    return Distance((first, second), distance, std)
 
 
-def _tool(data: Mapping[str, Any]) -> StatedTool:
+def _tool(data: Mapping[str, Any], where: str) -> StatedTool:
     if ("quaternion" in data) != ("std_deg" in data):
-        raise ValueError("an orientation needs quaternion and std_deg, both")
-    std_m, std_rad = _deviations({"std_deg": np.inf, **data})
-    return StatedTool(_pose(data), std_m, std_rad)
+        raise BadTable(where, "states half of an orientation", "state quaternion and std_deg, or none of them")
+    return StatedTool(_pose(data, where), *_deviations({"std_deg": np.inf, **data}))
 
 
 def _deviations(data: Mapping[str, Any]) -> tuple[float, float]:
     """Deviations [m, rad] that are stated as std_m and std_deg."""
-    std_m, std_deg = float(data["std_m"]), float(data["std_deg"])
-    if not (_MIN_STD <= std_m < 1.0 and std_deg >= _MIN_STD):
-        raise ValueError(f"std_m from {_MIN_STD:g} to 1 m and std_deg from {_MIN_STD:g} are allowed")
-    return std_m, float(np.radians(std_deg))
+    return float(data["std_m"]), float(np.radians(data["std_deg"]))
 
 
-def _pose(data: Mapping[str, Any]) -> Array:
+def _unit(data: Sequence[Any], what: str, where: str) -> Array:
+    values = np.array(data, dtype=float)
+    if not abs(np.linalg.norm(values) - 1.0) < _UNIT:
+        raise BadTable(where, f"its {what} has length {np.linalg.norm(values):.4g}", "give one of length one")
+    return values
+
+
+def _pose(data: Mapping[str, Any], where: str) -> Array:
     """The transform (4, 4) of position_m and quaternion."""
-    pose = np.array([*data.get("position_m", (0.0, 0.0, 0.0)), *data.get("quaternion", (0.0, 0.0, 0.0, 1.0))], float)
-    if not 0.99 < float(np.linalg.norm(pose[3:])) < 1.01:
-        raise ValueError("a quaternion has length one")
-    return se3.from_pose(pose)
+    turn = _unit(data.get("quaternion", (0.0, 0.0, 0.0, 1.0)), "quaternion", where)
+    return se3.from_pose(np.r_[_three(data.get("position_m", (0.0, 0.0, 0.0))), turn])
 
 
-def _known(data: Mapping[str, Any]) -> Known:
+def _known(data: Mapping[str, Any], where: str) -> Known:
     """A frame in another: its plane, its pose, or, for the same plane, nothing."""
     frame, to = data["frame"], data["in"]
     if "plane" in data:
-        normal = np.array(data["plane"]["normal"], float)
-        if not 0.99 < float(np.linalg.norm(normal)) < 1.01:
-            raise ValueError("a normal has length one")
+        normal = _unit(data["plane"]["normal"], "normal", where)
         return Known(frame, to, frame_on_plane(normal, float(data["plane"]["offset_m"])))
-    std: tuple[float, float] | None = None
-    if "std_m" in data or "std_deg" in data:
-        if to != "base" or not {"std_m", "std_deg"} <= set(data):
-            raise ValueError("std_m and std_deg go together, of a frame in the base")
-        std = _deviations(data)
-    return Known(frame, to, se3.inverse(_pose(data)), std)
+    deviations = {"std_m", "std_deg"} & set(data)
+    if deviations and (to != "base" or len(deviations) < 2):
+        raise BadTable(where, f"states {' and '.join(sorted(deviations))}", "state both, of a frame in the base")
+    return Known(frame, to, se3.inverse(_pose(data, where)), _deviations(data) if deviations else None)
 
 
 def read_library(path: Path | None) -> Library:
