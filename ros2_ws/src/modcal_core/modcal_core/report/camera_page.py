@@ -15,7 +15,6 @@ import numpy as np
 
 from modcal_core.calibration import Model
 from modcal_core.camera import CameraFit, CameraSolution, ToolError, view_distances
-from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.outcome import Trace, counted
@@ -209,11 +208,9 @@ def camera_tolerance(solution: CameraSolution, tolerance_mm: float) -> Tolerance
 
 
 def camera_certificate(
-    solution: CameraSolution, robot: str, met: Tolerance | None, said: Particulars, hashes: Hashes, images: int
+    solution: CameraSolution, robot: str, met: Tolerance, said: Particulars, hashes: Hashes, images: int
 ) -> Certificate:
-    """The certificate. met: of :func:`camera_tolerance`. images: how many there were. Raises BadTable without met."""
-    if met is None:
-        raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 2")
+    """The certificate. met: of :func:`camera_tolerance`. images: how many there were."""
     fit, claim = solution.fit, solution.claim
     if met.result != "PASS":
         doubts = [said for said in claim.decision.because if said != met.because]

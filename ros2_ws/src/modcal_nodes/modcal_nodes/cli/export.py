@@ -170,10 +170,7 @@ def _origins(source: Path, options: ExportOptions) -> _Export:
         base, tip = base or whole.base, tip or whole.tip
         left_out = _of_calibration(calibration, "calibrated", False)[1][:-1]
         urdf = source / "calibrated.urdf"
-    try:
-        text = urdf.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise BadTable(str(urdf), "cannot be read", "give a URDF, or a folder of `modcal calibrate`") from error
+    text = urdf.read_text(encoding="utf-8", errors="replace")
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
         raise BadTable(str(source), f"is not a URDF, which {form} is made from", "give calibrated.urdf or its folder")
     chain, origins = read_chain(text, base, tip), joint_origins(text)

@@ -47,12 +47,9 @@ def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> R
 
 def read_table(path: Path) -> Any:
     """The kinematic table in a .csv file, or whatever is in a YAML file. Raises BadTable."""
-    if path.suffix.lower() != ".csv":
-        return read_yaml(path)
-    try:
-        return from_csv(path.read_text(encoding="utf-8"), path.name)
-    except UnicodeDecodeError as error:
-        raise BadTable(str(path), "is not UTF-8 text", "give a CSV table") from error
+    if path.suffix.lower() == ".csv":
+        return from_csv(path.read_text(encoding="utf-8", errors="replace"), path.name)
+    return read_yaml(path)
 
 
 def described(recording: Recording, delta: Path | None, urdf: Path | None, base: str | None, tip: str | None) -> Robot:
