@@ -16,7 +16,8 @@ from camera.by_tracker import missed_by_tracker
 from camera.scenes import BOARD_ON_TIP, HOME, PANDA
 
 from modcal_core.calibration import Model
-from modcal_core.calibration.store_parts import arm_to_data, inertias_from_data
+from modcal_core.calibration.model import place_model
+from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.camera.arm_poses import ImageMoments
 from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.target_file import target_to_data
@@ -98,8 +99,9 @@ def test_each_joint_bears_what_it_bears_in_its_own_arm(rng: np.random.Generator)
                 assert loads.values(f"payload:{name}") == pytest.approx(alone.values(f"payload:{name}"), abs=1e-9)
             else:
                 assert not loads.values(f"payload:{name}").any()
-    kept = inertias_from_data(arm_to_data(NominalArm(both.chain, both.inertias)))
-    again = Drivers(samples_of(both.chain, together), NominalArm(both.chain, kept))
+    model = replace(place_model(both.chain, ("camera",)), arm=NominalArm(both.chain, both.inertias))
+    kept = from_data(to_data(Calibration(model, model, model, np.zeros((2, both.chain.n)))))
+    again = Drivers(samples_of(both.chain, together), kept.calibrated.arm)
     assert again.gravity == pytest.approx(loads.gravity)
 
 

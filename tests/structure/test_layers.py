@@ -22,6 +22,7 @@ _LAYERS = (
     "errors",
     "files",
     "schema",
+    "plain",
     "geometry",
     "robots",
     "measurements",
@@ -33,7 +34,7 @@ _LAYERS = (
     "diagnosis",
     "online",
 )
-_ALSO = {"lazy", "errors", "files", "schema", "geometry", "robots", "measurements"}
+_ALSO = {"lazy", "errors", "files", "schema", "plain", "geometry", "robots", "measurements"}
 LAYERS: dict[str, set[str]] = {layer: set(_LAYERS[: i + 1]) for i, layer in enumerate(_LAYERS)}
 LAYERS["sentinel"] = LAYERS["moves"] | {"sentinel"}
 LAYERS["claim"] = LAYERS["calibration"] | {"claim"}

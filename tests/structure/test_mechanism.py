@@ -15,7 +15,7 @@ from modcal_core.robots.urdf import read_chain
 ROOT = Path(__file__).resolve().parents[2]
 CORE = ROOT / "ros2_ws" / "src" / "modcal_core" / "modcal_core"
 # What is written, drawn or named in one way for each kind of robot, and `is_serial_arm` itself.
-ASK = {"robot.py", "report/report.py", "calibration/parameters.py", "calibration/store_parts.py"}
+ASK = {"robot.py", "report/report.py", "calibration/parameters.py", "calibration/store.py"}
 ASK |= {"robots/mechanism.py"}
 
 

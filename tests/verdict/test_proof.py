@@ -13,6 +13,8 @@ from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.covariance import identifiability
 from modcal_core.calibration.fit import identify
 from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.effects import Shape
+from modcal_core.effects.families.gear_harmonic import whole
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import PART, SignalTrack
 from modcal_core.measurements.samples import Samples
@@ -32,6 +34,7 @@ def calibrated(fault: str, seed: int = 3, count: int = 90, draw: int = 0) -> tup
     off = {
         "the elbow's play": 4e-4 * np.sign(came) * (np.arange(6) == ELBOW),
         "all joints stop short": -3e-4 * came,
+        "the elbow's gear": 4e-4 * np.sin(13.0 * q) * (np.arange(6) == ELBOW),
         "the elbow moved once": np.outer(np.arange(count) >= count // 2, 2e-3 * (np.arange(6) == ELBOW)),
     }[fault]
     T = made.world.tool_in_tracker(q + off)
@@ -78,6 +81,16 @@ def test_a_single_joint_is_not_named_for_what_all_of_them_do() -> None:
     play = calibrated("the elbow's play")[1].model.effects
     with_play = replace(case, model=case.model.with_effects(play))
     assert Proofs(with_play, CALM).of([0]) is None
+
+
+def test_what_something_in_its_place_beats_beyond_the_odds_is_no_cause() -> None:
+    """It is not even one of them: the other is what the stations ask for."""
+    _, case = calibrated("the elbow's gear")
+    right = [*whole(ur10().names[ELBOW], 13)][-1]
+    near = replace(right, shape=Shape("turn", {"cycles": 12.8})).with_values(np.array([2e-4, 1e-4]))
+    asked = Proofs(replace(case, model=case.model.with_effects((near,))), CALM)
+    assert asked.of([0]) == ()
+    assert asked.of([0], [right]) is None
 
 
 def test_nothing_is_named_beside_a_rest_that_is_predictable_and_many_rejected_stations() -> None:

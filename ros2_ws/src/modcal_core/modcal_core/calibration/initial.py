@@ -289,17 +289,8 @@ def _pose_tool(A: Array, B: Array) -> tuple[Array, Array]:
 
 def hand_eye(A: Array, B: Array) -> tuple[Array, Array]:
     """(Y, X) with ``B ≈ Y A X`` for poses A, B (N, 4, 4)."""
-    Ra, Rb = A[:, :3, :3], B[:, :3, :3]
-    # R_b Z = Y R_a with Z = R_xᵀ: rows of (R_b ⊗ I) z − (I ⊗ R_aᵀ) y, row-major
-    K = np.einsum("nji,nlk->ikjl", Rb, Ra).reshape(9, 9)  # sum of b.T ⊗ a.T; z = Kᵀ-aligned with y
-    U, _, Vt = np.linalg.svd(K)
-    z, y = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
-    sign = np.sign(np.linalg.det(y))
-    Ry, Rx = so3.nearest_rotation(sign * y), so3.nearest_rotation(sign * z).T
-    # positions: p_b = Y p_a + Y R_a x + t
-    G = np.concatenate([Ry @ Ra, np.broadcast_to(np.eye(3), Ra.shape)], axis=2).reshape(-1, 6)
-    h = (B[:, :3, 3] - A[:, :3, 3] @ Ry.T).reshape(-1)
-    x, t = np.split(np.linalg.lstsq(G, h, rcond=1e-9)[0], 2)
+    Ry, Rx = base_and_tool_turns(A[:, :3, :3], B[:, :3, :3])
+    _, x, t = tool_and_place(Ry, A, B[:, :3, 3])
     return se3.transform(Ry, t), se3.transform(Rx, x)
 
 

@@ -7,7 +7,7 @@ shape, which packages may add to, may be any.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,72 +20,16 @@ from modcal_core.calibration.fit import Fit
 from modcal_core.calibration.model import Fallback, Model, curved_joints
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.prediction import TypicalDriver, predict
-from modcal_core.calibration.store_parts import (
-    arm_to_data,
-    carried_from_data,
-    centre_from_data,
-    effect_from_data,
-    effect_to_data,
-    inertias_from_data,
-    model_from_data,
-    model_to_data,
-    typical_from_data,
-    typical_to_data,
-    uncertainty_from_data,
-    uncertainty_to_data,
-)
-from modcal_core.effects import STEPS, DriverLimits, Effect, NominalArm
+from modcal_core.effects import STEPS, Carried, DriverLimits, Effect, NominalArm, require_known
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file
 from modcal_core.geometry import Array, sealed
-from modcal_core.measurements import Samples, Schema, require, told
+from modcal_core.measurements import Samples, told
 from modcal_core.measurements.kinds import kinds
-from modcal_core.robots import Mechanism
+from modcal_core.plain import PlainReader, to_plain
+from modcal_core.robots import Chain, Delta, Inertias, Mechanism, delta_from_data, delta_to_data
 
-# --- Which keys a calibration.yaml has. A key that nobody reads is a slip of the editor, or of a later release
-
-
-def _keys(*names: str, **parts: Any) -> Schema:
-    return {"properties": {**{name: {} for name in names}, **parts}, "additionalProperties": False}
-
-
-def _list_of(part: Schema) -> Schema:
-    return {"items": part}
-
-
-_EFFECT = ("family", "place", "direction", "driver", "shape", "values", "std")
-_MODEL = _keys(
-    "frames", "tool", "leaders", "delta", "base", "tip", "tip_origin",
-    instruments=_list_of(_keys("frame", "kind", "constants", "target")),
-    joints=_list_of(_keys("name", "type", "origin", "axis", "limits", follows=_keys("joint", "factor", "offset"))),
-)  # fmt: skip
-SCHEMA: Schema = _keys(
-    "modcal_calibration", "robot", "seen",
-    nominal=_MODEL,
-    calibrated=_MODEL,
-    geometric=_MODEL,
-    parameters=_list_of(_keys("name", "value", "std", "unit")),
-    effects=_list_of(_keys(*_EFFECT, rivals=_list_of(_keys(*_EFFECT)), usual=_keys("mean", "cost_m2"))),
-    recorded=_keys(
-        "kind", "spread", "scatter", "converged", "spread_of", "postures", "stamps", "clock", "ranges",
-        "geometry_outside", "left_alone_m", "marks", "claim_mm",
-    ),
-    uncertainty=_keys(
-        "covariance",
-        parameters=_list_of(_keys("name", "place", "direction", "frame", "prior", "instrument", "unit")),
-    ),
-    arm=_keys(
-        "mass", "com", "down", "centre",
-        earlier=_keys("until", "mass", "moment"),
-        held=_keys("joints", "mass", "com"),
-        branches=_list_of(
-            _keys("carrier", "mass", "com", steps=_list_of(_keys("origin", "axis", "turns", "joint", "motion")))
-        ),
-    ),
-)  # fmt: skip
-
-
-FORMAT = 1  # of the file
+FORMAT = 2  # of the file
 _ASSUMED = 1e-4  # m, rad; what usual instruments scatter by, where a calibration was not made from readings
 
 
@@ -241,48 +185,46 @@ def parameter_table(fit: Fit) -> tuple[tuple[str, float, float, str], ...]:
     )
 
 
+# --- As plain data: the three models without the arm that loads are computed from, and that arm once
+
+
+@dataclass(frozen=True)
+class _ArmOfFile:
+    inertias: Inertias | None = None
+    earlier: Carried | None = None
+    centre: Array | None = None
+
+    def of(self, chain: Mechanism) -> NominalArm:
+        return NominalArm(chain, self.inertias, None, self.earlier, self.centre)
+
+
+def _with_models(calibration: Calibration, change: Callable[[Model], Model]) -> Calibration:
+    nominal, calibrated, geometric = map(change, (calibration.nominal, calibration.calibrated, calibration.geometric))
+    return replace(calibration, nominal=nominal, calibrated=calibrated, geometric=geometric)
+
+
+_STEP = {"origin": (4, 4), "axis": (3,)}  # shapes of a joint on the way to a body
+
+
 def to_data(calibration: Calibration) -> dict[str, Any]:
     """The calibration as nested dictionaries, lists, strings and floats; floats keep every digit."""
+    bare = _with_models(calibration, lambda model: replace(model, arm=None, fallback=None))
+    arm = calibration.calibrated.arm or NominalArm(calibration.nominal.chain)
     return {
         "modcal_calibration": FORMAT,
         "robot": calibration.robot,
-        "nominal": model_to_data(calibration.nominal),
-        "calibrated": model_to_data(calibration.calibrated),
-        "geometric": model_to_data(calibration.geometric),
-        "seen": {
-            name: [float(low), float(high)]
-            for name, low, high in zip(calibration.nominal.chain.names, *calibration.seen, strict=True)
-        },
-        "parameters": [
-            {"name": name, "value": value, "std": std, "unit": unit}
-            for name, value, std, unit in calibration.parameters
-        ],
-        "effects": [
-            {
-                **effect_to_data(effect),
-                "rivals": [effect_to_data(r) for r in calibration.rivals_of(i)],
-                **typical_to_data(calibration.typical_of(i)),
-            }
-            for i, effect in enumerate(calibration.calibrated.effects)
-        ],
-        "recorded": {
-            "kind": calibration.kind,
-            "spread": [calibration.noise.position, calibration.noise.rotation],
-            "scatter": np.array(calibration.scatter).tolist(),
-            "converged": calibration.converged,
-            **({"spread_of": dict(calibration.noise.others)} if calibration.noise.others else {}),
-            "postures": calibration.postures.tolist(),
-            **({"stamps": np.array(calibration.watched).tolist()} if calibration.watched else {}),
-            **({} if calibration.clock else {"clock": False}),
-            **({"geometry_outside": True} if calibration.geometry_outside else {}),
-            **({"left_alone_m": calibration.left_alone} if calibration.left_alone > 0.0 else {}),
-            **({"marks": list(calibration.marks)} if calibration.marks else {}),
-            **({} if calibration.claim_mm is None else {"claim_mm": float(calibration.claim_mm)}),
-            **({"ranges": {n: [float(a), float(b)] for n, (a, b) in r.items()}} if (r := calibration.ranges) else {}),
-        },
-        **({"uncertainty": uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
-        "arm": arm_to_data(calibration.calibrated.arm),
+        **to_plain(bare, {Delta: delta_to_data, Uncertainty: _packed}),
+        "arm": to_plain(_ArmOfFile(arm.inertias, arm.earlier, arm.centre)),
     }
+
+
+def _packed(known: Uncertainty) -> dict[str, Any]:
+    """The rows of the covariance up to the diagonal, a line of text each: a list of hundreds of thousands of numbers
+    takes YAML ten times as long.
+    """
+    rows = known.covariance.tolist()
+    text = "".join(f"{' '.join(map(repr, row[: i + 1]))}\n" for i, row in enumerate(rows))
+    return {"parameters": to_plain(known.parameters), "covariance": text}
 
 
 def from_data(data: Any, source: str = "calibration") -> Calibration:
@@ -291,68 +233,92 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         raise BadTable(source, "is not a modcal calibration", "give the calibration.yaml that modcal calibrate wrote")
     if data["modcal_calibration"] != FORMAT:
         raise BadTable(source, f"format {data['modcal_calibration']}, {FORMAT} is read", "calibrate again")
-    require(data, SCHEMA, source, "remove it, or calibrate again")
+    own = {Mechanism: _mechanism, Effect: _effect, Uncertainty: _unpacked}
+    reader = PlainReader("remove it, or calibrate again", own, frozenset({"lower", "upper", "prior_std"}))
     try:
-        nominal, calibrated = model_from_data(data["nominal"]), model_from_data(data["calibrated"])
-        carried = data.get("arm")
-        arm = NominalArm(
-            nominal.chain,
-            inertias_from_data(carried),
-            earlier=carried_from_data(carried),
-            centre=centre_from_data(carried),
-        )
-        effects = tuple(effect_from_data(e) for e in data["effects"])
-        nominal, calibrated = replace(nominal, arm=arm), replace(calibrated, arm=arm, effects=effects)
-        geometric = replace(model_from_data(data["geometric"]), arm=arm)
-        seen = np.array([data["seen"][name] for name in nominal.chain.names], dtype=float).T
-        recorded = data["recorded"]
-        rivals = tuple(tuple(effect_from_data(r) for r in e["rivals"]) for e in data["effects"])
-        postures = np.array(recorded["postures"], dtype=float).reshape(-1, nominal.chain.n)
-        others = {str(kind): float(x) for kind, x in recorded.get("spread_of", {}).items()}
-        noise = NoiseModel(float(recorded["spread"][0]), float(recorded["spread"][1]), others)
-        parameters = tuple(
-            (str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"])) for p in data["parameters"]
-        )
-        known = uncertainty_from_data(data.get("uncertainty"), calibrated)
-        alone, converged = (float(recorded["scatter"][0]), float(recorded["scatter"][1])), bool(recorded["converged"])
-        clock, outside = bool(recorded.get("clock", True)), bool(recorded.get("geometry_outside", False))
-        left_alone = float(recorded.get("left_alone_m", 0.0))
-        ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
-        marks = tuple(int(mark) for mark in recorded.get("marks", ()))
-        claim_mm = float(recorded["claim_mm"]) if "claim_mm" in recorded else None
-        typical = tuple(typical_from_data(e.get("usual")) for e in data["effects"])
-        first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
-        kind = str(recorded["kind"])
-        _require_consistent(calibrated, geometric, nominal, seen, parameters, kind)
+        read = Calibration(**reader.fields_of(Calibration, data, source, ("modcal_calibration", "robot", "arm")))
+        arm = reader.read(_ArmOfFile, data.get("arm", {}), f"{source}: arm").of(read.nominal.chain)
+        read = _with_models(read, lambda model: replace(model, arm=arm))
+        _require_consistent(read)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError) as error:
         raise BadTable(source, f"damaged: {told(error)}", "calibrate again") from error
     except BadRobot as error:
         raise BadTable(source, f"damaged: {error.offender}: {error.limit}", "calibrate again") from error
-    watched = (first, last) if np.isfinite([first, last]).all() else None
-    return Calibration(
-        *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, noise, known),
-        *(watched, alone, converged, clock, outside, left_alone, ranges, typical, marks, claim_mm),
-    )
+    return read
 
 
-def _require_consistent(
-    calibrated: Model,
-    geometric: Model,
-    nominal: Model,
-    seen: Array,
-    parameters: tuple[tuple[str, float, float, str], ...],
-    kind: str,
-) -> None:
-    """Raises ValueError unless the parts of a calibration are of one arm, and all numbers finite."""
-    models = {"nominal": nominal, "calibrated": calibrated, "geometric": geometric}
-    for name, model in models.items():
-        if type(model.chain) is not type(nominal.chain) or model.chain.names != nominal.chain.names:
+def _mechanism(reader: PlainReader, data: Any, place: str) -> Mechanism:
+    if isinstance(data, Mapping) and "modcal_delta" in data:
+        return delta_from_data(data, place)
+    given = reader.fields_of(Chain, data, place)
+    beside = {name: given.pop(name) for name in ("links", "follows") if name in given}
+    return replace(Chain.build(**given), **beside)
+
+
+def _effect(reader: PlainReader, data: Any, place: str) -> Effect:
+    effect = Effect(**reader.fields_of(Effect, data, place))
+    require_known(effect)
+    missing = [name for name in effect.refined if name not in effect.shape.settings]
+    if missing or len(effect.values) <= len(effect.refined) or effect.std.shape != effect.values.shape:
+        raise ValueError(f"effect {effect.family[:40]} has {len(effect.values)} values, or lacks {', '.join(missing)}")
+    return effect
+
+
+def _unpacked(reader: PlainReader, data: Any, place: str) -> Uncertainty:
+    rows = [[float(x) for x in line.split()] for line in data["covariance"].splitlines()]
+    if [len(row) for row in rows] != list(range(1, len(rows) + 1)):
+        raise ValueError(f"a covariance of {len(rows)} values has rows of 1 to {len(rows)} numbers")
+    full = [[rows[max(i, j)][min(i, j)] for j in range(len(rows))] for i in range(len(rows))]
+    return Uncertainty(**reader.fields_of(Uncertainty, {**data, "covariance": full}, place))
+
+
+def _require_consistent(read: Calibration) -> None:
+    """Raises ValueError unless the parts of a calibration are of one arm and of the sizes that belong together."""
+    first = read.nominal
+    n = len(first.chain.names)
+    values = sum(len(e.values) for e in read.calibrated.effects)
+    wanted: list[tuple[str, Array, tuple[int, ...]]] = [("seen", read.seen, (2, n))]
+    wanted += [("postures", read.postures, (len(read.postures), n))] if len(read.postures) else []
+    for name in ("nominal", "calibrated", "geometric"):
+        model: Model = getattr(read, name)
+        if type(model.chain) is not type(first.chain) or model.chain.names != first.chain.names:
             raise ValueError(f"{name} belongs to a different arm than nominal")
-        if model.frames != nominal.frames:
+        if model.frames != first.frames:
             raise ValueError(f"{name} has different frames than nominal")
-    if not np.isfinite(seen).all() or seen.shape != (2, len(nominal.chain.names)):
-        raise ValueError("seen has two finite numbers for each joint")
-    if not all(np.isfinite(value) for _, value, _, _ in parameters):
-        raise ValueError("a parameter is not finite")
-    if kind not in (*kinds(), "same_point", "mixed"):
-        raise ValueError(f"readings of kind {kind[:40]} are not known")
+        wanted += [
+            (f"{name}: T_frame_base", model.T_frame_base, (len(model.frames), 4, 4)),
+            (f"{name}: T_tip_tool", model.T_tip_tool, (4, 4)),
+        ]
+        if isinstance(chain := model.chain, Chain):
+            wanted += [(f"{name}: axes", chain.axes, (n, 3))]
+            wanted += [(f"{name}: {k}", getattr(chain, k), (n,)) for k in ("revolute", "lower", "upper")]
+            if any(not 0 <= f.joint < n for f in chain.follows):
+                raise ValueError(f"{name}: a joint that follows is none of the chain's")
+        for one in model.instruments:
+            if one.kind not in kinds() or one.frame not in model.frames:
+                raise ValueError(f"no instrument of kind {one.kind[:40]} in frame {one.frame[:40]}")
+            wanted += [(f"{name}: constants of {one.kind}", one.values, one.of_kind.start().shape)]
+            wanted += [] if one.target is None else [(f"{name}: target of {one.kind}", one.target, (3,))]
+    if (arm := read.calibrated.arm) is not None and (bodies := arm.inertias) is not None:
+        wanted += [("mass", bodies.mass, (n,)), ("com", bodies.com, (n, 3)), ("inertia", bodies.inertia, (n, 3, 3))]
+        wanted += [("down", bodies.down, (3,)), *(("com", hung.com, (3,)) for hung in bodies.branches)]
+        wanted += [(k, getattr(s, k), d) for b in bodies.branches for s in b.steps for k, d in _STEP.items()]
+        if any(not 0 <= b.carrier < n for b in bodies.branches):
+            raise ValueError("bodies beside the chain hang on none of its joints")
+        if (held := bodies.held) is not None and not 0 < held.joints < n:
+            raise ValueError("the arm is held behind none of its joints")
+    if arm is not None and (before := arm.earlier) is not None:
+        k = len(before.until)
+        wanted += [("mass earlier", before.mass, (k,)), ("moment earlier", before.moment, (k, 3))]
+        if list(before.until) != sorted(before.until):
+            raise ValueError("what was carried earlier is not in order of time")
+    if (known := read.uncertainty) is not None:
+        size = len(known.parameters) + values
+        wanted += [("covariance", known.covariance, (size, size))]
+        if (np.diag(known.covariance) < 0.0).any():
+            raise ValueError("a covariance has no negative variance")
+    for name, array, shape in wanted:
+        if array.shape != shape:
+            raise ValueError(f"{name} has the shape {array.shape}, {shape} is needed")
+    if read.kind not in (*kinds(), "same_point", "mixed"):
+        raise ValueError(f"readings of kind {read.kind[:40]} are not known")

@@ -1,7 +1,7 @@
 """Descriptions that are not the robot's: another link that is followed, a joint's axis or origin, motors for joints.
 
 Positions of the joints are ``M q + c`` of the reported ones, and the origin of a joint may stand elsewhere: base, tool
-and the values that are free are found together by robust least squares (Levenberg-Marquardt) from several starts.
+and the values that are free are found together by robust least squares (damped Gauss-Newton) from several starts.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration import base_and_tool_turns, turns_left
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, descend, se3, so3
 from modcal_core.hypotheses.hand_eye import ANGLE, HandEye, Placement, at, placed, points
 from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, family, listed
 from modcal_core.hypotheses.joint_columns import unexplained
 from modcal_core.measurements import spread_rows
-from modcal_core.robots import Chain, forward, frames
+from modcal_core.robots import Chain, Frames, forward, frames
 
 _FEW = 80  # stations that a description is fitted to
 _ROUNDS, _SETTLED = 40, 1e-3  # iterations, and the relative change of the cost at which a fit has settled
@@ -141,18 +141,9 @@ class FittedArm:
         """Poses of the tip, (N, 4, 4)."""
         return forward(self.chain.with_origins(self.origins), q @ self.M.T + self.c)
 
-    def frames(self, q: Array) -> tuple[Array, Array]:
-        """Frames in which each origin ends, before the joint's own motion, (n + 1, N, 4, 4); joint positions (N, n)."""
-        at_joint = q @ self.M.T + self.c
-        T, out = np.broadcast_to(np.eye(4), (len(q), 4, 4)), []
-        for k in range(self.chain.n):
-            T = T @ self.origins[k]
-            out.append(T)
-            step = at_joint[:, k, None] * self.chain.axes[k]
-            still = np.zeros_like(step)
-            turn = self.chain.revolute[k]
-            T = T @ se3.transform(so3.exp(step if turn else still), still if turn else step)
-        return np.stack([*out, T @ self.origins[-1]]), at_joint
+    def frames(self, q: Array) -> Frames:
+        """Its frames at reported positions (N, n)."""
+        return frames(self.chain.with_origins(self.origins), q @ self.M.T + self.c)
 
 
 @dataclass(frozen=True)
@@ -164,6 +155,9 @@ class Free:
     turns: bool = False
 
 
+_Fitted = tuple[FittedArm, Placement, Array, Array]  # residuals in limits, and how a step reduces them
+
+
 def fitted(
     case: HandEye, start: FittedArm, free: Free, near: float = 1.0, rounds: int = _ROUNDS
 ) -> tuple[FittedArm, Placement]:
@@ -171,29 +165,25 @@ def fitted(
     iterations at most.
     """
     scale = near * np.array(case.limits)
-    placement = placed(replace(case, A=start.tip(case.q)), thorough=False).placement
-    state = start, placement
-    r, G = _rows(case, *state, free, scale)
-    damping, cost = 1e-3, _cost(r)
-    for _ in range(rounds):
+    equations: list[Array] = []
+
+    def look(here: _Fitted) -> float:
+        *_, r, G = here
         weight = np.repeat(1.0 / (1.0 + np.sum(r**2, axis=1)), r.shape[1])  # Cauchy
         flat = G.reshape(-1, G.shape[2])
-        H = (flat.T * weight) @ flat
-        D = np.diag(H)
-        step = np.linalg.solve(H + np.diag(damping * D + 1e-9 * D.max()), flat.T @ (weight * r.ravel()))
-        ahead = _stepped(*state, free, step)
-        r_there, G_there = _rows(case, *ahead, free, scale)
-        now = _cost(r_there)
-        if now > cost:
-            damping *= 8.0
-            if damping > 1e9:
-                break
-            continue
-        settled = cost - now < _SETTLED * now
-        state, r, G, cost, damping = ahead, r_there, G_there, now, max(damping / 4.0, 1e-6)
-        if settled:
-            break
-    return state
+        equations[:] = (flat.T * weight) @ flat, flat.T @ (weight * r.ravel())
+        return _cost(r)
+
+    def step(here: _Fitted, damping: float) -> tuple[_Fitted, float]:
+        (H, g), D = equations, np.diag(equations[0])
+        change = np.asarray(np.linalg.solve(H + np.diag(damping * D + 1e-9 * D.max()), g))
+        ahead = _stepped(*here[:2], free, change)
+        there = (*ahead, *_rows(case, *ahead, free, scale))
+        return there, _cost(there[2])
+
+    placement = placed(replace(case, A=start.tip(case.q)), thorough=False).placement
+    begin = start, placement, *_rows(case, start, placement, free, scale)
+    return descend(begin, look, step, lambda _, gain, cost: gain < _SETTLED * cost, rounds).place[:2]
 
 
 def _cost(r: Array) -> float:
@@ -206,24 +196,24 @@ def _rows(case: HandEye, arm: FittedArm, placement: Placement, free: Free, scale
     A value moves the tip by a twist (v, w) in the base; the point of the tool moves by v + w × point.
     """
     Y, X, x, t = placement.Y, placement.X, placement.x, placement.t
-    T, _ = arm.frames(case.q)
-    A, N = T[-1], len(case)
+    f, N = arm.frames(case.q), len(case)
+    A = f.transform(-1)
     a, point = A[:, :3, :3], se3.apply(A, x)
     v: list[Array] = []  # each (N, 3, values)
     w: list[Array] = []
     if free.columns or not free.origins:
-        axis = np.stack([T[k, :, :3, :3] @ arm.chain.axes[k] for k in range(arm.chain.n)], axis=2)
+        axis, p = f.axes[:-1, 2].transpose(2, 1, 0), f.p[:-1].transpose(2, 1, 0)
         turning = np.where(arm.chain.revolute, axis, 0.0)
-        moving = np.where(arm.chain.revolute, np.cross(T[:-1, :, :3, 3].transpose(1, 2, 0), turning, axis=1), axis)
+        moving = np.where(arm.chain.revolute, np.cross(p, turning, axis=1), axis)
         reported = case.q[:, list(free.columns)]
         for out, each in ((v, moving), (w, turning)):
             out += [(each[..., None] * reported[:, None, None, :]).reshape(N, 3, -1), each]
     for j in free.origins:
-        R, p = T[j, :, :3, :3], T[j, :, :3, 3]
+        R = f.rotation(j)
         v.append(R)
         w.append(np.zeros_like(R))
         if free.turns:
-            v.append(np.cross(p[:, :, None], R, axis=1))
+            v.append(np.cross(f.p[j].T[:, :, None], R, axis=1))
             w.append(R)
     V, W = np.concatenate(v, axis=2), np.concatenate(w, axis=2)
     eye, none = np.broadcast_to(np.eye(3), (N, 3, 3)), np.zeros((N, 3, 3))
@@ -245,7 +235,9 @@ def _stepped(arm: FittedArm, placement: Placement, free: Free, step: Array) -> t
         M[:, list(free.columns)] += step[: n * k].reshape(n, k)
         c, rest = c + step[n * k : n * k + n], step[n * k + n :]
     for j in free.origins:
-        origins[j] = origins[j] @ se3.transform(_bounded_turn(rest[3:6] if free.turns else np.zeros(3)), rest[:3])
+        B = arm.chain.joint_basis[j]  # frames have their joint's axis along z
+        turn = _bounded_turn(B @ rest[3:6] if free.turns else np.zeros(3))
+        origins[j] = origins[j] @ se3.transform(turn, B @ rest[:3])
         rest = rest[6 if free.turns else 3 :]
     Y, X = placement.Y @ _bounded_turn(rest[:3]), placement.X @ _bounded_turn(rest[9:])
     return replace(arm, M=M, c=c, origins=origins), Placement(Y, X, placement.x + rest[6:9], placement.t + rest[3:6])

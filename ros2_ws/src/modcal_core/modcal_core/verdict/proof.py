@@ -7,9 +7,10 @@ the blocks are likelier with it than without it, surely, and by odds of twenty t
 everything that could take its place, so what is named does not hang on what else a search found. Only what is the
 effect's own place and driver in other words stays out.
 
-What is as likely in its place, within these odds or more, is a rival: the effect is one of these. Where an effect makes
-less beside the others than what is predictable of the rest, or may be, *none of these* is as likely, and it is no
-cause. Where too many stations were rejected besides, nothing is proved.
+What is as likely in its place, within these odds, is a rival: the effect is one of these. Where something in its place
+is likelier beyond the odds, it is no cause. Where an effect makes less beside the others than what is predictable of
+the rest, or may be, *none of these* is as likely, and it is no cause either. Where too many stations were rejected
+besides, nothing is proved.
 """
 
 from __future__ import annotations
@@ -70,6 +71,8 @@ class Proofs:
         for name, columns in beside.alike():
             instead = float(beside.gains(columns).sum())
             if instead > gained - _ODDS and not _sure(beside.gains(after=columns))[1]:
+                if instead > gained + _ODDS:
+                    return None
                 rivals[name] = max(instead, rivals.get(name, instead))
         return tuple(sorted(rivals, key=lambda name: -rivals[name]))
 
