@@ -29,18 +29,9 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-<<<<<<< Updated upstream
-__all__ = ["ANGLE", "BEYOND_DOUBT", "COMMON", "EULER", "Answer", "ArmMiss", "Disagreement", "HandEye", "HandEyeFit"]
-__all__ += ["INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN", "MIN_ROWS", "MISREAD", "Hypothesis", "Judged"]
-__all__ += ["OF_REACH", "QUATERNION", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part"]
-__all__ += ["disagreement", "explain", "family", "inverse_pose", "judge", "left_handed", "likely_orders", "limits"]
-__all__ += ["of_recording", "orders", "placed", "proved", "recognised", "require_plausible", "rivals", "same_poses"]
-__all__ += ["sights_match", "turnings"]
-=======
-__all__ = ["ANGLE", "BEYOND_DOUBT", "EULER", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN", "MIN_ROWS"]
-__all__ += ["MISREAD", "OF_REACH", "QUATERNION", "Answer", "ArmMiss", "Disagreement", "HandEye", "HandEyeFit"]
-__all__ += ["Hypothesis", "Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreement"]
-__all__ += ["explain", "inverse_pose", "judge", "last_step", "left_handed", "likely_orders", "limits", "of_recording"]
-__all__ += ["orders", "placed", "proved", "recognised", "require_plausible", "rivals", "same_poses", "sights_match"]
-__all__ += ["turnings"]
->>>>>>> Stashed changes
+__all__ = ["ANGLE", "BEYOND_DOUBT", "COMMON", "EULER", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN"]
+__all__ += ["MIN_ROWS", "MISREAD", "OF_REACH", "QUATERNION", "Answer", "ArmMiss", "Disagreement", "HandEye"]
+__all__ += ["HandEyeFit", "Hypothesis", "Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part"]
+__all__ += ["disagreement", "explain", "family", "inverse_pose", "judge", "last_step", "left_handed", "likely_orders"]
+__all__ += ["limits", "of_recording", "orders", "placed", "proved", "recognised", "require_plausible", "rivals"]
+__all__ += ["same_poses", "sights_match", "turnings"]
