@@ -414,13 +414,13 @@ def scaled(unit: str) -> tuple[str, float]:
 
 def number(value: float, digits: int = 4) -> str:
     """A number with a few digits; large ones in full."""
+    text = f"{value:.{digits}g}"
     if 1.0 <= abs(value) < _GROUPED[0]:
-        rounded = float(f"{value:.{digits}g}")
-        behind = max(digits - 1 - int(np.floor(np.log10(abs(rounded)))), 0)
-        return f"{rounded:.{behind}f}".replace("-", "−")
-    if _GROUPED[0] <= abs(value) < _GROUPED[1]:
-        return f"{float(f'{value:.{digits}g}'):,.0f}".replace(",", "\u202f").replace("-", "−")
-    return f"{value:.{digits}g}".replace("-", "−")
+        rounded = float(text)
+        text = f"{rounded:.{max(digits - 1 - int(np.floor(np.log10(abs(rounded)))), 0)}f}"
+    elif _GROUPED[0] <= abs(value) < _GROUPED[1]:
+        text = f"{float(text):,.0f}".replace(",", "\u202f")
+    return text.replace("-", "−")
 
 
 def quantity_tables(quantities: Iterable[Quantity], what: str = "quantity") -> list[TableBlock]:

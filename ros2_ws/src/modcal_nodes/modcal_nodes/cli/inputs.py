@@ -59,9 +59,8 @@ def described(recording: Recording, delta: Path | None, urdf: Path | None, base:
             raise BadRobot(f"--delta {delta}", "cannot be combined with --urdf, --base or --tip", "leave them out")
         return Robot.from_delta(delta)
     if urdf is None and recording.robot_description is None:
-        raise BadRobot(
-            recording.source, "holds no robot_description", "give --urdf or --delta FILE, or record the topic"
-        )
+        remedy = "give --urdf or --delta FILE, or record the topic"
+        raise BadRobot(recording.source, "holds no robot_description", remedy)
     recorded = frozenset(name for track in recording.joints for name in track.names)
     if urdf is None and base is None and tip is None and recording.arm is not None:
         base, tip = recording.arm
