@@ -22,7 +22,7 @@ from modcal_core.report.blocks import (
     tone_of,
 )
 from modcal_core.report.charts import AFTER, BAD, BEFORE, SOFT, Axis, Chart, Panel
-from modcal_core.report.tables import csv_text, span, stations_table
+from modcal_core.report.tables import csv_text, percent, span, stations_table
 from modcal_core.sentinel import ArmVerdict
 
 _OF_STATUS: dict[str, tuple[str, Tone]] = {
@@ -223,7 +223,7 @@ def _seen(data: Mapping[str, Any]) -> list[TableBlock]:
 def _beside(found: Checked) -> list[TableBlock]:
     """What explains the stations as well, and stations to add."""
     changes = found.changes
-    rivals = tuple((c.label, ", ".join(c.same_as) or "none", c.alike, f"{c.probability:.1%}") for c in changes)
+    rivals = tuple((c.label, ", ".join(c.same_as) or "none", c.alike, percent(c.probability, 1)) for c in changes)
     columns = ("named", "explains these stations as well", "the same at every posture", "probability")
     return [
         TableBlock("What it may as well be", columns, rivals, 3, heading=True),
