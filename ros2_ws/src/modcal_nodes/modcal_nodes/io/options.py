@@ -82,13 +82,9 @@ class ChainOptions:
 class TopicOptions:
     """What the topics of a bag are."""
 
-    topic: tuple[str, ...] = repeated(
-        "The topic for a role, e.g. tracker/pose=/vrpn/tool/pose. Repeatable.", "ROLE=NAME"
-    )
+    topic: tuple[str, ...] = repeated("Topic for a role, e.g. tracker/pose=/vrpn/tool/pose. Repeatable.", "ROLE=NAME")
     ignore: tuple[str, ...] = repeated("Leave a topic out. Repeatable.", "TOPIC")
-    tf: str | None = option(
-        "The tracker's readings are these frames in /tf, e.g. tracker:tool.", metavar="PARENT:CHILD"
-    )
+    tf: str | None = option("The tracker reads these frames in /tf, e.g. tracker:tool.", metavar="PARENT:CHILD")
 
     @property
     def topics(self) -> Topics:
@@ -100,37 +96,23 @@ class TopicOptions:
 class FrozenOptions(TopicOptions):
     """What is asked of a frozen calibration on a recording."""
 
-    cell_file: Path | None = option(
-        "YAML of known distances, fixed parameters, and what is stated of arm and instrument.", "--cell"
-    )
+    cell_file: Path | None = option("YAML of known distances, fixed parameters, stated accuracies.", "--cell")
     repeatability_mm: float | None = option("Repeatability of the arm, RMS over space.", above=0.0, metavar="MM")
-    repeatability_iso: float | None = option(
-        "The same as RP of ISO 9283, as data sheets give it.", above=0.0, metavar="MM"
-    )
+    repeatability_iso: float | None = option("The same as RP of ISO 9283, of data sheets.", above=0.0, metavar="MM")
     repeatability_deg: float | None = option("Repeatability of the orientation, RMS.", above=0.0, metavar="DEG")
     instrument_mm: float | None = option("Error of the instrument, RMS over space.", above=0.0, metavar="MM")
     instrument_deg: float | None = option("Orientation error of the instrument, RMS.", above=0.0, metavar="DEG")
     seed: int = option("Seed of the draw of stations that score.", default=0, low=0)
-    clock_limit: float = option(
-        "Largest offset between tracker and joint clocks that is corrected.", default=0.5, low=0.0, metavar="S"
-    )
-    tolerance_mm: float | None = option(
-        "Allowed error: PASS, FAIL or CANNOT TELL; exit code 3 unless PASS.", above=0.0, metavar="MM"
-    )
-    tolerance_of: str = option(
-        "Which error of the held-out stations is compared with the tolerance.",
-        default="p95",
-        choices=("mean", "rms", "p95", "max"),
-    )
+    clock_limit: float = option("Largest offset of the clocks that is corrected.", default=0.5, low=0.0, metavar="S")
+    tolerance_mm: float | None = option("Allowed error; exit code 3 unless PASS.", above=0.0, metavar="MM")
+    tolerance_of: str = option("Error that the tolerance is of.", default="p95", choices=("mean", "rms", "p95", "max"))
 
 
 @dataclass(frozen=True)
 class SplitOptions(FrozenOptions):
     """The same where the stations are split."""
 
-    block: int | None = option(
-        "Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.", low=1
-    )
+    block: int | None = option("Stations kept together; 1: each alone. Default: blocks if dense.", low=1)
 
 
 @dataclass(frozen=True)
@@ -141,9 +123,7 @@ class RobotOptions:
     delta: Path | None = option("Description of a Delta robot, instead of a URDF.")
     base: str | None = option("Link where the arm begins. Default: the root link.", metavar="LINK")
     tip: str | None = option("Link where it ends. Default: the link behind most recorded joints.", metavar="LINK")
-    fixed: tuple[str, ...] = repeated(
-        "Fix a parameter or place at its nominal value, e.g. tool. Repeatable.", "NAME", "--fix"
-    )
+    fixed: tuple[str, ...] = repeated("Fix a parameter or place as it is, e.g. tool. Repeatable.", "NAME", "--fix")
     geometry_only: bool = option("Fit only the geometry; do not look for other effects.", default=False)
 
 
@@ -151,9 +131,7 @@ class RobotOptions:
 class Options(SplitOptions, RobotOptions):
     """What is asked of a calibration, beside the recording: the options of ``modcal calibrate`` under their names."""
 
-    by_distances: bool = option(
-        "Of a Delta: compare least squares and simulated annealing on distances alone.", default=False
-    )
+    by_distances: bool = option("Of a Delta: least squares and annealing on distances alone.", default=False)
     factory_kinematics: Path | None = option(
         "What the manufacturer's tool took from this arm: kinematics.yaml keeps its form and hash.", metavar="FILE"
     )
