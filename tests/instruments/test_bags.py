@@ -119,7 +119,10 @@ own_target: [wire_0]
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("known: [{frame: a, in: b, plane: {normal: [0, 0, 2], offset_m: 0}}]", "its normal has length 2: give one of length one"),
+        (
+            "known: [{frame: a, in: b, plane: {normal: [0, 0, 2], offset_m: 0}}]",
+            "its normal has length 2: give one of length one",
+        ),
         ("known: [{frame: a, in: b, place: 3}]", "unknown key place"),
         ("known: [{frame: a}]", "'in' is not stated"),
         ("distances: [{stamps: [1.0], distance_m: 0.2}]", "stamps: it has 1 entries, 2 are allowed"),

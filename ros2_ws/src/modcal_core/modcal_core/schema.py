@@ -128,9 +128,8 @@ def _check_size(
 def _check_number(data: float, schema: Schema, where: str, remedy: str) -> None:
     if data < schema.get("minimum", -math.inf) or data > schema.get("maximum", math.inf):
         low, high = (schema.get(word) for word in ("minimum", "maximum"))
-        allowed = (
-            f"{low} to {high}" if None not in (low, high) else f"at least {low}" if high is None else f"at most {high}"
-        )
+        bound = f"at least {low}" if high is None else f"at most {high}"
+        allowed = f"{low} to {high}" if None not in (low, high) else bound
         raise BadTable(where, f"{shown(data)} is out of range, {allowed} is allowed", remedy)
     if "exclusiveMinimum" in schema and data <= schema["exclusiveMinimum"]:
         raise BadTable(where, f"{shown(data)} is not above {schema['exclusiveMinimum']}", remedy)
