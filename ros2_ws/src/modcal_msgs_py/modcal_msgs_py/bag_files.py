@@ -35,9 +35,7 @@ def bag_files(path: Path) -> tuple[list[Path], list[str]]:
         try:
             names = listed_files(path)
         except (BadTable, KeyError, TypeError, ValueError) as error:
-            raise BadRecording(
-                str(metadata), f"is damaged ({type(error).__name__})", "remove it; the other files are enough"
-            ) from error
+            raise BadRecording(str(metadata), f"is damaged ({type(error).__name__})", "remove it: files do") from error
         missing = [name for name in names if not name.is_file()]
         if missing:
             raise BadRecording(str(missing[0]), "is named by metadata.yaml but not there", "put the file back")

@@ -240,16 +240,18 @@ def topics_of(file: BagFile) -> dict[tuple[str, str], int]:
         index = read_index(file.path)
     except (ValueError, OSError):
         index = None
-    if index is not None and index.topics and index.messages == sum(index.topics.values()):
-        file.offered = index.offered
-        return index.topics
-    walked = McapFile(file.path)
+    said = index and index.statistics
+    if index and said and said.message_count == sum(said.channel_message_counts.get(c, 0) for c in index.channels) > 0:
+        channels, schemas, counts = index.channels, index.schemas, said.channel_message_counts
+    else:
+        walked, counts = McapFile(file.path), dict[int, int]()
+        for block in walked.blocks():
+            for channel, count in enumerate(np.bincount(block.heads["channel"]).tolist()):
+                counts[channel] = counts.get(channel, 0) + count
+        channels, schemas = walked.channels, walked.schema_records
     out: dict[tuple[str, str], int] = {}
-    for block in walked.blocks():
-        for channel, count in enumerate(np.bincount(block.heads["channel"]).tolist()):
-            if count:
-                out[walked.known[channel]] = out.get(walked.known[channel], 0) + count
-    for channel in walked.channels.values():
-        out.setdefault((channel.topic, walked.topics[channel.topic]), 0)
-        file.offered[channel.topic] = channel.metadata.get("offered_qos_profiles", "")
+    for one in channels.values():
+        key = one.topic, schemas[one.schema_id].name if one.schema_id in schemas else ""
+        out[key] = out.get(key, 0) + counts.get(one.id, 0)
+        file.offered[one.topic] = one.metadata.get("offered_qos_profiles", "")
     return out

@@ -36,9 +36,7 @@ def desired_pose(message: Any, farthest: float) -> Array:
     far = math.hypot(*numbers[:3])
     if far > farthest:
         unit = "; it looks like millimetres" if far > 50.0 * farthest else ""
-        raise BadCommand(
-            "desired_pose", f"lies {far:.4g} m away, the arm reaches {farthest:.3g} m{unit}", "send metres within reach"
-        )
+        raise BadCommand("desired_pose", f"is {far:.4g} m away, the arm reaches {farthest:.3g} m{unit}", "send metres")
     return se3.from_pose(numbers)
 
 
@@ -111,7 +109,7 @@ class JointInput:
             self._low, self._high = self._lower[self._named.joints], self._upper[self._named.joints]
         if len(message.position) != len(names) or (self._told is None and len(set(names)) != len(names)):
             raise BadCommand(
-                "joint_states", f"{len(message.position)} positions for {len(names)} names", "send one for every name"
+                "joint_states", f"{len(message.position)} positions for {len(names)} names", "send as many"
             )
         self._told = names
         named, column = self._named, self._named.joints
@@ -121,10 +119,9 @@ class JointInput:
         within = (q >= self._low) & (q <= self._high)  # NaN is neither
         if not within.all():
             worst = int(np.argmin(within))
+            said = f"{q[worst]:.4g} is far outside its limits"
             raise BadCommand(
-                f"joint_states of {self.names[column[worst]]}",
-                f"{q[worst]:.4g} is far outside its limits",
-                "send radians and metres of this robot",
+                f"joint_states of {self.names[column[worst]]}", said, "send radians and metres of this robot"
             )
         self.position[column] = q
         self.stamps[column] = stamp
@@ -152,17 +149,12 @@ class JointInput:
         if self._told is None:
             raise BadCommand("joint_states", "no message was received", "check that the driver is alive")
         if missing := self.missing():
-            raise BadCommand(
-                "joint_states", f"do not contain {', '.join(missing)}", "publish every joint between base and tip"
-            )
+            raise BadCommand("joint_states", f"do not contain {', '.join(missing)}", "publish every joint of the arm")
         age = np.abs(now - self.stamps)
         j = int(np.argmax(age))
         if not age[j] <= stale:
-            raise BadCommand(
-                f"joint_states of {self.names[j]}",
-                f"are {age[j]:.3g} s off, {stale:g} s is the limit",
-                "check that the driver is alive and its clock is this one",
-            )
+            said = f"are {age[j]:.3g} s off, {stale:g} s is the limit"
+            raise BadCommand(f"joint_states of {self.names[j]}", said, "check that the driver is alive, and its clock")
 
 
 def fill_pose(message: Any, T: Array, covariance: Array | None = None) -> None:

@@ -85,9 +85,7 @@ def chosen_topic(listed: tuple[Listed, ...], asked: str | None, source: str, oth
         there = ", ".join(one.topic for one in found)
         raise BadRecording(source, said, f"give one of {there}" if there else "record sensor_msgs/msg/Image")
     if not found:
-        raise BadRecording(
-            source, "holds no images", "record sensor_msgs/msg/Image or CompressedImage, or leave out --target"
-        )
+        raise BadRecording(source, "holds no images", "record Image or CompressedImage, or leave out --target")
     if len(found) > 1:
         # one camera often sends the same image raw and compressed
         roots = {one.topic.removesuffix("/compressed") for one in found}

@@ -83,7 +83,7 @@ def repair_bag(path: Path, out: Path, heard: Heard = lambda stage, share: None) 
         return Repair(out, _rewritten(files, stated, out, sum(counts.values()), copied), tuple(reasons))
     except OSError as error:
         raise BadRecording(
-            str(out), f"cannot be written ({error.strerror})", "give --out a folder on a disk that has room"
+            str(out), f"cannot be written ({error.strerror})", "give --out where there is room"
         ) from error
 
 
@@ -148,12 +148,12 @@ def _index_fault(path: Path, count: int) -> str | None:
         index = read_index(path)
     except (ValueError, OSError) as error:
         return f"its index is damaged ({error})"
-    if index is None or index.messages is None:
+    if index is None or index.statistics is None:
         return "it has no index"
-    if index.messages != count:
-        return f"its index counts {index.messages} messages, it holds {count}"
-    if index.listed != index.chunks:
-        return f"its index lists {index.listed} of {index.chunks} chunks"
+    if index.statistics.message_count != count:
+        return f"its index counts {index.statistics.message_count} messages, it holds {count}"
+    if len(index.chunk_indexes) != index.statistics.chunk_count:
+        return f"its index lists {len(index.chunk_indexes)} of {index.statistics.chunk_count} chunks"
     return None
 
 

@@ -26,6 +26,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, McapRecord, Schema, Statistics
 from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
 from numpy.typing import NDArray
 
 from modcal_core.errors import BadRecording
@@ -98,7 +99,6 @@ class McapFile:
     path: Path
     cdr_only: bool = True
     schemas: dict[str, str] = field(default_factory=dict)
-    topics: dict[str, str] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     schema_records: dict[int, Schema] = field(default_factory=dict)
     extras: list[tuple[int, bytes]] = field(default_factory=list)
@@ -244,7 +244,6 @@ class McapFile:
         channel = Channel.read(stream)
         schema_name = self.schema_records[channel.schema_id].name if channel.schema_id in self.schema_records else ""
         self.channels[channel.id] = channel
-        self.topics[channel.topic] = schema_name
         if channel.message_encoding == "cdr" or not self.cdr_only:
             self.known[channel.id] = (channel.topic, schema_name)
             self._is_known[channel.id] = True
@@ -309,22 +308,7 @@ def _other_format(path: Path, start: bytes) -> str:
 _FOOTER_SIZE = 29  # bytes of the record
 
 
-@dataclass
-class Index:
-    """What a summary says. topics: number of messages by topic and type, 0 where it is not counted.
-
-    offered: QoS profiles by topic, in YAML. messages, chunks: as it counts them, None where it does not. listed: chunks
-    that it lists.
-    """
-
-    topics: dict[tuple[str, str], int] = field(default_factory=dict)
-    offered: dict[str, str] = field(default_factory=dict)
-    messages: int | None = None
-    chunks: int | None = None
-    listed: int = 0
-
-
-def read_index(path: Path) -> Index | None:
+def read_index(path: Path) -> Summary | None:
     """The index of a file; None where it has none. Raises ValueError for one that is damaged."""
     size = path.stat().st_size
     if size == 0:
@@ -339,26 +323,21 @@ def read_index(path: Path) -> Index | None:
             if footer.summary_start == 0:
                 return None
             stream.seek(footer.summary_start)
-            return _index(records().records)
+            return _summary(records().records)
         except (McapError, struct.error, KeyError, MemoryError, UnicodeDecodeError, OSError, StopIteration) as error:
             raise ValueError(type(error).__name__) from error
 
 
-def _index(records: Iterator[McapRecord]) -> Index:
-    out, schemas, counts = Index(), {0: ""}, dict[int, int]()
-    channels = dict[int, Channel]()
+def _summary(records: Iterator[McapRecord]) -> Summary:
+    """What records say, of which no chunk is unpacked."""
+    out = Summary()
     for record in records:
         if isinstance(record, ChunkIndex):
-            out.listed += 1
+            out.chunk_indexes.append(record)
         elif isinstance(record, Schema):
-            schemas[record.id] = record.name
+            out.schemas[record.id] = record
         elif isinstance(record, Channel):
-            channels[record.id] = record
+            out.channels[record.id] = record
         elif isinstance(record, Statistics):
-            out.messages, out.chunks = record.message_count, record.chunk_count
-            counts = record.channel_message_counts
-    for channel in channels.values():
-        key = (channel.topic, schemas.get(channel.schema_id, ""))
-        out.topics[key] = out.topics.get(key, 0) + counts.get(channel.id, 0)
-        out.offered[channel.topic] = channel.metadata.get("offered_qos_profiles", "")
+            out.statistics = record
     return out

@@ -189,9 +189,7 @@ class BagWriter:
         except FileExistsError as error:
             raise BadRecording(str(folder), "exists already", "give another name, or remove it") from error
         except OSError as error:
-            raise BadRecording(
-                str(folder), f"cannot be made ({error.strerror})", "give a folder that can be written"
-            ) from error
+            raise BadRecording(str(folder), f"cannot be made ({error.strerror})", "give one that can be") from error
         self.folder = folder
         self.file = folder / f"{folder.name}_0.mcap"
         self._seen = BagFile(self.file.name)
@@ -322,8 +320,5 @@ class BagWriter:
 
 
 def _refused(file: Path, error: OSError) -> BadRecording:
-    return BadRecording(
-        str(file),
-        f"cannot be written ({error.strerror})",
-        "make room on the disk; what it holds can be read, and `modcal repair` makes a whole bag of it",
-    )
+    remedy = "make room on the disk; what it holds can be read, and `modcal repair` makes a whole bag of it"
+    return BadRecording(str(file), f"cannot be written ({error.strerror})", remedy)

@@ -320,9 +320,7 @@ class RecordingBuilder:
             rows = self._rows(self._readings, (topic, said.kind, said.frame), kinds()[said.kind].width + 2)
             rows.extend(stamps, received, np.array([[*map(float, said.values), math.nan, math.nan]]))
         else:
-            raise BadTable(
-                f"topic {topic}", f"its package made {said!r} of a message", "yield Signal, Joints or Reading of a kind"
-            )
+            raise BadTable(f"topic {topic}", f"its package made {said!r} of one", "yield Signal, Joints or a Reading")
 
     def _take_signal(self, topic: str, name: str, stamps: Array, received: Array, values: Array) -> None:
         self._rows(self._signals, (topic, name), 1).extend(stamps, received, values[:, None])

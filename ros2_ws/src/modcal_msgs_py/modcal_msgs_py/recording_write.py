@@ -56,9 +56,7 @@ def episodes_of(folder: Path) -> list[tuple[str, Recording]]:
             raise ValueError("action and observation.state do not name the same joints")
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, pyarrow.ArrowInvalid) as error:
         said_of = f"is no data set of a leader and a follower ({type(error).__name__}: {str(error)[:80]})"
-        raise BadRecording(
-            str(folder), said_of, "give one with meta/info.json, action and observation.state"
-        ) from error
+        raise BadRecording(str(folder), said_of, "give one with info.json, action and observation.state") from error
     factor = np.pi / 180.0 if np.abs(state).max(initial=0.0) > _TURNS else 1.0
     plain = tuple(str(n).removesuffix(".pos") for n in names)
     order = [acted.index(n) for n in names]

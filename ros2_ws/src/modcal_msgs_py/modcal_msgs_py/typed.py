@@ -177,9 +177,7 @@ def calibration_data(message: Any) -> dict[str, Any]:
         for key in path[:-1]:
             node = node.setdefault(key, {})
             if not isinstance(node, dict):
-                raise BadTable(
-                    f"calibration, {one.name}", "lies below a value", "publish what the calibrator publishes"
-                )
+                raise BadTable(f"calibration, {one.name}", "lies below a value", _REMEDY)
         node[path[-1]] = _Leaf(_got(one.value))
     tree = _tree(root)
     if not isinstance(tree, dict):

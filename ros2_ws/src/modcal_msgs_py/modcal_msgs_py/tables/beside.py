@@ -127,28 +127,24 @@ def _velocity(out: OtherColumns, around: Surroundings, some: Sequence[LabelledJo
         return
     one = min(some, key=lambda j: "target" in numbers.labels[j.columns[0]].words)
     shown = f"{numbers.shown(one.columns[0])} … {numbers.shown(one.columns[-1])}"
-    if not np.all(around.chain.revolute):
-        out.said.append(f"speeds {shown} are not used: sliding joints stand among turning ones")
-        return
     told = _SPEEDS.get(numbers.labels[one.columns[0]].told)
     slope = None if around.stamps is None else _slope(numbers.values[:, list(one.columns)], q, around.stamps)
-    found = told
-    if slope is not None:
-        scales = {"rad/s": 1.0, "deg/s": 180.0 / np.pi}
-        found = next((u for u, scale in scales.items() if scale / _SLOPE < slope < scale * _SLOPE), None)
-        times = f"{slope:.3g} times the slopes of the joints in rad/s" if slope else "no multiple of the joints' slopes"
-        if found is None:
-            out.questions.append(f"speeds {shown} are {times}: state velocity, or leave it out")
-            return
-        if told is not None and told != found:
-            out.questions.append(f"labels say that {shown} are in {told}; the joints' own motion says {found}")
-        out.proved.append(f"speeds {shown} in {found}: they are {times}")
-    elif told is not None:
-        out.said.append(f"speeds {shown} are in {found}, as their labels say")
-    if found is None:
-        out.said.append(f"speeds {shown} are not used: neither labels nor the motion tell their unit; state velocity")
+    scales = {"rad/s": 1.0, "deg/s": 180.0 / np.pi}
+    shows = next((u for u, s in scales.items() if slope is not None and s / _SLOPE < slope < s * _SLOPE), None)
+    if not np.all(around.chain.revolute) or (told is None and slope is None):
+        out.said.append(f"speeds {shown} are not used: joints slide, or nothing tells the unit; state velocity")
         return
-    out.joints["velocity"] = {"unit": found, "columns": around.by_joint(one.columns)}
+    if slope is not None and shows is None:
+        times = f"{slope:.3g} times" if slope else "no multiple of"
+        out.questions.append(f"speeds {shown} are {times} the joints' slopes in rad/s: state velocity, or leave it out")
+        return
+    if slope is None:
+        out.said.append(f"speeds {shown} are in {told}, as their labels say")
+    else:
+        if told not in (None, shows):
+            out.questions.append(f"labels say that {shown} are in {told}; the joints' own motion says {shows}")
+        out.proved.append(f"speeds {shown} in {shows}: they are {slope:.3g} times the slopes of the joints in rad/s")
+    out.joints["velocity"] = {"unit": shows or told, "columns": around.by_joint(one.columns)}
     out.used |= set(one.columns)
 
 

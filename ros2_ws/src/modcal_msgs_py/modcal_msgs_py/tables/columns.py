@@ -63,17 +63,13 @@ class Numbers:
     @cached_property
     def usable(self) -> list[int]:
         """Columns that hold numbers that change."""
-        return [k for k in self.filled if float(np.nanmax(self.values[:, k]) - np.nanmin(self.values[:, k])) > 1e-9]
+        return [k for k in self.filled if k in self.seldom]
 
-    @property
+    @cached_property
     def seldom(self) -> list[int]:
         """Columns with some numbers, that change."""
-        several = np.isfinite(self.values).sum(axis=0) >= 3
-        return [
-            int(k)
-            for k in np.flatnonzero(several)
-            if float(np.nanmax(self.values[:, k]) - np.nanmin(self.values[:, k])) > 1e-9
-        ]
+        several = np.flatnonzero(np.isfinite(self.values).sum(axis=0) >= 3).tolist()
+        return [k for k in several if np.nanmax(self.values[:, k]) - np.nanmin(self.values[:, k]) > 1e-9]
 
     @cached_property
     def filled(self) -> list[int]:

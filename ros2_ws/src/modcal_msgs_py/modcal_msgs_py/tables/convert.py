@@ -48,12 +48,10 @@ _FORM: Schema = {
     "units_rows": said(_COUNT, "rows between labels and numbers"),
     "sheet": said(_TEXT, "of a workbook. Default: the first one"),
 }  # fmt: skip
-_BY: Schema = {
-    "type": ["object", "string"],
-    "additionalProperties": {"type": "string"},
-    "minProperties": 1,
-    "description": "column here: column there; or row: the rows stand in the same order",
-}
+_BY = said(
+    {"type": ["object", "string"], "additionalProperties": {"type": "string"}, "minProperties": 1},
+    "column here: column there; or row: the rows stand in the same order",
+)
 _ROWS: Schema = {
     "type": "object",
     "additionalProperties": {"type": ["string", "number", "array"], "items": {"type": ["string", "number"]}},
@@ -229,9 +227,7 @@ class _Found:
         self.signals += _signals(table, entry, stamps)
         table.require_sound()
         if not np.isfinite(stamps).any() or ("joints" in entry and not len(self.joints[-1].stamps)):
-            raise BadTable(
-                sheet.path.name, "has no row with a time and all joints", "check the columns and missing cells"
-            )
+            raise BadTable(sheet.path.name, "has no row with time and joints", "check columns and missing cells")
         self._clock = float(np.nanmax(stamps)) + 1.0
         self._notes += [n for n in (note, *table.notes()) if n and n not in self._notes]
         self.readings += found

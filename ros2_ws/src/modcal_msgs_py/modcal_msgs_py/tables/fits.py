@@ -76,38 +76,6 @@ def choices_of(chain: Mechanism, joints: LabelledJoints, values: Array) -> list[
 
 
 @dataclass(frozen=True)
-class JointsAlone:
-    """Joints of a table without any reading, such as the encoders of an arm that opens a door. questions: what nothing
-    tells.
-    """
-
-    choice: JointChoice
-    rows: np.ndarray
-    questions: tuple[str, ...] = ()
-    columns: tuple[int, ...] = ()
-    zeros: tuple[int, ...] = ()
-
-    @classmethod
-    def of(cls, numbers: Numbers, chain: Mechanism, joints: LabelledJoints) -> JointsAlone:
-        """The rows in which every joint has a number, in the unit that labels or sizes tell."""
-        rows = np.flatnonzero(np.isfinite(numbers.values[:, list(joints.columns)]).all(axis=1))
-        told = {numbers.labels[k].unit for k in joints.columns} - {None}
-        choices = choices_of(chain, joints, numbers.values[rows])
-        choices = [c for c in choices if {c.angle, c.length} >= told] or choices
-        units = " or ".join(dict.fromkeys(c.units(chain) for c in choices))
-        asked = f"cannot tell the unit of the joints, {units}: no label says, and no reading goes with them"
-        return cls(choices[0], rows, (asked,) if len(choices) > 1 else ())
-
-    def entry(self, numbers: Numbers) -> dict[str, Any]:
-        """The readings as a mapping states them: none."""
-        return {}
-
-    def proved(self, numbers: Numbers, chain: Mechanism) -> list[str]:
-        """What the data shows: nothing, as no reading goes with the joints."""
-        return []
-
-
-@dataclass(frozen=True)
 class Fitted:
     """One place of columns with its meanings, best first. target: the column that tells which target was measured."""
 

@@ -132,10 +132,11 @@ def corrected(
         for name in way:
             counted = counted.then(parts[name])
         out.append(counted)
-    first, *others = (forward(chain, counted.applied(choices[k].q, chain)) for counted in out)
-    # a joint between two others that turns the other way is one with half a turn added to its neighbours
-    apart = [not same_poses(first, T[:, :3, :3], T[:, :3, 3]) for T in others]
-    return k, [out[0], *(counted for counted, own in zip(out[1:], apart, strict=True) if own)]
+    # a joint between two others that turns the other way is one with half a turn added to its neighbours: the plainest
+    T, order = [forward(chain, counted.applied(choices[k].q, chain)) for counted in out], list(parts)
+    same = [i for i, own in enumerate(T) if same_poses(T[0], own[:, :3, :3], own[:, :3, 3])]
+    first = min(same, key=lambda i: max(order.index(name) for name in ways[i]))
+    return k, [out[first], *(counted for i, counted in enumerate(out) if i not in same)]
 
 
 def by_target(chain: Mechanism, q: Array, position: Array, columns: Mapping[int, Sequence[str]]) -> int | None:

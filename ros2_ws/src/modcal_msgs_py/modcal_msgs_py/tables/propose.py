@@ -47,7 +47,6 @@ from modcal_msgs_py.tables.fits import (
     MAX_RAD,
     Fitted,
     JointChoice,
-    JointsAlone,
     choices_of,
     decided,
     missed,
@@ -58,7 +57,7 @@ from modcal_msgs_py.tables.labels import MEASURED
 from modcal_msgs_py.tables.moments import RowTimes, Together, find_time, stamps_of, together
 from modcal_msgs_py.tables.proof import astray, by_target, corrected
 from modcal_msgs_py.tables.readings import rigid_poses
-from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, ray_of, sight_columns
+from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, joints_alone, ray_of, sight_columns
 from modcal_msgs_py.tables.table import Table
 
 _ORDERS = 6  # of columns without labels that are judged in full
@@ -166,12 +165,12 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     questions: tuple[str, ...] = ()
     assumed: list[str] = []
     if isinstance(fits, Sighted):
-        read: Fitted | Sighted | JointsAlone = fits
+        read: Fitted | Sighted = fits
         questions = fits.questions
     else:
         fits = search.otherwise(fits)
         if not fits and search.measured:
-            read = JointsAlone.of(numbers, chain, search.measured[0])
+            read = joints_alone(numbers, chain, search.measured[0])
             told = {k for j in labelled for k in j.columns} | set(time.columns)
             left = [k for k in numbers.usable if k not in told]
             unread = f"{numbers.shown(*left)} change and are read as no measurement of the tool: see what they are"
@@ -392,15 +391,10 @@ def _decided(
     chosen, *rest = sorted(fits, key=likely)
     questions, assumed, best = list[str](), list[str](), chosen.best
     if not best.explained(chain):
-        assumed.append(
-            f"the nominal arm misses by {missed(best)}, more than most do ({100.0 * best.share:.1f} % of what moves): "
-            "no other reading of the columns fits better, and `modcal calibrate` says what explains it"
-        )
+        said = f"the nominal arm misses by {missed(best)}, {100.0 * best.share:.1f} % of what moves, more than most do"
+        assumed.append(f"{said}; no other reading of the columns fits better: `modcal calibrate` says what explains it")
     if chosen.computed:
-        questions.append(
-            "the nominal arm reproduces the readings to some micrometres: they look computed from the joints, not "
-            "measured"
-        )
+        questions.append("the nominal arm reproduces the readings to micrometres: they look computed from the joints")
     for other in [f for f in rest if f.best.explained(chain) and not _alike(chosen, f)]:
         names = [numbers.shown(*f.body.position) for f in (chosen, other)]
         if other.computed or (other.body.computed and not chosen.body.computed):
@@ -410,10 +404,7 @@ def _decided(
             questions.append(f"{both} both move with the tool: keep the columns of the target that was measured")
     turned = [f.body.turned for f in rest if f.body.turned is not None]
     if not chosen.body.posed and any(len(t) > 3 or numbers.labels[t[0]].axis("angles") for t in turned):
-        questions.append(
-            "columns that look like orientations fit in no convention; positions alone fit: write euler, quaternion, "
-            "rotvec or matrix, or leave the orientation out"
-        )
+        questions.append("orientations fit in no convention, positions alone do: state their form, or leave them out")
     for rival in rivals(chosen.found):
         either = chosen.otherwise(numbers, chain, rival, "or")
         questions.append(f"cannot tell {either} ({worse(best, rival)})")
@@ -451,7 +442,7 @@ def _alike(one: Fitted, other: Fitted) -> bool:
 def _made(
     numbers: Numbers,
     rows: tuple[RowTimes, Together],
-    read: Fitted | Sighted | JointsAlone,
+    read: Fitted | Sighted,
     beside: OtherColumns,
     arm: MeasuredArm,
 ) -> Proposal:

@@ -56,20 +56,11 @@ BY_JOINT: Schema = {
     "type": "object", "additionalProperties": COLUMN, "minProperties": 1, "description": "joint: column",
 }  # fmt: skip
 _NUMBERS: Schema = {"type": "object", "additionalProperties": {"type": "number", "minimum": -1e6, "maximum": 1e6}}
-_FRAME: Schema = {
-    "type": "string",
-    "minLength": 1,
-    "description": "name of the instrument's frame; {stem} and {folder} of the file may stand in it",
-}
+_FRAME = said({"type": "string", "minLength": 1}, "name of the instrument's frame; {stem} and {folder} may stand in it")
 _LENGTH, _ANGLE = one_of("m", "cm", "mm", "in"), one_of("rad", "deg")
 _JOINT, _SPEED = one_of("rad", "deg", "m", "cm", "mm", "in"), one_of("rad/s", "deg/s", "m/s", "mm/s")
 _UP_TO_THREE: Schema = {"type": ["string", "integer", "array"], "items": COLUMN, "minItems": 3, "maxItems": 3}
-_COVERAGE: Schema = {
-    "type": "number",
-    "minimum": 1,
-    "maximum": 10,
-    "description": "standard deviations in what is stated, such as 2 of expanded uncertainties",
-}
+_COVERAGE = said({"type": "number", "minimum": 1, "maximum": 10}, "standard deviations in what is stated, such as 2")
 _STD = mapping(
     {"position": _UP_TO_THREE, "unit": _LENGTH, "orientation": _UP_TO_THREE, "orientation_unit": _ANGLE,
      "coverage": _COVERAGE}
@@ -218,12 +209,9 @@ def _by_angles(values: Array, stated: Mapping[str, Any], where: str) -> tuple[Ar
         raise BadTable(where, f"sequence '{sequence}': {error}", "three axes: XYZ turning along, xyz fixed") from error
 
 
-_SEQUENCE: Schema = {
-    "type": "string",
-    "minLength": 3,
-    "maxLength": 3,
-    "description": "upper case turning along with the body, lower case about fixed axes",
-}
+_SEQUENCE = said(
+    {"type": "string", "minLength": 3, "maxLength": 3}, "upper case turning along, lower case about fixed axes"
+)
 FORMS = {
     "euler": OrientationForm(3, {"unit": _ANGLE, "sequence": _SEQUENCE}, (), _by_angles),
     "quaternion": OrientationForm(
@@ -318,9 +306,7 @@ def _targets(table: Table, one: Mapping[str, Any], where: str) -> _Read:
     if there.any():
         poses, shape = rigid_poses(seen[there])
         if np.linalg.svd(shape, compute_uv=False)[1] < _ON_A_LINE:
-            raise BadTable(
-                where, f"targets {', '.join(names)} lie on a line", "give three that do not, or one as point"
-            )
+            raise BadTable(where, f"targets {', '.join(names)} lie on a line", "give others, or one as point")
         values[there] = se3.to_pose(poses)
     return values, there
 

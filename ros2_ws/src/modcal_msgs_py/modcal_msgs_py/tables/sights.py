@@ -56,19 +56,15 @@ class Way:
             return {**stated, "unit": self.unit, "column": keys[0]}
         if len(keys) == 3:
             return {**stated, "vector": keys}
-        second = {"zenith" if self.zenith else "elevation": keys[1]}
-        return {
-            **stated,
-            "unit": self.unit,
-            "azimuth": keys[0],
-            **second,
-            **({"clockwise": True} if self.clockwise else {}),
-        }
+        stated |= {"unit": self.unit, "azimuth": keys[0], "zenith" if self.zenith else "elevation": keys[1]}
+        return {**stated, "clockwise": True} if self.clockwise else stated
 
 
 @dataclass(frozen=True)
 class Sighted:
-    """Readings that are no positions, with what they mean: for each kind its ways, best first."""
+    """Readings that are no positions, with what they mean: for each kind its ways, best first; or joints alone, such as
+    the encoders of an arm that opens a door.
+    """
 
     choices: tuple[JointChoice, ...]
     rows: np.ndarray
@@ -80,7 +76,7 @@ class Sighted:
     @property
     def choice(self) -> JointChoice:
         """What the joints' columns are taken for."""
-        return self.choices[next(iter(self.found.values()))[0][0].choice]
+        return next((self.choices[ways[0][0].choice] for ways in self.found.values()), self.choices[0])
 
     @property
     def columns(self) -> tuple[int, ...]:
@@ -114,6 +110,17 @@ def _otherwise(
     """What a mapping of another way would state in place of the first one's, of an instrument and the joints."""
     best, other = ({**way.entry(numbers, one), "joints": {"unit": choices[way.choice].angle}} for way in ways)
     return "; ".join(differences(best, other, word))
+
+
+def joints_alone(numbers: Numbers, chain: Mechanism, joints: LabelledJoints) -> Sighted:
+    """The rows in which every joint has a number, in the unit that labels or sizes tell, without any reading."""
+    rows = np.flatnonzero(np.isfinite(numbers.values[:, list(joints.columns)]).all(axis=1))
+    told = {numbers.labels[k].unit for k in joints.columns} - {None}
+    choices = choices_of(chain, joints, numbers.values[rows])
+    choices = [c for c in choices if {c.angle, c.length} >= told] or choices
+    units = " or ".join(dict.fromkeys(c.units(chain) for c in choices))
+    asked = f"cannot tell the unit of the joints, {units}: no label says, and no reading goes with them"
+    return Sighted(tuple(choices), rows, {}, (), (asked,) if len(choices) > 1 else ())
 
 
 def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:

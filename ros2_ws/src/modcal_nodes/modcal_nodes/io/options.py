@@ -52,35 +52,23 @@ class TopicOptions:
 class FrozenOptions(TopicOptions):
     """What is asked of a frozen calibration on a recording."""
 
-    cell_file: Path | None = option(
-        "YAML of known distances, fixed parameters, and statements on arm and instrument.", "--cell"
-    )
+    cell_file: Path | None = option("YAML of known distances, fixed parameters, stated accuracies.", "--cell")
     repeatability_mm: float | None = option("Repeatability of the arm, RMS over space.", above=0.0, metavar="MM")
-    repeatability_iso: float | None = option("The same as RP of ISO 9283, of the data sheet.", above=0.0, metavar="MM")
+    repeatability_iso: float | None = option("The same as RP of ISO 9283, of data sheets.", above=0.0, metavar="MM")
     repeatability_deg: float | None = option("Repeatability of the orientation, RMS.", above=0.0, metavar="DEG")
     instrument_mm: float | None = option("Error of the instrument, RMS over space.", above=0.0, metavar="MM")
     instrument_deg: float | None = option("Orientation error of the instrument, RMS.", above=0.0, metavar="DEG")
     seed: int = option("Seed of the draw of stations that score.", default=0, low=0)
-    clock_limit: float = option(
-        "Largest offset between tracker and joint clocks that is corrected.", default=0.5, low=0.0, metavar="S"
-    )
-    tolerance_mm: float | None = option(
-        "Allowed error: PASS, FAIL or CANNOT TELL; exit 3 unless PASS.", above=0.0, metavar="MM"
-    )
-    tolerance_of: str = option(
-        "Which error of the held-out stations is compared with the tolerance.",
-        default="p95",
-        choices=("mean", "rms", "p95", "max"),
-    )
+    clock_limit: float = option("Largest offset of the clocks that is corrected.", default=0.5, low=0.0, metavar="S")
+    tolerance_mm: float | None = option("Allowed error; exit code 3 unless PASS.", above=0.0, metavar="MM")
+    tolerance_of: str = option("Error that the tolerance is of.", default="p95", choices=("mean", "rms", "p95", "max"))
 
 
 @dataclass(frozen=True)
 class SplitOptions(FrozenOptions):
     """The same where the stations are split."""
 
-    block: int | None = option(
-        "Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.", low=1
-    )
+    block: int | None = option("Stations kept together; 1: each alone. Default: blocks if dense.", low=1)
 
 
 @dataclass(frozen=True)

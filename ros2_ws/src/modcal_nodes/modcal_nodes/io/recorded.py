@@ -94,10 +94,7 @@ def _with(samples: Samples, cell: Cell, added: Samples, name: str) -> tuple[Samp
     one, two = samples.origin, added.origin
     notes = (*one.notes, *two.notes)
     if late:
-        notes = (
-            *notes,
-            f"{name} overlaps the recordings before it: its stamps were shifted {late:.1f} s later.",
-        )
+        notes = (*notes, f"{name} overlaps the recordings before it: its stamps were shifted {late:.1f} s later.")
     moment = between(samples, later)
     cell = replace(cell, between=tuple(sorted((*cell.between, moment))))
     if cell.own_in_recordings:

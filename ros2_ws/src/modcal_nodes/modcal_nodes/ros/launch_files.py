@@ -132,9 +132,7 @@ LAUNCHES: dict[str, Launch] = {
             _sets("urdf", "URDF file of the nominal arm; empty: the package's Panda", "simulated_cell"),
             _sets("seed", "seed of the true arm, the tracker's place and the noise", "simulated_cell"),
             _sets("measurement", "pose or point", "simulated_cell"),
-            _sets(
-                "stations", "random postures to visit without commands; 0: wait for joint_trajectory", "simulated_cell"
-            ),
+            _sets("stations", "random postures to visit; 0: wait for joint_trajectory", "simulated_cell"),
         ),
         {"simulated_cell": {"urdf": "robots/panda.urdf"}},
     ),

@@ -45,9 +45,7 @@ RECORDER = {
         "Topics that may be missing without a warning.",
     ),
     "patience_s": _live(5.0, "Seconds without a message after which a warning is given.", 0.1, 3600.0),
-    "min_free_mb": _live(
-        200.0, "Free disk space below which the bag is closed and the recorder exits [MB].", 0.0, 1e12
-    ),
+    "min_free_mb": _live(200.0, "Free disk space below which the bag is closed and the node ends [MB].", 0.0, 1e12),
 }  # fmt: skip
 
 CALIBRATOR = {
@@ -129,9 +127,7 @@ SIMULATED_CELL = {
     "returns": Parameter(RETURNS, "Number of these visited twice, so that the noise floor is known; 0: none.", 0, 1000),
     "dwell_s": Parameter(0.8, "Standstill at each random posture [s].", 0.0, 60.0),
     "travel_s": Parameter(0.5, "Travel time to each random posture [s].", 0.05, 60.0),
-    "obey_limits": Parameter(
-        False, "Whether travel keeps to the URDF's velocity and effort; modcal simulate always does."
-    ),
+    "obey_limits": Parameter(False, "Whether travel keeps to the URDF's limits; modcal simulate always does."),
     "repeat": Parameter(False, "Whether to continue with new random postures indefinitely."),
     "publish_clock": Parameter(False, "Whether to publish a simulated time on /clock and to stamp with it."),
     "clock_rate_hz": Parameter(250.0, "Rate of /clock in simulated time [Hz].", 1.0, 2000.0),
@@ -323,9 +319,7 @@ IMPEDANCE_SETPOINT = {
     "wrench_by_tool": _live(False, "Whether the sensor reports the wrench exerted by the tool, not on the tool."),
     "cutoff_hz": _live(30.0, "Cutoff of the force's low-pass [Hz].", 0.5, 500.0),
     "servo_lag_s": _live(0.03, "Lag of the arm behind steadily moving setpoints [s].", 0.0, 1.0),
-    "contact_stiffness_n_m": _live(
-        20e3, "Stiffness of fingers and object; steel if touched stiffer [N/m].", 100.0, 1e6
-    ),
+    "contact_stiffness_n_m": _live(20e3, "Stiffness of fingers and object; steel if felt stiffer [N/m].", 100.0, 1e6),
     "arm_stiffness_n_m": _live(100e3, "Stiffest hold of the servos, to judge a force not felt [N/m].", 100.0, 1e7),
     "max_joint_lead_rad": _live(
         0.04,

@@ -193,9 +193,7 @@ class MonitoredSubscription:
             # not from within its own event: a subscription cannot be taken away while it is being served
             self._less = self._node.create_timer(0.0, partial(self._settle_for_less, kind), clock=_STEADY)
         elif kind not in _LESS:
-            self.incompatible = (
-                f"a publisher's {name} does not match, its messages do not arrive: use the same setting on both sides"
-            )
+            self.incompatible = f"a publisher's {name} does not match, nothing arrives: use the same on both sides"
             self._node.get_logger().error(f"{self.topic}: {self.incompatible}")
 
     def _settle_for_less(self, kind: QoSPolicyKind) -> None:
@@ -249,13 +247,9 @@ def subscription_status(inputs: Iterable[MonitoredSubscription], refusals: Refus
         complaints += [(WARN, said) for said in refused if said]
     level = max((level for level, _ in complaints), default=OK)
     message = "; ".join(text for _, text in complaints) or "everything that is needed is received"
-    counts = {f"messages of {subscription.topic}": subscription.count for subscription in inputs}
-    return Status(
-        "hearing",
-        level,
-        message,
-        {**counts, **{f"publishers of {subscription.topic}": subscription.publishers for subscription in inputs}},
-    )
+    values = {f"messages of {subscription.topic}": subscription.count for subscription in inputs}
+    values |= {f"publishers of {subscription.topic}": subscription.publishers for subscription in inputs}
+    return Status("hearing", level, message, values)
 
 
 def tracker_status(hearing: Status, inputs: Iterable[MonitoredSubscription]) -> Status:

@@ -223,14 +223,10 @@ class TopicRecorder:
         """What is wrong, or None."""
         others = self._types - {self.type_name}
         if self.type_name is None and self._types:
-            text = (
-                f"{self.topic}: {', '.join(sorted(self._types))} cannot be recorded: its definition is not known here"
-            )
+            text = f"{self.topic}: {', '.join(sorted(self._types))} cannot be recorded: its definition is not known"
             return Complaint(ERROR, "type", text)
         if others:
-            text = (
-                f"{self.topic}: only {self.type_name} is recorded, not {', '.join(sorted(others))}: remap one of them"
-            )
+            text = f"{self.topic}: only {self.type_name} is recorded, not {', '.join(sorted(others))}: remap one"
             return Complaint(ERROR, "types", text)
         if not self.count and self._inputs and self.publishers and self.topic.endswith(_SLASHED_FAST):
             since = time.monotonic() - self._subscribed
@@ -262,14 +258,8 @@ class TopicRecorder:
             durability=DurabilityPolicy.TRANSIENT_LOCAL if offer.latched else DurabilityPolicy.VOLATILE,
         )
         assert self.type_name is not None
-        make = partial(
-            self._node.create_subscription,
-            type_of(self.type_name),
-            self.topic,
-            partial(self._hear, offer, box := list[Subscription]()),
-            qos,
-            raw=True,
-        )
+        hear = partial(self._hear, offer, box := list[Subscription]())
+        make = partial(self._node.create_subscription, type_of(self.type_name), self.topic, hear, qos, raw=True)
         try:
             box.append(make(event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost)))
         except UnsupportedEventTypeError:
