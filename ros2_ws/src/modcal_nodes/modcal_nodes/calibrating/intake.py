@@ -439,14 +439,10 @@ def lacking(arm: KnownArm, inputs: Iterable[MonitoredSubscription], by_camera: b
     return _NO_CORNERS if by_camera else _NO_TRACKER
 
 
-def require_policy(chosen: dict[str, Any]) -> None:
-    """Raises BadTable for a policy that there is none of."""
+def policy(chosen: dict[str, Any]) -> Policy:
+    """When results are trusted, and when a solve starts by itself. Raises BadTable for what is no policy."""
     if chosen["accept"] not in (ASKED, BETTER):
         raise BadTable(f"accept '{chosen['accept']}'", f"{BETTER} and {ASKED} are known", "set one of them")
-
-
-def policy(chosen: dict[str, Any]) -> Policy:
-    """When results are trusted, and when a solve starts by itself."""
     return Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
 
 
