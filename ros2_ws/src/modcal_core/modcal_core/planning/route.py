@@ -55,7 +55,8 @@ class Roadmap:
         from scipy.spatial import cKDTree
 
         count = len(self._q)
-        length, near = cKDTree(self._q).query(self._q, k=min(_NEIGHBOURS + 1, count), p=np.inf)
+        found = cKDTree(self._q).query(self._q, k=min(_NEIGHBOURS + 1, count), p=np.inf)
+        length, near = (np.asarray(part) for part in found)
         begin = np.repeat(np.arange(count), near.shape[1])
         graph = csr_matrix((length.ravel(), (begin, near.ravel())), shape=(count, count))
         return graph.maximum(graph.T).tocsr()
@@ -67,7 +68,8 @@ class Roadmap:
         if is_free(self._q[a], self._q[b], self._free):
             return self._q[:0]
         for _ in range(_TRIED):
-            length, before = dijkstra(self._lengths, directed=False, indices=a, return_predecessors=True)
+            reached = dijkstra(self._lengths, directed=False, indices=np.array(a), return_predecessors=True)
+            length, before = reached
             if not np.isfinite(length[b]):
                 return None
             path = [b]
