@@ -12,7 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -44,55 +46,47 @@ class Roadmap:
     """
 
     def __init__(self, q: Array, free: Free) -> None:
-        self._q, self._free, self._open = q, free, np.zeros(0, bool)
+        self._q, self._free, self._looked_at = q, free, set[tuple[int, int]]()
 
-    def _draw(self) -> None:
+    @cached_property
+    def _lengths(self) -> Any:
+        """Lengths of the ways (N, N), sparse; infinite where one is closed."""
+        from scipy.sparse import csr_matrix
         from scipy.spatial import cKDTree
 
-        q = self._q
-        near = cKDTree(q).query(q, k=min(_NEIGHBOURS + 1, len(q)), p=np.inf)[1].reshape(len(q), -1)
-        ends = np.stack([np.repeat(np.arange(len(q)), near.shape[1]), near.ravel()], axis=1)
-        self._edges = np.unique(np.sort(ends[ends[:, 0] != ends[:, 1]], axis=1), axis=0)
-        self._length = np.abs(q[self._edges[:, 0]] - q[self._edges[:, 1]]).max(axis=1)
-        self._number = {(int(a), int(b)): i for i, (a, b) in enumerate(self._edges)}
-        self._open = np.ones(len(self._edges), dtype=bool)
-        self._looked_at = np.zeros(len(self._edges), dtype=bool)
+        count = len(self._q)
+        found = cKDTree(self._q).query(self._q, k=min(_NEIGHBOURS + 1, count), p=np.inf)
+        length, near = (np.asarray(part) for part in found)
+        begin = np.repeat(np.arange(count), near.shape[1])
+        graph = csr_matrix((length.ravel(), (begin, near.ravel())), shape=(count, count))
+        return graph.maximum(graph.T).tocsr()
 
     def way(self, a: int, b: int) -> Array | None:
         """Postures between two of the map, (m, n): none where the straight way is free; None if no way is."""
-        if is_free(self._q[a], self._q[b], self._free):
-            return self._q[:0]
-        if not len(self._open):
-            self._draw()
-        for _ in range(_TRIED):
-            path = self._shortest(a, b)
-            if path is None or self._free_all_along(path):
-                return None if path is None else self._q[path[1:-1]]
-        return None
-
-    def _free_all_along(self, path: list[int]) -> bool:
-        """Whether every way on a path is free; the first one that is not is closed."""
-        for i, j in pairwise(path):
-            k = self._number[min(i, j), max(i, j)]
-            if not self._looked_at[k]:
-                self._looked_at[k] = True
-                self._open[k] = is_free(self._q[i], self._q[j], self._free)
-            if not self._open[k]:
-                return False
-        return True
-
-    def _shortest(self, a: int, b: int) -> list[int] | None:
-        from scipy.sparse import csr_matrix
         from scipy.sparse.csgraph import dijkstra
 
-        graph = csr_matrix((self._length[self._open], self._edges[self._open].T), shape=(len(self._q),) * 2)
-        length, before = dijkstra(graph, directed=False, indices=np.array(a), return_predecessors=True)
-        if not np.isfinite(length[b]):
-            return None
-        path = [b]
-        while path[-1] != a:
-            path.append(int(before[path[-1]]))
-        return path[::-1]
+        if is_free(self._q[a], self._q[b], self._free):
+            return self._q[:0]
+        for _ in range(_TRIED):
+            reached = dijkstra(self._lengths, directed=False, indices=np.array(a), return_predecessors=True)
+            length, before = reached
+            if not np.isfinite(length[b]):
+                return None
+            path = [b]
+            while path[-1] != a:
+                path.append(int(before[path[-1]]))
+            if all(self._is_open(i, j) for i, j in pairwise(path[::-1])):
+                return self._q[path[-2:0:-1]]
+        return None
+
+    def _is_open(self, i: int, j: int) -> bool:
+        """Whether a way is free; one that is not is closed for good."""
+        pair = min(i, j), max(i, j)
+        if pair not in self._looked_at:
+            self._looked_at.add(pair)
+            if not is_free(self._q[i], self._q[j], self._free):
+                self._lengths[i, j] = self._lengths[j, i] = np.inf
+        return bool(np.isfinite(self._lengths[i, j]))
 
 
 def free_way(start: Array, goal: Array, free: Free, over: Array) -> list[Array] | None:

@@ -62,7 +62,7 @@ class Delta:
     """A Delta robot. Immutable; arrays are read-only.
 
     names: joints of arms 1, 2, 3 and, where there is one, of the shaft. constants: of the arms, (6, 3), rows as in
-    ``constant_names``: q_zero [rad], k [1], α [rad], dB, L1, L2 [m]. lower, upper: limits of the joints [rad, m], (n,).
+    :attr:`units`: q_zero [rad], k [1], α [rad], dB, L1, L2 [m]. lower, upper: limits of the joints [rad, m], (n,).
     linear: whether carriages slide on towers in place of arms that turn: q_zero is in m, and for L1 stands λ [rad].
     tool: where the drawing puts the tool in the tip, (6,): x y z [m] rx ry rz [rad], as ``Trans Rot(exp)``.
     shaft_ratio: turns of the tool per turn of the shaft's joint, −1 where it counts the other way. platform_radius: of
