@@ -8,7 +8,7 @@ from articulation.objects import Array, ideal, noisy
 from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.choice import choose
-from modcal_core.articulation.misfit import ShareCheck, bend_explains
+from modcal_core.articulation.misfit import ShareCheck, Stretches, bend_explains
 from modcal_core.articulation.models.revolute import RevoluteMotion
 from modcal_core.articulation.online import Tracker, TrackerSettings, TrackerState
 from modcal_core.articulation.track import Track
@@ -28,9 +28,11 @@ def hinge(radius: float) -> RevoluteMotion:
 
 
 def asked(p: Array, motion: RevoluteMotion, noise: float = 3e-4) -> list[bool]:
-    check, out = ShareCheck(4e-3), []
+    stretches = Stretches()
+    check, out = ShareCheck(stretches, 4e-3), []
     for x in p:
-        check.come(x, motion, noise)
+        stretches.come(x, noise)
+        check.come(motion, noise)
         out.append(check.fails)
     return out
 

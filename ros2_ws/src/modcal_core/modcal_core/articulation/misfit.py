@@ -379,22 +379,18 @@ _FEWEST = 3  # stretches that are asked
 
 
 class ShareCheck:
-    """fails: whether the model from three fifths of the path misses the rest, as of the last question.
+    """fails: whether the model from three fifths of the path misses the rest, as of the last question."""
 
-    stretches: the path so far.
-    """
-
-    def __init__(self, tolerance_m: float) -> None:
+    def __init__(self, stretches: Stretches, tolerance_m: float) -> None:
+        """stretches: the path so far, kept by others."""
         self.fails = False
-        self._tolerance = tolerance_m
-        self.stretches = Stretches()
+        self._stretches, self._tolerance = stretches, tolerance_m
         self._kept: list[tuple[float, AxisMotion | None]] = []
         self._every, self._asked = _KEPT_EVERY, 0.0
 
-    def come(self, p: Array, motion: AxisMotion | None, noise: float) -> None:
-        """Take a position (3,) [m] and the motion that is selected there. noise: of one position, on an axis [m]."""
-        self.stretches.come(p, noise)
-        path = self.stretches.path
+    def come(self, motion: AxisMotion | None, noise: float) -> None:
+        """Take the motion that is selected now. noise: of one position, on an axis [m]."""
+        path = self._stretches.path
         if not self._kept or path - self._kept[-1][0] >= self._every:
             if len(self._kept) == _MAX:
                 self._kept, self._every = self._kept[::2], 2.0 * self._every
@@ -405,7 +401,7 @@ class ShareCheck:
 
     def _ask(self, path: float, now: AxisMotion | None, noise: float) -> None:
         way, motion = next((kept for kept in reversed(self._kept) if kept[0] <= _KNOWN * path), (0.0, None))
-        points = self.stretches.beyond(way)
+        points = self._stretches.beyond(way)
         if motion is None or len(points) < _FEWEST:
             return
         if path < _WHOLE and now is not None and now.kind != motion.kind:

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from modcal_core.articulation.conventions import ConventionCheck, OtherConvention
 from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.misfit import NONE, BendCheck, ShareCheck, rms, too_much, usual
+from modcal_core.articulation.misfit import NONE, BendCheck, ShareCheck, Stretches, rms, too_much, usual
 from modcal_core.articulation.model_selector import ModelSelector
 from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.models.registry import STILL
@@ -168,7 +168,6 @@ _SPARSE = 0.6  # of the distance ahead, from one pose to the next: fewer than tw
 _UNMOVED = 3.0  # times what counts as still; a handle that has never moved farther is locked, any other jammed
 _BESIDE = 6  # poses beside the path after which it has been left
 _RECOVERY = 2  # rounds of evaluation that a model gets to follow a handle that has left its path
-_UNCHECKED = 3  # steps of the model by which the checks of the path may be behind it
 _HELD = 20  # poses for which a model that was trusted lately is not bent by what lies beside its path
 
 
@@ -190,12 +189,12 @@ class Tracker:
         self._nodes: Nodes | None = None
         self._selector = ModelSelector()
         self._check = PredictionCheck(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m, changes)
-        self._share = ShareCheck(chosen.tolerance_m)
+        self._stretches = Stretches()
+        self._share = ShareCheck(self._stretches, chosen.tolerance_m)
         self._convention = ConventionCheck()
-        self._bend = BendCheck(self._share.stretches)
+        self._bend = BendCheck(self._stretches)
         self._travel = Travel()
-        self._two = TwoMotions()
-        self._unchecked = 0
+        self._two = TwoMotions(self._stretches)
         self._samples = 0
         self._stamp = -np.inf
         self._first: Array | None = None
@@ -240,15 +239,17 @@ class Tracker:
         for q, S in accepted:
             self._moved = max(self._moved, math.dist(q, self._first))
             self._travel.come(q, self._selector.scale[0])
-            self._two.come(q, self._selector.scale[0])
-            self._share.come(q, motion, self._selector.scale[0])
+            self._stretches.come(q, self._selector.scale[0])
+            self._share.come(motion, self._selector.scale[0])
             if self._nodes.add(q, S):
                 continue  # pooled again, which is enough for one pose
             due = self._travel.steps_due(stamp) if self._nodes.k >= FEWEST_NODES else 0
             for _ in range(due):
                 if self._selector.advance(self._nodes):
                     self._check.begin(*self._reached())
-            self._check_path(due, motion)
+            self._two.come(self._selector.scale[0])
+            self._bend.come(motion)
+            self._convention.advance()
         self._judge()
         if self._two.found and (motion is None or motion.flat):
             self._check.lose()
@@ -274,19 +275,6 @@ class Tracker:
                 "pose of the handle", f"its stamp {stamp:g} s is older than the last", "give poses in order"
             )
         return p, R
-
-    def _check_path(self, due: int, motion: AxisMotion | None) -> None:
-        """Ask whether the path is no joint's: as often as the model advances, but at poses where it does not, if there
-        are some. due: its steps at this pose. motion: the one that was selected before them.
-        """
-        self._unchecked += due
-        steps = min(self._unchecked, 1) if due == 0 else max(self._unchecked - _UNCHECKED, 0)
-        self._unchecked -= steps
-        for _ in range(steps):
-            self._two.advance(self._selector.scale[0])
-        if steps:
-            self._bend.come(motion)
-            self._convention.advance()
 
     def _compare(self, p: Array, R: Array | None) -> tuple[float, float, float, Event | None]:
         """Configuration, distance from the selected path [m], rotation against it [rad], and whether that was left."""
@@ -392,7 +380,7 @@ class Tracker:
         motion = selector.motion
         left, written = self._left, self._convention.written
         apart = self._travel.step[0]
-        sparse, path = apart > _SPARSE * self.settings.ahead_m, self._share.stretches.path
+        sparse, path = apart > _SPARSE * self.settings.ahead_m, self._stretches.path
         if motion is None or selector.kind == STILL.name:
             return TrackerState(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples,
                          apart_m=apart, sparse=sparse, left=left, path_m=path, written=written)  # fmt: skip

@@ -3,7 +3,7 @@
 A mechanism of two joints looks like one for a stretch, and predicts there. What tells it from furniture is the whole
 path since the start: a cut into two lines or circles leaves nothing of what one leaves. Each side of a cut is a line or
 a circle, fitted in closed form; the best cut is where both together leave least. While poses come, the path is kept as
-the means of short stretches, and one cut is tried at a time.
+the means of short stretches.
 
 What furniture leaves beside its ideal path (play, a bow, what distorts the camera) does not vanish by a cut: two arcs
 leave about as much of it as one. What a mechanism of two joints leaves does vanish, down to the noise.
@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modcal_core.articulation.furniture import PLAY
 from modcal_core.articulation.misfit import Stretches
@@ -22,7 +23,7 @@ from modcal_core.geometry import Array
 
 MIN_PATH = 0.03  # m of a motion that is one of its own: a hand's play is less
 MIN = 10  # samples of it
-_TRIED = 24  # places for the cut
+_TRIED = 16  # places for the cut
 _PARAMETERS = 6  # of a circle in space
 _WORTH = 0.5  # of the usual play: what one motion must leave beside noise for two to be considered
 _VANISHES = 0.1  # of its squares may be left by two
@@ -31,23 +32,21 @@ _CAP = 0.03  # m: a sample or stretch farther off costs no more
 
 def best_cut(track: Track) -> int | None:
     """The first row of the second motion; None where the track is too short for two."""
-    if backwards(track.positions):
-        cut = _best_cut(one_way(track))
-        return None if cut is None else len(track) - cut
-    return _best_cut(track)
-
-
-def _best_cut(track: Track) -> int | None:
-    way = travelled(track)
+    ordered = one_way(track)
+    way = travelled(ordered)
     inside = np.flatnonzero((way > MIN_PATH) & (way < way[-1] - MIN_PATH))
-    inside = inside[(inside >= MIN) & (inside <= len(track) - MIN)]
-    if not len(inside):
+    cut = _cheapest(ordered.positions, inside[(inside >= MIN) & (inside <= len(track) - MIN)])
+    return len(track) - cut if cut is not None and backwards(track.positions) else cut
+
+
+def _cheapest(p: Array, cuts: NDArray[np.intp]) -> int | None:
+    """The one of these cuts (m,) of points (n, 3) that leaves least, as far as some and their neighbours are tried."""
+    if not len(cuts):
         return None
-    coarse = np.unique(inside[np.linspace(0, len(inside) - 1, _TRIED).round().astype(int)])
-    best = min(coarse, key=lambda k: _cost(track.positions, int(k)))
-    step = max(1, len(inside) // _TRIED)
-    fine = [int(k) for k in inside if abs(int(k) - int(best)) <= step]
-    return min(fine[:: max(1, len(fine) // _TRIED)], key=lambda k: _cost(track.positions, k))
+    some = cuts[np.unique(np.linspace(0, len(cuts) - 1, _TRIED).round().astype(int))]
+    best = min(some, key=lambda k: _cost(p, int(k)))
+    near = cuts[np.abs(cuts - best) <= max(1, len(cuts) // _TRIED)]
+    return int(min(near[:: max(1, len(near) // _TRIED)], key=lambda k: _cost(p, int(k))))
 
 
 def two_explain(track: Track) -> str:
@@ -82,64 +81,30 @@ def _cost(p: Array, k: int) -> float:
 
 
 _MIN = 5  # stretches on either side of a cut, more than a circle's parameters have of two residuals each
-_CUTS = 16  # tried along the path
-_FINER = (-0.6, -0.3, 0.3, 0.6)  # of the way from cut to cut, tried beside the best
 _ANEW = 0.02  # m of path after which the question is asked again
 
 
 class TwoMotions:
-    """found: whether the path since the start is two motions, as of the last question that was answered."""
+    """found: whether the path since the start is two motions, as of the last question."""
 
-    def __init__(self) -> None:
+    def __init__(self, stretches: Stretches) -> None:
+        """stretches: the path so far, kept by others."""
         self.found = False
-        self._stretches = Stretches()
-        self._asked = 0.0
-        self._snapshot: Array | None = None
-        self._noise = 0.0  # variance on an axis of a point of the snapshot [m²]
-        self._left: list[int] = []  # cuts that are still to be tried
-        self._tried: dict[int, float] = {}
-        self._fine = False
+        self._stretches, self._asked = stretches, 0.0
 
-    def come(self, p: Array, noise: float) -> None:
-        """Take a position (3,) [m] that was accepted. noise: of one position, on an axis [m]."""
-        self._stretches.come(p, noise)
-
-    def advance(self, noise: float) -> None:
-        """Try one cut, or ask again where the path has grown. noise: of one position, on an axis [m]."""
-        if self._snapshot is not None:
-            self._try(self._snapshot)
+    def come(self, noise: float) -> None:
+        """Ask again where the path has grown. noise: of one position, on an axis [m]."""
+        path, k = self._stretches.path, self._stretches.k
+        if path - self._asked < _ANEW or path < 2.0 * MIN_PATH:
             return
-        path, k = self._stretches.path, self._stretches.k
-        if path - self._asked >= _ANEW and path >= 2.0 * MIN_PATH and k > 2 * _MIN:
-            self._ask(noise)
-
-    def _ask(self, noise: float) -> None:
-        path, k = self._stretches.path, self._stretches.k
-        self._snapshot, self._asked, self._fine = self._stretches.points, path, False
-        self._noise = noise**2 * float(np.mean(1.0 / self._stretches.counts))
+        self._asked, points = path, self._stretches.points
         ends = max(_MIN, math.ceil(MIN_PATH * k / path))
-        first, last = ends, k - ends
-        if last <= first:
-            self._snapshot = None
+        cut = _cheapest(points, np.arange(ends, k - ends + 1))
+        if cut is None:
             return
-        self._tried = {}
-        self._left = np.unique(np.linspace(first, last, _CUTS).round().astype(int)).tolist()
-
-    def _try(self, points: Array) -> None:
-        if self._left:
-            cut = self._left.pop()
-            self._tried[cut] = squares(points[:cut]) + squares(points[cut:])
-            return
-        best = min(self._tried, key=lambda cut: self._tried[cut])
-        if not self._fine:
-            self._fine = True
-            step = (max(self._tried) - min(self._tried)) / max(len(self._tried) - 1, 1)
-            near = {best + round(share * step) for share in _FINER}
-            self._left = [cut for cut in near if cut not in self._tried and _MIN <= cut <= len(points) - _MIN]
-            return
-        n, self._snapshot = len(points), None
-        one = squares(points) / (2 * n - _PARAMETERS) - self._noise
-        two = self._tried[best] / (2 * n - 2 * _PARAMETERS) - self._noise
+        white = noise**2 * float(np.mean(1.0 / self._stretches.counts))
+        one = squares(points) / (2 * k - _PARAMETERS) - white
+        two = _cost(points, cut) / (2 * k - 2 * _PARAMETERS) - white
         self.found = vanishes(one, two)
 
 

@@ -86,7 +86,6 @@ class ByCamera:
             effects=chosen["effects"],
             heard=buffer.collected(),
             clock_limit=chosen["clock_limit_s"],
-            page=bool(chosen["out"]),
         )
         done = partial(self._solved, buffer, buffer.forgotten, answer)
         worker.give(name, solve_corners, job, finish=done, fail=partial(answer, False))

@@ -70,7 +70,6 @@ class CornerJob:
     effects: bool
     heard: SampleMemory
     clock_limit: float
-    page: bool = True
 
 
 def solve_corners(job: CornerJob) -> CameraSolved:
@@ -85,7 +84,7 @@ def solve_corners(job: CornerJob) -> CameraSolved:
         robot.chain, job.cameras, inertias=robot.inertias, beside=others, look_for_effects=job.effects
     )
     solution = solve_camera(about, np.random.default_rng(job.seed))
-    report = camera_report(solution, robot, len(job.cameras[0].views), {}, page=job.page)
+    report = camera_report(solution, robot, len(job.cameras[0].views), {})
     apply = solution.claim.decision.word == APPLY
     return CameraSolved(dict(report.files), str(report.data["verdict"]), apply, solution.fit)
 

@@ -39,7 +39,7 @@ from modcal_core.articulation.joint_motion import (
 )
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.track import Track
-from modcal_core.geometry import Array, posed, rotation_vector, so3, turned
+from modcal_core.geometry import Array, posed, so3, turned
 
 
 class AxisModel(ArticulationModel):
@@ -119,19 +119,10 @@ class AxisMotion(Motion):
         """The same, of positions y (n, 3) in G's axes from the start."""
 
     def placed(self, p: Array, R: Array | None, sigma: tuple[float, float]) -> tuple[float, Array]:
-        """Configuration and residual (3,) or (6,) of one pose: as ``configurations`` and ``residuals`` of many.
-
-        In plain numbers, as arrays of one take longer to begin than this to finish.
-        """
-        x, y, z = (self.G.T @ (p - self.p)).tolist()
-        Q = self.G.T @ R @ (self.R.T @ self.G) if R is not None and self.R is not None else None
-        a, shift, Q = self.put(x, y, z, Q, sigma)
-        return a, np.array(shift) if Q is None else np.array([*shift, *rotation_vector(Q)])
-
-    @abstractmethod
-    def put(self, x: float, y: float, z: float, Q: Array | None,
-            sigma: tuple[float, float]) -> tuple[float, list[float], Array | None]:  # fmt: skip
-        """Configuration, shift and turn that are left, of a position and a turn Q (3, 3) in G's axes."""
+        """Configuration and residual (3,) or (6,) of one pose: as ``configurations`` and ``residuals`` of many."""
+        track = Track.trusted(p[None], None if R is None else R[None])
+        a = self.configurations(track, sigma)
+        return float(a[0]), self.residuals(track, a)[0]
 
     def expanded(self, track: Track, a: Array, derivatives: bool = True) -> tuple[Array, Array]:
         """Residuals and, beside them, their derivatives by the parameters (n, m, 1 + size); derivatives by a (n, m)."""

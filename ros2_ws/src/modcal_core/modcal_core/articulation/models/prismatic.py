@@ -51,11 +51,6 @@ class PrismaticMotion(AxisMotion):
         """How far along (n,) [m]."""
         return y[:, 0]
 
-    def put(self, x: float, y: float, z: float, Q: Array | None,
-            sigma: tuple[float, float]) -> tuple[float, list[float], Array | None]:  # fmt: skip
-        """How far along, and what is left across."""
-        return x, [0.0, y, z], Q
-
     def unwind(self, part: Array, a: Array, both: Array, by_a: Array, derivatives: bool) -> None:
         """Write what positions leave."""
         part[:, 0, 0] -= a

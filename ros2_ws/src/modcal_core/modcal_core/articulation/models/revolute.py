@@ -127,25 +127,6 @@ class RevoluteMotion(AxisMotion):
         """Configurations (n,) where the angles are a: the same, but on a thread."""
         return a
 
-    def put(self, x: float, y: float, z: float, Q: Array | None,
-            sigma: tuple[float, float]) -> tuple[float, list[float], Array | None]:  # fmt: skip
-        """The angle, and what is left once it is unwound."""
-        y -= self.r
-        a, u = math.atan2(x, -y), 0.0
-        w = (math.hypot(x, y) * self.r + 1e-12) / sigma[0] ** 2
-        if Q is not None and sigma[1] < 1e6:
-            u = 1.0 / sigma[1] ** 2
-            about = math.atan2(Q[1, 0] - Q[0, 1], Q[0, 0] + Q[1, 1])
-            a = _wrapped(about + _wrapped(a - about) * w / (w + u))
-        a = self.put_on_thread(a, z, w, u, sigma[0])
-        c, s = math.cos(a), math.sin(a)
-        shift = [c * x + s * y, c * y - s * x + self.r, z - self.h * a]
-        return a, shift, None if Q is None else np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ Q
-
-    def put_on_thread(self, a: float, z: float, w: float, u: float, sigma: float) -> float:
-        """The configuration where the angle is a: the same, but on a thread."""
-        return a
-
     def by_shift(self) -> Array:
         """What no position changes (3, 3): how residuals shift with the start and log r, before unwinding."""
         rise, run = self.climb
@@ -279,10 +260,6 @@ def _unwinding(a: Array) -> Array:
     C[:, 1, 0] = -C[:, 0, 1]
     C[:, 2, 2] = 1.0
     return C
-
-
-def _wrapped(angle: float) -> float:
-    return angle - 2.0 * math.pi * math.ceil((angle - math.pi) / (2.0 * math.pi))
 
 
 MODEL = Revolute()

@@ -58,11 +58,6 @@ class RigidMotion(AxisMotion):
         """Zeros (n,)."""
         return np.zeros(len(y))
 
-    def put(self, x: float, y: float, z: float, Q: Array | None,
-            sigma: tuple[float, float]) -> tuple[float, list[float], Array | None]:  # fmt: skip
-        """All of it is left."""
-        return 0.0, [x, y, z], Q
-
     def unwind(self, part: Array, a: Array, both: Array, by_a: Array, derivatives: bool) -> None:
         """Write what positions leave."""
         both[:, :3, : part.shape[2]] = part

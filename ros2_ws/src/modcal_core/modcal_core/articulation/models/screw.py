@@ -83,14 +83,6 @@ class ScrewMotion(RevoluteMotion):
             a = a - slope / ((w + u) * np.maximum(np.cos(a - angle), 0.2) + v)
         return a
 
-    def put_on_thread(self, a: float, z: float, w: float, u: float, sigma: float) -> float:
-        """The same of one."""
-        angle = a
-        for _ in range(3):
-            slope = (w + u) * math.sin(a - angle) - self.h * (z - self.h * a) / sigma**2
-            a -= slope / ((w + u) * max(math.cos(a - angle), 0.2) + (self.h / sigma) ** 2)
-        return a
-
     def unwind(self, part: Array, a: Array, both: Array, by_a: Array, derivatives: bool) -> Array:
         """Write what positions leave; Rz(−a) (n, 3, 3)."""
         C = super().unwind(part, a, both, by_a, derivatives)
