@@ -50,8 +50,8 @@ from modcal_msgs_py.topics import Topics
 from modcal_nodes.calibrating.diagnostics import standing_of_json
 from modcal_nodes.io.inputs import read_cell, read_topics
 from modcal_nodes.vision import grey_of
-from modcal_nodes.vision.corner_table import corners_of_text
-from modcal_nodes.vision.images import joints_of_text, lens_from_data
+from modcal_nodes.vision.corner_table import corners_of
+from modcal_nodes.vision.images import csv_cells, joints_of, lens_from_data
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 URDF = (EXAMPLES / "robots" / "ur10.urdf").read_text()
@@ -323,9 +323,9 @@ def other_files_target() -> Target:
         "kalibr target": lambda data: target_from_data(data, "aprilgrid.yaml"),
         "body": body_of,
         "tag bundles": body_of,
-        "corners": lambda data: corners_of_text(csv(data), body, "corners.csv"),
+        "corners": lambda data: corners_of(csv_cells(csv(data), "corners.csv"), body, "corners.csv"),
         "camera_info": lambda data: lens_from_data(data, "camera.yaml"),
-        "joints": lambda data: joints_of_text(csv(data), ("a", "b"), "joints.csv"),
+        "joints": lambda data: joints_of(csv_cells(csv(data), "joints.csv"), ("a", "b"), "joints.csv"),
     }
     files |= {name: (BASES["files"][name], read) for name, read in readers.items()}
     ways, order = {name: places(base) for name, (base, _) in files.items()}, sorted(files)

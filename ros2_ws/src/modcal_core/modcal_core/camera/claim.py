@@ -77,10 +77,6 @@ class ToolError:
         """Chance that the calibrated arm is no better than the nominal one, every statement wrong by its chance."""
         return float(sum(one.chance * np.mean(one.calibrated >= one.nominal) for one in self.by.values()))
 
-    def if_wrong(self, what: str) -> float:
-        """Upper end of the 95 % interval of the calibrated arm [m] if this statement is wrong."""
-        return float(np.quantile(self.by[what].calibrated, _ENDS[2]))
-
     @property
     def as_stated(self) -> ToolError:
         """The same if all that was stated is right."""
@@ -213,8 +209,8 @@ def rests_on(fit: CameraFit, doubted: Sequence[DoubtedStatement], q: Array, erro
     if free < _RESTS * held:
         return None
     per_unit = C[:P, size].mean(axis=1) / free**2
-    moved = fit.flange_motions(q) @ per_unit
-    return RestsOn(free, float(np.sqrt((moved**2).sum() / len(q))), error.if_wrong(SIZE))
+    moved, if_wrong = fit.flange_motions(q) @ per_unit, float(np.quantile(error.by[SIZE].calibrated, _ENDS[2]))
+    return RestsOn(free, float(np.sqrt((moved**2).sum() / len(q))), if_wrong)
 
 
 def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:

@@ -291,20 +291,16 @@ def first_fit(camera: Camera) -> CameraFit:
     The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or marker would make all
     errors look as large as its own.
     """
-    table = camera.table
-    if not table.places:
-        fit = fitted(camera)
-        again = _without(camera, table.weight == 0.0, fit)
-        return fit if again is None else fitted(again, fit)
-    far = np.zeros(table.markers, bool)
-    last: CameraFit | None = None
-    for usual_sizes in (True, False):
-        for _ in range(_CLEANED):
+    body, far, last = camera.table.places > 0, np.zeros(camera.table.markers, bool), None
+    for usual_sizes in (True, False) if body else (False,):
+        for _ in range(_CLEANED if body else 1):
             fit = fitted(camera, last, fixed_sizes=usual_sizes)
-            out = gross(fit.pixels) if usual_sizes else misread_points(fit)
-            far |= far_markers(fit)
+            out = fit.table.weight == 0.0
+            if body:
+                far |= far_markers(fit)
+                out = (gross(fit.pixels) if usual_sizes else misread_points(fit)) | far[fit.table.marker]
             last = replace(fit, sizes=START) if usual_sizes else fit
-            again = _without(camera, out | far[fit.table.marker], None if usual_sizes else fit)
+            again = _without(camera, out, None if usual_sizes else fit)
             if again is None:
                 break
             camera = again

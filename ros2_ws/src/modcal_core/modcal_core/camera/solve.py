@@ -295,7 +295,9 @@ def solve_camera(
         decision = no_length(judged, body)
     at = in_view, tool_error(fit, still, anywhere, draws), alone
     return CameraSolution(
-        *(fit, geometric, still),
+        fit,
+        geometric,
+        still,
         CameraEvidence(change, defaults, causes, left, weak, against, open_points),
         CameraClaim(*at, replace(decision, doubtful=doubtful), known, rests, metric, held_out(still, fit)),
     )

@@ -74,13 +74,8 @@ class SetupReadings:
 
     def residual(self, setup: Setup) -> Array:
         """How far a setup misses each reading [m], (N,), angles by the lever."""
-        T = setup.D @ self.A @ setup.X
-        square = np.sum((self.B[:, :3, 3] - T[:, :3, 3]) ** 2, axis=1)
-        if self.poses:
-            # |R − R'|² = 8 sin²(angle / 2)
-            gap = np.sum((self.B[:, :3, :3] - T[:, :3, :3]) ** 2, axis=(1, 2))
-            square += (2.0 * self.lever * np.arcsin(np.sqrt(np.clip(gap / 8.0, 0.0, 1.0)))) ** 2
-        return np.asarray(np.sqrt(square))
+        gap = se3.error(setup.D @ self.A @ setup.X, self.B) * np.repeat([1.0, self.lever if self.poses else 0.0], 3)
+        return np.asarray(np.linalg.norm(gap, axis=1))
 
     def tool(self, rows: np.ndarray, D: Array) -> Array:
         """The tools (..., 4, 4) that the readings of these rows (..., n) show best, the base being at D, (4, 4) or one

@@ -78,7 +78,9 @@ class ByCamera:
         chosen = self._chosen
         self._given = [list(one.images) for one in self.intake.every]
         job = CornerJob(
-            *(self.intake.cameras(), arm.description, chosen["base"]),
+            cameras=self.intake.cameras(),
+            urdf=arm.description,
+            base=chosen["base"],
             tip=arm.chain.tip if arm.chain is not None else chosen["tip"],
             seed=chosen["seed"],
             effects=chosen["effects"],

@@ -81,7 +81,7 @@ def solve_corners(job: CornerJob) -> CameraSolved:
     except ModcalError:  # no other instrument, or too little of it
         others = None
     about = CameraProblem(
-        *(robot.chain, job.cameras), inertias=robot.inertias, beside=others, look_for_effects=job.effects
+        robot.chain, job.cameras, inertias=robot.inertias, beside=others, look_for_effects=job.effects
     )
     solution = solve_camera(about, np.random.default_rng(job.seed))
     report = camera_report(solution, robot, len(job.cameras[0].views), {})

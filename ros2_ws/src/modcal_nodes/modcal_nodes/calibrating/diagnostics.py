@@ -33,11 +33,6 @@ class Standing:
     claim_mm: float | None = None
     apply: bool | None = None
 
-    @property
-    def at_floor(self) -> bool:
-        """Whether the error is as small as arm and instrument can be."""
-        return self.status == "at_floor"
-
 
 def standing_of(report: str | None) -> Standing | None:
     """What may be said of a model by the text of its ``report.json``; None without one, or without a verdict in it."""
@@ -126,7 +121,7 @@ def model_status(
         return Status("model", WARN, verdict, facts)
     known = standing.line.partition(":")[0].rstrip(".") in verdict
     text = verdict if known else f"{verdict.rstrip('. ')}. {standing.line}"
-    return Status("model", OK if standing.at_floor else WARN, text, facts)
+    return Status("model", OK if standing.status == "at_floor" else WARN, text, facts)
 
 
 def collected(supervisor: Supervisor) -> str:

@@ -119,7 +119,7 @@ class Buffer:
             return
         self._now.add(source, stamp, (topic, type_name, message, received))
         if self._before is not None and self._now.count > _OVERTAKEN:
-            self._finish(self._before)
+            self._pieces.append(self._before.recording())
             self._before = None
 
     def _elsewhen(self, source: tuple[str, str], stamp: float) -> bool:
@@ -136,7 +136,7 @@ class Buffer:
         set_back = stamp < self._now.joints_to - _JUMP
         if set_back or stamp - self._now.joints_from > self._longest:
             if self._before is not None:
-                self._finish(self._before)
+                self._pieces.append(self._before.recording())
             # Each topic is taken in one go: its messages come up to a hundred before, or after, those of another. So
             # readings of the piece that ends may come yet; where the clock was set back, some since may have come.
             self._before, self._now = self._now, _MessageBlock()
@@ -149,14 +149,6 @@ class Buffer:
         for early in self._early:
             self._now.add(*early)
         self._early.clear()
-
-    def _finish(self, piece: _MessageBlock) -> None:
-        self._pieces.append(piece.recording())
-
-    @property
-    def full(self) -> bool:
-        """Whether there are finished pieces that could be made into samples."""
-        return bool(self._pieces)
 
     def collected(self) -> SampleMemory:
         """Everything remembered."""

@@ -250,8 +250,8 @@ class Calibrator(ros.ManagedNode):
                 self._answer(False, refusal)
         elif self._arm.chain is None:
             self._buffer.keep(1)  # nobody can say what these are good for; they must not grow without end
-        elif self._buffer.full:
-            pieces, most = self._buffer.pieces, self._chosen["max_stations"]
+        elif pieces := self._buffer.pieces:
+            most = self._chosen["max_stations"]
             work = self._buffer.finished(), self._arm.chain, self._chosen["clock_limit_s"], most
             now = self._buffer.forgotten
             done, fail = partial(self._condensed, pieces, now), partial(self._left_out, pieces, now)

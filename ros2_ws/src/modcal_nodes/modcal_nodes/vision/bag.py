@@ -49,7 +49,14 @@ from modcal_msgs_py import (
     tag_topics,
 )
 from modcal_nodes.vision.detection import Detection, detect, implausible, marker_corners
-from modcal_nodes.vision.images import FoundTargets, ImageFolder, grey_of_file, in_eight_bits, is_mosaic, lens_from_data
+from modcal_nodes.vision.images import (
+    FoundTargets,
+    ImageFolder,
+    in_eight_bits,
+    is_mosaic,
+    lens_from_data,
+    unpacked_grey,
+)
 
 _ENCODINGS: dict[str, tuple[int, int | None]] = {  # bytes a pixel, and how it becomes grey
     **dict.fromkeys(("mono8", "8UC1"), (1, None)),
@@ -70,8 +77,10 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {  # bytes a pixel, and how it b
 
 def grey_of(image: RawImage) -> tuple[np.ndarray | None, str]:
     """(grey image (h, w) of 8 bits, what was done to it, or nothing) or (None, why not and what to do)."""
+    if image.compressed and "compressedDepth" in image.encoding:
+        return None, "is a depth image: choose the camera's own topic with --image-topic"
     if image.compressed:
-        return _unpacked(image)
+        return unpacked_grey(image.data, "cannot be unpacked: record it again", "publish 8 bits")
     if image.encoding not in _ENCODINGS:
         return None, f"is of encoding {image.encoding[:30]}, which is not read: publish mono8, mono16 or rgb8"
     channels, code = _ENCODINGS[image.encoding]
@@ -86,18 +95,6 @@ def grey_of(image: RawImage) -> tuple[np.ndarray | None, str]:
     if is_mosaic(grey):
         return None, "is a raw Bayer mosaic sent as grey: debayer it, or publish its encoding"
     return in_eight_bits(grey)
-
-
-def _unpacked(image: RawImage) -> tuple[np.ndarray | None, str]:
-    if "compressedDepth" in image.encoding:
-        return None, "is a depth image: choose the camera's own topic with --image-topic"
-    try:
-        found = cv2.imdecode(image.data, cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        found = None
-    if found is None:
-        return None, "cannot be unpacked: record it again"
-    return grey_of_file(found, "publish 8 bits")
 
 
 _MAX = 200  # images that are looked at

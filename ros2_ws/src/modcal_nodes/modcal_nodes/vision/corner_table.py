@@ -16,7 +16,7 @@ import numpy as np
 
 from modcal_core.camera import APRIL_GRID, ARUCO_GRID, MARKER_CORNERS, TAG, BoardView, MarkerBundle, PrintedTarget
 from modcal_core.errors import BadTable, NotEnoughData
-from modcal_nodes.vision.images import ImageFolder, JointTable, csv_rows, joints_of_text, text_of
+from modcal_nodes.vision.images import ImageFolder, JointTable, joints_of, read_csv
 
 _MARKER, _CORNER = r"(?:marker|tag|aruco|m|id)[_ -]?", r"(?:corner|point|p|c)[_ -]?"
 _WIDE = re.compile(
@@ -117,16 +117,13 @@ def read_corner_tables(
     folder. sizes: of the images by camera_key of the camera, "" for any, where the table has none. Raises ModcalError.
     """
     source = str(file)
-    text = text_of(file)
-    rows = corners_of_text(text, target, source)
-    header = csv_rows(text, source)[0]
-    by_row = not {"image", "stamp"} & set(header)
-    if by_row and joints.resolve() != file.resolve():
-        counts = [len(csv_rows(one, name)) - 1 for one, name in ((text, source), (text_of(joints), str(joints)))]
-        if counts[0] != counts[1]:
-            said = f"has {counts[0]} rows and no column image, {joints} has {counts[1]} rows"
-            raise BadTable(source, said, "say in a column image of both which rows belong together")
-    table = joints_of_text(text_of(joints), names, str(joints), joints.resolve() == file.resolve(), by_row)
+    cells, told = read_csv(file), read_csv(joints)
+    rows = corners_of(cells, target, source)
+    same, by_row = joints.resolve() == file.resolve(), not {"image", "stamp"} & set(cells[0])
+    if by_row and len(cells) != len(told):
+        said = f"has {len(cells) - 1} rows and no column image, {joints} has {len(told) - 1} rows"
+        raise BadTable(source, said, "say in a column image of both which rows belong together")
+    table = joints_of(told, names, str(joints), same, by_row)
     out = {}
     for camera in dict.fromkeys(row.camera for row in rows):
         own = [row for row in rows if row.camera == camera]
@@ -179,9 +176,8 @@ def _folder(
     return ImageFolder(tuple(views), q, velocity, size, left_out, notes=tuple(dict.fromkeys(notes)))
 
 
-def corners_of_text(text: str, target: PrintedTarget | MarkerBundle, source: str) -> list[_Row]:
-    """The rows of a table of corners in a text, checked. Raises ModcalError, naming the source."""
-    rows = csv_rows(text, source)
+def corners_of(rows: list[list[str]], target: PrintedTarget | MarkerBundle, source: str) -> list[_Row]:
+    """The corners in the cells of a table, checked. Raises ModcalError, naming the source."""
     header = rows[0] if rows else []
     wide = wide_columns(header, source)
     if not wide:

@@ -176,7 +176,9 @@ def _seen(grey: np.ndarray, target: PrintedTarget | MarkerBundle) -> _Corners | 
         ok, corners = cv2.findChessboardCornersSB(grey, shape, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if not ok:
             return None
-        pixels = _turned_right(grey, np.asarray(corners, dtype=float).reshape(-1, 2), shape)
+        pixels = np.asarray(corners, dtype=float).reshape(-1, 2)
+        if _contrast(grey, target, homography(target.points[:, :2], pixels)) < 0.0:  # found from its other end
+            pixels = pixels[::-1]
         return _refined(grey, target, np.arange(len(pixels)), pixels)
     for legacy in (False, True):
         corners, ids, _, _ = _charuco(target, legacy).detectBoard(grey)
@@ -249,48 +251,36 @@ def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: A
     return (ids[near], fine[near], half) if near.any() else None
 
 
-def _turned_right(grey: np.ndarray, pixels: Array, shape: tuple[int, int]) -> Array:
-    """Corners of a chessboard in the order of its numbers: the square before the first corner is black."""
-    grid = pixels.reshape(shape[1], shape[0], 2)
-
-    def first_square(g: Array) -> float:
-        at = np.clip(np.rint(g[0, 0] - 0.5 * (g[1, 1] - g[0, 0])), 0, np.array(grey.shape)[::-1] - 1).astype(int)
-        beside = np.clip(np.rint(0.5 * (g[0, 0] + g[1, 1]) + (g[0, 0] - g[1, 0])), 0, np.array(grey.shape)[::-1] - 1)
-        x, y = beside.astype(int)
-        return float(grey[at[1], at[0]]) - float(grey[y, x])
-
-    turned = grid[::-1, ::-1]
-    return np.ascontiguousarray(min((grid, turned), key=first_square)).reshape(-1, 2)
-
-
 def _no_such_board(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> Detection | None:
     """Why a grid of corners is no chessboard of so many squares: its own do not alternate, or those beyond it do."""
     H = homography(target.points[ids, :2], pixels)
-    c, r = target.columns, target.rows
-    own = [(i, j) for i in range(c) for j in range(r)]
-    inside, black = _greys(grey, H, target, own), np.array([(i + j) % 2 == 0 for i, j in own])
-    seen = [values[np.isfinite(values)] for values in (inside[black], inside[~black])]
-    contrast = float(np.median(seen[1]) - np.median(seen[0])) if min(map(len, seen)) else 0.0
+    contrast, (c, r) = _contrast(grey, target, H), (target.columns, target.rows)
     if abs(contrast) < _ALTERNATES * float(np.percentile(grey, 99) - np.percentile(grey, 1)):
         return _why_not(grey, target)
     for squares in (*([(i, j) for j in range(r)] for i in (-1, c)), *([(i, j) for i in range(c)] for j in (-1, r))):
-        beyond, dark = _greys(grey, H, target, squares), np.array([(i + j) % 2 == 0 for i, j in squares])
-        if not (np.isfinite(beyond[dark]).any() and np.isfinite(beyond[~dark]).any()):
-            continue
-        if float(np.nanmin(beyond[~dark]) - np.nanmax(beyond[dark])) > _ALTERNATES * abs(contrast):
+        dark, light = _greys(grey, H, target, squares)
+        if len(dark) and len(light) and float(light.min() - dark.max()) > _ALTERNATES * abs(contrast):
             return Detection(None, f"shows more squares than a {target.label}", "count the squares of the board")
     return None
 
 
-def _greys(grey: np.ndarray, H: Array, target: PrintedTarget, squares: Sequence[tuple[int, int]]) -> Array:
-    """Grey values in the middle of squares (column, row), NaN outside the image."""
+def _contrast(grey: np.ndarray, target: PrintedTarget, H: Array) -> float:
+    """By how much a chessboard's white squares are lighter than its black ones, 0 where it is hardly in the image."""
+    own = [(i, j) for i in range(target.columns) for j in range(target.rows)]
+    dark, light = _greys(grey, H, target, own)
+    return float(np.median(light) - np.median(dark)) if len(dark) and len(light) else 0.0
+
+
+def _greys(
+    grey: np.ndarray, H: Array, target: PrintedTarget, squares: Sequence[tuple[int, int]]
+) -> tuple[Array, Array]:
+    """Grey values in the middle of those of squares (column, row) that are in the image: of black ones, of white."""
     first = target.points[0, :2] - target.square
     at = np.c_[first + (np.array(squares) + 0.5) * target.square, np.ones(len(squares))] @ H.T
     xy = np.rint(at[:, :2] / at[:, 2:]).astype(int)
-    ok = ((xy >= 0) & (xy < np.array(grey.shape)[::-1])).all(axis=1)
-    out = np.full(len(squares), np.nan)
-    out[ok] = grey[xy[ok, 1], xy[ok, 0]]
-    return out
+    inside = ((xy >= 0) & (xy < np.array(grey.shape)[::-1])).all(axis=1)
+    values, black = grey[xy[inside, 1], xy[inside, 0]].astype(float), (np.sum(squares, axis=1) % 2 == 0)[inside]
+    return values[black], values[~black]
 
 
 def _misfit(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> float:

@@ -82,14 +82,18 @@ def read_images(
         raise BadRecording(str(folder), "holds no image", f"give a folder with {', '.join(SUFFIXES[:3])} files")
     if len(files) > _MAX_IMAGES:
         raise BadRecording(str(folder), f"holds {len(files)} images, {_MAX_IMAGES} are read", "give fewer")
-    rows = joints_of_text(text_of(joints), names, str(joints))
+    rows = joints_of(read_csv(joints), names, str(joints))
     found, at = FoundTargets(), list[tuple[Array, Array]]()
     for i, file in enumerate(files):
         progress("finding the target", i / len(files))
         if (place := rows.at(file)) is None:
             found.left_out[file.name] = "the table has no joints for it: give it a row"
             continue
-        grey, why = _read_grey(file)
+        if file.stat().st_size > _MAX_BYTES:
+            found.left_out[file.name] = f"has more than {_MAX_BYTES >> 20} MiB: give a smaller image"
+            continue
+        packed = np.frombuffer(file.read_bytes(), np.uint8)
+        grey, why = unpacked_grey(packed, "cannot be read as an image: save it again", "convert it to 8 bits")
         if grey is None:
             found.left_out[file.name] = why
         elif found.take(detect(grey, target, file.name), file.name, (grey.shape[1], grey.shape[0]), why):
@@ -206,24 +210,17 @@ def _order(file: Path) -> tuple[float, str]:
     return (float(digits) if digits and len(digits) < 300 else 0.0, file.name)
 
 
-def _read_grey(file: Path) -> tuple[np.ndarray | None, str]:
-    """(grey image of 8 bits, what was done to it, or nothing) or (None, why not and what to do)."""
-    if file.stat().st_size > _MAX_BYTES:
-        return None, f"has more than {_MAX_BYTES >> 20} MiB: give a smaller image"
+def unpacked_grey(packed: np.ndarray, damaged: str, remedy: str) -> tuple[np.ndarray | None, str]:
+    """(grey image of 8 bits, what was done to it, or nothing) or (None, why not and what to do) of a packed image.
+
+    damaged: said of one that is none. remedy: for one whose numbers are not read.
+    """
     try:
-        image = cv2.imdecode(np.frombuffer(file.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(packed, cv2.IMREAD_UNCHANGED)
     except cv2.error:  # empty, or of more pixels than OpenCV reads
         image = None
     if image is None:
-        return None, "cannot be read as an image: save it again"
-    return grey_of_file(image, "convert it to 8 bits")
-
-
-def grey_of_file(image: np.ndarray, remedy: str) -> tuple[np.ndarray | None, str]:
-    """(grey image of 8 bits, what was done to it, or nothing) or (None, why not) of an image as OpenCV unpacks it.
-
-    remedy: for one whose numbers are not read.
-    """
+        return None, damaged
     if image.dtype not in (np.uint8, np.uint16):
         return None, f"has {8 * image.dtype.itemsize} bits a channel: {remedy}"
     if image.ndim == 3:
@@ -288,17 +285,17 @@ def _stamp(text: str) -> float | None:
     return (1e-9 * stamp if stamp > _NANOSECONDS else stamp) if np.isfinite(stamp) else None
 
 
-def text_of(path: Path) -> str:
-    """The text of a table. Raises BadTable for one that is too large or is none."""
+def read_csv(path: Path) -> list[list[str]]:
+    """The cells of a table. Raises BadTable for one that is too large or is none."""
     if path.stat().st_size > _MAX_TABLE:
         raise BadTable(str(path), f"has more than {_MAX_TABLE >> 20} MiB", "give a table of joints")
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return csv_cells(path.read_text(encoding="utf-8-sig"), str(path))
     except UnicodeDecodeError as error:
         raise BadTable(str(path), "is not UTF-8 text", "give a CSV file") from error
 
 
-def csv_rows(text: str, source: str) -> list[list[str]]:
+def csv_cells(text: str, source: str) -> list[list[str]]:
     """The cells of a CSV with commas or semicolons, rows without any left out. Raises BadTable, naming the source."""
     first = text.partition("\n")[0]
     delimiter = ";" if first.count(";") > first.count(",") else ","
@@ -315,14 +312,13 @@ def joint_column(cell: str) -> tuple[str, float]:
     return (found[1].strip(), _UNITS[found[2].lower()]) if found else (cell, 1.0)
 
 
-def joints_of_text(
-    text: str, names: Sequence[str], source: str, repeated: bool = False, by_row: bool = False
+def joints_of(
+    table: list[list[str]], names: Sequence[str], source: str, repeated: bool = False, by_row: bool = False
 ) -> JointTable:
-    """The table of joints in a text, checked. repeated: an image may have several rows of the same joints, as in a
+    """The joints in the cells of a table, checked. repeated: an image may have several rows of the same joints, as in a
     table of corners. by_row: rows are of the images by their number, from 1, where no column says of which. Raises
     BadTable, naming the source.
     """
-    table = csv_rows(text, source)
     if len(table) < 2:
         raise BadTable(source, "holds no row of joints", "give a line of column names, then one row an image")
     header, scales = zip(*(joint_column(cell) for cell in table[0]), strict=True)
