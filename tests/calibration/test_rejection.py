@@ -235,6 +235,6 @@ def test_a_curve_is_learned_where_few_stations_are() -> None:
     assert again.stations >= 3
     assert {p.joint for p in again.places} == {"elbow_joint"}
     assert all(p.low > 0.6 and p.high < 1.26 and p.stations <= p.of <= 15 for p in again.places)
-    assert f", {again.stations} taken in again after that" in sentence(done.report)
+    assert f", {again.stations} taken in again after they had been rejected" in sentence(done.report)
     assert any("taken in again" in note and "elbow_joint" in note for note in done.report.notes)
     assert to_json_data(done.report)["recording"]["readmitted"] == again.stations

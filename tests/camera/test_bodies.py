@@ -409,7 +409,7 @@ def test_detections_of_tags_in_a_bag_are_of_a_body(tmp_path: Path) -> None:
         points = [body.point(int(n) + GRID.first_id, corner) for n in whole for corner in range(4)]
         assert view.ids.tolist() == points
         assert view.pixels == pytest.approx(expected.pixels[np.isin(expected.ids // 4, whole)])
-    with pytest.raises(NotEnoughData, match="no marker of the body"):
+    with pytest.raises(NotEnoughData, match="no tag of the target"):
         read_bag_images(
             bag,
             read_recording(bag),

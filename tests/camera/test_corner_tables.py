@@ -92,7 +92,7 @@ def test_corners_of_sheets_by_number_or_by_marker(tmp_path: Path) -> None:
         ("image,id,u,v\n1,3,2,3\n1,3,5,6\n", "has a corner twice"),
         ("image,marker,corner,u,v\n1,3,0,2,3\n", "has a marker, which a charuco has none of"),
         ("image,id,corner,u,v\n1,3,4,2,3\n", "has corner 4 of a marker"),
-        ("image,id,u,v,width,height\n1,3,2,3,100,80\n1,4,2,3,100,81\n", "those before of 100 × 80"),
+        ("image,id,u,v,width,height\n1,3,2,3,100,80\n1,4,2,3,100,81\n", "images of 100 × 80 and of 100 × 81"),
         ("image,id,u,v\n1,3,2,nan\n", "not finite"),
         ("image,id,u,v\n1,three,2,3\n", "cannot be read"),
         ("image,id,u,v\n1,3,2,3\n", "how large the images are"),

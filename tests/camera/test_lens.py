@@ -61,7 +61,9 @@ def test_corner_derivatives(rng: np.random.Generator) -> None:
 
     def predicted(x: Array) -> Array:
         moved = se3.exp(np.stack([x[:6], x[6:12]])) @ T
-        at = corner_rows(table, LENS.moved(x[12:21]), shape + x[21:26], moved, 0.02 + x[26], sweep)
+        at = corner_rows(
+            table, replace(LENS, values=LENS.values + x[12:21]), shape + x[21:26], moved, 0.02 + x[26], sweep
+        )
         return -at.residual.ravel()
 
     J = np.zeros((2 * len(table), 27))

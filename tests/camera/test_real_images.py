@@ -55,14 +55,19 @@ def read() -> tuple[list[BoardView], Array]:
 def test_fitted_corners_agree_better_than_opencvs(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a lens and a flat board, that no simulation has made."""
     from modcal_nodes.vision import detection as detect
+    from modcal_nodes.vision.saddle import SaddleFit
 
     def rms() -> float:
         table = CornerTable.of([replace(v, cov=np.tile(np.eye(2), (len(v), 1, 1))) for v in read()[0]], BOARD)
         return float(np.sqrt(fit_lens(table, first_lens(table, SIZE)).cost / len(table)))
 
+    def unfitted(pixels: Array) -> SaddleFit:
+        none = np.zeros(len(pixels))
+        return SaddleFit(pixels, np.zeros((len(pixels), 2, 2)), none, none > 0.0)
+
     fitted = rms()
     with monkeypatch.context() as patch:
-        patch.setattr(detect, "_fitted", lambda grey, target, ids, pixels, half: (pixels, np.zeros((len(ids), 2, 2))))
+        patch.setattr(detect, "fit_board", lambda grey, target, ids, pixels: unfitted(pixels))
         read.cache_clear()
         opencv = rms()
     read.cache_clear()

@@ -30,7 +30,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.mechanism import inverse_batch
 from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_tree import rerooted
+from modcal_core.robots.urdf_write import rerooted
 from modcal_msgs_py.images import CLOUD, fill_corners
 from modcal_msgs_py.layout import message_class
 from modcal_msgs_py.mcap_write import BagWriter

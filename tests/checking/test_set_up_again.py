@@ -17,8 +17,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.samples import Samples
 from modcal_core.public import calibrate, check
-from modcal_core.report.blocks import SummaryLine
-from modcal_core.report.checkup import checkup_data, checkup_summary
+from modcal_core.report.blocks import TableBlock
+from modcal_core.report.checkup import checkup_data, checkup_report
 from modcal_core.robot import Robot
 from modcal_core.robots.kinematics import spatial_jacobian
 from modcal_nodes.simulation.mjcf import World
@@ -39,15 +39,15 @@ def test_an_unknown_frame_is_placed_and_no_change(cell: Arm, kind: str) -> None:
     first = f"zero of {ur10().names[0]}"
     found = checked(cell, again(), 1, 12, kind, frame="leica")
     assert found.status == "unchanged", found.sentence
-    assert "where frame leica stands was found" in found.sentence
+    assert "the place of leica was found" in found.sentence
     assert found.advice.action == "refit_base"
     assert not {"base", "frame"} & {n.label for n in found.noticed}
     zeros = next(n for n in found.noticed if n.label == "joint zero")
     assert zeros.unseen == (first,)  # the frame that was placed takes it up
     assert zeros.mm < 10.0
     assert checkup_data(found)["not_noticed"] == [first]
-    lines = [line.text for line in checkup_summary(found) if isinstance(line, SummaryLine)]
-    assert any(line.endswith(f"These stations do not show: {first}.") for line in lines)
+    tables = [one.below for one in checkup_report(found, "a", "bag", {}).said if isinstance(one, TableBlock)]
+    assert any(below.endswith(f"These stations do not show: {first}.") for below in tables)
     assert found.expected[0] is not None
     assert found.expected[0] < 2e3 * FLOOR
     assert found.repaired is not None

@@ -101,7 +101,7 @@ def test_joint_offsets_for_ros2_control(tmp_path: Path, capfd: pytest.CaptureFix
     written = {j.get("name"): float(j.findtext("offset", "")) for j in root.iter("joint")}
     assert written == {one.joint: one.value for one in known.found}
     assert {t.findtext("plugin") for t in root} == {"transmission_interface/SimpleTransmission"}
-    assert f"which leave {known.left_mm:.3g} mm RMS of the {known.nominal_mm:.3g} mm corrected" in " ".join(
+    assert f"which leave {known.left_mm:.3g} mm RMS of {known.nominal_mm:.3g} mm corrected" in " ".join(
         capfd.readouterr().out.split()
     )
 

@@ -60,11 +60,10 @@ WRONG: list[tuple[str, Any, str]] = [
     ("tables", 3, "m.yaml: tables: 3 is not a list"),
     ("tables", [], "at least 1 are allowed"),
     ("tables.0.delimiter", ";;", "tables, entry 1: delimiter: ';;' has 2 letters, 1 are allowed"),
-    ("tables.0.delimiter", "\n", "cannot separate columns"),
     ("tables.0.delimiter", ",", "is the delimiter too"),
     ("tables.0.decimal", ",,", "decimal: ',,' is not one of ., ,"),
-    ("tables.0.encoding", "klingon", "'klingon' is not a text encoding"),
-    ("tables.0.encoding", "base64", "'base64' is not a text encoding"),
+    ("tables.0.encoding", "klingon", "is not text in the encoding klingon"),
+    ("tables.0.encoding", "base64", "is not text in the encoding base64"),
     ("tables.0.files", "/etc/*", "is not a file pattern"),
     ("tables.0.joints", {"columns": [1, 2], "unit": "rad"}, "joints: columns: [1, 2] is not a mapping"),
     ("tables.0.joints.columns", {}, "is empty"),
@@ -212,11 +211,14 @@ def written(folder: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        *((f"distances: [{{between: [a, b], distance_m: {mm}}}]", "0 to 50 m is allowed") for mm in (-0.3, 0.0, 50.0)),
+        *(
+            (f"distances: [{{between: [a, b], distance_m: {m}}}]", "is not above 0|at most 50")
+            for m in (-0.3, 0.0, 51.0)
+        ),
         ("distances: [{between: [a, b], distance_m: .nan}]", "distance_m: nan is not a finite number"),
         ("payloads: [{centre_m: [0, 0, 0.05]}]", "mass_kg"),
-        ("payloads: [{mass_kg: -1}]", "0 to .* kg within .* m of the tip are allowed"),
-        ("payloads: [{mass_kg: 1, centre_m: [0, 0, 50]}]", "0 to .* kg within .* m of the tip are allowed"),
+        ("payloads: [{mass_kg: -1}]", "mass_kg: -1 is out of range, 0.0 to 5000.0"),
+        ("payloads: [{mass_kg: 1, centre_m: [0, 0, 50]}]", "centre_m, entry 3: 50 is out of range"),
         ("payloads: [{mass_kg: 1, centre_m: [0, 0]}]", "payloads"),
         ("payloads: [{mass_kg: 1, center_m: [0, 0, 0]}]", "center_m"),
         ("moved: [{stamp: 1.0, what: table}]", "base, tool, both"),

@@ -18,7 +18,7 @@ from robots.test_urdf import robot, serial
 
 from modcal_core.errors import BadRecording, BadRobot, BadTable, about, plain
 from modcal_core.outcome.contents import Outcome
-from modcal_core.report.blocks import SummaryLine, TableBlock
+from modcal_core.report.blocks import TableBlock
 from modcal_core.report.report import summary
 from modcal_core.report.tables import sentence
 from modcal_core.verdict.verdict import Row, Verdict
@@ -42,10 +42,8 @@ def test_stages_effects_and_shares_of_a_report_are_explained() -> None:
     blocks = summary(everything())
     tables = [at for at, block in enumerate(blocks) if isinstance(block, TableBlock)]
     assert len(tables) >= 3
-    for at in tables[:-2]:  # the headings of the accounts explain themselves
-        below = next(block for block in blocks[at + 1 :] if isinstance(block, SummaryLine))
-        assert below.tone == "legend"
-    legends = " ".join(b.text for b in blocks if isinstance(b, SummaryLine) and b.tone == "legend")
+    legends = " ".join(block.below for block in blocks[: tables[-2]] if isinstance(block, TableBlock))
+    assert all(block.below for block in blocks[: tables[-2]] if isinstance(block, TableBlock))
     for word in ("nominal:", "geometric:", "final:", "driver:", "p:", "error:"):
         assert word in legends
 

@@ -199,7 +199,7 @@ def test_an_arm_that_stands_a_little_beside_a_limit_goes_on(tmp_path: Path) -> N
     place.advise()
     start = MIDDLE + (HALF + 2e-3) * np.eye(6)[2]
     number = place.session.pending[0]
-    motion = place.way(number, start, 0.3).motion
+    motion = place.way(number, start, 0.3)
     assert motion is not None
     assert np.allclose(motion.q[0], start)
     with pytest.raises(BadRobot, match="outside limits"):
@@ -214,7 +214,7 @@ def test_no_joint_is_faster_than_its_description_allows(tmp_path: Path) -> None:
         folder.mkdir()
         place = Place(urdf, chosen(folder))
         place.advise()
-        motion = place.way(place.session.pending[0], MIDDLE, 0.3).motion
+        motion = place.way(place.session.pending[0], MIDDLE, 0.3)
         assert motion is not None
         return np.asarray(np.abs(motion.v).max(axis=0))
 

@@ -224,5 +224,5 @@ def test_the_document(capsys: pytest.CaptureFixture[str]) -> None:
     task = task_from_data(yaml.safe_load(re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)[0]), "docs")
     assert [u.name for u in task.uses] == ["structure", "reachability", "joint_range", "payload"]
     exec(re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0], {})
-    assert "LR-II 106.5 mm" in capsys.readouterr().out
+    assert "JR LR-II JR LC G" in capsys.readouterr().out
     assert set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)) >= set(REQUIREMENTS)

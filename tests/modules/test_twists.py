@@ -243,7 +243,10 @@ def columns(model: Model, q: Array, kind: str, every: bool) -> Array:
     """d(tool)/d(η in joint frames, tool), by differences of the product of exponentials, (rows, parameters)."""
     chain = model.chain
     G = np.stack(
-        [*np.array(chain.T_base_joint_home[:-1]) @ se3.transform(chain.joint_basis), chain.home @ model.T_tip_tool]
+        [
+            *np.array(chain.T_base_joint_home[:-1]) @ se3.transform(chain.joint_basis),
+            chain.home @ model.T_tip_tool,
+        ]
     )
 
     def tool(values: Array) -> Array:

@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import array
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from modcal_core.measurements.recording import Recording
-from modcal_msgs_py import mcap_read
-from modcal_msgs_py.mcap_walk import HEAD, PADDING, Block
-from modcal_msgs_py.messages import gathered
 from modcal_msgs_py.track_rows import JointStateBytes, JointStateView, TrackRows
 
 NAMES = st.lists(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=9), max_size=7)
@@ -153,46 +146,3 @@ def test_a_number_that_was_wrongly_expected_takes_no_memory() -> None:
     values = rows.columns()[2]
     assert values.base is not None
     assert np.asarray(values.base).nbytes < 100_000
-
-
-ROOT = Path(__file__).resolve().parents[2]
-BAG = ROOT / "bags" / "ur10_cell"
-
-
-def arrays(recording: Recording) -> list[NDArray[np.float64]]:
-    out = []
-    for track in (*recording.joints, *recording.readings):
-        out += [
-            track.stamps,
-            track.received,
-            *(getattr(track, name) for name in ("position", "values") if hasattr(track, name)),
-        ]
-    return out
-
-
-def test_the_recording_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To the last bit, warnings and the order of tracks included."""
-    merged = mcap_read.read_recording(BAG)
-    monkeypatch.setattr(mcap_read, "gathered", lambda blocks: blocks)
-    apart = mcap_read.read_recording(BAG)
-    assert [track.topic for track in merged.joints] == [track.topic for track in apart.joints]
-    assert [track.topic for track in merged.readings] == [track.topic for track in apart.readings]
-    assert (merged.warnings, merged.robot_description) == (apart.warnings, apart.robot_description)
-    pairs = list(zip(arrays(merged), arrays(apart), strict=True))
-    assert len(pairs) == 6
-    assert all(a.tobytes() == b.tobytes() for a, b in pairs)
-
-
-def test_a_channel_that_is_new_is_met_where_it_was() -> None:
-    """Else topics would be met in the order of their channels, and not of their first messages."""
-
-    def block(*channels: int) -> Block:
-        heads = np.zeros(len(channels), HEAD)
-        heads["channel"] = channels
-        places = np.arange(len(channels), dtype=np.int64)
-        return Block(bytes(len(channels)) + PADDING, heads, places, places + 1)
-
-    found = [
-        b.heads["channel"].tolist() for b in gathered([block(7), block(7), block(7, 3), block(3), block(7), block(1)])
-    ]
-    assert found == [[7], [7], [7, 3], [3, 7], [1]]

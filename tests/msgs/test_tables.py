@@ -98,13 +98,9 @@ def test_other_conventions(folder: Path) -> None:
         ({"joints": {"unit": "grad", "columns": {"a": "j1"}}}, "unit: 'grad' is not one of rad, deg"),
         ({"joints": {"unit": "rad", "columns": {"a": "j9"}}}, "cubes.csv: has no column j9: columns are time, j1"),
         ({"joints": {"unit": "rad", "columns": {"a": "time", "b": "note"}}}, "has no column note"),
-        ({"pose": {"frame": "t", "unit": "mm", "position": ["x", "y", "z"]}}, "angle convention is not stated"),
         (
-            {
-                "pose": None,
-                "point": {"frame": "t", "unit": "m", **{k: ["x", "y", "z"] for k in ("position", "plus", "minus")}},
-            },
-            "point: plus and minus are both stated",
+            {"pose": {"frame": "t", "unit": "mm", "position": ["x", "y", "z"]}},
+            "0 of these ways are stated: euler or quaternion or rotvec or matrix",
         ),
         ({"pose": None, "joints": None}, "neither joints nor a reading are stated"),
         ({"files": "*.txt"}, "matches no file"),

@@ -18,6 +18,7 @@ from geometry_msgs.msg import PoseStamped, TransformStamped
 from nodes.in_process import spun
 from nodes.processes import ROOT
 from nodes.talking import LATCHED
+from rclpy.logging import get_logger
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
@@ -30,15 +31,7 @@ from modcal_core.robots.kinematics import chain_forward
 from modcal_msgs_py.readings import set_seconds
 from modcal_nodes.calibrating.diagnostics import collected
 from modcal_nodes.calibrating.intake import Buffer
-from modcal_nodes.calibrating.state import (
-    State,
-    StateLock,
-    forget_images,
-    read_images,
-    read_state,
-    write_images,
-    write_state,
-)
+from modcal_nodes.calibrating.state import KeptImages, StateFolder, forget_images, read_images, write_images
 from modcal_nodes.nodes.calibrator import Calibrator
 from modcal_nodes.ros.tf_frames import (
     CALIBRATED,
@@ -53,18 +46,20 @@ from modcal_nodes.ros.tf_frames import (
 
 
 def test_damaged_stations_are_refused(tmp_path: Path) -> None:
-    write_state(tmp_path, State(samples=record(3, 10).samples))
+    folder = StateFolder(str(tmp_path), get_logger("state"))
+    folder.write({}, record(3, 10).samples)
     file = tmp_path / "samples.npz"
     file.write_bytes(file.read_bytes()[:200])
     with pytest.raises(BadTable, match=r"samples\.npz.*is damaged"):
-        read_state(tmp_path)
+        folder.read()
+    folder.release()
 
 
 HOLD = """
 import sys, time
-from pathlib import Path
-from modcal_nodes.calibrating.state import StateLock
-lock = StateLock(Path(sys.argv[1]))
+from rclpy.logging import get_logger
+from modcal_nodes.calibrating.state import StateFolder
+held = StateFolder(sys.argv[1], get_logger("state"))
 print("held", flush=True)
 time.sleep(60)
 """
@@ -77,12 +72,12 @@ def test_a_folder_is_held_by_one_process_and_a_kill_frees_it(tmp_path: Path) -> 
     with holder:
         assert holder.stdout.readline() == "held\n"
         with pytest.raises(BadTable, match=f"is in use by process {holder.pid}: give each"):
-            StateLock(folder)
+            StateFolder(str(folder), get_logger("state"))
         holder.kill()
-    lock = StateLock(folder)
-    assert read_state(folder).calibration is None  # the lock itself is no state
-    lock.release()
-    StateLock(folder).release()
+    held = StateFolder(str(folder), get_logger("state"))
+    assert held.read().calibration is None  # the lock itself is no state
+    held.release()
+    StateFolder(str(folder), get_logger("state")).release()
 
 
 @pytest.mark.dds
@@ -99,10 +94,12 @@ def test_images_come_back_as_they_were(tmp_path: Path) -> None:
     seen = [replace(v, stamp=float(i)) for i, v in enumerate(views(rng, facing(rng, 4)))]
     images = [(v, rng.normal(size=7)) for v in seen]
     assert read_images(tmp_path / "state", BOARD) is None
-    write_images(tmp_path / "state", images, (1280, 720), BOARD, True)
+    sizes = [(1280, 720), (0, 0), (640, 480)]
+    write_images(tmp_path / "state", KeptImages([images, [], images[:2]], sizes, True), BOARD)
     kept = read_images(tmp_path / "state", BOARD)
-    assert (kept.size, kept.trusted) == ((1280, 720), True)
-    for (view, q), (expected, joints) in zip(kept.images, images, strict=True):
+    assert (kept.sizes, kept.trusted) == (sizes, True)
+    assert list(map(len, kept.images)) == [4, 0, 2]
+    for (view, q), (expected, joints) in zip(kept.images[0], images, strict=True):
         assert (view.name, view.stamp) == (expected.name, expected.stamp)
         assert (view.ids == expected.ids).all()
         assert (view.pixels == expected.pixels).all()

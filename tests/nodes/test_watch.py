@@ -22,7 +22,7 @@ from modcal_core.online.supervisor import Policy, Supervisor
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.tables import sentence
 from modcal_core.verdict.verdict import Verdict
-from modcal_nodes.calibrating.diagnostics import Standing, model_status, standing_of, standing_of_json
+from modcal_nodes.calibrating.diagnostics import Standing, model_status, standing_of
 from modcal_nodes.ros.subscriptions import ERROR, OK, WARN, Status
 from modcal_nodes.watching.snapshot import OURS, Changes, Heard
 
@@ -137,6 +137,11 @@ def test_nobody_there_is_said_in_one_line(tmp_path: Path) -> None:
     assert "ROS_AUTOMATIC_DISCOVERY_RANGE" in done.stderr
 
 
+def by_report(verdict: Verdict | None) -> Standing | None:
+    """By the report of these points that is written with this verdict."""
+    return standing_of(json.dumps(to_json_data(replace(points(), judged=verdict))))
+
+
 def told(standing: Standing | None, verdict: str = "A result.", trouble: str = "") -> Status:
     return model_status(Supervisor(Policy()), verdict, standing, trouble, False, None)
 
@@ -145,16 +150,16 @@ def told(standing: Standing | None, verdict: str = "A result.", trouble: str = "
 @pytest.mark.parametrize(
     ("verdict", "level", "words"),
     [
-        (FLOOR, OK, "At the floor: the residual is as small as"),
+        (FLOOR, OK, "At the floor"),
         (OPEN, WARN, "Open: 48 of 160 stations were rejected."),
         (CANNOT, WARN, CANNOT.remedy),
-        (None, WARN, "no floor is known"),
+        (None, WARN, "Cannot tell"),
     ],
 )
 def test_only_the_floor_is_ok(verdict: Verdict | None, level: bytes, words: str) -> None:
     report = replace(points(), judged=verdict)
     for said in ("continuing with the saved model", sentence(report)):
-        status = told(standing_of(report), said)
+        status = told(by_report(verdict), said)
         assert status.level == level
         assert said.rstrip(".") in status.message
         assert status.message.count(words) == 1
@@ -165,23 +170,24 @@ def test_only_the_floor_is_ok(verdict: Verdict | None, level: bytes, words: str)
 
 def test_without_a_model_nothing_is_ok() -> None:
     assert told(None, "nothing solved yet").level == WARN
-    assert told(standing_of(replace(points(), judged=FLOOR)), trouble="different kinematics").level == ERROR
+    assert told(by_report(FLOOR), trouble="different kinematics").level == ERROR
 
 
 @pytest.mark.parametrize("verdict", [FLOOR, OPEN, CANNOT])
-def test_a_saved_report_says_the_same(verdict: Verdict) -> None:
-    report = replace(points(), judged=verdict)
-    again, live = standing_of_json(json.dumps(to_json_data(report))), standing_of(report)
-    assert again is not None
-    assert replace(again, line="") == replace(live, line="")
-    assert told(live).values["claim p95 [mm]"] == f"{report.claim.mm['p95'].ci95[1]:.4f}" if report.claim else "none"
-    for old in (None, "", "{}", '{"status": "fine", "open_because": [], "remedy": null}', "[1]"):
-        assert standing_of_json(old) is None
+def test_the_claim_is_told(verdict: Verdict) -> None:
+    claim = replace(points(), judged=verdict).claim
+    said = "none" if claim is None else f"{claim.mm['p95'].ci95[1]:.4f}"
+    assert told(by_report(verdict)).values["claim p95 [mm]"] == said
+
+
+@pytest.mark.parametrize("old", [None, "", "{}", '{"status": "fine", "open_because": [], "remedy": null}', "[1]"])
+def test_a_report_without_a_verdict_says_nothing(old: str | None) -> None:
+    assert standing_of(old) is None
 
 
 def test_watch_shows_it() -> None:
     heard, changes = Heard(), Changes()
-    status = told(standing_of(replace(points(), judged=OPEN)))
+    status = told(by_report(OPEN))
     level = int.from_bytes(status.level, "little")
     facts = {name: str(value) for name, value in status.values.items()}
     heard.status("/calibrator: model", OURS, level, status.message, facts, 0.0)

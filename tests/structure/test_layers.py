@@ -48,7 +48,7 @@ LAYERS["outcome"] = LAYERS["verdict"] | {"claim", "outcome"}
 LAYERS["top"] = {*LAYERS, "top"}  # the pipeline: it returns data
 LAYERS["report"] = {*LAYERS, "report"}  # what people and programs read of them
 LAYERS["public"] = {*LAYERS, "public"}  # functions for users of the library; the verbs of the command stand above
-_PUBLIC = {"__init__", "public", "result"}
+_PUBLIC = {"__init__", "public"}
 
 MODCAL = {"modcal_core", "modcal_msgs_py", "modcal_nodes"}
 # What each layer of the core may import from outside, beyond NumPy, SciPy and the standard library ...

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from modcal_core.planning.site import Site
     from modcal_core.public import articulate, calibrate, check, evaluate, plan
     from modcal_core.report.report import Report
-    from modcal_core.result import Result
+    from modcal_core.public import Result
     from modcal_core.robot import Robot
     from modcal_core.robots.chain import Chain
     from modcal_core.robots.delta import Delta

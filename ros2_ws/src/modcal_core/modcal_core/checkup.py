@@ -36,7 +36,7 @@ from modcal_core.moves import (
     spread_out,
     with_new_frames,
 )
-from modcal_core.outcome import Outcome, unseen_note
+from modcal_core.outcome import Outcome, counted, unseen_note
 from modcal_core.verdict import Applied, applicable, own_rows
 
 Status = Literal["unchanged", "changed", "ambiguous", "unexplained"]
@@ -91,28 +91,25 @@ class Checked:
     @property
     def sentence(self) -> str:
         """The answer as a sentence."""
-        seen = f"{self.stations} station{'s' if self.stations != 1 else ''}"
-        if self.status == "unchanged" and self.alike:
-            return f"No change is seen, by {seen} that say as much as {self.far_apart:.1f} far apart."
-        if self.status == "unchanged" and self.placed:
-            where = (
-                f"frame {self.placed[0]} stands" if len(self.placed) == 1 else f"{len(self.placed)} new frames stand"
-            )
-            return f"Nothing has changed in arm and tool, by {seen}; where {where} was found from them."
+        seen = counted(self.stations, "station")
         if self.status == "unchanged":
-            return f"Nothing has changed, by {seen}."
-        said = " ".join(change.sentence for change in self.changes)
-        if self.status == "unexplained":
-            said = " ".join(c.sentence for c in self.changes if c.likely)
-            what = f"Something has changed that no single change or pair of changes explains, by {seen}."
-            if self.beyond is not None and self.beyond.mostly:
-                what = (
-                    f"The readings are not those that are expected, and no change or pair of changes explains them: "
-                    f"{self.beyond.outside} of {seen} stand beyond the joint ranges of the calibration, which may be "
-                    "what is wrong there."
-                )
-            return what + (f" Nearest: {said}" if said else "")
-        return f"{said} ({seen}.)"
+            said = "No change is seen" if self.alike else "Nothing has changed"
+            worth = f" that say as much as {self.far_apart:.1f} far apart" if self.alike else ""
+            new = self.placed[0] if len(self.placed) == 1 else f"{len(self.placed)} new frames"
+            where = f"; the place of {new} was found from them" if self.placed else ""
+            return f"{said}, by {seen}{worth}{where}."
+        unexplained = self.status == "unexplained"
+        said = " ".join(change.sentence for change in self.changes if change.likely or not unexplained)
+        if not unexplained:
+            return f"{said} ({seen}.)"
+        what = f"Something has changed that no single change or pair of changes explains, by {seen}."
+        if self.beyond is not None and self.beyond.mostly:
+            what = (
+                f"The readings are not those that are expected, and no change or pair of changes explains them: "
+                f"{self.beyond.outside} of {seen} stand beyond the joint ranges of the calibration, which may be "
+                "what is wrong there."
+            )
+        return what + (f" Nearest: {said}" if said else "")
 
 
 def checkup(
@@ -156,24 +153,23 @@ def checkup(
     require_accounted(found, part, known.doubt, model)
     fixed = None if found.more else repaired(calibration, found)
     alike = [alike_everywhere(c, calibration, model, found.samples) for c in found.changes]
-    N = len(found.samples)
     beyond = beyond_ranges(calibration, model, found.samples)
     changes = tuple(
-        named(change, _motions(found, i), 3 * N, same, beyond.untried_mm)
+        named(change, _motions(found, i), 3 * len(found.samples), same, beyond.untried_mm)
         for i, (change, same) in enumerate(zip(found.changes, alike, strict=True))
     )
     untried = any(UNTRIED in c.same_as for c in changes) or (found.more and beyond.mostly)
-    used = fixed if fixed is not None else calibration
-    report = evaluate(used, found.samples, rng, cell=cell)
+    report = evaluate(fixed or calibration, found.samples, rng, cell=cell)
     if fixed is not None:
         fixed = replace(fixed, claim_mm=None if report.claim is None else report.claim.mm["p95"].ci95[1])
         report = _each_by_the_others(report, found)
+    before, after = errors(model, found.samples), errors(found.state.model, found.samples)
     return Checked(
         status=_status(found, changes),
         changes=changes,
         chance=float(np.exp(min(0.0, -found.log_e[0]))),
-        before=_size(errors(model, found.samples)),
-        after=_size(errors(found.state.model, found.samples)),
+        before=_size(before),
+        after=_size(after),
         expected=_expected(found),
         stations=part.stations,
         aside=tuple(int(part.station[i]) + 1 for i in sorted(found.aside)),
@@ -190,10 +186,7 @@ def checkup(
             *unseen_note(found.samples, calibration),
             *applied.notes,
         ),
-        station_errors=(
-            errors(model, found.samples).position_norm,
-            errors(found.state.model, found.samples).position_norm,
-        ),
+        station_errors=(before.position_norm, after.position_norm),
         far_apart=found.plain.null.weight * part.stations,
         placed=new,
         beyond=beyond,
@@ -264,9 +257,9 @@ def _expected(found: FoundChanges) -> tuple[float | None, float | None]:
 
 def _each_by_the_others(report: Outcome, found: FoundChanges) -> Outcome:
     """The report with each station predicted by a repair that has not seen it: its sizes are those of the others."""
-    state = found.state
+    state, N = found.state, len(found.samples)
     sized = [c.hypothesis for c in (*found.given, *found.changes) if c.hypothesis.sizes]
-    if not sized:
+    if not sized or report.errors["final"].lever is not None or len(report.scored) != N:
         return report
     A = np.concatenate([state.columns(h) for h in sized], axis=1)
     V = found.plain.null.covariances[state.judge.best]
@@ -278,12 +271,8 @@ def _each_by_the_others(report: Outcome, found: FoundChanges) -> Outcome:
         L = np.linalg.cholesky(V[np.ix_(~out, ~out)])
         step = np.linalg.lstsq(np.linalg.solve(L, A[~out]), np.linalg.solve(L, residual[~out]), rcond=1e-9)[0]
         left[out] = residual[out] - A[out] @ step
-    N, M = len(found.samples), len(state.view.pose)
-    final = report.errors["final"]
-    if final.lever is not None or len(report.scored) != N:
-        return report
-    position, rotation = left[: 3 * N].reshape(3, N).T, left[3 * N :].reshape(3, M).T
-    return replace(report, errors={**report.errors, "final": Errors(position, rotation)})
+    final = Errors(left[: 3 * N].reshape(3, N).T, left[3 * N :].reshape(3, len(state.view.pose)).T)
+    return replace(report, errors={**report.errors, "final": final})
 
 
 def _notes(
@@ -317,16 +306,14 @@ def _placed_note(calibration: Calibration, samples: Samples, new: tuple[str, ...
     if sockets:
         which = f"Socket {sockets[0]} is" if len(sockets) == 1 else f"{len(sockets)} sockets are"
         out.append(f"{which} not in the calibration: where they are was found from these stations.")
-    for name in new:
-        if name not in sockets:
-            old = [known for known in calibration.frames if known not in new]
-            known = ", ".join(old[:_NAMED]) + (f" and {len(old) - _NAMED} more" if len(old) > _NAMED else "")
-            out.append(
-                f"Frame {name} is not in the calibration, which has {known}: its place was found from these stations; "
-                "a moved base cannot be told there. Of another instrument with a target of its own, a moved tool is "
-                "that target."
-            )
-    return tuple(out)
+    old = [known for known in calibration.frames if known not in new]
+    known = ", ".join(old[:_NAMED]) + (f" and {len(old) - _NAMED} more" if len(old) > _NAMED else "")
+    return tuple(out) + tuple(
+        f"Frame {name} is not in the calibration, which has {known}: its place was found from these stations; a moved "
+        "base cannot be told there. Of another instrument with a target of its own, a moved tool is that target."
+        for name in new
+        if name not in sockets
+    )
 
 
 def _dated(calibration: Calibration, samples: Samples) -> tuple[str, ...]:

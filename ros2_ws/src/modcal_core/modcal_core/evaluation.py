@@ -89,9 +89,8 @@ def evaluate(
     stood = _stood(calibration, samples, cell, (refit_base, refit_tool), partial(split, samples, rng, block))
     final, held_out = stood.final, samples.select(stood.sets.held_out)
     wrong = np.zeros(len(samples), bool)
-    spread = with_doubt(
-        calibration.with_scatter(held_out), final, own_uncertainty(calibration, final), np.arange(len(held_out))
-    )
+    known, every = own_uncertainty(calibration, final), np.arange(len(held_out))
+    spread = with_doubt(calibration.with_scatter(held_out), final, known, every)
     wrong[stood.sets.held_out] = outlying(final, calibration.noise, spread)
     single = not too_many(wrong[stood.sets.held_out], held_out)
     rows = stood.sets.held_out[~wrong[stood.sets.held_out]] if single else stood.sets.held_out
@@ -145,12 +144,13 @@ def _stood(
         train = samples.select(np.union1d(sets.train, sets.explain))
         fits = {stage: refit_cell(model, train, cell, *refit) for stage, model in models.items()}
         models = {stage: fit.model for stage, fit in fits.items()}
-        stood = _Stood(models, sets, applied, fits["final"], all(fit.converged for fit in fits.values()))
+        again, converged = fits["final"], all(fit.converged for fit in fits.values())
     else:
         models = {stage: with_frames(model, samples.frames) for stage, model in models.items()}
-        stood = _Stood(models, hold_out_all(samples), applied)
+        sets, again, converged = hold_out_all(samples), None, True
     beyond = calibration.fallback(models["final"], models["geometric"])
-    return replace(stood, models={**models, "final": replace(models["final"], fallback=beyond)})
+    models["final"] = replace(models["final"], fallback=beyond)
+    return _Stood(models, sets, applied, again, converged)
 
 
 def _grounds(

@@ -33,8 +33,7 @@ from modcal_core.hypotheses import require_plausible
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome
 from modcal_core.robots import Inertias, Mechanism
-from modcal_core.scoring import scored, supported
-from modcal_core.task import Fits, Task, tasks_of
+from modcal_core.scoring import Fits, Task, scored, supported, tasks_of
 
 
 @dataclass(frozen=True)

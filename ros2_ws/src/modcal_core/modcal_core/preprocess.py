@@ -88,22 +88,15 @@ def prepare(
     timed = _timed(clean.recording, chain, rules, clock_limit, clean.spread)
     if timed.samples.moving.any():
         timed = _at_likelier_times(timed, clean, chain, rules, clock_limit)
-    recording, aligned, repeated, samples, notes = (
-        timed.recording,
-        timed.aligned,
-        timed.hung,
-        timed.samples,
-        timed.notes,
-    )
+    aligned, repeated, samples = timed.aligned, timed.hung, timed.samples
     samples = replace(samples, signals=(*samples.signals, *other_joints(aligned, samples)))
     unused = dropped(aligned, samples, rules, since, until)
     own = own_statement(aligned, chain.names, rules)
     elsewhere = out_of_time(aligned, chain.names, since, until)
     doubts = (*clean.doubts, *repeated.doubts, *_flickering(aligned, dict(unused), since, until), *elsewhere)
     lost = together([clean.lost, unused, repeated.dropped])
-    return Prepared(
-        samples, recording.warnings + clean.notes + repeated.notes + notes + own.notes, lost, own.stated, doubts
-    )
+    notes = timed.recording.warnings + clean.notes + repeated.notes + timed.notes + own.notes
+    return Prepared(samples, notes, lost, own.stated, doubts)
 
 
 @dataclass(frozen=True)
@@ -145,13 +138,9 @@ def _at_likelier_times(
         return as_stamped
     readings = tuple(said[t.frame][0] if t.frame in frames else t for t in clean.recording.readings)
     evenly = _timed(replace(clean.recording, readings=readings), chain, rules, clock_limit, (*clean.spread, *frames))
-    left = [_delays(timed.samples, chain)[1] for timed in (as_stamped, evenly)]
-    better = [
-        f
-        for f in frames
-        if left[1][evenly.samples.frames.index(f)] < _PLAINLY * left[0][as_stamped.samples.frames.index(f)]
-    ]
-    if len(better) < len(frames):
+    both = as_stamped.samples, evenly.samples
+    stamped, even = (dict(zip(s.frames, _delays(s, chain)[1], strict=True)) for s in both)
+    if not all(even[f] < _PLAINLY * stamped[f] for f in frames):
         return as_stamped
     notes = (f"Readings in {f}: {said[f][1]}: these times fit the motion better and were taken." for f in frames)
     return replace(evenly, notes=(*notes, *evenly.notes))

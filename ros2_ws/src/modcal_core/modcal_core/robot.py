@@ -106,9 +106,8 @@ class Robot:
         """The Delta robot that this data, or this YAML file, describes; docs/delta.md has the keys. Raises BadTable."""
         from modcal_core.robots import delta_from_data
 
-        if isinstance(table, Mapping):
-            return cls(delta_from_data(table, "delta"), name="delta")
-        return cls(delta_from_data(read_yaml(Path(table)), str(table)), name="delta")
+        source = "delta" if isinstance(table, Mapping) else str(table)
+        return cls(delta_from_data(_data(table), source), name="delta")
 
     @classmethod
     def delta(cls, *arguments: Any, **constants: Any) -> Robot:
@@ -172,22 +171,19 @@ class Robot:
         NotReachable with what was left.
         """
         goal, wanted = np.array(T_base_tip, dtype=float), np.asarray(mask)
-        if goal.shape != (4, 4):
-            raise BadRobot("pose", f"has shape {goal.shape}, not (4, 4)", "give one homogeneous transform")
-        if not np.isfinite(goal).all():
-            raise BadRobot("pose", "holds a number that is not finite", "give one homogeneous transform")
+        if goal.shape != (4, 4) or not np.isfinite(goal).all():
+            said = f"has shape {goal.shape}, or a number that is not finite"
+            raise BadRobot("pose", said, "give one homogeneous transform (4, 4)")
         off = float(np.abs(goal[:3, :3] @ goal[:3, :3].T - np.eye(3)).max())
         if off > _ROUNDED or np.linalg.det(goal[:3, :3]) < 0.0 or not np.array_equal(goal[3], [0.0, 0.0, 0.0, 1.0]):
             said = f"is no rigid motion: R Rᵀ is off by {off:.2g}, det R is {np.linalg.det(goal[:3, :3]):.3g}"
             raise BadRobot("pose", said, "give a rotation, a position, and 0 0 0 1 below them")
         if wanted.shape != (6,) or not np.isin(wanted, (0, 1)).all() or not wanted.any():
             raise BadRobot("mask", f"is {mask!r}, not six of true and false", "name x y z rx ry rz, one at least")
+        from modcal_core.robots import delta_inverse, inverse
+
         if isinstance(self.mechanism, Delta):
-            from modcal_core.robots import delta_inverse
-
             return delta_inverse(self.mechanism, goal[:3, 3], float(np.arctan2(goal[1, 0], goal[0, 0])))
-        from modcal_core.robots import inverse
-
         low, high = self.limits
         middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), np.clip(0.0, low, high))
         start = middle if near is None else np.asarray(near, dtype=float)

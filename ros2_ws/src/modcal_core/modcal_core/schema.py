@@ -128,9 +128,8 @@ def _check_size(
 def _check_number(data: float, schema: Schema, where: str, remedy: str) -> None:
     if data < schema.get("minimum", -math.inf) or data > schema.get("maximum", math.inf):
         low, high = (schema.get(word) for word in ("minimum", "maximum"))
-        allowed = (
-            f"{low} to {high}" if None not in (low, high) else f"at least {low}" if high is None else f"at most {high}"
-        )
+        bound = f"at least {low}" if high is None else f"at most {high}"
+        allowed = f"{low} to {high}" if None not in (low, high) else bound
         raise BadTable(where, f"{shown(data)} is out of range, {allowed} is allowed", remedy)
     if "exclusiveMinimum" in schema and data <= schema["exclusiveMinimum"]:
         raise BadTable(where, f"{shown(data)} is not above {schema['exclusiveMinimum']}", remedy)
@@ -159,6 +158,7 @@ def _check_one_of(data: Any, choices: Sequence[Schema], where: str, remedy: str)
     """Of mappings the choice is the one whose required keys are there; its complaints are the mapping's."""
     if not isinstance(data, Mapping):
         return
+    choices = [choice for choice in choices if choice["type"] == "object"]
     fitting = [choice for choice in choices if all(key in data for key in choice.get("required", ()))]
     if len(fitting) != 1:
         ways = " or ".join(" and ".join(choice.get("required", ())) for choice in choices)

@@ -1,49 +1,61 @@
-"""The score on what no fit has seen, the model to ship, fitted to all of it, and the verdict."""
+"""What a calibration has to fit and its score on what no fit has seen: samples in one convention, cut into three sets;
+the model to ship, fitted to all of them, and the verdict.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from modcal_core.calibration import (
+    SHARES,
     Calibration,
+    Cell,
     Errors,
+    Fit,
     KnownDistance,
     Model,
+    ParameterChoice,
+    Split,
     as_used,
     distances_of,
+    enough_for_effects,
     errors,
     finalise,
     identifiability,
+    parameter_count,
     places_of,
     readmitted,
     rejected,
+    require_enough,
     right_after_all,
     runs_of,
+    split,
     squared_residuals,
+    with_sockets,
 )
 from modcal_core.claim import Claim, claim_at_tool, settled
-from modcal_core.diagnosis import located
+from modcal_core.diagnosis import Diagnosis, Loads, located, with_stated
 from modcal_core.effects import Effect
+from modcal_core.hypotheses import proved
 from modcal_core.measurements import Samples
+from modcal_core.moves import find_regimes, moves_of
 from modcal_core.outcome import (
     Outcome,
     Step,
-    description_note,
+    finding_notes,
     findings,
-    instrument_notes,
+    fit_notes,
     load_findings,
     load_notes,
     not_asked_note,
     offsets_of,
-    one_instrument_notes,
     readmitted_note,
     residual_notes,
-    stated_note,
-    unproved_note,
 )
-from modcal_core.task import Fits, Task
+from modcal_core.robots import Inertias, Mechanism, weightless
 from modcal_core.verdict import (
     TOGETHER,
     Applied,
@@ -55,9 +67,92 @@ from modcal_core.verdict import (
     judge,
     regimes_of,
     rejection,
+    sane_inertias,
     too_small,
     with_places,
 )
+
+
+@dataclass(frozen=True)
+class Task:
+    """Samples of an arm and the split of them. regimes: a model to begin from, with base and tool where they stood.
+
+    convention: what was undone in the readings. absurd: sentences on inertias that no arm has.
+    """
+
+    chain: Mechanism
+    samples: Samples
+    sets: Split
+    cell: Cell
+    inertias: Inertias | None
+    regimes: Model | None
+    convention: str | None
+    absurd: tuple[str, ...]
+
+    @cached_property
+    def train(self) -> Samples:
+        """The samples that fit the model."""
+        return self.samples.select(self.sets.train)
+
+    @cached_property
+    def explain(self) -> Samples:
+        """The samples that choose what is added to it; none where all others are needed for the geometry."""
+        return self.samples.select(self.sets.explain)
+
+    @cached_property
+    def held_out(self) -> Samples:
+        """The samples that score it."""
+        return self.samples.select(self.sets.held_out)
+
+
+@dataclass(frozen=True)
+class Fits:
+    """Fits to the training set. chosen: parameters of the geometry. together: whether small curves came last."""
+
+    nominal: Fit
+    geometric: Fit
+    final: Fit
+    chosen: ParameterChoice
+    diagnosis: Diagnosis
+    loads: Loads | None = None
+    together: bool = False
+
+
+def tasks_of(
+    samples: Samples,
+    chain: Mechanism,
+    rng: np.random.Generator,
+    cell: Cell,
+    inertias: Inertias | None,
+    block: int | None,
+) -> tuple[Task, Task]:
+    """The task of what is named and shipped, whose split is the samples' own, and that of the score, whose split is
+    drawn; they are one object where both splits are the same.
+
+    Arguments are those of :func:`modcal_core.loop.calibrate`. Raises ModcalError for too few samples, or readings in a
+    convention that cannot be undone.
+    """
+    cell.require_frames(samples.frames)
+    cell = cell.met(samples)
+    samples = with_sockets(samples, cell, chain)
+    count = parameter_count(chain, samples, cell.kept, cell.distances)
+    require_enough(samples, count, len(cell.distances), share=SHARES[0] + SHARES[1])
+    samples, convention = proved(samples, chain)
+    inertias, absurd = sane_inertias(inertias, chain)
+    if cell.gravity is not None:
+        inertias = (inertias or weightless(chain.n)).pulled(cell.gravity)
+    samples = with_stated(samples, cell, inertias is not None and inertias.known)
+    regimes = find_regimes(samples, chain, cell, inertias, cell.moved)
+    moves = moves_of(regimes) if regimes else ()
+    both = []
+    for draw in (np.random.default_rng(0), rng):
+        sets = split(samples, draw, block, [move.at for move in moves])
+        if not enough_for_effects(samples.select(sets.train), count, len(cell.distances)):
+            sets = replace(sets, train=np.union1d(sets.train, sets.explain), explain=sets.explain[:0])
+        both.append(Task(chain, samples, sets, cell, inertias, regimes, convention, absurd))
+    own, drawn = both
+    return own, own if np.array_equal(own.sets.role, drawn.sets.role) else drawn
+
 
 _TIMES = 2.0  # that the model with effects misses a reading by more than geometry alone, where the reading is right
 
@@ -144,12 +239,9 @@ def scored(task: Task, fits: Fits, drawn: Task, seen_by: Fits) -> tuple[Outcome,
         offsets=offsets_of(shipped),
         left_out=fits.chosen.left_out,
         notes=(
-            *stated_note(stated),
-            *description_note(errors(fits.nominal.model, own.accepted), task.chain),
-            *instrument_notes(final),
-            *one_instrument_notes(final),
+            *finding_notes(stated, unproved),
+            *fit_notes(fits.nominal, final, own.accepted),
             *load_notes(fits.loads),
-            *unproved_note(unproved),
             *readmitted_note(taken_in),
             *residual_notes(case, parts),
             *carried.notes,

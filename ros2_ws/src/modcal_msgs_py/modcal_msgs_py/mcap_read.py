@@ -23,7 +23,7 @@ from modcal_msgs_py.bag_files import bag_files
 from modcal_msgs_py.bag_open import BagFile, bag_file, message_unpacked, topics_of, unpacked
 from modcal_msgs_py.layout import Bytes, Fields, MessageLayout, MessageRows, Messages, OneMessage, fields_of, store_with
 from modcal_msgs_py.mcap_walk import PADDING, Block, McapFile
-from modcal_msgs_py.messages import RecordingBuilder, gathered, why_left_out
+from modcal_msgs_py.messages import RecordingBuilder, why_left_out
 from modcal_msgs_py.topics import ADDED, Topics, resolve
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def read_pieces(
             file = waiting.pop(0)
             try:
                 reader = _Reader(file, builder)
-                for block in gathered(file.blocks()):
+                for block in file.blocks():
                     reader.take(block)
                     heard((i + file.share) / len(files))
                     if most is not None and builder.joint_states >= most:

@@ -19,7 +19,6 @@ from typing import Any, TypeAlias
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.records import Attachment, Metadata
 from mcap.writer import CompressionType, Writer
 
@@ -89,41 +88,26 @@ def repair_bag(path: Path, out: Path, heard: Heard = lambda stage, share: None) 
 
 
 def _files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
-    """(files in order, what metadata.yaml states, what is wrong with the folder)."""
-    if not path.is_dir():
-        _require_mcap(path)
-        return [path], {}, []
-    metadata = path / "metadata.yaml"
-    stated: Any = None
-    if metadata.is_file():
+    """(files in order, what metadata.yaml states, what is wrong with the folder). Raises BadRecording for a bag that is
+    not made of plain MCAP files.
+    """
+    names, stated, wrong = [path], dict[str, Any](), list[str]()
+    if path.is_dir():
+        metadata = path / "metadata.yaml"
         try:
             names = listed_files(path)
             stated = parse_yaml(metadata.read_text(encoding="utf-8"), str(metadata))["rosbag2_bagfile_information"]
-        except (BadTable, KeyError, TypeError, ValueError):
-            stated = None
-    if not isinstance(stated, dict):
-        found = sorted(path.glob("*.mcap"), key=lambda p: (len(p.name), p.name))
-        if not found:
-            others, _ = bag_files(path)  # refuses, and says what the folder holds instead
-            _require_mcap(others[0])
-        wrong = "metadata.yaml is damaged" if metadata.is_file() else "metadata.yaml is missing"
-        return found, {}, [f"{wrong}: the recorder did not close the bag."]
+        except (OSError, BadTable, KeyError, TypeError, ValueError):
+            what = "damaged" if metadata.is_file() else "missing"
+            wrong.append(f"metadata.yaml is {what}: the recorder did not close the bag.")
+            names = sorted(path.glob("*.mcap"), key=lambda p: (len(p.name), p.name)) or bag_files(path)[0]
     for name in names:
-        _require_mcap(name)
-    missing = [name for name in names if not name.is_file()]
-    return (
-        [name for name in names if name not in missing],
-        stated,
-        [f"{name.name} is named by metadata.yaml, but not there." for name in missing],
-    )
-
-
-def _require_mcap(file: Path) -> None:
-    """Raises BadRecording for a file of a bag that cannot be repaired here."""
-    if ".db3" in file.name:
-        raise BadRecording(str(file), "is a SQLite bag", "repair it with sqlite3's .recover, or convert it")
-    if file.name.endswith(PACKED):
-        raise BadRecording(str(file), "is packed", "unpack it first: zstd -d")
+        if ".db3" in name.name:
+            raise BadRecording(str(name), "is a SQLite bag", "repair it with sqlite3's .recover, or convert it")
+        if name.name.endswith(PACKED):
+            raise BadRecording(str(name), "is packed", "unpack it first: zstd -d")
+    wrong += [f"{name.name} is named by metadata.yaml, but not there." for name in names if not name.is_file()]
+    return [name for name in names if name.is_file()], stated, wrong
 
 
 def _examined(files: list[Path], heard: Heard) -> tuple[dict[str, int], list[str]]:
@@ -207,12 +191,16 @@ def _rewritten(
             writer.finish()
             stream.flush()
             os.fsync(stream.fileno())
-        distro = _text(stated, "ros_distro") or _distro(files)
+        texts = {key: text for key, text in stated.items() if isinstance(text, str)}
         custom = stated.get("custom_data")
+        distro = texts.get("ros_distro") or "unknown"
         whole = information(topics.values(), [seen], distro, custom if isinstance(custom, dict) else None)
         for key in ("compression_format", "compression_mode"):  # of single messages, which are copied as they are
-            whole[key] = _text(stated, key)
-        _write_synced(stage / "metadata.yaml", to_yaml({"rosbag2_bagfile_information": whole}))
+            whole[key] = texts.get(key, "")
+        with (stage / "metadata.yaml").open("w", encoding="utf-8") as listed:
+            listed.write(to_yaml({"rosbag2_bagfile_information": whole}))
+            listed.flush()
+            os.fsync(listed.fileno())
     return {topic.name: topic.count for topic in topics.values()}
 
 
@@ -239,12 +227,6 @@ def _add_extra(writer: Any, extra: Attachment | Metadata | None) -> None:
         writer.add_metadata(extra.name, extra.metadata)
 
 
-def _text(stated: dict[str, Any], key: str) -> str:
-    """What metadata.yaml states under a key, where it is a text."""
-    value = stated.get(key)
-    return value if isinstance(value, str) else ""
-
-
 def _extra(opcode: int, record: bytes) -> Attachment | Metadata | None:
     """An attachment or metadata out of a whole record; None for one that is damaged."""
     stream = ReadDataStream(BytesIO(record[_RECORD_HEAD:]))
@@ -252,22 +234,3 @@ def _extra(opcode: int, record: bytes) -> Attachment | Metadata | None:
         return Attachment.read(stream) if opcode == Opcode.ATTACHMENT else Metadata.read(stream)
     except (McapError, struct.error, UnicodeDecodeError, ValueError, MemoryError):
         return None
-
-
-def _distro(files: list[Path]) -> str:
-    """The distribution that recorded: ours when the recorder was ours, else it is not known."""
-    for name in files:
-        with name.open("rb") as stream:
-            try:
-                header = make_reader(stream).get_header()
-            except (McapError, struct.error, UnicodeDecodeError, ValueError, MemoryError):
-                continue
-        return "jazzy" if header.library == LIBRARY else "unknown"
-    return "unknown"
-
-
-def _write_synced(path: Path, text: str) -> None:
-    with path.open("w", encoding="utf-8") as stream:
-        stream.write(text)
-        stream.flush()
-        os.fsync(stream.fileno())

@@ -1,11 +1,8 @@
 """Walking through an MCAP file, whole or cut.
 
 A file is walked record by record from its beginning, never through the index at its end: an index is missing just when
-a recording was cut short, and one way of reading is easier to trust than two. The index behind a chunk says where its
-messages are; it is believed only where they do stand there, one behind the other. Each chunk's checksum is verified;
-reading stops at the first byte that does not fit, and what came before is kept.
-
-It is a hint only: what is read of a file is what stands in it (see ``mcap_walk``). Nothing is unpacked here.
+a recording was cut short, and one way of reading is easier to trust than two. Each chunk's checksum is verified.
+Reading stops at the first byte that does not fit; what came before is kept.
 """
 
 from __future__ import annotations
@@ -47,9 +44,9 @@ HEAD = np.dtype(  # of a message's record
         ("published", "<u8"),
     ]
 )
-_INDEX = np.dtype([("received", "<u8"), ("offset", "<u8")])
 _LOOSE = 1 << 22  # bytes of messages outside of chunks that are taken at once
 _MESSAGE_HEAD = 22  # bytes before the CDR bytes that a record counts as its own
+_MESSAGE = int(Opcode.MESSAGE)  # looked up for every record
 _LOOSE_RECORDS = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
 _MAX_CHUNK = 1 << 28  # bytes of an unpacked chunk; recorders write some MiB
 # What a file may unpack to: nothing that was recorded is packed more than some hundred times as tightly, and a file
@@ -152,16 +149,14 @@ class McapFile:
             if body + length > size:
                 self.cut = f"{size - at} bytes at the end are an unfinished record"
                 if opcode == Opcode.CHUNK:
-                    none = np.empty(0, np.int64)
-                    yield from self._chunk(data, body, size, none, whole=False, room=self._room(size))
+                    yield from self._chunk(data, body, size, whole=False, room=self._room(size))
                 return
             at_next = body + length
             if opcode == Opcode.CHUNK:
-                offsets, at_next = _message_indexes(data, at_next, size)
-                yield from self._chunk(data, body, body + length, offsets, whole=True, room=self._room(at_next))
+                yield from self._chunk(data, body, at_next, whole=True, room=self._room(at_next))
             elif opcode in _LOOSE_RECORDS:
                 at_next = _end_of_loose(data, at, size)
-                yield from self._records(data[at:at_next] + PADDING, np.empty(0, np.int64))
+                yield from self._records(data[at:at_next] + PADDING)
             elif opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
                 self.extras.append((opcode, data[at:at_next]))
             elif opcode in (Opcode.DATA_END, Opcode.FOOTER):
@@ -175,9 +170,7 @@ class McapFile:
         """Bytes that may still be unpacked after this many bytes of the file."""
         return max(0, min(_MAX_CHUNK, _FREE + _MAX_RATIO * read - self._unpacked))
 
-    def _chunk(
-        self, data: mmap.mmap, body: int, end: int, offsets: NDArray[np.int64], whole: bool, room: int
-    ) -> Iterator[Block]:
+    def _chunk(self, data: mmap.mmap, body: int, end: int, whole: bool, room: int) -> Iterator[Block]:
         """The messages of a chunk whose record's content stands between these bytes of the file."""
         try:
             head = data[body : min(end, body + _CHUNK.size + 4)]
@@ -201,35 +194,23 @@ class McapFile:
             self.cut = "a chunk's checksum is wrong"
             return
         self.compression = self.compression or compression
-        yield from self._records(content, offsets)
+        yield from self._records(content)
 
-    def _records(self, content: Content, offsets: NDArray[np.int64]) -> Iterator[Block]:
-        """The messages in these bytes, behind which there is PADDING.
-
-        offsets: where an index says that they are; it may be wrong, or say nothing.
-        """
-        runs = _runs(content, offsets)
-        found: list[tuple[NDArray[np.int64], NDArray[np.void]]] = []  # places and heads
-        single: list[int] = []
-        at, size = 0, len(content) - len(PADDING)
+    def _records(self, content: Content) -> Iterator[Block]:
+        """The messages in these bytes, behind which there is PADDING."""
+        found: list[int] = []
+        at, size, read = 0, len(content) - len(PADDING), _RECORD.unpack_from
         while at + _RECORD.size <= size:
-            if at in runs:
-                run, heads, at = runs[at]
-                if single:
-                    found.append(_placed(content, single))
-                    single.clear()
-                found.append((run, heads))
-                continue
-            opcode, length = _RECORD.unpack_from(content, at)
+            opcode, length = read(content, at)
             body = at + _RECORD.size
             if body + length > size:
                 self.cut = self.cut or "a chunk ends in the middle of a record"
                 break
-            if opcode == Opcode.MESSAGE:
+            if opcode == _MESSAGE:
                 if length < _MESSAGE_HEAD:
                     self.cut = self.cut or "a message is shorter than its head"
                     break
-                single.append(at)
+                found.append(at)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 try:
                     self._learn(opcode, bytes(content[body : body + length]))
@@ -237,14 +218,16 @@ class McapFile:
                     self.cut = self.cut or f"the description of a topic is damaged ({type(error).__name__})"
                     break
             at = body + length
-        if single or not found:
-            found.append(_placed(content, single))
-        places, heads = found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
+        if not found:
+            return
+        places = np.array(found, np.int64)
+        everywhere = np.ndarray((len(content) - HEAD.itemsize + 1,), f"V{HEAD.itemsize}", content, 0, (1,))
+        heads = everywhere[places].view(HEAD)
         known = self._is_known[heads["channel"]]
         if not known.all():
-            for channel, count in zip(*np.unique(heads["channel"][~known], return_counts=True), strict=True):
-                if (of := self.channels.get(int(channel))) is not None:
-                    self.unread[of.topic, of.message_encoding] += int(count)
+            for channel in heads["channel"][~known].tolist():
+                if (of := self.channels.get(channel)) is not None:
+                    self.unread[of.topic, of.message_encoding] += 1
             places, heads = places[known], heads[known]
         if len(places):
             starts = places + HEAD.itemsize
@@ -267,20 +250,6 @@ class McapFile:
             self._is_known[channel.id] = True
 
 
-def _message_indexes(data: mmap.mmap, at: int, size: int) -> tuple[NDArray[np.int64], int]:
-    """Where the indexes behind a chunk say that its messages are, in order, and where these indexes end."""
-    found = []
-    while at + _RECORD.size <= size:
-        opcode, length = _RECORD.unpack_from(data, at)
-        body = at + _RECORD.size
-        if opcode != Opcode.MESSAGE_INDEX or body + length > size:
-            break
-        found.append(np.frombuffer(data[body + 6 : body + length - (length - 6) % _INDEX.itemsize], _INDEX)["offset"])
-        at = body + length
-    # as signed numbers, so that an offset beyond all bounds comes first and is seen; parts that are in order are merged
-    return np.sort(np.concatenate(found).astype(np.int64), kind="stable") if found else np.empty(0, np.int64), at
-
-
 def _end_of_loose(data: mmap.mmap, at: int, size: int) -> int:
     """Where whole messages and descriptions end that begin here, or enough of them."""
     begin = at
@@ -290,46 +259,6 @@ def _end_of_loose(data: mmap.mmap, at: int, size: int) -> int:
             break
         at += _RECORD.size + length
     return at
-
-
-def _heads(content: Content, places: NDArray[np.int64]) -> NDArray[np.void]:
-    """The heads of the messages whose records stand at these places (n,)."""
-    if not len(places):
-        return np.empty(0, HEAD)
-    everywhere = np.ndarray((len(content) - HEAD.itemsize + 1,), f"V{HEAD.itemsize}", content, 0, (1,))
-    return everywhere[places].view(HEAD)
-
-
-def _placed(content: Content, places: list[int]) -> tuple[NDArray[np.int64], NDArray[np.void]]:
-    where = np.array(places, np.int64)
-    return where, _heads(content, where)
-
-
-def _runs(content: Content, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArray[np.int64], NDArray[np.void], int]]:
-    """Messages that stand where an index says, one behind the other, by the first one's place: places, heads, end.
-
-    None at all, if any of them does not.
-    """
-    if not len(offsets) or offsets[0] < 0 or offsets[-1] > len(content) - HEAD.itemsize:
-        return {}
-    heads = _heads(content, offsets)
-    length = heads["length"].astype(np.int64)
-    ends = offsets + _RECORD.size + length
-    if (
-        (heads["opcode"] != Opcode.MESSAGE).any()
-        or length.min() < _MESSAGE_HEAD
-        or length.max() > len(content)
-        or ends[-1] > len(content) - len(PADDING)
-    ):
-        return {}
-    gaps = offsets[1:] - ends[:-1]
-    if len(gaps) and gaps.min() < 0:
-        return {}
-    begins = [0, *(np.flatnonzero(gaps) + 1).tolist()]
-    return {
-        int(offsets[i]): (offsets[i:j], heads[i:j], int(ends[j - 1]))
-        for i, j in zip(begins, [*begins[1:], len(offsets)], strict=True)
-    }
 
 
 def _unpacked(compression: str, data: mmap.mmap, start: int, end: int, size: int) -> Content:

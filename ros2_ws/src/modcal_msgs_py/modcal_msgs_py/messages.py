@@ -1,8 +1,6 @@
 """Messages to a recording: one path for a bag and for the wire.
 
 Messages come as objects, of rclpy or decoded, or many of one layout at once; they are read by the same paths.
-
-Recorders that write several times a second, so that little is lost when they are killed, leave a block each time.
 """
 
 from __future__ import annotations
@@ -10,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,7 +18,6 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import PART, JointTrack, Listed, ReadingTrack, Recording, elsewhen
 from modcal_core.measurements.kinds import kinds
 from modcal_msgs_py.layout import Messages, OneMessage
-from modcal_msgs_py.mcap_walk import Block
 from modcal_msgs_py.readings import Transforms, columns_of, stated_in
 from modcal_msgs_py.topics import (
     ADDED,
@@ -361,45 +357,3 @@ def _of_robot(topic: str, joint_topics: set[str]) -> bool:
 def _rank(topic: str, role: str) -> int:
     """Which topic of commands is asked first: the contract's own name, then by role."""
     return 2 * COMMANDS.index(role) + (topic != f"/{role}")
-
-
-# --- Small blocks of messages put together: a block costs as much to look at as some hundred messages do
-
-_MIN = 1 << 18  # bytes; beyond, a block's own cost is a hundredth of its messages'
-
-
-def gathered(blocks: Iterable[Block]) -> Iterator[Block]:
-    """The same messages in the same order, in blocks of some size.
-
-    A block with messages of a channel that was not met before stays as it is, so that topics are met in the same order.
-    """
-    met: set[int] = set()
-    held: list[Block] = []
-    size = 0
-    for block in blocks:
-        channels = set(np.flatnonzero(np.bincount(block.heads["channel"])).tolist())
-        new = not channels <= met
-        met |= channels
-        if new or size >= _MIN:
-            yield from _joined(held)
-            held, size = [], 0
-        if new:
-            yield block
-        else:
-            held.append(block)
-            size += len(block.content)
-    yield from _joined(held)
-
-
-def _joined(blocks: list[Block]) -> Iterator[Block]:
-    """One block of all, the padding of the last one at its end; none of none."""
-    if len(blocks) < 2:
-        yield from blocks
-        return
-    shifts = np.cumsum([0, *(len(block.content) for block in blocks[:-1])])
-    yield Block(
-        b"".join(block.content for block in blocks),
-        np.concatenate([block.heads for block in blocks]),
-        np.concatenate([block.starts + shift for block, shift in zip(blocks, shifts, strict=True)]),
-        np.concatenate([block.stops + shift for block, shift in zip(blocks, shifts, strict=True)]),
-    )

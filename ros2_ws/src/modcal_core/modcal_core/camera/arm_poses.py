@@ -279,9 +279,7 @@ def with_stated(poses: ArmPoses, error_m: float | None) -> ArmPoses:
         return poses
     _, motions = poses.at_postures(poses.q).tool_motions(poses.values.start)
     J = motions[:, :3].reshape(-1, motions.shape[2])
-    basis, singular, _ = np.linalg.svd(J[:, ~arm], full_matrices=False)
-    basis = basis[:, singular > 1e-9 * singular[0]]
     off = J[:, arm] @ np.linalg.cholesky(faults.covariance())
-    rest = off - basis @ (basis.T @ off)
+    rest = off - J[:, ~arm] @ np.linalg.lstsq(J[:, ~arm], off, rcond=1e-9)[0]
     rms = float(np.sqrt((rest**2).sum() / len(poses.q)))
     return replace(poses, faults=replace(faults, stated=error_m / max(rms, 1e-12)))

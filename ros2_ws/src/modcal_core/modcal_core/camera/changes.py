@@ -1,10 +1,8 @@
 """What corners show beyond geometry: effects of the joints, and what was moved among the images or since.
 
-Effects beyond geometry that corners show: gears, ratios, springs, backlash, looked for as with any other instrument.
-
-The scan says which candidate explains most of what the fit leaves over, and how likely noise explains as much. It stays
-where everything fitted again with it makes the images likelier by more than its price, and where a fit of most images
-with it predicts the others better than one without.
+Gears, ratios, springs and backlash are looked for as with any other instrument. The scan says which candidate explains
+most of what the fit leaves over, and how likely noise explains as much. It stays where everything fitted again with it
+makes the images likelier by more than its price, and where a fit of most images with it predicts the others better.
 
 An image says as much of the target's place as six numbers with a covariance, whose noise is what its corners have and
 what the image has of its own; whitened, they are six rows like those of a pose reading. Lens and sheet move them too,
@@ -14,11 +12,10 @@ instruments (diagnosis/evidence) serves images, with everything that the fit may
 A spring under the arm's own weight bends the arm by little and smoothly, and much of that looks like a joint's zero or
 a link's length. What is left of it, beside all that is fitted, has to stand out of the noise of the images.
 
-What changed: a half that was moved, or another focal length, among the images of a fit, or since.
-
-A change moves the target in the images, or scales them, by a few numbers, the same from one image on. Everything else
-integrated out, the images have a likelihood with these numbers drawn from what is usual, and without them; among the
-images of a fit the sizes of all errors are found again for both, for a change makes the images' own errors look large.
+A half that was moved, or another focal length, moves the target in the images, or scales them, by a few numbers, the
+same from one image on. All else integrated out, the images have a likelihood with these numbers drawn from what is
+usual, and without them; among the images of a fit the sizes of all errors are found again for both, for a change makes
+the images' own errors look large.
 The likelihood has the price of the numbers in it: six of a half that was moved, one of a focal length.
 
 While the robot works, the last few images are equations like those of a fit, about the calibrated model and with all

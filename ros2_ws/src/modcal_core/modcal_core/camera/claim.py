@@ -269,48 +269,45 @@ class Decision:
     doubtful: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class DecisionGrounds:
-    """What a decision is made from beside the errors at the tool.
+def decide(
+    error: ToolError,
+    stated_m: float | None = None,
+    problems: tuple[str, ...] = (),
+    doubtful: tuple[str, ...] = (),
+    size: str = "",
+    body: bool = False,
+) -> Decision:
+    """The decision over the postures that were asked for, a length of which is known.
 
-    metric: whether anything states a length beyond the arm's own drawing. problems: what contradicts the fit. stated_m:
-    RMS error of the nominal arm, as the user states it [m]. doubtful: statements in doubt, in sentences. size: what to
-    do about the sheet's size, where it is what keeps the arm from being clearly better; nothing where it is not. body:
-    whether the target is a body with markers, and the error that of the arm by itself.
+    stated_m: RMS error of the nominal arm, as the user states it [m]. problems: what contradicts the fit. doubtful:
+    statements in doubt, in sentences. size: what to do about the sheet's size, where that keeps the arm from being
+    clearly better. body: whether the target is a body with markers, and the error that of the arm by itself.
     """
-
-    metric: bool = True
-    problems: tuple[str, ...] = ()
-    stated_m: float | None = None
-    doubtful: tuple[str, ...] = ()
-    size: str = ""
-    body: bool = False
-
-
-def decide(error: ToolError, on: DecisionGrounds) -> Decision:
-    """The decision over the postures that were asked for."""
     worse = error.chance_worse
     middle, _, high = error.interval
     drawn, drawn_low, _ = error.nominal_interval
-    if on.problems:
-        return Decision(DO_NOT_APPLY, on.problems, worse, on.problems)
-    if not on.metric:
-        said = "Nothing in these images has a length that somebody measured: "
-        return Decision(CANNOT_TELL, (said + (_BODY_TELLS if on.body else _WHAT_TELLS) + ".",), worse)
-    whose = "By itself, wherever camera and body stand, the" if on.body else "The"
+    if problems:
+        return Decision(DO_NOT_APPLY, problems, worse, problems)
     compared = (
-        f"{whose} calibrated arm is off by {1e3 * middle:.2f} mm RMS at the tool (95 %: up to {1e3 * high:.2f} mm), "
-        f"the nominal arm by {1e3 * drawn:.2f} mm (95 %: at least {1e3 * drawn_low:.2f} mm)"
+        f"{'By itself, wherever camera and body stand, the' if body else 'The'} calibrated arm is off by "
+        f"{1e3 * middle:.2f} mm RMS at the tool (95 %: up to {1e3 * high:.2f} mm), the nominal arm by "
+        f"{1e3 * drawn:.2f} mm (95 %: at least {1e3 * drawn_low:.2f} mm)"
     )
-    if worse > _WORSE or (on.stated_m is not None and high >= on.stated_m):
-        if on.size:
-            return Decision(CANNOT_TELL, (f"{compared}. {on.size}", *on.doubtful), worse)
-        stated = "" if on.stated_m is None else f", and {1e3 * on.stated_m:.2f} mm is stated of it"
-        return Decision(DO_NOT_APPLY, (f"{compared}{stated}: that is not clearly better.", *on.doubtful), worse)
+    if worse > _WORSE or (stated_m is not None and high >= stated_m):
+        if size:
+            return Decision(CANNOT_TELL, (f"{compared}. {size}", *doubtful), worse)
+        stated = "" if stated_m is None else f", and {1e3 * stated_m:.2f} mm is stated of it"
+        return Decision(DO_NOT_APPLY, (f"{compared}{stated}: that is not clearly better.", *doubtful), worse)
     alike = ""
     if high >= drawn:
         alike = (
             " What is open of lens, sheet and places moves both alike; the chance that the calibrated arm is no better "
             f"is {max(100.0 * worse, 0.1):.1f} %."
         )
-    return Decision(APPLY, (f"{compared}.{alike}", *on.doubtful), worse)
+    return Decision(APPLY, (f"{compared}.{alike}", *doubtful), worse)
+
+
+def no_length(error: ToolError, body: bool) -> Decision:
+    """The decision where nothing has a length beyond the arm's own drawing."""
+    said = f"Nothing in these images has a length that somebody measured: {_BODY_TELLS if body else _WHAT_TELLS}."
+    return Decision(CANNOT_TELL, (said,), error.chance_worse)

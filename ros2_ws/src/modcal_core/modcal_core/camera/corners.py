@@ -96,11 +96,6 @@ class CornerTable:
         """Number of markers."""
         return self.target.marker_count
 
-    @property
-    def bow(self) -> Array:
-        """How far each leaves the plane of a flat sheet per unit of the three modes of its bow, (M, 3)."""
-        return self.modes[:, 2, 2:]
-
     def rms(self, gap: Array) -> float:
         """RMS of residuals (M, 2) of the corners in use."""
         return float(np.sqrt((self.weight @ (gap**2).sum(1)) / max(self.weight.sum(), 1.0)))

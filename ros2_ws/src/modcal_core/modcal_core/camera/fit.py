@@ -318,11 +318,6 @@ class CameraFit:
         """The arm's model, with the effects that were added to it."""
         return self.poses.model
 
-    @property
-    def prior(self) -> CommonPrior:
-        """What is expected of lens and target of the first camera."""
-        return self.cameras.first.prior
-
     @cached_property
     def states(self) -> list[CameraState]:
         """Where each camera ended."""

@@ -16,7 +16,7 @@ and r = tan θ,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -120,10 +120,6 @@ class Lens:
             if np.abs(step).max(initial=0.0) < 1e-13:
                 break
         return xy
-
-    def moved(self, change: ArrayLike) -> Lens:
-        """The lens with its values changed by (9,)."""
-        return replace(self, values=self.values + np.asarray(change))
 
     def _bent(self, xy: Array) -> tuple[Array, Array, Array]:
         """(distorted x, y (N, 2), their derivatives by x, y (N, 2, 2) and by the five of distortion (N, 2, 5))."""

@@ -169,7 +169,10 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         change = np.zeros(COUNT)
         change[use] = scale * np.linalg.solve(H * np.outer(scale, scale) + damping * np.eye(len(use)), scale * g)
-        lens, moves = here.lens.moved(change), back[:, :, -1] - back[:, :, :-1] @ change[use]
+        lens, moves = (
+            replace(here.lens, values=here.lens.values + change),
+            back[:, :, -1] - back[:, :, :-1] @ change[use],
+        )
         if lens.values[:2].min() <= 0.0:
             return None
         there = at(lens, se3.exp(moves) @ here.T_camera_target)
@@ -305,34 +308,15 @@ def explained(error: BadRecording, chain: Chain, q: Array, poses: BoardPose, on_
     return BadRecording(error.offender, f"{error.limit}; {best.what}", best.remedy)
 
 
-_ENOUGH = 8  # images with a pose: twice as many as a mounting needs, so that a misread one is outvoted
+ENOUGH = 8  # images of a body with a pose: twice as many as a mounting needs, so that a misread one is outvoted
 _LOOKED_AT = 30  # of these, for time, while the focal length is looked for
 _FINER = np.linspace(0.85, 1.18, 9)  # between one of these and the next
-
-
-def start_of_body(
-    table: CornerTable, A: Array, lens: Lens | None, usual: Lens, on_tip: bool | None
-) -> tuple[Lens, Mounting]:
-    """Lens and mounting to begin with, the target in every image by the arm, of images (N) of a body.
-
-    A: flange poses, (N, 4, 4) [m]. lens: as stated, None where it is to be found. usual: of its model and image size.
-    on_tip: the mounting where it is stated. Raises ModcalError for images that do not show it.
-    """
-    whole = images_with_pose(table)
-    if whole.sum() < _ENOUGH:
-        said = (
-            f"{int(whole.sum())} of {table.views} show four points of the body that tell a pose, {_ENOUGH} are needed"
-        )
-        raise NotEnoughData("images", said, "take more images, or such as show more of its points")
-    posed, at = table.select(whole), A[whole]
-    lens = lens or _lens_by_arm(posed, at, usual, on_tip)
-    return lens, find_mounting(at, board_poses(posed, lens), on_tip).by_arm(A)
 
 
 def require_order(table: CornerTable, lens: Lens, target: MarkerBundle) -> None:
     """Raises BadTable where the corners of markers are numbered in another order than the target's file says."""
     whole = images_with_pose(table)
-    if not target.turning or whole.sum() < _ENOUGH:
+    if not target.turning or whole.sum() < ENOUGH:
         return
     some = table.select(np.isin(np.arange(table.views), np.flatnonzero(whole)[: _LOOKED_AT // 2]))
     miss = {}
@@ -347,8 +331,10 @@ def require_order(table: CornerTable, lens: Lens, target: MarkerBundle) -> None:
         raise BadTable(target.label, said, f"state corner_order: [{', '.join(best)}]")
 
 
-def _lens_by_arm(table: CornerTable, A: Array, usual: Lens, on_tip: bool | None) -> Lens:
-    """The lens without distortion whose poses of the body meet the flange's best."""
+def lens_by_arm(table: CornerTable, A: Array, usual: Lens, on_tip: bool | None) -> Lens:
+    """The lens without distortion whose poses of the body in N images meet the flange's best. A: of this, (N, 4, 4)
+    [m]. usual: of its model and image size. on_tip: the mounting where it is stated.
+    """
     rows = np.zeros(table.views, bool)
     rows[np.unique(np.linspace(0, table.views - 1, _LOOKED_AT).astype(int))] = True
     table, A = table.select(rows), A[rows]

@@ -33,15 +33,17 @@ from modcal_core.camera.fit import START, Camera, CameraFit, CameraImages, Camer
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
 from modcal_core.camera.mounting import (
+    ENOUGH,
     MIN_VIEWS,
+    BoardPose,
     Mounting,
     board_poses,
     explained,
     find_mounting,
     first_lens,
     fit_lens,
+    lens_by_arm,
     require_order,
-    start_of_body,
 )
 from modcal_core.effects import NominalArm
 from modcal_core.errors import BadRecording, NotEnoughData
@@ -161,11 +163,7 @@ def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
         if (weight == kept.table.weight).all() and not bad.any():
             break
         kept = replace(kept, table=table).without(np.where(bad, "the target fits this image badly", ""))
-    q = images.q[kept.rows]
-    try:
-        mounting = near_arm(find_mounting(chain_forward(chain, q), poses, images.camera_on_tip), chain, images.name)
-    except BadRecording as error:
-        raise explained(error, chain, q, poses, images.camera_on_tip) from error
+    mounting = _mounting(chain, images, images.q[kept.rows], poses)
     far = mounting.off_m > max(_NOWHERE * chain.reach(), _NOWHERE_TIMES * float(np.median(mounting.off_m)))
     if (~far).sum() >= MIN_VIEWS:
         kept = kept.without(np.where(far, ELSEWHERE, ""))
@@ -180,15 +178,14 @@ def _of_body(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     # for what hardly depends on it
     usual = lens or Lens.plain(float(max(images.size)), images.size, FISHEYE if images.fisheye else PINHOLE)
     table, q = kept.table, images.q[kept.rows]
-    A = chain_forward(chain, q)
     require_order(table, usual, target)
-    try:
-        lens, mounting = start_of_body(table, A, lens, usual, images.camera_on_tip)
-        near_arm(mounting, chain, images.name)
-    except BadRecording as error:
-        whole = images_with_pose(table)
-        poses = board_poses(table.select(whole), usual)
-        raise explained(error, chain, q[whole], poses, images.camera_on_tip) from error
+    whole, A = images_with_pose(table), chain_forward(chain, q)
+    if whole.sum() < ENOUGH:
+        said = f"{whole.sum()} of {table.views} show four points of the body that tell a pose, {ENOUGH} are needed"
+        raise NotEnoughData("images", said, "take more images, or such as show more of its points")
+    posed = table.select(whole)
+    lens = lens or lens_by_arm(posed, A[whole], usual, images.camera_on_tip)
+    mounting = _mounting(chain, images, q[whole], board_poses(posed, lens)).by_arm(A)
     prior = common_prior(lens, target.scale, images.stated if images.lens is not None else None)
     far = gross(corner_rows(table, lens, np.zeros(SHAPE), mounting.T_camera_target).pixels)
     kept = replace(kept, table=replace(table, weight=np.where(far, 0.0, 1.0)))
@@ -196,15 +193,21 @@ def _of_body(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     return kept, lens, prior.with_places(target.place_prior()), mounting
 
 
-def near_arm(mounting: Mounting, chain: Chain, name: str) -> Mounting:
-    """The mounting. Raises BadRecording for images that miss the arm's motion by more than any arm is built wrong."""
-    if mounting.misfit_m > _APART_OF_REACH * max(chain.reach(), 0.3):
-        said = f"they are {1e3 * mounting.misfit_m:.0f} mm off the arm's motion in the median"
-        remedy = (
-            "check that each row of joints belongs to its image, joint units and order, the square's size, and that u "
-            "counts from the left and v from the top"
-        )
-        raise BadRecording(name, said, remedy)
+def _mounting(chain: Chain, images: CameraImages, q: Array, poses: BoardPose) -> Mounting:
+    """The mounting by images with poses, the arm at q (N, n). Raises BadRecording for images that miss the arm's motion
+    by more than any arm is built wrong, with what was written down wrongly where that is beyond doubt.
+    """
+    try:
+        mounting = find_mounting(chain_forward(chain, q), poses, images.camera_on_tip)
+        if mounting.misfit_m > _APART_OF_REACH * max(chain.reach(), 0.3):
+            said = f"they are {1e3 * mounting.misfit_m:.0f} mm off the arm's motion in the median"
+            remedy = (
+                "check that each row of joints belongs to its image, joint units and order, the square's size, and "
+                "that u counts from the left and v from the top"
+            )
+            raise BadRecording(images.name, said, remedy)
+    except BadRecording as error:
+        raise explained(error, chain, q, poses, images.camera_on_tip) from error
     return mounting
 
 
@@ -275,7 +278,7 @@ def misread_points(fit: CameraFit) -> np.ndarray:
 
 def far_markers(fit: CameraFit) -> np.ndarray:
     """Markers (K,) whose place is not where any hand would have glued them, the median marker being the scale."""
-    table, prior = fit.table, fit.prior.places
+    table, prior = fit.table, fit.cameras.first.prior.places
     assert prior is not None
     off = (prior.white @ fit.state.shape[SHAPE:].reshape(table.markers, -1, 1))[:, :, 0]
     size, used = np.sqrt((off**2).mean(axis=1)), np.bincount(table.marker, table.weight, table.markers) > 0.0

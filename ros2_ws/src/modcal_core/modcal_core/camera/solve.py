@@ -18,11 +18,11 @@ from modcal_core.camera.changes import CameraCause, Moved, find_causes, find_cha
 from modcal_core.camera.claim import (
     APPLY,
     Decision,
-    DecisionGrounds,
     RestsOn,
     ToolError,
     arm_draws,
     decide,
+    no_length,
     rests_on,
     shares,
     tool_error,
@@ -44,7 +44,6 @@ from modcal_core.camera.statements import (
 from modcal_core.camera.views import POSTURES, ViewSpread, postures_in_view
 from modcal_core.diagnosis import EffectChoice
 from modcal_core.errors import BadRecording
-from modcal_core.geometry import Array
 from modcal_core.robots import Chain, Inertias, random_postures
 
 PASSED = 0.05  # share of images, corners or points left out that a verdict passes over (verdict.md)
@@ -97,7 +96,7 @@ def size_open(
         return said if known < MOSTLY * whole else ""
     if max(doubted, key=lambda d: d.chance).what != SIZE:
         return ""
-    if decide(error.as_stated, DecisionGrounds(stated_m=arm_m)).word != APPLY:
+    if decide(error.as_stated, arm_m).word != APPLY:
         return ""
     again = _UNSAID if scale.unsaid else f"measure the {what} again"
     return (
@@ -265,9 +264,7 @@ def solve_camera(
         fit, causes, left = find_causes(geometric, progress)
 
     progress("verdict")
-    images = first.given
-    near = postures_in_view(fit, rng)
-    doubted = doubts(fit, images)
+    near, doubted, target = postures_in_view(fit, rng), doubts(fit), first.given.target
     change, wrong = find_change(fit), list[str]()
     for k, camera in enumerate(fit.cameras.every):
         whose = f" of {camera.given.name}" if k else ""
@@ -277,33 +274,31 @@ def solve_camera(
         out, count = len(camera.left_out), len(camera.given.views)
         if out > PASSED * count:  # more than a verdict passes over
             wrong.append(f"{out} of {count} images{whose} were left out.")
-    against = problems(fit, still, (*wrong, *contradictions(fit, doubted, images)))
-    open_points: tuple[str, ...] = ()
-    if isinstance(images.target, MarkerBundle):
-        same = [one for one in fit.cameras.every if one.table.target == images.target]
+    against, open_points = problems(fit, still, (*wrong, *contradictions(fit, doubted))), tuple[str, ...]()
+    body = isinstance(target, MarkerBundle)
+    if isinstance(target, MarkerBundle):
+        same = [one for one in fit.cameras.every if one.table.target == target]
         names = [" of the first camera" if len(same) > 1 else "", *(f" of {one.given.name}" for one in same[1:])]
-        every = zip(names, (one.table for one in same), strict=True)
-        against_points, open_points = left_out_points(list(every), images.target)
-        against += against_points
-    metric = metric_of(images.target, problem.arm_m, problem.beside)
-    evidence = CameraEvidence(
-        change,
-        findings(fit, images.target.scale, len(metric) > images.target.scale.measured, near),
-        causes,
-        left,
-        weak_directions(fit, first.mounting),
-        against,
-        open_points,
+        misread, open_points = left_out_points(list(zip(names, (one.table for one in same), strict=True)), target)
+        against += misread
+    metric = metric_of(target, problem.arm_m, problem.beside)
+    defaults, weak = findings(fit, len(metric) > target.scale.measured, near), weak_directions(fit, first.mounting)
+    draws, anywhere = arm_draws(fit, rng, doubted), random_postures(problem.chain, POSTURES, rng)
+    in_view, alone = (tool_error(fit, still, near, draws, arm_alone) for arm_alone in (False, True))
+    judged = alone if body else in_view  # fixed cameras and a body are there for the arm, wherever they stand
+    doubtful, known, rests = in_doubt(doubted), shares(fit, near), rests_on(fit, doubted, near, in_view)
+    if metric or against:
+        said = () if rests is None else (rests.sentence(in_view.nominal_interval[0], body),)
+        size = size_open(target, doubted, judged, known, problem.arm_m)
+        decision = decide(judged, problem.arm_m, against, (*doubtful, *said), size, body)
+    else:
+        decision = no_length(judged, body)
+    at = in_view, tool_error(fit, still, anywhere, draws), alone
+    return CameraSolution(
+        *(fit, geometric, still),
+        CameraEvidence(change, defaults, causes, left, weak, against, open_points),
+        CameraClaim(*at, replace(decision, doubtful=doubtful), known, rests, metric, held_out(still, fit)),
     )
-    draws = arm_draws(fit, rng, doubted)
-    errors = (
-        tool_error(fit, still, near, draws),
-        tool_error(fit, still, random_postures(problem.chain, POSTURES, rng), draws),
-        tool_error(fit, still, near, draws, arm_alone=True),
-    )
-    decision, rests, shared = _decided(problem, errors, fit, near, doubted, evidence.problems)
-    claim = CameraClaim(*errors, decision, shared, rests, metric, held_out(still, fit))
-    return CameraSolution(fit, geometric, still, evidence, claim)
 
 
 def _fitted(problem: CameraProblem, progress: Callable[[str], None]) -> tuple[CameraFit, list[CameraFit]]:
@@ -320,28 +315,6 @@ def _fitted(problem: CameraProblem, progress: Callable[[str], None]) -> tuple[Ca
         return alone[0], alone
     every = tuple(replace(fit.cameras.first, begin=fit.state) for fit in alone)
     return _without_far(fit_cameras(Cameras(every, problem.beside))), alone
-
-
-def _decided(
-    problem: CameraProblem,
-    errors: tuple[ToolError, ToolError, ToolError],
-    fit: CameraFit,
-    near: Array,
-    doubted: Sequence[DoubtedStatement],
-    against: tuple[str, ...],
-) -> tuple[Decision, RestsOn | None, dict[str, tuple[float, float]]]:
-    """(decision, what the stated size is worth, shares) of these errors in view, anywhere and of the arm alone. near:
-    postures in view (M, n). against: what contradicts the fit.
-    """
-    images, body = problem.cameras[0], fit.table.places > 0
-    shared, rests = shares(fit, near), rests_on(fit, doubted, near, errors[0])
-    doubtful = in_doubt(fit, doubted, images)
-    rest = () if rests is None else (rests.sentence(errors[0].nominal_interval[0], body),)
-    judged = errors[2 if body else 0]  # fixed cameras and a body are there for the arm, wherever they stand
-    size = size_open(images.target, doubted, judged, shared, problem.arm_m)
-    metric = bool(metric_of(images.target, problem.arm_m, problem.beside))
-    grounds = DecisionGrounds(metric, against, problem.arm_m, (*doubtful, *rest), size, body)
-    return replace(decide(judged, grounds), doubtful=doubtful), rests, shared
 
 
 def _nearest(fit: CameraFit) -> Model:

@@ -25,7 +25,7 @@ from modcal_core.camera.bundle import PrintScale, alike
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import FREE, READOUT, SCALE, SHAPE, common_prior
 from modcal_core.camera.equations import SolvedEquations
-from modcal_core.camera.fit import LIKELIER, CameraFit, CameraImages, usual
+from modcal_core.camera.fit import LIKELIER, CameraFit, usual
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.effects import ReportEntry
 from modcal_core.geometry import Array
@@ -39,63 +39,142 @@ _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 _EXACT = 1e8  # times the information of its prior; a value that is held
 _NEVER_LESS = 0.05  # chance that rulers of which nobody says how well they were read are of another sheet
 IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
-SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
 TARGET, CLOCK = "target", "clock"  # families of the report
+
+
+def _late(_: CameraFit, value: Array, std: Array) -> str:
+    late = "later" if value[0] < 0.0 else "earlier"
+    return f"stamps {1e3 * abs(value[0]):.1f} ± {1e3 * std[0]:.1f} ms {late} than the joints of their moment"
+
+
+def _by_line(fit: CameraFit, value: Array, std: Array) -> str:
+    line, spread = 1e6 * np.array([value[0], std[0]]) / fit.state.lens.size[1]
+    whole = f"{1e3 * value[0]:.1f} ms from top to bottom"
+    return f"a camera that reads an image line by line, {line:.1f} ± {spread:.1f} µs a line ({whole})"
+
+
+def _size(fit: CameraFit, value: Array, std: Array) -> str:
+    scale = fit.table.target.scale
+    x, y = 100.0 * ((1.0 + value) / [scale.x, scale.y] - 1.0)
+    if fit.table.places:
+        return f"a body {x:+.2f} % and markers {y:+.2f} % off their stated size, ± {100.0 * std[0]:.2f} %"
+    return f"a sheet {x:+.2f} % (x) and {y:+.2f} % (y) off its stated size, ± {100.0 * std[0]:.2f} %"
+
+
+def _bent(fit: CameraFit, value: Array, std: Array) -> str:
+    bow = fit.table.modes[:, 2, 2:]  # how far each corner leaves the plane per unit of its three modes
+    off = np.abs(bow @ value)
+    spread = float(np.linalg.norm(bow[int(off.argmax())] * std))
+    return f"a sheet that is bent by {1e3 * float(off.max()):.2f} ± {1e3 * spread:.2f} mm towards its edge"
+
+
+def _other_lens(fit: CameraFit, value: Array, std: Array) -> str:
+    lens = fit.cameras.first.given.lens
+    assert lens is not None
+    i = int(np.argmax(np.abs(value - lens.values) / np.maximum(std, 1e-9)))
+    plain = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
+    name = plain.get(lens.names[i], lens.names[i])
+    return f"a lens whose {name} is {value[i]:.4g} ± {std[i]:.2g} and not {lens.values[i]:.4g}"
+
+
+@dataclass(frozen=True)
+class Statement:
+    """at: its values, where they stand behind the clock's delay: lens, shape, readout. words: what images have in its
+    place, by fit, values and standard deviations. remedy: of a stated value. family, direction, driver, names, unit: of
+    a default in the report; without a family it is none.
+    """
+
+    at: slice
+    words: Callable[[CameraFit, Array, Array], str]
+    remedy: str = ""
+    family: str = ""
+    direction: str = "all"
+    driver: str = "constant"
+    names: tuple[str, ...] = ()
+    unit: str = "s"
+
+    def rows(self, fit: CameraFit) -> np.ndarray:
+        """Where its values stand among all of a fit."""
+        return fit.poses.count + np.arange(self.at.start, self.at.stop)
+
+
+def _behind_clock(at: slice) -> slice:
+    return slice(1 + at.start, 1 + at.stop)
+
+
+SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
+_STATEMENTS = {
+    "delay": Statement(slice(0, 1), _late, family=CLOCK, driver="velocity", names=("delay_s",)),
+    "line": Statement(slice(1 + READOUT, 2 + READOUT), _by_line, family=CLOCK, driver="line", names=("line_s",)),
+    SIZE: Statement(
+        *(_behind_clock(SCALE), _size),
+        ", or an arm that is built to another scale than its URDF: measure it again, and check the target file.",
+        *(TARGET, "size"),
+        names=("size_x", "size_y"),
+        unit="1",
+    ),
+    BOW: Statement(
+        *(_behind_clock(BENT), _bent, ": glue it to something flat.", TARGET, "normal"),
+        names=("bow_xx", "bow_xy", "bow_yy"),
+        unit="m",
+    ),
+    LENS_VALUES: Statement(
+        *(_behind_clock(slice(0, LENS)), _other_lens),
+        ": give the camera_info of this camera, focus and resolution, or leave it away.",
+    ),
+}
 
 
 @dataclass(frozen=True)
 class DoubtedStatement:
-    """A relaxed statement. what: size, bow or lens. solved: the equations with it relaxed at the state of the fit, and
-    the sizes of errors. gain: of −2 log likelihood. chance: that the statement is wrong, given the images.
+    """A statement relaxed. what: size, bow or lens. words: what the images have in its place. solved: the equations
+    with it relaxed at the state of the fit, and the sizes of errors. gain: of −2 log likelihood. chance: that it is
+    wrong, given the images.
     """
 
     what: str
+    words: str
     solved: SolvedEquations
     gain: float
     chance: float
 
-    def values(self, fit: CameraFit) -> tuple[Array, Array]:
-        """(lens, shape, readout and places of markers; their standard deviations) with it relaxed, (15 + Z,) each."""
-        there = fit.state.common + self.solved.step()[fit.common]
-        return there, np.sqrt(np.diag(self.solved.covariance()))[fit.common]
 
-
-def doubts(fit: CameraFit, stated: CameraImages) -> tuple[DoubtedStatement, ...]:
+def doubts(fit: CameraFit) -> tuple[DoubtedStatement, ...]:
     """Each of the statements relaxed, and the chance that it is wrong."""
-    scale, relaxed = stated.target.scale, []
-    for what, at, information, mean in _relaxed(fit, stated):
-        there = fit.equations.with_block(fit.common[at], information, fit.state.common[at] - mean)
-        relaxed.append((what, *fit.weighed(there)))
+    scale, relaxed = fit.table.target.scale, []
+    for what, information, mean in _relaxed(fit):
+        rows = _STATEMENTS[what].rows(fit)
+        solved, misfit = fit.weighed(fit.equations.with_block(rows, information, fit.x[rows] - mean))
+        there, std = fit.x + solved.step(), np.sqrt(np.diag(solved.covariance()))
+        relaxed.append((what, _STATEMENTS[what].words(fit, there[rows], std[rows]), solved, fit.misfit - misfit))
     # of a length nobody may have read more than the sheet; who says how well has measured it
     backed = 2.0 + scale.measured - 2.0 * scale.unsaid
     price = _BACKED * np.array([backed if what == SIZE else 2.0 for what, *_ in relaxed])
-    gain = np.array([fit.misfit - misfit for *_, misfit in relaxed])
-    odds = np.exp(0.5 * np.minimum(gain, 100.0) - price)
+    odds = np.exp(0.5 * np.minimum([gain for *_, gain in relaxed], 100.0) - price)
     # what images say against a wrong size hangs on how far off wrong sizes are supposed to be
     least = np.array([_NEVER_LESS * (scale.unsaid and what == SIZE) for what, *_ in relaxed])
-    chances = np.maximum(odds / (1.0 + odds.sum()), least)
-    every = zip(relaxed, gain, chances, strict=True)
-    return tuple(DoubtedStatement(what, solved, float(more), float(p)) for (what, solved, _), more, p in every)
+    chances = np.maximum(odds / (1.0 + odds.sum()), least).tolist()
+    return tuple(DoubtedStatement(*one, p) for one, p in zip(relaxed, chances, strict=True))
 
 
-def _relaxed(fit: CameraFit, stated: CameraImages) -> Iterator[tuple[str, slice, Array, Array]]:
-    """(what a statement is about, its values among lens and shape, their information and mean with it relaxed)."""
-    prior = fit.prior
+def _relaxed(fit: CameraFit) -> Iterator[tuple[str, Array, Array]]:
+    """(what a statement is about, information and mean of its values with it relaxed)."""
+    prior, given = fit.cameras.first.prior, fit.cameras.first.given
     cov = _ANY_SIZE.covariance
     if prior.places is not None:  # the print of its markers is another statement, and stands
         cov = np.asarray(np.linalg.inv(prior.information[SCALE, SCALE]) + np.diag([cov[0, 0], 0.0]))
-    yield SIZE, SCALE, np.asarray(np.linalg.inv(cov)), prior.mean[SCALE]
+    yield SIZE, np.asarray(np.linalg.inv(cov)), prior.mean[SCALE]
     if prior.places is None:  # a body has no bow
-        yield BOW, BENT, np.eye(SHAPE - 2) / _ANY_BOW_M**2, prior.mean[BENT]
-    if stated.lens is not None and stated.stated != FREE:
-        unknown, values = common_prior(stated.lens, PrintScale(), None), slice(0, LENS)
-        yield LENS_VALUES, values, unknown.information[values, values], unknown.mean[values]
+        yield BOW, np.eye(SHAPE - 2) / _ANY_BOW_M**2, prior.mean[BENT]
+    if given.lens is not None and given.stated != FREE:
+        unknown = common_prior(given.lens, PrintScale(), None)
+        yield LENS_VALUES, unknown.information[:LENS, :LENS], unknown.mean[:LENS]
 
 
-def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: CameraImages) -> tuple[str, ...]:
+def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement]) -> tuple[str, ...]:
     """What the images contradict of what was stated, in sentences. doubted: of this fit."""
-    wrong = [doubt for doubt in doubted if doubt.gain > LIKELIER]
-    out = [f"The images show {_phrase(fit, doubt, stated)}{_WHAT_TO_DO[doubt.what]}" for doubt in wrong]
+    wrong = [one for one in doubted if one.gain > LIKELIER]
+    out = [f"The images show {one.words}{_STATEMENTS[one.what].remedy}" for one in wrong]
     if fit.poses.faults is not None and fit.poses.arm_stated is not None:
         solved, misfit = fit.weighed(replace(fit.equations, faults=replace(fit.poses.faults, stated=None)))
         times = solved.sizes.arm / fit.sizes.arm
@@ -107,47 +186,14 @@ def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: 
     return tuple(out)
 
 
-def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: CameraImages) -> tuple[str, ...]:
+def in_doubt(doubted: Sequence[DoubtedStatement]) -> tuple[str, ...]:
     """What the images leave in doubt of what was stated, in sentences."""
     return tuple(
-        f"An arm with these faults and {_phrase(fit, doubt, stated)} look much alike (chance of the latter "
-        f"{100.0 * doubt.chance:.0f} %): check that statement, or add a length of another kind, such as a few tracker "
-        "points."
-        for doubt in doubted
-        if doubt.chance > IN_DOUBT
+        f"An arm with these faults and {one.words} look much alike (chance of the latter {100.0 * one.chance:.0f} %): "
+        "check that statement, or add a length of another kind, such as a few tracker points."
+        for one in doubted
+        if one.chance > IN_DOUBT
     )
-
-
-_WHAT_TO_DO = {
-    SIZE: ", or an arm that is built to another scale than its URDF: measure it again, and check the target file.",
-    BOW: ": glue it to something flat.",
-    LENS_VALUES: ": give the camera_info of this camera, focus and resolution, or leave it away.",
-}
-
-
-def _phrase(fit: CameraFit, doubt: DoubtedStatement, stated: CameraImages) -> str:
-    """What the images have where the statement is wrong."""
-    common, std = doubt.values(fit)
-    if doubt.what == SIZE:
-        what = "body" if fit.table.places else "sheet"
-        return f"a {what} {_percent(fit, common, stated.target.scale)} off its stated size, ± {100.0 * std[LENS]:.1f} %"
-    if doubt.what == BOW:
-        worst = float(np.abs(fit.table.bow @ common[BENT]).max())
-        return f"a sheet that is bent by {1e3 * worst:.1f} mm towards its edge"
-    assert stated.lens is not None
-    found, values, names = common[:LENS], stated.lens.values, stated.lens.names
-    i = int(np.argmax(np.abs(found - values) / np.maximum(std[:LENS], 1e-9)))
-    return f"a lens whose {_PLAIN.get(names[i], names[i])} is {found[i]:.4g} ± {std[i]:.2g} and not {values[i]:.4g}"
-
-
-_PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
-
-
-def _percent(fit: CameraFit, common: Array, scale: PrintScale) -> str:
-    """By how much a sheet is off along x and y, or a body as a whole."""
-    x, y = common[SCALE] + 1.0
-    along_x = f"{100.0 * (x / scale.x - 1.0):+.1f} %"
-    return along_x if fit.table.places else f"{along_x} (x) and {100.0 * (y / scale.y - 1.0):+.1f} % (y)"
 
 
 @dataclass(frozen=True)
@@ -168,85 +214,20 @@ class CameraFinding:
         return float(np.exp(-0.5 * self.gain))
 
 
-@dataclass(frozen=True)
-class _Default:
-    """A fitted value that has a default. at: where it stands behind clock, lens, shape, readout. driver, direction:
-    of the report. names: of its values, in unit. say: what is found, by fit, value and standard deviation.
-    """
-
-    family: str
-    at: slice
-    direction: str
-    driver: str
-    names: tuple[str, ...]
-    unit: str
-    say: Callable[[CameraFit, Array, Array], str]
-
-
-def _late(_: CameraFit, value: Array, std: Array) -> str:
-    late = "later" if value[0] < 0.0 else "earlier"
-    return (
-        f"Images are stamped {1e3 * abs(value[0]):.1f} ± {1e3 * std[0]:.1f} ms {late} than the joints of their moment"
-    )
-
-
-def _by_line(fit: CameraFit, value: Array, std: Array) -> str:
-    line, spread = 1e6 * np.array([value[0], std[0]]) / fit.state.lens.size[1]
-    return (
-        f"The camera reads an image line by line, {line:.1f} ± {spread:.1f} µs a line "
-        f"({1e3 * value[0]:.1f} ms from top to bottom)"
-    )
-
-
-def _printed(fit: CameraFit, value: Array, std: Array) -> str:
-    (x, y), spread = 100.0 * value, f"off its stated size, ± {100.0 * std[0]:.2f} %"
-    if fit.table.places:
-        return f"The body is {x:+.2f} % and its markers {y:+.2f} % {spread}"
-    return f"The sheet is {x:+.2f} % (x) and {y:+.2f} % (y) {spread}"
-
-
-def _bent(fit: CameraFit, value: Array, std: Array) -> str:
-    off = np.abs(fit.table.bow @ value)
-    spread = float(np.linalg.norm(fit.table.bow[int(off.argmax())] * std))
-    return f"The sheet is bent by {1e3 * float(off.max()):.2f} ± {1e3 * spread:.2f} mm towards its edge"
-
-
-_SCALED = slice(1 + SCALE.start, 1 + SCALE.stop)  # of the defaults' values, behind the delay
-_DEFAULTS = (
-    _Default(CLOCK, slice(0, 1), "all", "velocity", ("delay_s",), "s", _late),
-    _Default(CLOCK, slice(1 + READOUT, 2 + READOUT), "all", "line", ("line_s",), "s", _by_line),
-    _Default(TARGET, _SCALED, "size", "constant", ("size_x", "size_y"), "1", _printed),
-    _Default(
-        TARGET,
-        slice(1 + BENT.start, 1 + BENT.stop),
-        "normal",
-        "constant",
-        ("bow_xx", "bow_xy", "bow_yy"),
-        "m",
-        _bent,
-    ),
-)
-
-
-def findings(fit: CameraFit, scale: PrintScale, other_length: bool, q: Array) -> tuple[CameraFinding, ...]:
-    """Defaults that do not hold.
-
-    scale: as stated of the print. other_length: whether anything but the sheet states a length. q: postures (M, n) over
+def findings(fit: CameraFit, other_length: bool, q: Array) -> tuple[CameraFinding, ...]:
+    """Defaults that do not hold. other_length: whether anything but the sheet states a length. q: postures (M, n) over
     which the size at the flange is.
     """
-    P, C = fit.poses.count, fit.covariance
-    values = np.r_[fit.state.offset_s, fit.state.common]
-    default = np.zeros_like(values)
-    default[_SCALED] = scale.x - 1.0, scale.y - 1.0
+    P, C, scale = fit.poses.count, fit.covariance, fit.table.target.scale
     J, plain, out = fit.flange_motions(q), fit.misfit, []
-    for row in _DEFAULTS:
-        rows = P + np.arange(row.at.start, row.at.stop)
-        stated = row.at == _SCALED and scale.measured  # somebody's ruler against the images: that is no default
-        if stated or not fit.equations.free[rows].all():
+    for what, row in _STATEMENTS.items():
+        rows, of_size = row.rows(fit), what == SIZE
+        # somebody's ruler against the images is no default
+        if not row.family or (of_size and scale.measured) or not fit.equations.free[rows].all():
             continue
-        value, off, std = values[row.at], (values - default)[row.at], np.sqrt(np.diag(C)[rows])
-        exact = np.diag(_EXACT * np.diag(fit.equations.information)[rows])
-        held = fit.equations.with_block(rows, exact, off)
+        value, std = fit.x[rows], np.sqrt(np.diag(C)[rows])
+        off = value - [scale.x - 1.0, scale.y - 1.0] if of_size else value
+        held = fit.equations.with_block(rows, np.diag(_EXACT * np.diag(fit.equations.information)[rows]), off)
         if held.solve(fit.sizes).misfit() + usual(fit.sizes) - plain <= LIKELIER:  # other sizes only help it
             continue
         gain = fit.weighed(held)[1] - plain
@@ -254,15 +235,17 @@ def findings(fit: CameraFit, scale: PrintScale, other_length: bool, q: Array) ->
             continue
         shift = C[:P, rows] @ np.linalg.solve(C[np.ix_(rows, rows)], off)
         at_tool = float(np.sqrt(((J @ shift) ** 2).sum() / len(q)))
-        said, same = row.say(fit, value, std), tuple[str, ...]()
-        if row.at == _SCALED and not other_length:
-            same = ("the arm, all lengths by one factor",)
-            said += ", or the arm is built to another scale than its URDF: nothing here tells which"
-        unit = {"delay_s": -1.0, "line_s": 1.0 / fit.state.lens.size[1]}.get(row.names[0], 1.0)
+        either = of_size and not other_length
+        unit = {"delay": -1.0, "line": 1.0 / fit.state.lens.size[1]}.get(what, 1.0)
         every = zip(row.names, unit * value, abs(unit) * std, strict=True)
         sizes = {name: (float(v), float(s), row.unit) for name, v, s in every}
         place = "camera:camera" if row.family == CLOCK else "target:target"
+        same = ("the arm, all lengths by one factor",) if either else ()
+        said = (
+            f"The images show {row.words(fit, value, std)}"
+            f"{', or an arm that is built to another scale than its URDF: nothing here tells which' if either else ''}"
+            f"; left out, it would put the tool {1e3 * at_tool:.2f} mm off."
+        )
         entry = ReportEntry(place, row.direction, row.driver, sizes, same)
-        said += f"; left out, it would put the tool {1e3 * at_tool:.2f} mm off."
         out.append(CameraFinding(row.family, entry, gain, at_tool, said))
     return tuple(out)

@@ -178,9 +178,7 @@ class Bounds:
     def require_within(self, q: Array) -> None:
         """Raises BadCommand unless these positions (n,) are finite and within the limits."""
         if not np.isfinite(q).all():
-            raise BadCommand(
-                "joint command", "is not finite", "this is a fault of modcal: report it with the calibration"
-            )
+            raise BadCommand("joint command", "is not finite", "a fault of modcal: report it with the calibration")
         out = (q < self.lower) | (q > self.upper)
         if out.any():
             j = int(np.argmax(out))
@@ -238,16 +236,13 @@ class SetpointStream:
 
     def setpoint(self, q: Array, now: float) -> Array:
         """The setpoint (n,) for a command q (n,) at time ``now`` [s]; :meth:`given` makes it the last one."""
-        if not self.running(now):
-            self._offset = None
-        if self._offset is None:
-            return q
-        since, blend, offset = self._offset
-        share = (now - since) / blend if blend > 0.0 else 1.0
-        if not 0.0 <= share < 1.0:
-            self._offset = None
-            return q
-        return q + offset * (1.0 - share**2 * (3.0 - 2.0 * share))
+        if self._offset is not None and self.running(now):
+            since, blend, offset = self._offset
+            share = (now - since) / blend if blend > 0.0 else 1.0
+            if 0.0 <= share < 1.0:
+                return q + offset * (1.0 - share**2 * (3.0 - 2.0 * share))
+        self._offset = None
+        return q
 
     def given(self, q: Array, now: float) -> None:
         """Note that this setpoint (n,) was sent."""

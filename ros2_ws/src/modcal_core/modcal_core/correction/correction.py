@@ -151,17 +151,11 @@ class Correction:
     def require(self, at: ArmState) -> None:
         """Raises MissingDriver unless everything is known that the effects depend on."""
         heard = {track.name for track in at.signals if len(track.stamps)}
-        for name in self.needs:
-            if name not in heard:
-                raise MissingDriver(
-                    name, "the calibration depends on it and it was not received", "publish it, or calibrate without it"
-                )
+        missing = [(name, "it was not received") for name in self.needs if name not in heard]
         if self.needs_effort and not np.isfinite(at.effort).all():
-            raise MissingDriver(
-                "effort of the joints",
-                "the calibration depends on it and joint_states contain none",
-                "make the driver publish it, or calibrate without it",
-            )
+            missing.append(("effort of the joints", "joint_states contain none"))
+        for name, why in missing:
+            raise MissingDriver(name, f"the calibration depends on it and {why}", "publish it, or calibrate without it")
 
     def pose(self, q: Array, at: ArmState, target: Target = "tip", frame: str = "") -> Array:
         """True pose (4, 4) of tip or tool at reported positions q (n,); in the base link, or in a tracker frame."""

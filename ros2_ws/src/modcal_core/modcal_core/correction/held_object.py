@@ -52,9 +52,7 @@ class GripperRays:
         model, known = calibration.calibrated, calibration.uncertainty
         number = [i for i, one in enumerate(model.instruments) if one.kind == RAY]
         if not number:
-            raise BadTable(
-                "calibration", "has no range sensors of a gripper", "calibrate with gripper/range in the bag"
-            )
+            raise BadTable("calibration", "has no range sensors of a gripper", "calibrate with gripper/range recorded")
         if known is None or RAY not in calibration.noise.others:
             raise BadTable("calibration", "does not say how well its rays are known", "calibrate again")
         parameters = known.parameters
@@ -89,9 +87,7 @@ class GripperRays:
             k = int(np.argmax(np.abs(along)))
             if name not in named and abs(along[k]) < _ALONG:
                 steep = np.degrees(np.arccos(abs(along[k])))
-                said = (
-                    f"cannot tell which face it meets: its ray is {steep:.0f}° from the {'xyz'[k]} axis of {self.tip}"
-                )
+                said = f"cannot tell which face it meets: its ray is {steep:.0f}° off the {'xyz'[k]} axis of {self.tip}"
                 raise BadTable(f"sensor {name}", said, f"name it, as {name}=-x; faces: {', '.join(FACES)}")
             out[name] = named.get(name) or ("-" if along[k] > 0.0 else "+") + "xyz"[k]
         return out

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.hypotheses.hand_eye import ANGLE, OF_REACH, HandEye, HandEyeFit, limits, placed
-    from modcal_core.hypotheses.computed_part import computed_in_part
+    from modcal_core.hypotheses.computed_part import computed_in_part, last_step
     from modcal_core.hypotheses.conventions import INVERSE, inverse_pose, left_handed, of_recording
-    from modcal_core.hypotheses.hypothesis import Disagreement, Hypothesis
+    from modcal_core.hypotheses.hypothesis import COMMON, Disagreement, Hypothesis, family
     from modcal_core.hypotheses.joint_columns import likely_orders
     from modcal_core.hypotheses.meanings import LENGTHS, MIN_ROWS, Judged, Postures, judge, rivals, same_poses
     from modcal_core.hypotheses.meant import BEYOND_DOUBT, MIN, MISREAD, ArmMiss, proved, recognised
@@ -29,8 +29,9 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["ANGLE", "BEYOND_DOUBT", "EULER", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN", "MIN_ROWS"]
-__all__ += ["MISREAD", "OF_REACH", "QUATERNION", "Answer", "ArmMiss", "Disagreement", "HandEye", "HandEyeFit"]
-__all__ += ["Hypothesis", "Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreement"]
-__all__ += ["explain", "inverse_pose", "judge", "left_handed", "likely_orders", "limits", "of_recording", "orders"]
-__all__ += ["placed", "proved", "recognised", "require_plausible", "rivals", "same_poses", "sights_match", "turnings"]
+__all__ = ["ANGLE", "BEYOND_DOUBT", "COMMON", "EULER", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN"]
+__all__ += ["MIN_ROWS", "MISREAD", "OF_REACH", "QUATERNION", "Answer", "ArmMiss", "Disagreement", "HandEye"]
+__all__ += ["HandEyeFit", "Hypothesis", "Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part"]
+__all__ += ["disagreement", "explain", "family", "inverse_pose", "judge", "last_step", "left_handed", "likely_orders"]
+__all__ += ["limits", "of_recording", "orders", "placed", "proved", "recognised", "require_plausible", "rivals"]
+__all__ += ["same_poses", "sights_match", "turnings"]

@@ -22,7 +22,7 @@ _DRAWS = 300  # of each kind
 _ENOUGH = 8  # stations beyond those drawn that are met to the last digit
 _MAX_AGREE = 0.95  # where more do, all are computed
 _COARSEST = 1e-5  # m; rounded more coarsely, measured readings are met by chance
-_STEPS = (1e-5, 1e-6)  # m; powers of ten that are written
+_FINEST_STEP, _NO_STEP = 5e-7, 1e-7  # m or rad: of the last digits that are looked for, and what is none
 
 
 def computed_in_part(samples: Samples, chain: Mechanism, wrong: np.ndarray | None = None) -> tuple[str, ...]:
@@ -39,7 +39,7 @@ def computed_in_part(samples: Samples, chain: Mechanism, wrong: np.ndarray | Non
     rows = rows[np.argsort(samples.stamps[rows], kind="stable")][:_MAX]
     if len(rows) < _MIN:
         return ()
-    limit = max(FINEST, _step(samples.reading[rows]))
+    limit = max(FINEST, *map(last_step, samples.reading[rows].T))
     if limit > _COARSEST:
         return ()
     part = samples.select(rows)
@@ -101,10 +101,16 @@ def _draws(N: int, size: int, wrong: np.ndarray | None, rng: np.random.Generator
     return np.minimum(np.concatenate(sets), N - 1)
 
 
-def _step(position: Array) -> float:
-    """The power of ten [m] that readings are rounded to; 0 where it is finer than those that are looked for."""
-    for step in (1e-3, 1e-4, *_STEPS):
-        u = position / step
-        if np.abs(u - np.round(u)).max() < 0.01:
-            return step
-    return 0.0
+def last_step(x: Array) -> float:
+    """The step of which all numbers (N,) are multiples, but for what they have in common; 0 where it is finer than
+    instruments are, or numbers do not differ.
+    """
+    size = 0.0
+    for gap in np.diff(np.unique(x)):
+        a, b = max(size, float(gap)), min(size, float(gap))
+        while b > _NO_STEP:
+            a, b = b, abs(a - b * round(a / b))
+        size = a
+        if size < _FINEST_STEP:
+            return 0.0
+    return size

@@ -25,7 +25,7 @@ from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.rates import without_bursts
 from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack, joints_by_time
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots import Mechanism, followers_of
+from modcal_core.robots import Mechanism
 
 JOINTS = "joint states without a finite position"
 BEYOND = "joint states with a position that no joint has"
@@ -85,7 +85,7 @@ def cleaned(recording: Recording, names: tuple[str, ...], chain: Mechanism | Non
 
 def _followed(recording: Recording, chain: Mechanism | None) -> Recording:
     """The recording with joints that mimic another one, where their own positions were not recorded."""
-    followers = () if chain is None else followers_of(chain)
+    followers = () if chain is None else chain.follows
     known = {name for track in recording.joints for name in track.names}
     new = [(chain.names[f.joint], f) for f in followers if chain is not None and chain.names[f.joint] not in known]
     if not new:

@@ -5,7 +5,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.modules.coding import Coding, assembly_from_data, assembly_to_data, incidence_of
+    from modcal_core.modules.coding import Coding, assembly_from_data, assembly_to_data, matrix_text
     from modcal_core.modules.errors import ModuleError, ModuleErrors, learn, recording_evidence, store_from_data
     from modcal_core.modules.errors import store_to_data, surprise, twists_from_data, with_recording
     from modcal_core.modules.evaluation import Generation

@@ -3,27 +3,20 @@
 A constant M_k between two joints is a product of pieces: ways through modules, and pairs of flanges. Behind each stands
 a small error exp(e), so to first order
 
-    δ_k = Σ_pieces Ad(T_tail)⁻¹ e_piece,        T_tail: the product of the pieces behind it within M_k,
+    δ_k = Σ_pieces Ad(T_tail)⁻¹ e_piece,        T_tail: the product of the pieces behind it within M_k.
 
-and each recording tells a part of δ (:mod:`~modcal_core.modules.errors`). A *module* error belongs to a
-serial number and is the same wherever the module is bolted; an *interface* error is new in every assembly. Both are
-taken as Gaussian about zero with the standard deviations that the library states. The interfaces, and modules without a
-number, are eliminated assembly by assembly, ``Λ' = (Λ⁻¹ + C Σ Cᵀ)⁻¹``, and what is left is one linear least squares
-over all assemblies at once:
+A *module* error belongs to a serial number wherever the module is bolted; an *interface* error is new in every
+assembly. Both are Gaussian with the deviations that the library states. Interfaces, and modules without a number, are
+eliminated assembly by assembly, ``Λ' = (Λ⁻¹ + C Σ Cᵀ)⁻¹``, and one linear least squares over all assemblies is left:
 
     (Σ_prior⁻¹ + Σ_a B_aᵀ Λ'_a B_a) x = Σ_a B_aᵀ Λ'_a δ_a.
 
-Seen in one assembly only, a module and its two flanges cannot be told apart: the error seen is shared out in
-proportion to their prior variances. Every further assembly, in another place or turned otherwise, tells more.
+Seen in one assembly only, a module and its flanges share the error in proportion to their prior variances; every
+further assembly tells more. Of each recording, fitted like any other, are kept the six deviations of every inner
+constant M_1 … M_{n-1} and their information JᵀWJ, base frames and tool eliminated: what the fit chose where the
+recording cannot tell carries no weight. M_0 and M_n are one with base and target, which differ after every set-up.
 
-The arm is fitted with its minimal parameters, like any other. The fit chooses where to put what passes through joints;
-so what is kept are the six deviations of every inner constant M_1 … M_{n-1} together with their information JᵀWJ over
-all six directions, base frames and tool eliminated. It is singular along what the recording cannot tell, and so what
-was chosen there carries no weight. M_0 and M_n do not appear: they are one with where the base stands and where the
-instrument's target sits, which differs after every set-up.
-
-``modules`` is what assembling reads: mean and covariance of every part of every physical module. ``assemblies`` is what
-it was learned from; learning on reads these, and solves for all modules again.
+In the file ``modules`` is what assembling reads; from ``assemblies`` all is learned again.
 """
 
 from __future__ import annotations
@@ -52,7 +45,7 @@ from modcal_core.geometry import DIRECTIONS, Array, se3
 from modcal_core.hypotheses import require_plausible
 from modcal_core.measurements import Samples
 from modcal_core.modules.coding import assembly_from_data, assembly_to_data
-from modcal_core.modules.library import TO_AXIS, Assembly, Library, ModuleTolerance, Piece, chain_of, pieces
+from modcal_core.modules.library import TO_AXIS, Assembly, Library, ModuleTolerance, Piece, chain_of, origins, pieces
 from modcal_core.robots import Chain
 from modcal_core.schema import NUMBER, SIZE, TEXT, list_of, require, whole
 
@@ -243,16 +236,8 @@ def surprise(known: ModuleErrors, new: RecordingEvidence, library: Library) -> S
 
 def deviation_of(assembly: Assembly, library: Library, errors: Mapping[Key, Array]) -> Array:
     """δ_1 … δ_{n-1}, (n - 1, 6) [m, rad], that these module errors make in an assembly, not only to first order."""
-    out = []
-    for segment in pieces(assembly, library)[1:-1]:
-        true, drawn = np.eye(4), np.eye(4)
-        for piece in segment:
-            true, drawn = true @ piece.T, drawn @ piece.T
-            key = (assembly.modules[piece.module].serial, piece.part)
-            if not piece.is_interface and key in errors:
-                true = true @ se3.exp(errors[key])
-        out.append(se3.log(se3.inverse(drawn) @ true))
-    return np.stack(out)
+    drawn, true = (origins(assembly, library, known)[1:-1] for known in (None, errors))
+    return np.asarray(se3.log(se3.inverse(drawn) @ true))
 
 
 def part_std(tolerance: ModuleTolerance, part: str) -> Array:

@@ -1,27 +1,20 @@
-"""What each of many candidates is worth: requirements in the order of what they cost to check, the cheap ones first.
+"""What each of many candidates is worth, and the genetic search over assemblies of a given number of joints.
 
-A genome that breaks a rule of structure is not built. An arm that cannot be long enough is not sent anywhere. Descents
-(see :mod:`modcal_core.modules.targets`) begin from a few postures and only a few steps, and go on where they may get
-there. What reaches every target is looked for again from more postures, and of all that are found the best is taken for
-each target, by what the other requirements say of it.
+Requirements are checked in the order of what they cost. A genome that breaks a rule of structure is not built. An arm
+that cannot be long enough is not sent anywhere. Descents (:mod:`modcal_core.modules.targets`) begin from a few postures
+with a few steps, and go on where they may get there. What reaches every target is looked for again from more postures,
+and for each target the best is taken by what the other requirements say of it.
 
-A genetic search over assemblies of a given number of joints.
-
-The source's search keeps the best (elitism), cuts and joins bit strings, and gives every candidate that breaks a hard
-requirement the same large cost, so that it is blind until chance finds the first one that breaks none. This one differs
-in four things, each of which shows in ``bench/synthesis.py``:
-
-* Candidates that break something are compared by how much they break (Deb's rules: meeting all comes first, then less
-  broken, then cost), so a near miss is worth keeping.
-* What can be seen to break the rules of structure is not made.
-* Cuts are between modules, and a change takes one field of one module to another value, or swaps two sub-assemblies.
-* No candidate is judged twice.
+Unlike the source's search, which gives all that breaks a hard requirement the same cost (``bench/synthesis.py``
+compares): candidates that break something are compared by how much (Deb's rules), what is seen to break the rules of
+structure is not made, cuts are between modules and changes take one field or swap two sub-assemblies, and none is
+judged twice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -214,22 +207,19 @@ class Evaluator:
             return np.take_along_axis(x, best, 2)[..., 0]
 
         out.q[which] = np.take_along_axis(postures.q, best[..., None], 2)[:, :, 0]
-        soft_of: dict[int, Array] = {}
-        hard_of: dict[int, Array] = {}
+        of: dict[int, tuple[Array, Array]] = {}  # by requirement: by how much it is broken, and its cost
         for i, (amount, soft) in measured.items():
-            costs = chosen(soft)
-            soft_of[i] = costs.max(axis=1) if REQUIREMENTS[self.uses[i].name].worst else costs.sum(axis=1)
-            hard_of[i] = chosen(amount).max(axis=1)
-        for i, use in self._at(ARM):
-            hard_of[i], soft_of[i] = _measure(use)(postures.arms, use.options)
+            costs, worst = chosen(soft), REQUIREMENTS[self.uses[i].name].worst
+            of[i] = chosen(amount).max(axis=1), costs.max(axis=1) if worst else costs.sum(axis=1)
+        of |= {i: _measure(use)(postures.arms, use.options) for i, use in self._at(ARM)}
         total, over_all = np.zeros(len(which)), np.zeros(len(which))
         first = np.full(len(which), MET)
-        for i in sorted(soft_of):
-            out.terms[which, i] = soft_of[i]
-            total += self.uses[i].weight * soft_of[i]
+        for i, (amount, soft) in sorted(of.items(), key=lambda item: item[0]):
+            out.terms[which, i] = soft
+            total += self.uses[i].weight * soft
             if self.uses[i].hard:
-                over_all += hard_of[i]
-                first = np.where((first == MET) & (hard_of[i] > 0.0), i, first)
+                over_all += amount
+                first = np.where((first == MET) & (amount > 0.0), i, first)
         out.broken[which], out.level[which], out.amount[which] = first, (first != MET).astype(int), over_all
         out.cost[which] = np.where(first == MET, total, np.inf)
 
@@ -301,13 +291,13 @@ class Generation:
     missing: float
 
 
-@dataclass
+@dataclass(frozen=True)
 class Archive:
-    """Every candidate judged, once. genomes: (N, n + 1), verdicts in the same order."""
+    """Every candidate judged, once. genomes: (N, n + 1), verdicts in the same order, of so many generations."""
 
     genomes: np.ndarray
     verdicts: Verdicts
-    seen: set[bytes] = field(default_factory=set)
+    generations: int
 
     @property
     def judged(self) -> int:
@@ -328,33 +318,28 @@ def evolve(
 
     judge: verdicts on genomes (N, n + 1). watch: called after every generation. enough: ends the search early.
     """
-    archive: Archive | None = None
+    genomes, parts = np.empty((0, joints + 1), int), list[Verdicts]()
     fresh = valid(coding, joints, settings.population, rng)
     best, since = np.inf, 0
     for number in range(settings.generations):
-        fresh = _unseen(fresh, archive.seen if archive else set())
-        at, seen = judge(fresh), {g.tobytes() for g in fresh}
-        if archive:
-            fresh, seen = np.concatenate([archive.genomes, fresh]), archive.seen | seen
-            at = Verdicts.joined([archive.verdicts, at])
-        archive = Archive(fresh, at, seen)
-        order = at.order()
-        met = int(at.met.sum())
-        lead = order[0]
+        fresh = _unseen(fresh, genomes)
+        genomes, parts = np.concatenate([genomes, fresh]), [*parts, judge(fresh)]
+        archive = Archive(genomes, Verdicts.joined(parts), number + 1)
+        at = archive.verdicts
+        order, met = at.order(), int(at.met.sum())
+        cost = float(at.cost[order[0]])
         if watch:
-            missing = 0.0 if met else float(at.amount[lead])
-            watch(Generation(joints, number, archive.judged, met, float(at.cost[lead]), missing))
-        cost = float(at.cost[lead])
+            missing = 0.0 if met else float(at.amount[order[0]])
+            watch(Generation(joints, number, archive.judged, met, cost, missing))
         if met and cost > best - max(0.01 * abs(best), 1e-9):
             since += 1
         else:
             best, since = cost, 0
         if (met and since >= settings.patience) or (enough and enough(archive)):
             break
-        fresh = _offspring(coding, archive.genomes[order[: settings.population]], archive.seen, rng, settings)
+        fresh = _offspring(coding, genomes[order[: settings.population]], genomes, rng, settings)
         if not len(fresh):
             break  # everything there is has been judged
-    assert archive is not None
     return archive
 
 
@@ -370,20 +355,14 @@ def valid(coding: Coding, joints: int, count: int, rng: np.random.Generator) -> 
     return out
 
 
-def _unseen(genomes: np.ndarray, seen: set[bytes]) -> np.ndarray:
-    """Genomes that are new, each once, in their order."""
-    known = set(seen)
-    keep = []
-    for i, genome in enumerate(genomes):
-        key = genome.tobytes()
-        if key not in known:
-            known.add(key)
-            keep.append(i)
-    return genomes[keep]
+def _unseen(genomes: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Genomes that are not known, each once, in their order."""
+    first = np.sort(np.unique(np.concatenate([known, genomes]), axis=0, return_index=True)[1])
+    return genomes[first[first >= len(known)] - len(known)]
 
 
 def _offspring(
-    coding: Coding, parents: np.ndarray, seen: set[bytes], rng: np.random.Generator, settings: SearchSettings
+    coding: Coding, parents: np.ndarray, seen: np.ndarray, rng: np.random.Generator, settings: SearchSettings
 ) -> np.ndarray:
     """New genomes, of parents in their order, best first; the best of all stay parents, so none is lost."""
     wanted = settings.population - settings.newcomers

@@ -1,18 +1,14 @@
-"""The modules that arms are put together from: what each is, how long it may be, and where its output flange is.
+"""The modules that arms are put together from, and the product of exponentials of an assembly (Gao et al. 2014).
 
 Every module has an input frame (0) and an output frame (1), z along the way through the flange. A joint acts along z of
-its input frame. Which modules there are, and all their figures, are data: see ``published.yaml``.
-
-The product of exponentials of an assembly, straight from the modules (Gao et al. 2014).
-
-With T^B, T^J, T^L, T^G the way through each module, joints at zero, and R the quarter turns between neighbours,
+its input frame. Which modules there are, and all their figures, are data: see ``published.yaml``. With T^B, T^J, T^L,
+T^G the way through each module, joints at zero, and R the quarter turns between neighbours,
 
     T_1 = T^B R,   T_i = T_{i-1} T^J_{i-1} R T^L_{i-1} R,   T_{n+1} = T_n T^J_n R T^L_n R T^G,
 
-T_i is the input frame of joint i, whose axis is z there: ξ_i = (p_i × ω_i, ω_i) where it turns and (ω_i, 0) where it
-slides, and ``T(q) = exp(ξ_1 q_1) … exp(ξ_n q_n) T_{n+1}``. In the local form of :class:`Chain` the constants between
-the joints are M_0 = T_1, M_i = T_i⁻¹ T_{i+1}: each a product of *pieces*, one for every part of a module and every pair
-of flanges it consists of. Behind each piece stands the error of its owner, a small transform exp(e).
+T_i is the input frame of joint i, and ``T(q) = exp(ξ_1 q_1) … exp(ξ_n q_n) T_{n+1}``. In the local form of
+:class:`Chain` the constants are M_0 = T_1, M_i = T_i⁻¹ T_{i+1}: each a product of *pieces*, one for every part of a
+module and every pair of flanges. Behind each piece stands the error of its owner, a small transform exp(e).
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
 """What an assembly is judged by, each requirement one small function, all in one table.
 
-*Hard*: what breaks it is rejected. *Soft*: what costs more is worse; costs are added up, each with its weight. Some are
-both. A function says by how much a hard one is broken (0: it is met), so that a search can see which of two
-rejected candidates is nearer, and what a soft one costs. There are three of them, by what they look at:
+What breaks a *hard* one is rejected; *soft* ones cost, and costs are added up, each with its weight. Some are both. A
+function says by how much a hard one is broken (0: it is met), so that a search sees which of two rejected candidates is
+nearer, and what a soft one costs. By what they look at there are three:
 
     code       the genome alone: (genomes, coding, options) → (N,)
     arm        the arm, whatever its posture: (arms, options) → (N,), (N,)
     posture    the arm where it reaches a target: (postures, options) → (N, K, S), (N, K, S)
 
-Whether an arm reaches its targets at all stands between: see :mod:`modcal_core.modules.evaluation`.
-Structure, joint range, dexterity and upright are those of Gao et al. 2014.
+Whether an arm reaches its targets at all stands between: :mod:`modcal_core.modules.evaluation`.
 """
 
 from __future__ import annotations

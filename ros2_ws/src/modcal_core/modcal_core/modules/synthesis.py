@@ -115,16 +115,8 @@ def synthesize(
     nearest = np.inf, 0
     with judges(library, task, seed, workers) as judge:
         for joints in range(task.first, task.last + 1):
-            rng = np.random.default_rng([seed, joints])
-            count = [0]
-
-            def told(generation: Generation, count: list[int] = count) -> None:
-                count[0] = generation.number + 1
-                if watch:
-                    watch(generation)
-
-            archive = evolve(coding, joints, judge, rng, task.settings, told)
-            tallies.append(_tally(archive, task, joints, count[0]))
+            archive = evolve(coding, joints, judge, np.random.default_rng([seed, joints]), task.settings, watch)
+            tallies.append(_tally(archive, task, joints))
             if tallies[-1].met_all:
                 return Synthesis(task, _ranking(archive, task, coding), tuple(tallies), seed)
             lead = archive.verdicts.order()[0]
@@ -154,9 +146,11 @@ def judges(
     begun = library, task.targets, task.uses, seed
 
     def judge(each: Callable[..., Iterable[Verdicts]]) -> Judge:
-        return lambda genomes: Verdicts.joined(
-            list(each(_judged, (genomes[i : i + _BATCH] for i in range(0, len(genomes), _BATCH))))
-        )
+        def judged(genomes: np.ndarray) -> Verdicts:
+            batches = (genomes[i : i + _BATCH] for i in range(0, len(genomes), _BATCH))
+            return Verdicts.joined(list(each(_judged, batches)))
+
+        return judged
 
     if workers < 2:
         _begin(*begun)
@@ -183,11 +177,11 @@ def _judged(genomes: np.ndarray) -> Verdicts:
     return _evaluator(genomes)
 
 
-def _tally(archive: Archive, task: SynthesisTask, joints: int, generations: int) -> Tally:
+def _tally(archive: Archive, task: SynthesisTask, joints: int) -> Tally:
     broken = archive.verdicts.broken
     rejected = {use.name: int((broken == i).sum()) for i, use in enumerate(task.uses) if use.hard}
     met, descents = int((broken == MET).sum()), int(archive.verdicts.descents.sum())
-    return Tally(joints, generations, archive.judged, met, rejected, descents)
+    return Tally(joints, archive.generations, archive.judged, met, rejected, descents)
 
 
 def _ranking(archive: Archive, task: SynthesisTask, coding: Coding) -> tuple[Candidate, ...]:
@@ -241,26 +235,25 @@ def to_data(result: Synthesis, library: Library) -> dict[str, Any]:
         "joints": result.ranking[0].assembly.n,
         "requirements": [asdict(u) for u in result.task.uses],
         "searched": [asdict(t) for t in result.tallies],
-        "ranking": [_candidate_row(c, i + 1, result, library) for i, c in enumerate(result.ranking)],
-    }
-
-
-def _candidate_row(candidate: Candidate, rank: int, result: Synthesis, library: Library) -> dict[str, Any]:
-    return {
-        "rank": rank,
-        "code": candidate.code,
-        "modules": described(candidate, library),
-        "cost": candidate.cost,
-        "terms": candidate.terms,
-        "targets": [
+        "ranking": [
             {
-                "name": target.name,
-                "posture": [float(x) for x in candidate.postures[k]],
-                "position_error_m": float(candidate.miss[k, 0]),
-                "rotation_error_rad": float(candidate.miss[k, 1]),
-                "masked_error": [float(x) for x in candidate.error[k]],
+                "rank": rank,
+                "code": candidate.code,
+                "modules": described(candidate, library),
+                "cost": candidate.cost,
+                "terms": candidate.terms,
+                "targets": [
+                    {
+                        "name": target.name,
+                        "posture": candidate.postures[k].tolist(),
+                        "position_error_m": float(candidate.miss[k, 0]),
+                        "rotation_error_rad": float(candidate.miss[k, 1]),
+                        "masked_error": candidate.error[k].tolist(),
+                    }
+                    for k, target in enumerate(result.task.targets)
+                ],
             }
-            for k, target in enumerate(result.task.targets)
+            for rank, candidate in enumerate(result.ranking, 1)
         ],
     }
 

@@ -1,12 +1,11 @@
-"""Tool poses that an arm must reach, and which part of each counts.
+"""Tool poses that an arm must reach, the search for postures that do, and tables over all genes of modules.
 
-A mask of six says what must be met, turns first as the source has it: about x, y, z, then along x, y, z, all seen from
-the tool as it is wanted. 110111 leaves the tool's turn about its own z free.
+A mask of six says what must be met, turns first as the source has it: about x, y, z, then along x, y, z, seen from the
+tool as it is wanted. 110111 leaves the tool's turn about its own z free.
 
-The source measures a turn by e = ½ (n × n' + o × o' + a × a') between the axes of two frames: sin θ along the axis of
-the turn. It is zero at half a turn too, and with a component masked it is zero at still other wrong poses, so it
-says how far a pose is missed but does not lead there. What leads there are differences of unit vectors, here *rows*:
-linear in the twelve numbers of the pose, zero where the mask is met and nowhere else:
+The source measures a turn by e = ½ (n × n' + o × o' + a × a'), which is zero at half a turn too, and does not lead
+there. What leads there are *rows*, linear in the twelve numbers of the pose, zero where the mask is met and nowhere
+else:
 
     one axis c free     R e_c − R' e_c                    the axis itself must agree; 3 rows
     none free           R − R', all three axes            9 rows, by √½ to weigh as much
@@ -14,18 +13,13 @@ linear in the twelve numbers of the pose, zero where the mask is met and nowhere
     position            the unmasked components of R'ᵀ (p − p')
 
 Postures are found by Newton's method on these rows, damped after Levenberg and Marquardt, for every arm from every
-start at the same time:
+start at the same time, a joint being held at its limits:
 
     (JᵀJ + μ I) δq = −Jᵀ r,    with J from the axes z_k through p_k:  dR e_c = z_k × R e_c,  dp = z_k × (p − p_k).
 
-A step that makes things worse is taken back and μ raised; one that helps lowers it, so the end is quadratic. A joint
-that would leave its limits is held there. Numbers stand with their components first and the arms last, one long
-contiguous axis; a thousand descents cost little more than the overhead of one.
-
-Everything that a search asks of the modules, looked up by gene: ways, bodies and limits of many assemblies at once.
-
-The constant M_k of the chain behind joint k is the way through the joint, a turn, the way through the link, a turn: a
-function of the gene alone. So are the tubes, the masses and the limits. All are computed once and then only indexed.
+Numbers stand with their components first and the arms last, one long contiguous axis: a thousand descents cost little
+more than the overhead of one. The constant M_k behind joint k, its tubes, masses and limits are functions of the gene
+alone: all are computed once and then only indexed.
 """
 
 from __future__ import annotations
@@ -33,12 +27,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.geometry import Array, se3, sealed, so3
+from modcal_core.geometry import Array, cross, se3, sealed, so3
 from modcal_core.modules.coding import BASES, Coding
 from modcal_core.modules.library import SIZES, TURN, TURNS, ModuleType
 from modcal_core.modules.urdf import body, path
@@ -179,10 +173,7 @@ class Target:
     def build(cls, R: ArrayLike, p: ArrayLike, mask: ArrayLike = (1, 1, 1, 1, 1, 1), name: str = "") -> Target:
         """A target of a rotation (3, 3) that may be rounded: made orthonormal, a lone axis that counts first."""
         kept = np.array(mask, dtype=bool)
-        T = np.eye(4)
-        T[:3, :3] = _orthonormal(np.asarray(R, dtype=float), kept[:3])
-        T[:3, 3] = np.asarray(p, dtype=float)
-        return sealed(cls(T, kept, name))
+        return sealed(cls(se3.transform(_orthonormal(np.asarray(R, dtype=float), kept[:3]), p), kept, name))
 
     @property
     def constraints(self) -> int:
@@ -193,20 +184,18 @@ class Target:
     def rows(self) -> tuple[Array, Array]:
         """A (r, 12) and b (r,) of the rows ``A x − b``, x the 3 × 4 upper part of a pose, row by row."""
         R, p = self.T[:3, :3], self.T[:3, 3]
-        out: list[Array] = []
-        free = np.flatnonzero(~self.mask[:3])
+        unit = np.eye(12).reshape(3, 4, 12)  # of every entry of the pose
+        free, out = np.flatnonzero(~self.mask[:3]), list[Array]()
         if len(free) == 0:
-            out += [np.sqrt(0.5) * _entry(i, c) for c in range(3) for i in range(3)]
+            out += [*np.sqrt(0.5) * unit[:, :3].swapaxes(0, 1).reshape(9, 12)]
         elif len(free) == 1:
-            out += [_entry(i, int(free[0])) for i in range(3)]
+            out += [*unit[:, free[0]]]
         elif len(free) == 2:
             a = int(np.flatnonzero(self.mask[:3])[0])
             j, k = (a + 1) % 3, (a + 2) % 3
             # of R'ᵀ R the entry (k, j), the sine of a turn about a, against (j, k)
-            across = sum(0.5 * (R[d, k] * _entry(d, j) - R[d, j] * _entry(d, k)) for d in range(3))
-            out.append(np.asarray(across))
-        for i in np.flatnonzero(self.mask[3:]):
-            out.append(np.asarray(sum(R[d, i] * _entry(d, 3) for d in range(3))))
+            out.append(0.5 * (R[:, k] @ unit[:, j] - R[:, j] @ unit[:, k]))
+        out += [R[:, i] @ unit[:, 3] for i in np.flatnonzero(self.mask[3:])]
         A = np.stack(out) if out else np.zeros((0, 12))
         wanted = np.concatenate([R, p[:, None]], axis=1).ravel()
         return A, A @ wanted
@@ -238,12 +227,6 @@ class Target:
             return way, np.zeros_like(way)
         turn = so3.log(between)
         return way, np.linalg.norm(turn * self.mask[:3], axis=-1)
-
-
-def _entry(i: int, j: int) -> Array:
-    out = np.zeros((3, 4))
-    out[i, j] = 1.0
-    return out.ravel()
 
 
 def _orthonormal(R: Array, counts: np.ndarray) -> Array:
@@ -355,17 +338,14 @@ def starts(arms: Arms, unit: Array) -> Array:
 def reach(arms: Arms, target: Target, q: Array, steps: int) -> Reached:
     """Ends of descents from postures q (N, S, n), after a limited number of steps."""
     count, each, n = q.shape
-    which = np.repeat(np.arange(count), each)
-    fleet = _Fleet.of(arms, which)
-    q_end = np.ascontiguousarray(q.reshape(-1, n).T)
-    left = np.full(q_end.shape[1], np.inf)
-    active = np.arange(q_end.shape[1])
-    q_now = np.clip(q_end, fleet.lower, fleet.upper)
+    fleet = _Fleet.of(arms, np.repeat(np.arange(count), each))
+    q_now = np.clip(q.reshape(-1, n).T, fleet.lower, fleet.upper)
+    q_end, left = q_now.copy(), np.empty(count * each)
+    active = np.arange(count * each)
     r, J = _rows(fleet, target, q_now)
     cost = np.einsum("rn,rn->n", r, r)
     mu = 1e-2 * np.ones_like(cost)
-    q_end[:], left[:] = q_now, np.sqrt(cost)
-    going = cost > CONVERGED**2
+    left[:], going = np.sqrt(cost), cost > CONVERGED**2
     for _ in range(steps):
         new = _step(fleet, q_now, r, J, mu)
         r_new, J_new = _rows(fleet, target, new)
@@ -382,7 +362,7 @@ def reach(arms: Arms, target: Target, q: Array, steps: int) -> Reached:
             q_end[:, active], left[active] = q_now, np.sqrt(cost)
             if not going.any():
                 break
-            active, fleet = active[going], fleet.take(going)
+            active, fleet = active[going], _Fleet(*(np.compress(going, x, axis=-1) for x in fleet))
             q_now, r, J, cost, mu = (np.compress(going, x, axis=-1) for x in (q_now, r, J, cost, mu))
             going = np.ones(len(active), bool)
     else:
@@ -390,14 +370,12 @@ def reach(arms: Arms, target: Target, q: Array, steps: int) -> Reached:
     return Reached(q_end.T.reshape(count, each, n), left.reshape(count, each))
 
 
-@dataclass(frozen=True)
-class _Fleet:
+class _Fleet(NamedTuple):
     """The arms again, components first: rotations and positions of M_k, (n + 1, 3, 3, N), (n + 1, 3, N)."""
 
     R: Array
     p: Array
     revolute: np.ndarray
-    slides: bool
     lower: Array
     upper: Array
 
@@ -405,14 +383,7 @@ class _Fleet:
     def of(cls, arms: Arms, which: np.ndarray) -> _Fleet:
         M = np.ascontiguousarray(np.moveaxis(arms.origins, 0, -1)[..., which])
         rest = (np.ascontiguousarray(a.T[:, which]) for a in (arms.revolute, arms.lower, arms.upper))
-        revolute, lower, upper = rest
-        return cls(M[:, :3, :3], M[:, :3, 3], revolute, not bool(revolute.all()), lower, upper)
-
-    def take(self, which: np.ndarray) -> _Fleet:
-        parts = (np.compress(which, x, axis=-1) for x in (self.R, self.p, self.revolute))
-        R, p, revolute = parts
-        lower, upper = (np.compress(which, x, axis=-1) for x in (self.lower, self.upper))
-        return _Fleet(R, p, revolute, not bool(revolute.all()), lower, upper)
+        return cls(M[:, :3, :3], M[:, :3, 3], *rest)
 
 
 def _rows(fleet: _Fleet, target: Target, q: Array) -> tuple[Array, Array]:
@@ -420,42 +391,26 @@ def _rows(fleet: _Fleet, target: Target, q: Array) -> tuple[Array, Array]:
     n, count = q.shape
     R, p = fleet.R[0], fleet.p[0]
     axes, places = np.empty((n, 3, count)), np.empty((n, 3, count))
-    angle = np.where(fleet.revolute, q, 0.0) if fleet.slides else q
-    c, s = np.cos(angle), np.sin(angle)
+    angle = np.where(fleet.revolute, q, 0.0)
+    c, s, slid = np.cos(angle), np.sin(angle), q - angle
     for k in range(n):
         axes[k], places[k] = R[:, 2], p
-        turned = np.empty_like(R)
-        turned[:, 0] = c[k] * R[:, 0] + s[k] * R[:, 1]
-        turned[:, 1] = c[k] * R[:, 1] - s[k] * R[:, 0]
-        turned[:, 2] = R[:, 2]
-        if fleet.slides:
-            p = p + (q[k] - angle[k]) * R[:, 2]
+        turned = np.stack([c[k] * R[:, 0] + s[k] * R[:, 1], c[k] * R[:, 1] - s[k] * R[:, 0], R[:, 2]])
         M, m = fleet.R[k + 1], fleet.p[k + 1]
-        p = p + turned[:, 0] * m[0] + turned[:, 1] * m[1] + turned[:, 2] * m[2]
-        R = turned[:, :1] * M[0] + turned[:, 1:2] * M[1] + turned[:, 2:] * M[2]
+        p = p + slid[k] * R[:, 2] + turned[0] * m[0] + turned[1] * m[1] + turned[2] * m[2]
+        R = turned[0][:, None] * M[0] + turned[1][:, None] * M[1] + turned[2][:, None] * M[2]
     A, b = target.rows
-    used = np.flatnonzero(A.any(axis=0).reshape(3, 4).any(axis=0))  # columns of the pose that count
-    A = A.reshape(-1, 3, 4)[:, :, used].reshape(len(A), -1)
-    x = np.empty((3, len(used), count))
-    for i, column in enumerate(used):
-        x[:, i] = p if column == 3 else R[:, column]
-    r = A @ x.reshape(-1, count) - b[:, None]
+    pose = [*R.swapaxes(0, 1), p]  # its columns, (3, N) each
+    used = np.flatnonzero(A.any(axis=0).reshape(3, 4).any(axis=0))  # those that count
+    A = A.reshape(-1, 3, 4)[:, :, used].swapaxes(1, 2).reshape(len(A), -1)
+    r = A @ np.concatenate([pose[column] for column in used]) - b[:, None]
     J = np.empty((n, len(A), count))
-    for k in range(n):
-        dx = np.empty_like(x)
-        for i, column in enumerate(used):
-            arm = p - places[k] if column == 3 else R[:, column]
-            _cross(axes[k], arm, dx[:, i])
-            if fleet.slides:
-                dx[:, i] = np.where(fleet.revolute[k], dx[:, i], axes[k] if column == 3 else 0.0)
-        J[k] = A @ dx.reshape(-1, count)
+    for k, (axis, turns) in enumerate(zip(axes, fleet.revolute, strict=True)):
+        moved = [cross(axis, p - places[k] if column == 3 else pose[column]) for column in used]
+        if not turns.all():
+            moved = [np.where(turns, dx, axis if column == 3 else 0.0) for dx, column in zip(moved, used, strict=True)]
+        J[k] = A @ np.concatenate(moved)
     return r, J
-
-
-def _cross(a: Array, b: Array, out: Array) -> None:
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
 
 
 def _step(fleet: _Fleet, q: Array, r: Array, J: Array, mu: Array) -> Array:
@@ -463,11 +418,8 @@ def _step(fleet: _Fleet, q: Array, r: Array, J: Array, mu: Array) -> Array:
     g = np.einsum("krn,rn->kn", J, r)
     held = ((q <= fleet.lower) & (g > 0.0)) | ((q >= fleet.upper) & (g < 0.0))
     if held.any():
-        J = np.where(held[:, None], 0.0, J)
-        g = np.where(held, 0.0, g)
-    H = np.einsum("irn,jrn->ijn", J, J)
-    for k in range(len(q)):
-        H[k, k] += mu
-    step = -np.linalg.solve(np.moveaxis(H, -1, 0), g.T[..., None])[..., 0].T
+        J, g = np.where(held[:, None], 0.0, J), np.where(held, 0.0, g)
+    H = np.einsum("irn,jrn->nij", J, J) + mu[:, None, None] * np.eye(len(q))
+    step = -np.linalg.solve(H, g.T[..., None])[..., 0].T
     step *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=0), 1e-300))
     return np.clip(q + step, fleet.lower, fleet.upper)

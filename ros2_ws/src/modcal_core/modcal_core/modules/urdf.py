@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, se3
 from modcal_core.modules.library import (
     BASE_LINK,
     FROM_AXIS,
@@ -31,7 +31,7 @@ from modcal_core.modules.library import (
     ModuleType,
     module_frames,
 )
-from modcal_core.robots import joint_element, number, origin_element, urdf_text
+from modcal_core.robots import added, joint_element, number, origin_element, rotation_to_axis, urdf_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,7 +75,7 @@ def body(kind: ModuleType, size: int) -> ModuleBody:
     for a, b in pairwise(points):
         length = float(np.linalg.norm(b - a))
         if length > _SHORTEST:
-            tubes.append(Tube(se3.transform(_along((b - a) / length), 0.5 * (a + b)), length, kind.radius))
+            tubes.append(Tube(se3.transform(rotation_to_axis((b - a) / length), 0.5 * (a + b)), length, kind.radius))
     mass = max(kind.mass + kind.mass_per_metre * kind.length(size), _LIGHTEST)
     if not tubes:  # a plate without height
         tubes.append(Tube(np.eye(4), 0.005, kind.radius))
@@ -89,15 +89,6 @@ def body(kind: ModuleType, size: int) -> ModuleBody:
         inertia += R @ np.diag([across, across, 0.5 * m * tube.radius**2]) @ R.T
         inertia += m * (r @ r * np.eye(3) - np.outer(r, r))  # Steiner
     return ModuleBody(tuple(tubes), mass, centre, inertia)
-
-
-def _along(direction: Array) -> Array:
-    """The least rotation (3, 3) that brings z to a unit direction."""
-    axis = np.cross([0.0, 0.0, 1.0], direction)
-    sine, cosine = float(np.linalg.norm(axis)), float(direction[2])
-    if sine < 1e-12:
-        return np.eye(3) if cosine > 0.0 else np.diag([1.0, -1.0, -1.0])
-    return so3.exp(axis / sine * np.arctan2(sine, cosine))
 
 
 _COLOURS = {
@@ -116,7 +107,7 @@ def urdf_of(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str
     assembly.checked(library)
     robot = ET.Element("robot", name=assembly.name)
     for role, rgba in _COLOURS.items():
-        ET.SubElement(ET.SubElement(robot, "material", name=role), "color", rgba=rgba)
+        added(added(robot, "material", name=role), "color", rgba=rgba)
     errors = errors or {}
 
     def error(module: Module, part: str) -> Array:
@@ -140,11 +131,11 @@ def urdf_of(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str
             else:
                 motion = "continuous"
             joint = joint_element(robot, name, motion, f"{link}_housing", link, error(module, TO_AXIS))
-            ET.SubElement(joint, "axis", xyz="0 0 1")
-            ET.SubElement(joint, "limit", {key: number(value) for key, value in limit.items()})
+            added(joint, "axis", xyz="0 0 1")
+            added(joint, "limit", **{key: number(value) for key, value in limit.items()})
         above = link
         T = kind.T_in_out[module.size] @ error(module, FROM_AXIS if moving else WHOLE)
-    ET.SubElement(robot, "link", name=TIP_LINK)
+    added(robot, "link", name=TIP_LINK)
     joint_element(robot, f"{above}_to_{TIP_LINK}", "fixed", above, TIP_LINK, T)
     return urdf_text(robot)
 
@@ -159,23 +150,23 @@ def link_names(assembly: Assembly) -> list[str]:
 
 def _link(robot: ET.Element, name: str, kind: ModuleType, size: int, empty: bool = False) -> None:
     """One link. A joint's housing is empty: module and motor are taken to move with the joint."""
-    link = ET.SubElement(robot, "link", name=name)
+    link = added(robot, "link", name=name)
     if empty:
         return
     made = body(kind, size)
-    inertial = ET.SubElement(link, "inertial")
+    inertial = added(link, "inertial")
     origin_element(inertial, se3.transform(p=made.centre))
-    ET.SubElement(inertial, "mass", value=number(made.mass))
+    added(inertial, "mass", value=number(made.mass))
     names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    ET.SubElement(inertial, "inertia", {key: number(made.inertia[at]) for key, at in names.items()})
+    added(inertial, "inertia", **{key: number(made.inertia[at]) for key, at in names.items()})
     for tag in ("visual", "collision"):
         for tube in made.tubes:
-            shape = ET.SubElement(link, tag)
+            shape = added(link, tag)
             origin_element(shape, tube.T)
-            geometry = ET.SubElement(shape, "geometry")
-            ET.SubElement(geometry, "cylinder", radius=number(tube.radius), length=number(tube.length))
+            geometry = added(shape, "geometry")
+            added(geometry, "cylinder", radius=number(tube.radius), length=number(tube.length))
             if tag == "visual":
-                ET.SubElement(shape, "material", name=kind.role)
+                added(shape, "material", name=kind.role)
 
 
 # --- A picture of an assembly, as SVG text. Matplotlib is imported only when one is drawn

@@ -54,16 +54,7 @@ _MAX = 0.5  # of the stations, beyond which what they say together is of places 
 _MARGIN = 0.02  # of a range, as where samples outside are counted
 _MIN = 8  # stations, of which most must agree before others are said to be wrong
 # no other metre, links or scatter
-_CHANGES = (
-    BASE,
-    FRAME,
-    TOOL,
-    rows.ZERO,
-    rows.GEAR,
-    rows.LOAD,
-    rows.LINK,
-    rows.PLAY,
-)
+_CHANGES = (BASE, FRAME, TOOL, rows.ZERO, rows.GEAR, rows.LOAD, rows.LINK, rows.PLAY)
 _MOVED = {BASE: "the base (or the tracker)", TOOL: "the tool (or the target on it)"}
 
 

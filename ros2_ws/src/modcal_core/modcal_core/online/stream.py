@@ -226,9 +226,7 @@ class SampleStream:
         """Make a sample of the present stand, if it is long enough."""
         self._average_ended(np.inf)
         if len(self._states):
-            self._average(
-                _Ended(self._since, float(self._states.t[-1]), self._approach.direction, self._approach.path), np.inf
-            )
+            self._average(self._stand(float(self._states.t[-1])), np.inf)
 
     def _watch_motion(self, stamp: float, q: Array) -> None:
         if len(self._states) < 2:
@@ -252,18 +250,18 @@ class SampleStream:
                 times = np.array([length for _, length in self._stands])
                 self._rules = fitted_rules(self._asked, times, stamp - step - self._stands[0][0])
                 self._average_ended(np.inf)
-                self._ended = _Ended(self._since, stamp - step, self._approach.direction, self._approach.path)
+                self._ended = self._stand(stamp - step)
             self._begin_stand(stamp, q)
         else:
             self._low, self._high = low, high
             if stamp - self._since >= _LONGEST:
-                self._average(
-                    _Ended(self._since, stamp, self._approach.direction, self._approach.path),
-                    stamp - 0.5 * self._rules.window,
-                )
+                self._average(self._stand(stamp), stamp - 0.5 * self._rules.window)
                 self._since = stamp - self._rules.settle  # it stands already: nothing to settle
         # last, for a stand that has just ended was approached by the motion before this one
         self._approach.update(q)
+
+    def _stand(self, stamp: float) -> _Ended:
+        return _Ended(self._since, stamp, self._approach.direction, self._approach.path)
 
     def _begin_stand(self, stamp: float, q: Array) -> None:
         self._since, self._low, self._high = stamp, q.copy(), q.copy()

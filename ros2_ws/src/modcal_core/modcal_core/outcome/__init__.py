@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.outcome.contents import STAGES, Outcome, Step, Trace, iso_date
-    from modcal_core.outcome.entries import Finding, at_tool, counted, description_note, findings, instrument_notes
-    from modcal_core.outcome.entries import load_findings, load_notes, moved_note, not_asked_note, one_instrument_notes
-    from modcal_core.outcome.entries import parameters, readmitted_note, residual_notes, stated_note, unproved_note
-    from modcal_core.outcome.entries import unseen_note
+    from modcal_core.outcome.entries import Finding, at_tool, counted, finding_notes, findings, fit_notes, load_findings
+    from modcal_core.outcome.entries import load_notes, moved_note, not_asked_note, one_instrument_notes, parameters
+    from modcal_core.outcome.entries import readmitted_note, residual_notes, unseen_note
     from modcal_core.outcome.joint_offsets import ToolDifference, offsets_of, tool_difference
 else:
     from modcal_core.lazy import lazy_face

@@ -226,11 +226,6 @@ class Outcome:
         """How many stations have a sample that was rejected."""
         return len(np.unique(self.samples.station[self.wrong])) if len(self.wrong) else 0
 
-    def held_out_rejected(self) -> int:
-        """How many of the stations held out have a sample that was rejected."""
-        rows = self.sets.held_out
-        return len(np.unique(self.samples.station[rows[self.wrong[rows]]])) if len(self.wrong) else 0
-
     @property
     def status(self) -> Status:
         """The verdict in a word; cannot_tell where none was made."""

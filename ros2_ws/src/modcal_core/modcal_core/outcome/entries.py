@@ -29,7 +29,6 @@ from modcal_core.effects import (
     AXIS,
     ZERO,
     Effect,
-    NominalArm,
     Quantity,
     ReportEntry,
     Sizes,
@@ -188,7 +187,10 @@ def findings(
                 shown=rivals is not None,
             )
         )
-    wrong = case.wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
+    drivers = shipped.drivers(samples)
+    wrong = case.wrong & outlying(shipped, diagnosis.fit.noise, samples)
+    for effect in shipped.effects:  # where it is unknown how one acts, a large residual is no outlier
+        wrong &= family_named(effect.family).certain(effect, drivers)
     wrong &= _not_the_arm(shipped, samples, case.wrong)
     return (*_outliers(diagnosis.fit, samples, wrong), *entries)
 
@@ -205,13 +207,6 @@ def _link_name(effect: Effect, model: Model) -> tuple[str, ...]:
     if effect.direction == AXIS or effect.place not in names or not links:
         return ()
     return (f"{links[names.index(effect.place)]} {effect.direction} by {effect.public_driver}",)
-
-
-def _certain(model: Model, samples: Samples) -> np.ndarray:
-    """False where it is unknown how an effect acts, (N,), so that a large residual there is no outlier."""
-    drivers = model.drivers(samples)
-    known = [family_named(effect.family).certain(effect, drivers) for effect in model.effects]
-    return np.all([np.ones(len(samples), bool), *known], axis=0)
 
 
 def _not_the_arm(model: Model, samples: Samples, wrong: np.ndarray) -> np.ndarray:
@@ -257,14 +252,16 @@ def load_findings(loads: Loads | None, model: Model, scored: Samples) -> tuple[F
     if loads is None or not loads.payloads or loads.relative or not len(scored):
         return ()
     sizes: dict[str, Quantity] = {}
-    many = len(loads.payloads) > 1
     for k, found in enumerate(loads.payloads, 1):
-        number = f"_{k}" if many else ""
+        number = f"_{k}" if len(loads.payloads) > 1 else ""
         sizes[f"mass{number}"] = (found.mass, found.mass_std, "kg")
         if found.place is not None and found.place_std is not None:
             for axis, at, std in zip("xyz", found.place, found.place_std, strict=True):
                 sizes[f"centre_{axis}{number}"] = (float(at), float(std), "m")
-    bare = replace(model, arm=_unloaded(loads))
+    arm = loads.before
+    if loads.down is not None and arm.inertias is not None:
+        arm = replace(arm, inertias=arm.inertias.pulled(loads.down))
+    bare = replace(model, arm=arm)  # without what was found to be carried
     with_it, without_it = (errors(m, scored).position_norm ** 2 for m in (model, bare))
     cost, interval = resampled(1e6 * (without_it - with_it), scored.station)
     sure = max(abs(p.mass) / p.mass_std for p in loads.payloads if p.mass_std > 0.0)
@@ -285,26 +282,27 @@ def load_findings(loads: Loads | None, model: Model, scored: Samples) -> tuple[F
     )
 
 
-def _unloaded(loads: Loads) -> NominalArm:
-    """The arm without what was found to be carried."""
-    if loads.down is None or loads.before.inertias is None:
-        return loads.before
-    return replace(loads.before, inertias=loads.before.inertias.pulled(loads.down))
-
-
 def counted(count: int, thing: str) -> str:
     """A number and what it counts, in the plural where it is one: ``1 station``, ``2 stations``."""
     return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
 
 
-def instrument_notes(fit: Fit) -> tuple[str, ...]:
-    """For each kind of reading that is no position how it scatters about the model."""
+def fit_notes(nominal: Fit, final: Fit, accepted: Samples) -> tuple[str, ...]:
+    """Sentences on the nominal arm where it misses by more than a robot of that description should, on how each kind
+    of reading that is no position scatters about the model, and on :func:`one_instrument_notes`.
+    """
     out = []
-    for name, size in fit.noise.others.items():
-        kind = kinds()[name]
-        said = f"{1e3 * size:.3g} mm" if kind.unit == "m" else f"{1e6 * size:.3g} µrad"
+    size, limit = errors(nominal.model, accepted).size_mm(), 1e3 * LIMIT_OF_REACH * nominal.model.chain.reach()
+    if size is not None and size.rms > limit:
+        out.append(
+            f"The nominal model misses by {size.rms:.0f} mm RMS, a robot of that description should by less than "
+            f"{limit:.0f} mm. The fitted geometry makes up for it where stations are; see whether the description is "
+            "that of this robot, and whether a joint's zero has changed, before it is used elsewhere."
+        )
+    for name, scatter in final.noise.others.items():
+        said = f"{1e3 * scatter:.3g} mm" if kinds()[name].unit == "m" else f"{1e6 * scatter:.3g} µrad"
         out.append(f"Readings of kind {name} scatter about the model by {said}.")
-    return tuple(out)
+    return (*out, *one_instrument_notes(final))
 
 
 _ALIKE = 5e-3  # m, rad: no two instruments stand so close, and turned so alike
@@ -330,36 +328,19 @@ def one_instrument_notes(fit: Fit) -> tuple[str, ...]:
     return tuple(out)
 
 
-def description_note(nominal: Errors, chain: Mechanism) -> tuple[str, ...]:
-    """A sentence where the nominal model misses by more than a robot of that description should.
-
-    nominal: what it leaves with base and tool fitted.
+def finding_notes(stated: Sequence[Finding], unproved: Sequence[Finding]) -> tuple[str, ...]:
+    """Sentences on the moves of base and tool that were stated, with their fitted sizes, and on effects that predict
+    together and that held-out stations do not prove one by one.
     """
-    size, limit = nominal.size_mm(), 1e3 * LIMIT_OF_REACH * chain.reach()
-    if size is None or size.rms <= limit:
-        return ()
-    return (
-        f"The nominal model misses by {size.rms:.0f} mm RMS, though a robot of that description should by less than "
-        f"{limit:.0f} mm. The fitted geometry makes up for it where stations are; see whether the description is that "
-        "of this robot, and whether a joint's zero has changed, before it is used elsewhere.",
-    )
-
-
-def stated_note(stated: Sequence[Finding]) -> tuple[str, ...]:
-    """A sentence on the moves of base and tool that were stated, with their fitted sizes."""
-    return (f"As stated, in every model: {'; '.join(move.what for move in stated)}.",) if stated else ()
-
-
-def unproved_note(unproved: Sequence[Finding]) -> tuple[str, ...]:
-    """A sentence on effects that predict together and that held-out stations do not prove one by one."""
-    if not unproved:
-        return ()
-    are = "is" if len(unproved) == 1 else "are"
-    names = ", ".join(dict.fromkeys(f"{finding.family} of {finding.place}" for finding in unproved))
-    return (
-        f"{counted(len(unproved), 'further effect')} in the model {are} not proved by stations that were not used, and "
-        f"named as no cause: {names}.",
-    )
+    out = [f"As stated, in every model: {'; '.join(move.what for move in stated)}."] if stated else []
+    if unproved:
+        are = "is" if len(unproved) == 1 else "are"
+        names = ", ".join(dict.fromkeys(f"{finding.family} of {finding.place}" for finding in unproved))
+        out.append(
+            f"{counted(len(unproved), 'further effect')} in the model {are} not proved by stations that were not used, "
+            f"and named as no cause: {names}."
+        )
+    return tuple(out)
 
 
 def readmitted_note(again: Readmitted) -> tuple[str, ...]:
@@ -382,9 +363,7 @@ def moved_note(residuals: Errors, calibration: Calibration, refit_base: bool, re
     limit = LIMIT_OF_REACH * calibration.nominal.chain.reach()
     if size is None or size.rms < 1e3 * limit or (refit_base and refit_tool):
         return ()
-    return (
-        "The error is larger than an arm's: base or tool have changed; --refit-base and --refit-tool fit them again.",
-    )
+    return ("The error is larger than an arm's: base or tool have changed: --refit-base, --refit-tool fit them again.",)
 
 
 def unseen_note(samples: Samples, calibration: Calibration, beyond: float = 0.0) -> tuple[str, ...]:
@@ -402,21 +381,12 @@ def unseen_note(samples: Samples, calibration: Calibration, beyond: float = 0.0)
         for j, name in enumerate(samples.names)
         if out[:, j].any()
     ]
-    return (
-        f"{int(out.any(axis=1).sum())} of {len(samples)} samples lie outside the joint ranges that were calibrated: "
-        f"{', '.join(worst)}. {_spoken(samples, calibration)}",
-    )
-
-
-def _spoken(samples: Samples, calibration: Calibration) -> str:
-    """Note about what the model does outside the calibrated ranges."""
     instead = calibration.fallback(calibration.calibrated, calibration.geometric)
     count = 0 if instead is None else int((instead.share(samples) > 0.0).sum())
-    if not count:
-        return "Learned curves are not continued there."
+    where = f": at {count} samples, where the full model is not known to be better, geometry alone counts"
     return (
-        f"Learned curves are not continued there: at {count} samples, where the full model is not known to be better, "
-        "the geometry that is best alone counts instead."
+        f"{int(out.any(axis=1).sum())} of {len(samples)} samples lie outside the joint ranges that were calibrated: "
+        f"{', '.join(worst)}. Learned curves are not continued there{where if count else ''}.",
     )
 
 

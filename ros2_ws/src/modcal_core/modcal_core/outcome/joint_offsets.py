@@ -111,9 +111,8 @@ def offsets_of(calibration: Calibration) -> JointOffsets | None:
     """Joint offsets of a calibration at the postures it was made from, so they do not depend on what it is evaluated
     on.
     """
-    return joint_offsets(
-        calibration.calibrated, calibration.postures, calibration.kind == "pose", calibration.uncertainty
-    )
+    turns, known = calibration.kind == "pose", calibration.uncertainty
+    return joint_offsets(calibration.calibrated, calibration.postures, turns, known)
 
 
 def joint_offsets(model: Model, q: Array, turns: bool, known: Uncertainty | None = None) -> JointOffsets | None:

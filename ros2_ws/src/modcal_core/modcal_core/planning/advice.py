@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Cell, View, choose_parameters, errors, place_model
-from modcal_core.claim import Claim, claim_at_tool
+from modcal_core.claim import claim_at_tool
 from modcal_core.effects import claimed
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3
@@ -96,15 +96,12 @@ class Advice:
 
 @dataclass(frozen=True)
 class _Standing:
-    """What is known after a fit. view: what further stations are worth. claim: by all stations. floor: None where
-    nothing was measured again.
-    """
+    """What is known after a fit. view: what further stations are worth. floor: None where no posture was repeated."""
 
     session: Session
     status: Advance
     refitted: Refit
     view: Outlook
-    claim: Claim
     floor: Floor | None
 
     @property
@@ -223,7 +220,7 @@ class Advisor:
             effects=tuple(effect.label for effect in model.effects if claimed(effect)),
             ties=tuple(f"{effect.label} or {rival.label}" for effect, rivals in pairs for rival in rivals),
         )
-        return _Standing(session, status, refitted, view, claim, floor)
+        return _Standing(session, status, refitted, view, floor)
 
     def _is_met(self, at: _Standing) -> bool:
         return self.goal.accuracy is not None and at.bound <= self.goal.accuracy

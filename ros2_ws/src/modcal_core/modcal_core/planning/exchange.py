@@ -1,21 +1,18 @@
 """The chooser: of many candidate stations those that are best together, grown one by one and improved by exchange.
 
-A station adds a matrix of rank c, JᵀJ with c = 3 or 6 rows, so what a candidate j is worth follows from small matrices:
-with P = H⁻¹, S_j = 1 + J_j P J_jᵀ and G_j = J_j P Γ P J_jᵀ,
+A station adds JᵀJ of rank c, 3 or 6. With P = H⁻¹, S_j = 1 + J_j P J_jᵀ and G_j = J_j P Γ P J_jᵀ, candidate j is worth
 
     log det(H + J_jᵀJ_j) = log det H + log det S_j,        tr((H + J_jᵀJ_j)⁻¹ Γ) = tr(P Γ) − tr(S_j⁻¹ G_j)
 
-A station k that comes (+) or goes (−) changes P, and all S and G, by matrices of that rank too (Sherman, Morrison &
-Woodbury): with U = P J_kᵀ, M = (1 ± J_k U)⁻¹, A_j = J_j U and B_j = J_j P Γ U
+A station k that comes (+) or goes (−) changes P, S and G by matrices of that rank too (Sherman, Morrison & Woodbury):
+with U = P J_kᵀ, M = (1 ± J_k U)⁻¹, A_j = J_j U and B_j = J_j P Γ U
 
     P ∓ U M Uᵀ,    S_j ∓ A_j M A_jᵀ,    G_j ∓ A_j M B_jᵀ ∓ B_j M A_jᵀ + A_j M (Uᵀ Γ U) M A_jᵀ
 
-In Fedorov's exchange one station after the other leaves the set, and the
-candidate that serves best takes its place; the first start grows the set, the others begin at random, and the best end
-is taken.
-
-Sets are chosen for the expected error, −tr(H⁻¹ Γ), or for det H (D-optimality). With σ_1 ≥ … ≥ σ_P the singular values
-of the whitened, scaled identification Jacobian, five indices of observability are reported:
+In Fedorov's exchange one station after the other leaves the set, and the candidate that serves best takes its place;
+the first start grows the set, the others begin at random, and the best end is taken. Sets are chosen for the expected
+error, −tr(H⁻¹ Γ), or for det H (D-optimality). Of the singular values σ_1 ≥ … ≥ σ_P of the whitened, scaled Jacobian
+are reported
 
     O1 = (σ_1 … σ_P)^(1/P) / √N       Borm & Menq 1991; for given N the same as D-optimality
     O2 = σ_P / σ_1                    Driels & Pathre 1990, the inverse of the condition number
@@ -31,34 +28,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 
 ACCURACY = "accuracy"
 CRITERIA = (ACCURACY, "d")
-
-
-@dataclass(frozen=True)
-class Criterion:
-    """name: one of CRITERIA. gamma: Γ (P, P), for accuracy. Raises BadTable for another name."""
-
-    name: str
-    gamma: Array
-
-    def __post_init__(self) -> None:
-        if self.name not in CRITERIA:
-            raise BadTable(f"criterion '{self.name}'", "is not known", f"choose {', '.join(CRITERIA)}")
-
-    @property
-    def by_determinant(self) -> bool:
-        """Whether it is D-optimality."""
-        return self.name == "d"
-
-    def value(self, H: Array) -> Array:
-        """How good information matrices (..., P, P) are, (...): larger is better."""
-        if self.by_determinant:
-            return np.asarray(np.linalg.slogdet(H)[1])
-        return np.asarray(-np.trace(np.linalg.solve(H, np.broadcast_to(self.gamma, H.shape)), axis1=-2, axis2=-1))
 
 
 @dataclass(frozen=True)
@@ -106,46 +79,46 @@ def information(J: Array) -> Array:
 
 @dataclass(frozen=True)
 class Search:
-    """What every candidate is worth now. J: their rows (N, c, K). H: information (K, K); inverse: P. S, G: (N, c, c); G
-    for accuracy only.
+    """What every candidate is worth now. J: their rows (N, c, K). H: information (K, K); inverse: P. S, G: (N, c, c).
+    gamma: Γ (K, K), for the expected error; without it, and without G, det H counts.
     """
 
-    criterion: Criterion
     J: Array
     H: Array
     inverse: Array
     S: Array
+    gamma: Array | None
     G: Array | None
 
     @property
     def value(self) -> float:
-        """The criterion of the information that is there."""
-        if self.G is None:
-            return float(self.criterion.value(self.H))
-        return -float(np.sum(self.inverse * self.criterion.gamma))
+        """The criterion of the information that is there: larger is better."""
+        if self.gamma is None:
+            return float(np.linalg.slogdet(self.H)[1])
+        return -float(np.sum(self.inverse * self.gamma))
 
     def beside(self, chosen: Sequence[int] | np.ndarray) -> Search:
         """The same with these candidates there as well."""
-        return Search.of(self.J, self.criterion, self.H + information(self.J[chosen]))
+        return Search.of(self.J, self.H + information(self.J[chosen]), self.gamma)
 
     @classmethod
-    def of(cls, J: Array, criterion: Criterion, H: Array) -> Search:
+    def of(cls, J: Array, H: Array, gamma: Array | None = None) -> Search:
         """Candidates J (N, c, K) beside information H (K, K)."""
         P = np.asarray(np.linalg.inv(H))
         JP = _times(J, P)
         S = JP @ J.transpose(0, 2, 1) + np.eye(J.shape[1])
-        G = None if criterion.by_determinant else _times(JP, criterion.gamma) @ JP.transpose(0, 2, 1)
-        return cls(criterion, J, H, P, S, G)
+        G = None if gamma is None else _times(JP, gamma) @ JP.transpose(0, 2, 1)
+        return cls(J, H, P, S, gamma, G)
 
     def changed(self, k: int, sign: float) -> Search:
         """The same once station k has come (1) or gone (−1)."""
         own = self.J[k]
         H = self.H + sign * own.T @ own
-        c, gamma = len(own), self.criterion.gamma
+        c, gamma = len(own), self.gamma
         U = self.inverse @ own.T
         M = sign * np.linalg.inv(np.eye(c) + sign * own @ U)
         P = self.inverse - U @ M @ U.T
-        if self.G is None:
+        if gamma is None or self.G is None:
             A = _times(self.J, U)
             return replace(self, H=H, inverse=P, S=self.S - A @ M @ A.transpose(0, 2, 1))
         AB = _times(self.J, np.hstack([U, self.inverse @ (gamma @ U)]))

@@ -28,7 +28,7 @@ from modcal_core.effects import Drivers, Effect, columns, prior_stds
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.measurements import LEFT, TRAVEL, Samples
-from modcal_core.planning.exchange import ACCURACY, Criterion, Search, exchange, grown, information
+from modcal_core.planning.exchange import Search, exchange, grown, information
 from modcal_core.planning.outlook import Outlook, Refit, chance_seen, nominal_outlook
 from modcal_core.planning.pool import Pool, readings_at
 from modcal_core.planning.route import nearest_order
@@ -102,8 +102,8 @@ def propose(
     rows = _rows(model.with_effects((*rest, other)), truth, geometry, samples, calibration.noise)
     K = rows.shape[2]
     at_first = np.eye(K) + information(rows[:recorded])
-    only_truth = Criterion(ACCURACY, np.diag(np.eye(K)[0]))
-    new = recorded + np.array(grown(Search.of(rows[recorded:], only_truth, at_first), count))
+    only_truth = np.diag(np.eye(K)[0])
+    new = recorded + np.array(grown(Search.of(rows[recorded:], at_first, only_truth), count))
     told = _told(at_first + information(rows[new])) - _told(at_first)
     whole, bare = np.eye(K) + information(rows), 1 + len(geometry)
     directed = {e.place for e in (truth, other) if e.driver.startswith("direction:")}

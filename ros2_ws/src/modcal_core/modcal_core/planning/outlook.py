@@ -1,17 +1,15 @@
 """What a station would be worth: how much it lowers the error of the tool that is to be expected, in mm².
 
-The values are those of the claim (:mod:`modcal_core.claim`): the geometry, effects that a fit has, and for each joint
-what effects nobody named may look like, each as large as in usual arms. With H the information of the stations so far,
-the prior's included, and Γ the mean of GᵀG over the postures where accuracy counts, its mean square error is
-tr(H⁻¹ Γ). So a station is worth something where the geometry is known badly, and where an effect that an arm may have
-has not been looked at. Before anything is measured the arm is the nominal one, and the noise that of the site.
+The values are those of the claim (:mod:`modcal_core.claim`): geometry, effects of the fit, and for each joint what
+effects nobody named may look like, as large as in usual arms. With H the information of the stations so far and of the
+priors, and Γ the mean of GᵀG where accuracy counts, the mean square error is tr(H⁻¹ Γ). Before anything is measured the
+arm is the nominal one, and the noise that of the site.
 
-Where the instrument lost the tool the same posture is not asked for again: what has been seen and what has not, near
-where a tool would be and face, gives the chance that it is seen (a kernel estimate), by which a station's worth counts.
+Where the instrument lost the tool a posture is not asked for again: a kernel estimate over what was and was not seen
+near it gives the chance by which a station's worth counts.
 
-A model is fitted to the stations measured so far by the flow of ``modcal calibrate``, with nothing held out: it is
-scored by the stations of the proof, which it never sees; so all others fit and choose effects. With too few of them to
-choose effects the geometry alone is fitted, held by its priors.
+A model is fitted to the stations so far by the flow of ``modcal calibrate``, with nothing held out: the stations of the
+proof score it. With too few to choose effects the geometry alone is fitted, held by its priors.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ from modcal_core.hypotheses import proved
 from modcal_core.measurements import POSE, Samples
 from modcal_core.measurements.kinds import dimensions
 from modcal_core.moves import find_regimes
-from modcal_core.planning.exchange import ACCURACY, Criterion, Search, information
+from modcal_core.planning.exchange import ACCURACY, Search, information
 from modcal_core.planning.pool import Pool, readings_at
 from modcal_core.planning.site import Noise
 from modcal_core.robots import Inertias, Mechanism, weightless
@@ -201,12 +199,11 @@ class Outlook:
 
     def search(self, rows: Array, which: str = ACCURACY) -> Search:
         """Candidates with these rows (N, c, K), by a criterion: accuracy counts all values, others the fit's own."""
-        good = Criterion(which, self.gamma)
         if which == ACCURACY:
-            return Search.of(rows, good, self.H)
+            return Search.of(rows, self.H, self.gamma)
         units = np.array([p.prior_std for p in self.about.parameters])[self.own] / self.about.std[self.own]
         H = (self.H - np.eye(len(self.H)))[np.ix_(self.own, self.own)] * np.outer(units, units)
-        return Search.of(rows[..., self.own] * units, good, H + np.eye(len(units)))
+        return Search.of(rows[..., self.own] * units, H + np.eye(len(units)))
 
     def _samples(self, q: Array, approach: Array | None, kind: str) -> Samples:
         """Readings as the geometry makes them; time and signals as they were at the end of the samples so far."""

@@ -15,11 +15,11 @@ import numpy as np
 
 from modcal_core.calibration import EQUATIONS_PER_PARAMETER, SHARES, Calibration, Cell, NoiseModel, Stated
 from modcal_core.claim import Claim, expected_claim
-from modcal_core.errors import NotPlannable
+from modcal_core.errors import BadTable, NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.planning.exchange import (
     ACCURACY,
-    Criterion,
+    CRITERIA,
     Observability,
     exchange,
     grown,
@@ -122,7 +122,8 @@ class Planner:
         assert pool.ground is not None
         self.pool, self.ground, self.request, self._rng = pool, pool.ground, request, rng
         fresh = nominal_outlook(pool, pool.q, request.reading, request.fixed)
-        Criterion(request.criterion, fresh.gamma)
+        if request.criterion not in CRITERIA:
+            raise BadTable(f"criterion '{request.criterion}'", "is not known", f"choose {', '.join(CRITERIA)}")
         self.outlook = fresh if request.besides is None else fresh.beside(fresh.rows(request.besides))
         self._rows = self.outlook.rows(pool.q)
 

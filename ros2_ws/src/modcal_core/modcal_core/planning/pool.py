@@ -1,16 +1,14 @@
-"""The closed chain from the measuring frame to the measured point, and the postures there are to choose from.
-
-The closed chain from the measuring frame over the arm to the point that is measured, and its parameters.
+"""The closed chain from the measuring frame over the arm to the measured point, and the postures there are to choose
+from.
 
     P_M = T_M_B · T_B_tool0 · P_tool0
 
-For an arm of n joints in Denavit–Hartenberg form these are 4 n + 9 parameters (33 for six joints): theta, d, a and
-alpha of every row, three shifts (along the measuring frame) and three turns (about the base) of the base, and the three
-coordinates of the point in the last frame. DH cannot hold nearly parallel axes; the directions that a calibration uses,
-one at each place, are the other choice and hold for any robot.
+For n joints in Denavit–Hartenberg form it has 4 n + 9 parameters: theta, d, a and alpha of every row, three shifts
+(along the measuring frame) and three turns (about the base) of the base, and three coordinates of the point in the last
+frame. DH cannot hold nearly parallel axes; the directions that a calibration uses are the other choice and hold for any
+robot.
 
-Errors count to first order, for which a millimetre and a milliradian are small: they change derivatives by some
-thousandths. With R the frame in front of a parameter's motion, o its origin and p the point,
+Errors count to first order. With R the frame in front of a parameter's motion, o its origin and p the point,
 
     ∂p/∂g = R e  (shift along e)        ∂p/∂g = (R e) × (p − o),  ∂rot/∂g = R e  (turn about e)
 """

@@ -3,37 +3,30 @@
     Θ_k(q) = ‖∂p/∂g_k · Δg_k‖                          single-point index (SFDPE)
     Θ_k    = Σ_i P_k(Θ_k(q_i)) Θ_k(q_i) / Σ_i P_k(…)    multi-point index (SFCDPE)
 
-where P_k is the probability of the interval (the bin of the histogram of Θ_k over the postures) that a value falls in.
-Divided by that of a base factor they are the relative indices RSFDPE and RSFCDPE. The weights favour what is usual: a
-value that hardly any posture shows counts little. They are made to sum to one, so that an index that is the same
-everywhere keeps its value; the plain mean and the range stand beside it.
+P_k is the share of postures in the bin of the histogram of Θ_k that a value falls in: what is usual counts most.
+Divided by that of a base factor they are the relative indices RSFDPE and RSFCDPE.
 
-The errors of an arm before calibration are taken as independent with standard deviations Δg: C = diag(Δg²) is their
-covariance. The measurements leave C' = (C⁻¹ + Jᵀ W J)⁻¹. Over the postures where accuracy counts, with derivatives G,
-the mean square of the position error is V = mean tr(G C Gᵀ), and of it
+Gains: errors before calibration are independent with deviations Δg, C = diag(Δg²); measurements leave C' = (C⁻¹ + Jᵀ W
+J)⁻¹. With derivatives G where accuracy counts, the mean square error is V = mean tr(G C Gᵀ), and
 
     V_k = mean ‖G C e_k‖² / C_kk
 
-goes away when parameter k comes to be known exactly: that is its gain. Before, it is the parameter's share; afterwards
-it counts only what the measurements have left, so a parameter that is seen only together with another one has no gain
-left when the two also act together. *Matters and is not seen* is said where a parameter had a share worth naming and
-more than half of it is still there.
+of it goes away when parameter k comes to be known exactly. Afterwards it counts only what the measurements left: a
+parameter that is seen only together with another has no gain left when the two also act together. *Matters and is not
+seen* is a parameter that had a share worth naming, more than half of which is still there.
 
-With Y the error, S_k = V(E[Y | g_k]) / V(Y) is the share that g_k makes alone, S_Tk = 1 − V(E[Y | all but g_k]) / V(Y)
-the share that goes when everything but g_k is known. Two samples A, B of arms and, for every k, A with the k-th error
-of B (Saltelli et al. 2010, Computer Physics Communications 181:259) give
+Variance: S_k = V(E[Y | g_k]) / V(Y) is the share that g_k makes alone, S_Tk = 1 − V(E[Y | all but g_k]) / V(Y) the
+share that goes when all else is known. From samples A, B of arms, and A with the k-th error of B (Saltelli et al.
+2010),
 
     V_k = mean f(B) (f(A_B^k) − f(A)),        V_Tk = ½ mean (f(A_B^k) − f(A))²            (Saltelli; Jansen)
 
-Y has many components: x, y, z at every posture, or the distance at every posture. Their variances are added up before
-they are divided (Lamboni, Monod & Makowski 2011), so postures where nothing happens count little. The error vector is
-linear in small errors, so both of its indices are the parameters' shares of the mean square; the distance is not, and
-S_T − S shows it. It is repeated with differently scrambled Sobol sequences, which gives a standard error.
+with variances of all components added up before they are divided (Lamboni, Monod & Makowski 2011). The error vector is
+linear in small errors, so its indices are shares of the mean square; the distance is not, and S_T − S shows it.
 
 An orthogonal array of strength 2 shows, in any two of its columns, every pair of levels equally often. For a prime
-number of levels s the columns are linear forms over the field of s elements: runs are the vectors u of s^k, columns
-the vectors c whose first number that is not zero is 1, and the entry is u · c mod s (Bose & Bush 1952). That gives
-(s^k − 1) / (s − 1) columns; with s = 5 and k = 2 it is Taguchi's L25(5^6).
+number of levels s, runs are the vectors u of s^k, columns the vectors c whose first number that is not zero is 1, and
+entries u · c mod s (Bose & Bush 1952): (s^k − 1) / (s − 1) columns. s = 5 and k = 2 is Taguchi's L25(5^6).
 """
 
 from __future__ import annotations

@@ -1,16 +1,14 @@
 """Where an arm is measured: what the tracker sees, what the arm must not touch, and how well things are read.
 
 Positions and axes of the tracker, and what to keep out of, are given in the arm's base link; those of the target in its
-tip. A camera on the tool is the other way round: it is given in the tip, the target that it looks at in the base link.
-Links are named by the joint that moves them, the first one ``base``.
+tip. A camera on the tool is given in the tip, its target in the base link. Links are named by the joint that moves
+them, the first one ``base``.
 
 The line of sight is drawn first, in both cones and within range, then a turn about it; the arm is brought there by
-inverse kinematics. So these are spread evenly over what can be seen, and not over the joints' ranges.
+inverse kinematics: evenly over what can be seen, not over the joints' ranges.
 
 Spheres stand along the straight lines from joint to joint, or where a site puts them. Two of them are compared where
-they are more than twice the sum of their radii apart along the arm: nearer ones are neighbours round a bend, which
-touch as the joint's own housing does. That finds folds sharper than about 120 degrees, and all that
-comes from farther away.
+they are more than twice the sum of their radii apart along the arm: nearer ones are neighbours round a bend.
 """
 
 from __future__ import annotations

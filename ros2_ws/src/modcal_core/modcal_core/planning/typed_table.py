@@ -1,13 +1,10 @@
-"""The tables of a session: what a technician with a spreadsheet is asked for, and what came back.
+"""The tables of a session: what a technician with a spreadsheet is asked for, in degrees and millimetres, and what came
+back.
 
-Angles are in degrees and lengths in millimetres, for people type them. What a spreadsheet does to a file on the way
-(semicolons, decimal commas, byte order marks, UTF-16) is undone; what a person may have typed wrongly is refused with
-its row, and nothing of that table is taken in.
-
-Base and tool are those on which most of the stations agree (:mod:`modcal_core.hypotheses.hand_eye`), so that a few
-wrong rows do not matter. A nominal arm is a centimetre off at most; metres for millimetres, another row's reading or a
-wrong digit are off by more. A fit would leave such a reading out, or be bent by it: whoever
-stands beside the arm can still correct it.
+What a spreadsheet does to a file on the way (semicolons, decimal commas, byte order marks, UTF-16) is undone; what may
+have been typed wrongly is refused with its row, and nothing of that table is taken in: whoever stands beside the arm
+can still correct it. Base and tool are those on which most stations agree (:mod:`modcal_core.hypotheses.hand_eye`). A
+nominal arm is a centimetre off at most; another unit, another row's reading or a wrong digit are off by more.
 """
 
 from __future__ import annotations

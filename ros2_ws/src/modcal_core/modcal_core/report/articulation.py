@@ -12,20 +12,18 @@ from modcal_core.files import to_json
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import spread_rows
 from modcal_core.report.blocks import (
-    Block,
     Figures,
     Page,
-    Paragraph,
     Quantity,
     Scene3D,
     Section,
     TableBlock,
+    Tone,
     VerbResult,
-    in_units,
     quantity_tables,
 )
-from modcal_core.report.charts import Axis, Chart
-from modcal_core.report.figures import MAX_MARKS, mark_components, residual_panel
+from modcal_core.report.charts import Chart
+from modcal_core.report.figures import MAX_MARKS, residual_panel
 from modcal_core.report.tables import STATISTICS
 
 _MAX_SEEN, _MAX_PLACES = 400, 61  # that a page can show and a person look through
@@ -80,6 +78,7 @@ def object_scene(fit: JointFit, track: tuple[Array, Array], joint: dict[str, Any
     )
 
 
+_HEADINGS: dict[bool, tuple[str, Tone]] = {True: ("Verdict", "good"), False: ("Verdict: something is open", "warn")}
 _UNITS = {"rad": ("°", float(np.degrees(1.0))), "m": ("mm", 1e3), "1": ("", 1.0)}  # how people read them
 _MAX_LEFT = 0.05  # m; what is farther is no residual of a joint, and would flatten the chart
 
@@ -160,8 +159,10 @@ def _joint_data(fit: JointFit) -> dict[str, Any]:
 def articulation_report(found: Articulation) -> VerbResult:
     """What a verb leaves of an articulated object: data, page, and a URDF where it has a joint that moves so."""
     data, choice = articulation_data(found), found.choice
-    files = {"articulation.json": to_json(data), "report.html": _page(found, data)}
-    said = [data["verdict"]]
+    files, fit, model = {"articulation.json": to_json(data)}, choice.fit, choice.fit.model
+    frame = f"frame {found.frame}" if found.frame else "a frame without a name"
+    rejected = f"{data['rejected'] or 'none'} of them rejected as gross outliers"
+    said = [f"{data['samples']} {data['measurement']}s in {frame}, {rejected}."]
     if not choice.follows:
         said.append(
             "By positions alone: the measured rotations do not follow it (the handle turned in the grasp, or they are "
@@ -169,41 +170,26 @@ def articulation_report(found: Articulation) -> VerbResult:
         )
     if choice.misfit.fails:
         said.append(f"No {URDF}: a URDF has no joint that moves so; articulation.json has the best one and its phases.")
-    elif isinstance(model := choice.fit.model, JointModel):
+    elif isinstance(model, JointModel):
         reach = data["configuration"]
         limits = None if not model.moves else (reach["lower"], max(reach["upper"], reach["lower"] + 1e-6))
         files[URDF] = describe(model, found.frame or "world", "object_handle", limits)
     else:
-        said.append(
-            f"No {URDF}: a URDF has no joint that moves like a {choice.kind}; articulation.json says how it moves."
-        )
-    return VerbResult(data, said, files)
-
-
-def _page(found: Articulation, data: dict[str, Any]) -> str:
-    fit = found.choice.fit
-    good, scale = _trusted(fit), _UNITS[fit.model.unit][1]
-    seen = found.track.positions[good]
-    drawn = object_scene(fit, (fit.configurations[good], seen), data["joint"], scale, found.frame)
-    frame = f"frame {data['frame']}" if data["frame"] else "a frame without a name"
-    rejected = f"{data['rejected'] or 'none'} of them rejected as gross outliers."
-    said = f"{data['samples']} {data['measurement']}s in {frame}, {rejected}"
-    if not data["rotations_followed"]:
-        said += (
-            " The measured rotations do not follow the joint and are left out: the handle turned in the grasp, or they "
-            "are wrong."
-        )
+        said.append(f"No {URDF}: a URDF has no joint like a {choice.kind}; articulation.json says how it moves.")
+    good = _trusted(fit)
+    track = fit.configurations[good], found.track.positions[good]
+    drawn = object_scene(fit, track, data["joint"], _UNITS[model.unit][1], found.frame)
     kinds = tuple((kind, f"{100 * p:.1f} %") for kind, p in data["probabilities"].items())
     kind = data["kind"] if data["kind"] == data["best"] else f"{data['kind']}; the best is {data['best']}"
-    blocks: list[Block] = [
-        Paragraph(said, soft=True),
+    blocks = [
         Section("kind", "Joint type", [TableBlock("Probabilities", ("kind", "probability"), kinds)]),
         Section("joint", f"The joint: {kind}", quantity_tables(_quantities(data))),
         Section("object", "The object in three dimensions", [drawn]),
         Section("path", "Residual along the path", [Figures([_residual(found, data)])]),
     ]
-    heading, tone = ("Verdict", "good") if data["enough"] else ("Verdict: something is open", "warn")
-    return Page(f"{found.source}: articulation", data["verdict"], blocks, heading, tone).html()
+    heading, tone = _HEADINGS[bool(data["enough"])]
+    page = Page(f"{found.source}: articulation", data["verdict"], blocks, heading, tone, lines=said)
+    return page.result(data, files)
 
 
 def _trusted(fit: JointFit) -> np.ndarray:
@@ -238,9 +224,8 @@ def _quantities(data: dict[str, Any]) -> list[Quantity]:
         out.append((f"residual, {STATISTICS[key]}", 1e-3 * data["residual_mm"][key], None, "m"))
     if data["residual_deg"] is not None:
         out.append(("residual of the rotation, RMS", np.radians(data["residual_deg"]["rms"]), None, "rad"))
-    degrees = float(np.degrees(1.0))
-    turning = [(n, degrees * v, None if s is None else degrees * s, "°") for n, v, s, unit in out if unit == "rad"]
-    return [*in_units(one for one in out if one[3] != "rad"), *turning]
+    turn = float(np.degrees(1.0))
+    return [(n, turn * v, std and turn * std, "°") if unit == "rad" else (n, v, std, unit) for n, v, std, unit in out]
 
 
 def _residual(found: Articulation, data: dict[str, Any]) -> Chart:
@@ -252,9 +237,7 @@ def _residual(found: Articulation, data: dict[str, Any]) -> Chart:
     rows = np.flatnonzero(shown)
     rows = rows[spread_rows(len(rows), MAX_MARKS // 3)]
     at = scale * found.choice.fit.configurations[rows]
-    x = Axis.around(f"motion of the joint, {unit}" if unit else "motion of the joint", at if len(at) else np.zeros(1))
-    panel = residual_panel(x, 1e3 * left[shown] if len(rows) else np.ones(1))
-    mark_components(panel, at, 1e3 * left[rows])
+    panel = residual_panel(f"motion of the joint, {unit}" if unit else "motion of the joint", at, 1e3 * left[rows])
     words = "What the joint leaves along its motion: x as circles, y as triangles, z as squares."
     words += f" {far} samples farther than {1e3 * _MAX_LEFT:.0f} mm are not shown." if far else ""
     alt = f"Residual along the path: {data['residual_mm']['rms']:.2f} mm RMS."

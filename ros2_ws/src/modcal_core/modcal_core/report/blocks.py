@@ -1,19 +1,14 @@
 """What verbs say, as data: sentences, tables, charts, files. Terminals and pages show the same kinds of values.
 
-On a terminal stand :class:`SummaryLine` and :class:`TableBlock`. A page is a list of tables and the others; the
-template ``page.html.j2`` knows how each of them looks.
-
-Pages that need nothing else: one file, its style and scripts inside, nothing fetched.
-
-A page is an answer and, below it, sections. A section holds blocks: sentences, tables, charts, the scene in three
-dimensions, files. Every verb gives a list of sections; the template ``page.html.j2`` knows how each block looks.
+A page is one file that needs nothing else: an answer, lines, and sections of blocks. The template ``page.html.j2``
+knows how each block looks. On a terminal stand its tables, its answer and its lines.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -45,10 +40,14 @@ class SummaryLine:
     text: str
     tone: Tone = "plain"
 
+    def __str__(self) -> str:
+        """The sentence, for a page."""
+        return self.text
+
 
 @dataclass(frozen=True)
 class TableBlock:
-    """A table. words: how many columns, from the left, hold words; the others hold numbers. below: a sentence under it.
+    """A table. words: how many columns, from the left, hold words; the others hold numbers. below: words under it.
     strong: a column in bold. heading: whether its title stands over it, on a terminal in the place of the first name.
     """
 
@@ -65,52 +64,38 @@ class TableBlock:
         """The names of the columns as a terminal shows them."""
         return (self.title, *self.header[1:]) if self.heading else self.header
 
+    def __str__(self) -> str:
+        """The table as plain text, a line for each row."""
+        rows = (self.top, *self.rows)
+        wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [
+            "  ".join(
+                cell.ljust(width) if i < self.words else cell.rjust(width)
+                for i, (cell, width) in enumerate(zip(row, wide, strict=True))
+            ).rstrip()
+            for row in rows
+        ]
+        return "\n".join([*lines, *([self.below] if self.below else [])])
+
 
 Summary = SummaryLine | TableBlock
 
 
-@dataclass(frozen=True)
-class VerbResult:
-    """What a verb leaves. data: for programs. said: for a terminal. files: contents by name. first: the file to look
-    at; what: a word for it.
-    """
-
-    data: Mapping[str, Any]
-    said: Sequence[str | Summary]
-    files: Mapping[str, str]
-    what: str = "Report"
-    first: str = "report.html"
+def legend(meanings: Mapping[str, str]) -> str:
+    """What the columns of a table mean, but for those whose headings say it."""
+    return "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items() if meaning)
 
 
-def legend(meanings: Mapping[str, str]) -> SummaryLine:
-    """What the columns of the table above mean."""
-    return SummaryLine("  " + "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items()), "legend")
-
-
-def explained(columns: Mapping[str, str], rows: Sequence[tuple[str, ...]], words: int = 1) -> list[Summary]:
+def explained(
+    columns: Mapping[str, str], rows: Sequence[tuple[str, ...]], words: int = 1, title: str = ""
+) -> TableBlock:
     """A table, and below it what its headings mean. columns: headings with their meanings, empty where they say it."""
-    meanings = [SummaryLine(f"  {name}: {meaning}", "legend") for name, meaning in columns.items() if meaning]
-    return [TableBlock("", tuple(columns), tuple(rows), words), *meanings]
+    return TableBlock(title, tuple(columns), tuple(rows), words, legend(columns))
 
 
 def text(blocks: Sequence[str | Summary]) -> str:
     """As plain text, a line for each row and sentence."""
-    lines = []
-    for block in blocks:
-        said = block.text if isinstance(block, SummaryLine) else block
-        lines += [said] if isinstance(said, str) else _laid_out(said)
-    return "\n".join(lines)
-
-
-def _laid_out(grid: TableBlock) -> list[str]:
-    wide = [max(map(len, column)) for column in zip(grid.top, *grid.rows, strict=True)]
-    return [
-        "  ".join(
-            cell.ljust(width) if i < grid.words else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, wide, strict=True))
-        ).rstrip()
-        for row in (grid.top, *grid.rows)
-    ]
+    return "\n".join(map(str, blocks))
 
 
 @dataclass(frozen=True)
@@ -127,7 +112,7 @@ class Paragraph:
 class Listing:
     """Sentences one below the other. tone: of a line beside them. label: what they are, for those who do not see it."""
 
-    lines: Sequence[str]
+    rows: Sequence[str]
     tone: str = ""
     label: str = ""
 
@@ -143,18 +128,11 @@ class HeatTable:
 
 
 @dataclass(frozen=True)
-class Tiles:
-    """The few numbers that are wanted first: names and values."""
-
-    rows: Sequence[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class Facts:
-    """Names and values, None where one is left to be filled in. small: in small print, one a line."""
+class KeyFigures:
+    """Names and values, None where one is left to be filled in. look: as tiles, as facts, or hashes in small print."""
 
     rows: Sequence[tuple[str, str | None]]
-    small: bool = False
+    look: Literal["tiles", "facts", "facts hash"] = "tiles"
 
 
 @dataclass(frozen=True)
@@ -182,7 +160,7 @@ class Scene3D:
 
     points: of the target (N, 3). arms: polylines (k, 3) of each posture that can be chosen. shown: the point of each
     posture, indices. said: a sentence for each posture. base: name of the frame. alt: for those who do not see it.
-    stages: name and misses (N, 3) by model; names: of the points, for sentences about them. route: whether the points
+    stages: name and misses (N, 3) [mm] by model; names: of the points, for sentences on them. route: whether the points
     are connected in order. cloud: others (M, 3). marks: named places. lines: named lines (2, 3). weights: how large a
     joint is drawn, 0 … 1. local: whether the frame's origin may be far away. slider, legend: words beside the scene.
     """
@@ -205,23 +183,14 @@ class Scene3D:
     legend: str = "The grid is the floor of the base."
 
     def to_data(self) -> dict[str, Any]:
-        """The same as JSON has it, misses in millimetres."""
-        digits = 4 if self.local else 3
-        return {
-            "points": np.round(self.points, 4).tolist(),
-            "stages": [{"name": name, "arrows": np.round(1e3 * miss, 4).tolist()} for name, miss in self.stages],
-            "arms": [[np.round(path, digits).tolist() for path in arm] for arm in self.arms],
-            "shown": self.shown.tolist(),
-            "said": list(self.said),
-            "names": list(self.names),
-            "route": self.route,
-            "cloud": [] if self.cloud is None else np.round(self.cloud, digits).tolist(),
-            "marks": [{"name": name, "at": np.round(at, 3).tolist()} for name, at in self.marks],
-            "lines": [{"name": name, "path": np.round(path, 4).tolist()} for name, path in self.lines],
-            "weights": [round(float(weight), 4) for weight in self.weights],
-            "base": self.base,
-            "local": self.local,
-        }
+        """The same as JSON has it, numbers to four digits behind the point."""
+        return {one.name: _rounded(getattr(self, one.name)) for one in fields(self)}
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return np.round(value, 4).tolist()
+    return [_rounded(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 @dataclass(frozen=True)
@@ -246,7 +215,7 @@ class Fold:
     """What is shown when it is asked for. name: of the part for experts, which paper leaves out."""
 
     title: str
-    blocks: Sequence[Block]
+    blocks: Sequence[Block | None]
     name: str = ""
 
 
@@ -268,28 +237,79 @@ class Section:
 
 
 Block = (
-    Paragraph | Listing | TableBlock | HeatTable | Tiles | Facts | Signatures | Figures | FileList | Fold
-    | Section | Scene3D
-)  # fmt: skip
+    Paragraph
+    | Listing
+    | TableBlock
+    | HeatTable
+    | KeyFigures
+    | Signatures
+    | Figures
+    | FileList
+    | Fold
+    | Section
+    | Scene3D
+)
+
+
+_CONTENT = ("rows", "charts", "files")
+
+
+def filled(block: Block | None) -> bool:
+    """Whether there is anything in a block; a page shows no other ones."""
+    if isinstance(block, Section | Fold):
+        return any(map(filled, block.blocks))
+    return block is not None and all(len(getattr(block, name)) > 0 for name in _CONTENT if hasattr(block, name))
 
 
 TINT = 50  # per cent of `after` in the fullest cell of a map; ink can be read on it
 
 
 @dataclass(frozen=True)
+class VerbResult:
+    """What a verb leaves. data: for programs. said: for a terminal. files: contents by name. first: the file to look
+    at; what: a word for it.
+    """
+
+    data: Mapping[str, Any]
+    said: Sequence[str | Summary]
+    files: Mapping[str, str]
+    what: str = "Report"
+    first: str = "report.html"
+
+
+@dataclass(frozen=True)
 class Page:
-    """A page. heading: a word over the answer. tone: its colour (plain, good, warn, bad). kind: report, certificate."""
+    """A page. heading: a word over the answer. tone: its colour (plain, good, warn, bad). kind: report, certificate.
+    lines: sentences below the answer. said: the answer as a terminal has it, where that is another.
+    """
 
     title: str
     answer: str
     blocks: Sequence[Block | None]
     heading: str = "Result"
-    tone: str = "plain"
+    tone: Tone = "plain"
     kind: str = "report"
+    lines: Sequence[str | SummaryLine] = ()
+    said: str = ""
+
+    def result(
+        self,
+        data: Mapping[str, Any],
+        files: Mapping[str, str],
+        tables: Sequence[Summary] = (),
+        what: str = "Report",
+        first: str = "report.html",
+    ) -> VerbResult:
+        """What a verb leaves: on a terminal these tables, the answer and the lines, and the page among the files."""
+        page = replace(self, blocks=[*self.blocks, files_section(files)])
+        name = first if first.endswith(".html") else "report.html"
+        lines = (SummaryLine(line) if isinstance(line, str) else line for line in self.lines)
+        said = [*tables, SummaryLine(self.said or self.answer, self.tone), *lines]
+        return VerbResult(data, said, {**files, name: page.html()}, what, first)
 
     def html(self) -> str:
         """The page as HTML text."""
-        blocks = [block for block in self.blocks if block is not None]
+        blocks = [block for block in (Listing([str(line) for line in self.lines]), *self.blocks) if filled(block)]
         parts = [k for k, block in enumerate(blocks) if isinstance(block, Section | Fold)]
         begin = parts[0] if parts else len(blocks)
         listed = [b for b in blocks if isinstance(b, Section | Fold) and b.name]
@@ -322,6 +342,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
+    made.tests["filled"] = filled
     made.filters |= {"kind": lambda block: type(block).__name__, "script_data": as_script_data}
     return made
 
@@ -351,28 +372,23 @@ FILES = (
         "The Delta's constants and the identified tool.",
         ("modcal calibrate OTHER_BAG --delta calibrated_delta.yaml --out again",),
     ),
-    File("report.json", "All numbers of this page, for programs.", ("python3 -m json.tool report.json",)),
+    File("object.urdf", "The object as a robot description: a link that moves as the handle did."),
     File("report.html", "The error at these stations as a page."),
     File("certificate.html", "The certificate."),
     File("camera.yaml", "The lens, in the form of camera_info."),
-    File("check.json", "All numbers, for programs."),
-    File("sentinel.json", "All numbers, for programs."),
-    File("limits.json", "All numbers, for programs."),
     File("joint_limits.yaml", "Constant bounds in the form of MoveIt's file."),
     File("plan.yaml", "The stations and what is expected of them, for programs."),
     File("stations.csv", "Joint positions of the stations to measure, one a row."),
     File("trajectory.yaml", "The way through the stations as a JointTrajectory."),
-    File("sensitivity.json", "All numbers, for programs."),
     File("single_point.csv", "Single-point indices, one row a posture."),
 )
 
 
-def files_section(names: Iterable[str], *more: File) -> Section | None:
-    """What the files of these names beside the page are for; others are passed over. None if none is left."""
+def files_section(names: Collection[str], *more: File) -> Section:
+    """What the files of these names beside the page are for; others are passed over."""
     beside = set(names)
-    files = [*(file for file in FILES if file.name in beside), *more]
-    if not files:
-        return None
+    data = [File(n, "All numbers, for programs.", (f"python3 -m json.tool {n}",)) for n in names if n.endswith("json")]
+    files = [*(file for file in FILES if file.name in beside), *data, *more]
     commands = any(file.commands for file in files)
     said = [Paragraph("Commands are run in the folder of this page.", soft=True)] if commands else []
     title = "Files, and what to do with them" if commands else "Files"
@@ -407,30 +423,22 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def quantity_tables(quantities: Iterable[Quantity], what: str = "quantity") -> list[TableBlock]:
-    """Values and standard deviations as they are read, a table for each unit. what: a word for the names."""
-    found: dict[str, list[Quantity]] = {}
-    for one in quantities:
-        found.setdefault(one[3], []).append(one)
+    """Values and standard deviations, those in SI as people read them, a table for each unit. what: a word for the
+    names.
+    """
+    found: dict[str, list[tuple[str, ...]]] = {}
+    for name, value, std, si in quantities:
+        unit, factor = scaled(si)
+        said = f"{value:.1f}" if unit == "s" and abs(value) > _STAMP else number(factor * value)
+        known = number(factor * std, 2) if std and np.isfinite(std) else ""
+        found.setdefault(unit, []).append((name, said, known))
     out = []
     for unit in sorted(found, key=lambda u: (_FIRST.index(u) if u in _FIRST else len(_FIRST), u == "1", u)):
         end = "" if unit == "1" else f", {unit}"
-        header, rows = [what, f"value{end}", f"± one standard deviation{end}"], []
-        for name, value, std, _ in found[unit]:
-            said = f"{value:.1f}" if unit == "s" and abs(value) > _STAMP else number(value)
-            rows.append((name, said, number(std, 2) if std and np.isfinite(std) else ""))
-        columns = 3 if any(row[2] for row in rows) else 2
-        cells = tuple(row[:columns] for row in rows)
+        header = (what, f"value{end}", f"± one standard deviation{end}")
+        columns = 3 if any(row[2] for row in found[unit]) else 2
         title = f"{_TITLES[unit]}{end}" if unit in _TITLES else f"In {unit}"
-        out.append(TableBlock(title, tuple(header[:columns]), cells))
-    return out
-
-
-def in_units(rows: Iterable[Quantity]) -> list[Quantity]:
-    """Quantities in SI as people read them."""
-    out = []
-    for name, value, std, si in rows:
-        unit, factor = scaled(si)
-        out.append((name, factor * value, None if std is None else factor * std, unit))
+        out.append(TableBlock(title, header[:columns], tuple(row[:columns] for row in found[unit])))
     return out
 
 
@@ -443,9 +451,9 @@ def size_tables(effects: Sequence[Mapping[str, Any]]) -> list[TableBlock]:
         numbered = name if count == 1 else f"{name} ({count})"
         for quantity, size in effect["parameters"].items():
             found.append((f"{numbered}: {quantity.replace('_', ' ')}", size["value"], size["std"], str(size["unit"])))
-    return quantity_tables(in_units(found))
+    return quantity_tables(found)
 
 
 def parameter_tables(parameters: Iterable[Quantity]) -> list[Fold]:
     """All parameters, in SI, as a folded table for each unit."""
-    return [Fold(f"{t.title}: {len(t.rows)}", [t]) for t in quantity_tables(in_units(parameters), "parameter")]
+    return [Fold(f"{t.title}: {len(t.rows)}", [t]) for t in quantity_tables(parameters, "parameter")]

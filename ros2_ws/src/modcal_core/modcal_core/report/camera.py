@@ -5,8 +5,8 @@ Held-out pixels stand in it and are never called accuracy; what stands for accur
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -22,8 +22,6 @@ from modcal_core.camera import (
     SCALE,
     SHAPE,
     SHAPE_NAMES,
-    BundleMarker,
-    CameraCause,
     CameraSolution,
     Lens,
     MarkerBundle,
@@ -35,31 +33,22 @@ from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.outcome import STAGES, Trace, at_tool, parameters
 from modcal_core.report.as_json import FORMAT, finite, in_mm, picked, sizes_to_json, tolerance_data, unexplained
-from modcal_core.report.blocks import SummaryLine, VerbResult
-from modcal_core.report.camera_page import camera_charts, camera_sentences, to_html
+from modcal_core.report.blocks import VerbResult
+from modcal_core.report.camera_page import camera_charts, camera_page
 from modcal_core.report.report import model_files
 from modcal_core.robot import Robot
 from modcal_core.verdict import Tolerance
 
 
-def moved_data(solution: CameraSolution) -> dict[str, Any] | None:
-    """What was moved among the images, None if nothing was."""
-    moved = solution.evidence.moved
-    if moved is None:
-        return None
-    return {
-        "what": moved.what,
-        "before_image": solution.fit.table.names[int(moved.since)],
-        **in_mm(moved, shift_mm="shift_m"),
-        "turn_deg": float(np.degrees(moved.turn_rad)),
-        "focal_percent": 100.0 * moved.focal,
-    }
+def _estimates(names: Iterable[str], values: Array, std: Array) -> dict[str, Any]:
+    """Values with their standard deviations, by name; values and deviations may go on behind them."""
+    return {n: {"value": float(v), "std": float(s)} for n, v, s in zip(names, values, std, strict=False)}
 
 
 def lens_data(lens: Lens, std: Array) -> dict[str, Any]:
     """The values that a lens has. std: of its values, and of others behind them."""
-    known = zip(lens.names, lens.values, std, lens.used, strict=False)
-    return {name: {"value": float(value), "std": float(s)} for name, value, s, used in known if used}
+    values = _estimates(lens.names, lens.values, std)
+    return {name: values[name] for name, used in zip(lens.names, lens.used, strict=False) if used}
 
 
 def further_data(solution: CameraSolution) -> list[dict[str, Any]]:
@@ -86,74 +75,44 @@ _TIMES = 3.0  # the stated tolerance, beyond which a marker is named: one of a t
 _SURE = 3.0  # standard deviations of where it is
 
 
-@dataclass(frozen=True)
-class _MarkerPlace:
-    """marker: whose. offset_m: from the drawing, in the body's frame, (3,). std_m: of it, RMS of the three. turn_rad:
-    from the drawing, 0 where corners were not read.
-    """
-
-    marker: BundleMarker
-    offset_m: np.ndarray
-    std_m: float
-    turn_rad: float
-
-    @property
-    def off_m(self) -> float:
-        """How far it is from its place."""
-        return float(np.linalg.norm(self.offset_m))
-
-
 def body_data(solution: CameraSolution) -> dict[str, Any] | None:
-    """The body as ``report.json`` has it, None of a sheet."""
+    """The body as ``report.json`` has it, with where its markers are from their places on the drawing; None of a
+    sheet.
+    """
     target, fit = solution.camera.given.target, solution.fit
     if not isinstance(target, MarkerBundle):
         return None
-    std = fit.std[0][fit.poses.count + 1 :][SCALE]
-    sizes = {"size": (fit.state.shape[0], std[0])}
-    if target.turning:
-        sizes["print_size"] = (fit.state.shape[1], std[1])
+    P, sizes = fit.poses.count + 1, ("size", "print_size") if target.turning else ("size",)
+    moved = fit.state.shape[SHAPE:].reshape(len(target.markers), -1)
+    std = fit.std[0][P + COMMON :].reshape(moved.shape)
+    offset = moved[:, :3] + fit.state.shape[0] * (target.middles - target.middles.mean(axis=0))
     return {
-        **{name: {"value": float(value), "std": float(s)} for name, (value, s) in sizes.items()},
+        **_estimates(sizes, fit.state.shape, fit.std[0][P:][SCALE]),
         "tolerance_mm": 1e3 * target.place_m,
         "offsets_in_tolerances": fit.sizes.places,
         "markers": [
             {
-                "id": one.marker.id,
-                "offset_mm": (1e3 * one.offset_m).tolist(),
-                "std_mm": 1e3 * one.std_m,
-                "turn_deg": float(np.degrees(one.turn_rad)) if target.turning else None,
+                "id": marker.id,
+                "offset_mm": (1e3 * offset[k]).tolist(),
+                "std_mm": 1e3 * float(np.sqrt((std[k, :3] ** 2).mean())),
+                "turn_deg": float(np.degrees(np.linalg.norm(moved[k, 3:]))) if target.turning else None,
             }
-            for one in _places(solution, target)
+            for k, marker in enumerate(target.markers)
         ],
     }
 
 
-def body_notes(solution: CameraSolution) -> tuple[str, ...]:
-    """Where the markers of a body are, in sentences; nothing of a sheet."""
-    target = solution.camera.given.target
-    if not isinstance(target, MarkerBundle):
-        return ()
-    places = _places(solution, target)
-    rms = float(np.sqrt(np.mean([one.off_m**2 for one in places]) / 3.0))
-    out = [f"Markers are {1e3 * rms:.2f} mm from their places on the drawing, RMS along an axis."]
-    far = [one for one in places if one.off_m > _TIMES * target.place_m and one.off_m > _SURE * one.std_m]
-    far = sorted(far, key=lambda one: -one.off_m)[:_NAMED]
+def _body_notes(body: Mapping[str, Any], target: MarkerBundle) -> tuple[str, ...]:
+    """Where the markers of a body are, in sentences."""
+    rows = zip(target.markers, body["markers"], strict=True)
+    places = [(float(np.linalg.norm(m["offset_mm"])), m["std_mm"], marker.label) for marker, m in rows]
+    rms = float(np.sqrt(np.mean([off**2 for off, *_ in places]) / 3.0))
+    out = [f"Markers are {rms:.2f} mm from their places on the drawing, RMS along an axis."]
+    far = sorted((p for p in places if p[0] > _TIMES * body["tolerance_mm"] and p[0] > _SURE * p[1]), reverse=True)
     if far:
-        named = ", ".join(f"{m.marker.label} by {1e3 * m.off_m:.1f} ± {1e3 * m.std_m:.1f} mm" for m in far)
+        named = ", ".join(f"{label} by {off:.1f} ± {std:.1f} mm" for off, std, label in far[:_NAMED])
         out.append(f"Off the drawing by more than {_TIMES:.0f} times what is stated: {named}.")
     return tuple(out)
-
-
-def _places(solution: CameraSolution, target: MarkerBundle) -> list[_MarkerPlace]:
-    """Where the markers are, in the order of the target."""
-    fit = solution.fit
-    values = fit.state.shape[SHAPE:].reshape(len(target.markers), -1)
-    std = fit.std[0][fit.poses.count + 1 + COMMON :].reshape(values.shape)
-    grown = fit.state.shape[0] * (target.middles - target.middles.mean(axis=0))
-    return [
-        _MarkerPlace(one, v[:3] + g, float(np.sqrt((s[:3] ** 2).mean())), float(np.linalg.norm(v[3:])))
-        for one, v, g, s in zip(target.markers, values, grown, std, strict=True)
-    ]
 
 
 _TOLD_BY = {
@@ -171,10 +130,8 @@ def camera_calibration(solution: CameraSolution) -> Calibration:
     fit = solution.fit
     seen = np.stack([fit.poses.q.min(axis=0), fit.poses.q.max(axis=0)])
     std = fit.std[0]
-    table = tuple(
-        (p.name, float(v), float(s), p.unit)
-        for p, v, s in zip(fit.poses.parameters, fit.state.values, std, strict=False)
-    )
+    known = zip(fit.poses.parameters, fit.state.values, std, strict=False)
+    table = tuple((p.name, float(v), float(s), p.unit) for p, v, s in known)
     noise = NoiseModel(max(fit.sizes.shift, 1e-6), max(fit.sizes.joint, 1e-6))
     return Calibration(
         *(solution.nominal_model, solution.model, solution.geometric_model, seen, table),
@@ -192,11 +149,10 @@ def camera_report(
     images: int,
     left_out: Mapping[str, str],
     met: Tolerance | None = None,
-    page: bool = True,
 ) -> VerbResult:
     """What a calibration by camera leaves behind. images: how many there were. left_out: those no corners came from.
 
-    met: a tolerance. page: whether report.html is among the files.
+    met: a tolerance.
     """
     data = camera_data(solution, robot, images, left_out, met)
     files = {
@@ -206,13 +162,7 @@ def camera_report(
     }
     for i, state in enumerate(solution.fit.states[1:], start=2):
         files[f"camera_{i}.yaml"] = to_yaml(camera_info(state.lens, f"camera_{i}"))
-    if page:
-        html = to_html(data, solution.model, solution.fit.poses.q, files, camera_charts(solution.fit))
-        files = {"report.html": html, **files}
-    camera = data["camera"]
-    said = [*camera_sentences(data), f"{camera['decision'].upper()}: {' '.join(camera['because'])}"]
-    said += [] if met is None else [f"{met.result}: {met.because}"]
-    return VerbResult(data, [*map(SummaryLine, said)], files)
+    return camera_page(data, solution.model, solution.fit.poses.q, files, camera_charts(solution.fit))
 
 
 def camera_info(lens: Lens, name: str = "camera") -> dict[str, Any]:
@@ -244,7 +194,8 @@ def camera_data(
     values = fit.state.vector
     problems = () if decision.word in (APPLY, CANNOT_TELL) else decision.because
     trace = Trace(robot=robot.name, instrument=f"camera, {solution.camera.given.target.label}")
-    out = dict(left_out) | solution.camera.left_out
+    body, moved = body_data(solution), solution.evidence.moved
+    effects, left = effect_entries(solution), solution.evidence.left
     return {
         "modcal_report": FORMAT,
         "recording": {
@@ -258,8 +209,8 @@ def camera_data(
         "error_mm": dict.fromkeys(STAGES),
         "error_deg": dict.fromkeys(STAGES),
         "noise_floor_mm": None,
-        "effects": effect_entries(solution),
-        "unexplained": _left(solution),
+        "effects": effects,
+        "unexplained": left and unexplained(1e3 * _throw(solution) * fit.sizes.joint, left) | {"p_value": left.p_value},
         "identifiability": None,
         "status": "open" if problems or solution.evidence.open_points else "cannot_tell",
         "open_because": [*problems, *solution.evidence.open_points],
@@ -281,7 +232,7 @@ def camera_data(
             "mounting": "tip" if fit.poses.camera_on_tip else "world",
             "rival_mounting": float(solution.camera.mounting.rival),
             "target": solution.camera.given.target.label,
-            "images": {"given": images, "used": fit.table.views, "left_out": out},
+            "images": {"given": images, "used": fit.table.views, "left_out": dict(left_out) | solution.camera.left_out},
             "corners": {"used": int(fit.table.weight.sum()), "left_out_share": solution.fit.table.left_out},
             "tool_error_mm": {
                 "in_view": _errors(solution.claim.in_view),
@@ -292,15 +243,18 @@ def camera_data(
             "rms_px": fit.rms_px[0],
             "sizes": asdict(fit.sizes),
             "lens": lens_data(fit.state.lens, std[P + 1 :]),
-            "sheet": {
-                name: {"value": float(values[i]), "std": float(std[i])}
-                for i, name in enumerate(SHAPE_NAMES, start=P + 1 + SCALE.start)
-                if not fit.table.places
-            },
-            "body": body_data(solution),
+            "sheet": {} if body else _estimates(SHAPE_NAMES, values[P + 1 + SCALE.start :], std[P + 1 + SCALE.start :]),
+            "body": body,
             "clock_s": {"value": fit.state.offset_s, "std": float(std[P])} if std[P] > 0.0 else None,
             "readout_s": {"value": fit.state.readout_s, "std": float(std[R])} if std[R] > 0.0 else None,
-            "moved": moved_data(solution),
+            "moved": moved
+            and {
+                "what": moved.what,
+                "before_image": fit.table.names[int(moved.since)],
+                **in_mm(moved, shift_mm="shift_m"),
+                "turn_deg": float(np.degrees(moved.turn_rad)),
+                "focal_percent": 100.0 * moved.focal,
+            },
             "account_mm2": [
                 {"what": name, "value": 1e6 * (whole - known)}
                 for name, (whole, known) in solution.claim.shares.items()
@@ -313,32 +267,28 @@ def camera_data(
             {**picked(p, "name", "unit"), "value": float(v), "std": float(s)}
             for p, v, s in zip(fit.poses.parameters, values, std, strict=False)
         ],
-        "notes": list(notes(solution)),
+        "notes": [*(effect["sentence"] for effect in effects), *notes(solution, body)],
         "verdict": f"{decision.word.capitalize()}. {' '.join(decision.because)}",
     }
 
 
-def notes(solution: CameraSolution) -> tuple[str, ...]:
-    """What else a person should know, in sentences."""
-    out = [f"{_sentence(cause.effect.family, entry)}." for cause, entry in _named(solution)]
-    out += [found.sentence for found in solution.evidence.findings]
-    out += (*body_notes(solution), *solution.evidence.open_points, *solution.notes)
-    if solution.evidence.left is not None:
-        said = solution.evidence.left.effect.label
+def notes(solution: CameraSolution, body: Mapping[str, Any] | None) -> tuple[str, ...]:
+    """What else a person should know beside the effects, in sentences."""
+    target, evidence, shares = solution.camera.given.target, solution.evidence, dict(solution.claim.shares)
+    out = [] if body is None or not isinstance(target, MarkerBundle) else [*_body_notes(body, target)]
+    out += (*evidence.open_points, *solution.notes)
+    if evidence.left is not None:
+        said = evidence.left.effect.label
         out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
-    out += solution.evidence.weak
-    target = "body" if solution.fit.table.places else "sheet"
-    every, without = solution.claim.shares.get(ALL_BUT_IMAGES, (0.0, 0.0))
+    out += evidence.weak
+    every, without = shares.pop(ALL_BUT_IMAGES, (0.0, 0.0))
     if without > _MOSTLY * every:
         out.append(
-            f"Too few pixels or images are most of what is left: were lens, {target} and clock known exactly, the "
-            f"error at the tool would still be {1e3 * without**0.5:.2f} mm RMS and not {1e3 * every**0.5:.2f} mm. More "
-            "images, a larger target, a nearer camera or more pixels tell more."
+            "Too few pixels or images are most of what is left: were all else known exactly, the error at the tool "
+            f"would still be {1e3 * without**0.5:.2f} mm RMS and not {1e3 * every**0.5:.2f} mm. More images, a larger "
+            "target, a nearer camera or more pixels tell more."
         )
-    body = solution.fit.table.places > 0
-    for name, (whole, known) in sorted(solution.claim.shares.items(), key=lambda s: s[1][1]):
-        if name == ALL_BUT_IMAGES:
-            continue
+    for name, (whole, known) in sorted(shares.items(), key=lambda share: share[1][1]):
         if whole - known > _WORTH * whole:
             what = _OF_BODY.get(name, name) if body else name
             out.append(
@@ -350,48 +300,29 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
 
 def effect_entries(solution: CameraSolution) -> list[dict[str, Any]]:
     """The effects as ``report.json`` has them. RMS before and after are what images have of their own, at the tool."""
-    model, throw = solution.model, _throw(solution)
-    out = []
-    for i, (cause, entry) in enumerate(_named(solution)):
-        moved = at_tool(model, [i], solution.fit.poses.drivers().samples)
-        rms = (throw * cause.before, throw * cause.after, moved)
-        out.append(_entry(cause.effect.family, entry, cause.p_value, rms, _sentence(cause.effect.family, entry)))
-    scatter = throw * solution.fit.sizes.joint
-    for found in solution.evidence.findings:
-        rms = (float(np.hypot(scatter, found.at_tool_m)), scatter, found.at_tool_m)
-        out.append(_entry(found.family, found.entry, found.p_value, rms, found.sentence))
-    return out
-
-
-def _entry(
-    family: str, entry: ReportEntry, p_value: float, rms_m: tuple[float, float, float], sentence: str
-) -> dict[str, Any]:
-    """An effect. rms_m: before, after, and of the effect by itself, at the tool [m]."""
-    return {
-        "family": family,
-        "place": entry.place,
-        "direction": entry.direction,
-        "driver": entry.driver,
-        "parameters": sizes_to_json(entry.sizes),
-        "p_value": p_value,
-        **{f"rms_mm_{name}": 1e3 * x for name, x in zip(("before", "after", "at_tool"), rms_m, strict=True)},
-        "same_as": list(entry.same_as),
-        "sentence": sentence,
-    }
-
-
-def _named(solution: CameraSolution) -> list[tuple[CameraCause, ReportEntry]]:
-    chain = solution.fit.poses.model.chain
-    out = []
-    for cause in solution.evidence.causes:
+    poses, throw = solution.fit.poses, _throw(solution)
+    scatter, samples = throw * solution.fit.sizes.joint, poses.drivers().samples
+    found: list[tuple[str, ReportEntry, float, str, tuple[float, float, float]]] = []
+    for i, cause in enumerate(solution.evidence.causes):
         e = cause.effect
-        sizes = parameters((e,), chain)
-        out.append((cause, ReportEntry(e.place, e.direction, e.public_driver, sizes, cause.same_as)))
-    return out
-
-
-def _sentence(family: str, entry: ReportEntry) -> str:
-    return family_named(family).sentence(entry)
+        sizes = parameters((e,), poses.model.chain)
+        entry = ReportEntry(e.place, e.direction, e.public_driver, sizes, cause.same_as)
+        rms = throw * cause.before, throw * cause.after, at_tool(solution.model, [i], samples)
+        found.append((e.family, entry, cause.p_value, f"{family_named(e.family).sentence(entry)}.", rms))
+    for one in solution.evidence.findings:
+        rms = float(np.hypot(scatter, one.at_tool_m)), scatter, one.at_tool_m
+        found.append((one.family, one.entry, one.p_value, one.sentence, rms))
+    return [
+        {
+            "family": family,
+            **picked(entry, "place", "direction", "driver", "same_as"),
+            "parameters": sizes_to_json(entry.sizes),
+            "p_value": p_value,
+            **{f"rms_mm_{name}": 1e3 * x for name, x in zip(("before", "after", "at_tool"), rms, strict=True)},
+            "sentence": sentence,
+        }
+        for family, entry, p_value, sentence, rms in found
+    ]
 
 
 def _throw(solution: CameraSolution) -> float:
@@ -400,13 +331,6 @@ def _throw(solution: CameraSolution) -> float:
     T = poses.tool_at(values)
     moved = solution.fit.at_flange(T, poses.own_motions(values, T)[:, :, :-3])
     return float(np.sqrt((moved**2).sum() / len(T)))
-
-
-def _left(solution: CameraSolution) -> dict[str, Any] | None:
-    choice = solution.evidence.left
-    if choice is None:
-        return None
-    return unexplained(1e3 * _throw(solution) * solution.fit.sizes.joint, choice) | {"p_value": choice.p_value}
 
 
 def _errors(error: ToolError) -> dict[str, Any]:

@@ -7,9 +7,9 @@ has reservations: it is the figure of a fit, with no station that the fit has no
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,14 +20,13 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.outcome import Trace, counted
 from modcal_core.report.blocks import (
-    Block,
     Figures,
     Fold,
-    Listing,
     Page,
     Section,
+    SummaryLine,
     TableBlock,
-    files_section,
+    VerbResult,
     parameter_tables,
     quantity_tables,
     size_tables,
@@ -47,40 +46,36 @@ _PLACES = {
 }
 
 
-def to_html(
-    data: Mapping[str, Any], model: Model, q: Array, files: Iterable[str] = (), charts: Sequence[Chart] = ()
-) -> str:
-    """The page. data: of ``report.json``. model: the calibrated one. q: the postures of the images (N, n) [rad, m].
+def camera_page(
+    data: Mapping[str, Any], model: Model, q: Array, files: Mapping[str, str], charts: Sequence[Chart] = ()
+) -> VerbResult:
+    """The report. data: of ``report.json``. model: the calibrated one. q: the postures of the images (N, n) [rad, m].
 
     charts: of :func:`camera_charts`.
     """
-    camera = data["camera"]
-    blocks: list[Block | None] = [
-        Listing(camera_sentences(data)),
+    camera, met = data["camera"], data["tolerance"]
+    alt = f"The arm in the postures of {counted(len(q), 'image')}."
+    blocks = [
         Section("found", "What was found", _tables(data)),
-        _robot(model, q),
-        Section("images", "Images", [Figures(charts)]) if charts else None,
+        Section("robot", "Robot", [ShownPostures(model.serial, q, "Image").scene(alt)]) if len(q) else None,
+        Section("images", "Images", [Figures(charts)]),
         Fold("Expert: all parameters", _parameters(data), "expert"),
-        files_section(files),
     ]
-    title, tone = f"{data['trace']['robot'] or 'arm'}: calibration by camera", tone_of(camera["decision"])
-    return Page(title, " ".join(camera["because"]), blocks, camera["decision"], tone).html()
+    said = [SummaryLine(f"{met['result']}: {met['because']}", tone_of(met["result"]))] if met else []
+    title, decision = f"{data['trace']['robot'] or 'arm'}: calibration by camera", camera["decision"]
+    answer, tone = " ".join(camera["because"]), tone_of(decision)
+    lines: list[str | SummaryLine] = [*said, *camera_sentences(data)]
+    page = Page(title, answer, blocks, decision, tone, lines=lines, said=f"{decision.upper()}: {answer}")
+    return page.result(data, files)
 
 
 def camera_sentences(data: Mapping[str, Any]) -> list[str]:
     """What was seen, how far the tool is off, and what was found, for the page and a terminal."""
-    camera, images = data["camera"], data["camera"]["images"]
+    camera = data["camera"]
     where = "on the tip, the target stands still" if camera["mounting"] == "tip" else "beside the arm, the target moves"
     px = {name: "not known" if x is None else f"{x:.2f} px" for name, x in camera["held_out_px"].items()}
-    out = [
-        f"The camera is {where}. {camera['target']}, {images['used']} of {counted(images['given'], 'image')}, "
-        f"{camera['corners']['used']} corners, {camera['rms_px']:.2f} px RMS."
-    ]
-    out += [
-        f"Also {one['name']}, on the {one['mounting']}: {one['target']}, {one['images']['used']} of "
-        f"{counted(one['images']['given'], 'image')}, {one['rms_px']:.2f} px RMS."
-        for one in camera.get("further", ())
-    ]
+    out = [f"The camera is {where}. {_seen(camera)}, {camera['corners']['used']} corners."]
+    out += [f"Also {one['name']}, on the {one['mounting']}: {_seen(one)}." for one in camera.get("further", ())]
     for words, sizes in _tool_errors(data):
         ours, nominal = (
             f"{size['rms']:.2f} mm RMS (95 %: {size['low95']:.2f} to {size['high95']:.2f})"
@@ -96,8 +91,14 @@ def camera_sentences(data: Mapping[str, Any]) -> list[str]:
             f"The {moved['what']} was moved before {moved['before_image']}, by {moved['shift_mm']:.2f} mm and "
             f"{moved['turn_deg']:.2f}°."
         )
-    out += [f"Left out: {name}: {why}." for name, why in images["left_out"].items()]
+    out += [f"Left out: {name}: {why}." for name, why in camera["images"]["left_out"].items()]
     return [*out, *data["notes"]]
+
+
+def _seen(camera: Mapping[str, Any]) -> str:
+    images = camera["images"]
+    used = f"{images['used']} of {counted(images['given'], 'image')}"
+    return f"{camera['target']}, {used}, {camera['rms_px']:.2f} px RMS"
 
 
 def _tool_errors(data: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
@@ -109,11 +110,11 @@ def _tool_errors(data: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]
 def _tables(data: Mapping[str, Any]) -> list[TableBlock]:
     """The error at the tool first, then effects, the lens, and the sheet; a table has one unit."""
     camera = data["camera"]
-    rows = []
-    for words, sizes in _tool_errors(data):
-        for arm in ("nominal", "calibrated"):
-            size = sizes[arm]
-            rows.append((f"{arm} arm, {words}", f"{size['rms']:.2f}", f"{size['low95']:.2f} … {size['high95']:.2f}"))
+    rows = [
+        (f"{arm} arm, {words}", f"{(e := sizes[arm])['rms']:.2f}", f"{e['low95']:.2f} … {e['high95']:.2f}")
+        for words, sizes in _tool_errors(data)
+        for arm in ("nominal", "calibrated")
+    ]
     tables = [TableBlock("Error at the tool, mm", ("arm", "RMS, mm", "95 % interval, mm"), tuple(rows))]
     if effects := data["effects"]:
         found = tuple(
@@ -155,14 +156,6 @@ def _parameters(data: Mapping[str, Any]) -> list[Fold]:
     return out
 
 
-def _robot(model: Model, q: Array) -> Section | None:
-    """The arm in the postures of the images."""
-    if not len(q):
-        return None
-    alt = f"The arm in the postures of {counted(len(q), 'image')}."
-    return Section("robot", "Robot", [ShownPostures(model.serial, q, "Image").scene(alt)])
-
-
 _DRAWN = 4000  # corners in a picture; more only make the page heavy
 
 
@@ -199,24 +192,21 @@ def camera_tolerance(solution: CameraSolution, tolerance_mm: float) -> Tolerance
     arm by itself.
     """
     middle, low, high = (1e3 * end for end in solution.judged.interval)
-    asked = Asked(tolerance_mm, "rms")
-    limit = f"{tolerance_mm:g} mm"
+    claim, limit = solution.claim, f"{tolerance_mm:g} mm"
+    no_length = [] if claim.metric else ["Nothing in these images has a length that somebody measured."]
+    against = [*claim.decision.problems, *no_length, *claim.decision.doubtful]
+    result: Literal["PASS", "FAIL", "CANNOT TELL"] = "CANNOT TELL"
     if low > tolerance_mm:
+        result = "FAIL"
         said = f"The RMS is {middle:.3f} mm, and at least {low:.3f} mm with 95 % confidence: more than {limit}."
-        return Tolerance(asked, middle, (low, high), "FAIL", said)
-    against = ""
-    if solution.claim.decision.problems:
-        against = solution.claim.decision.problems[0]
-    elif not solution.claim.metric:
-        against = "Nothing in these images has a length that somebody measured."
-    elif solution.claim.decision.doubtful:
-        against = solution.claim.decision.doubtful[0]
+    elif against:
+        said = against[0]
     elif high > tolerance_mm:
-        against = f"The RMS is {middle:.3f} mm, but may be up to {high:.3f} mm: more and better images would tell."
-    if against:
-        return Tolerance(asked, middle, (low, high), "CANNOT TELL", against)
-    said = f"The RMS is {middle:.3f} mm, and at most {high:.3f} mm with 95 % confidence: within {limit}."
-    return Tolerance(asked, middle, (low, high), "PASS", said)
+        said = f"The RMS is {middle:.3f} mm, but may be up to {high:.3f} mm: more and better images would tell."
+    else:
+        result = "PASS"
+        said = f"The RMS is {middle:.3f} mm, and at most {high:.3f} mm with 95 % confidence: within {limit}."
+    return Tolerance(Asked(tolerance_mm, "rms"), middle, (low, high), result, said)
 
 
 def camera_certificate(
@@ -225,12 +215,18 @@ def camera_certificate(
     """The certificate. met: of :func:`camera_tolerance`. images: how many there were. Raises BadTable without met."""
     if met is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 2")
-    doubts = tuple(said for said in solution.claim.decision.because if said != met.because)[:MAX_REASONS]
-    if met.result == "PASS":
-        doubts = _reservations(solution, images)
-    fit = solution.fit
+    fit, claim = solution.fit, solution.claim
+    if met.result != "PASS":
+        doubts = [said for said in claim.decision.because if said != met.because]
+    else:
+        doubts = [
+            "The figure is that of a fit to these images, with the interval that they leave: the floor of arm and "
+            "camera is not known.",
+            *claim.decision.because[1:],
+            *([f"{images - fit.table.views} of {images} images were left out."] if images > fit.table.views else []),
+        ]
     flange = chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)
-    where = "by itself" if solution.judged is solution.claim.alone else "in view"
+    where = "by itself" if solution.judged is claim.alone else "in view"
     facts = (
         ("Robot", said.robot or robot or None),
         ("Serial number", said.serial or None),
@@ -238,11 +234,11 @@ def camera_certificate(
         ("Images", f"{fit.table.views} of {images}, {int(fit.table.weight.sum())} corners, {fit.rms_px[0]:.2f} px RMS"),
         ("Instrument", said.instrument or f"camera of {fit.state.lens.size[0]} × {fit.state.lens.size[1]} pixels"),
         ("Target", f"{solution.camera.given.target.label}; {solution.camera.mounting.label}"),
-        ("Its lengths by", "; ".join(solution.claim.metric) or "nothing"),
+        ("Its lengths by", "; ".join(claim.metric) or "nothing"),
         (f"Nominal arm, {where}", _size(solution.judged, calibrated=False)),
         (f"Calibrated arm, {where}", _size(solution.judged)),
-        ("Anywhere", _size(solution.claim.anywhere)),
-        ("Advice", solution.claim.decision.word),
+        ("Anywhere", _size(claim.anywhere)),
+        ("Advice", claim.decision.word),
         ("Volume", box_in_words(flange[:, :3, 3])),
         ("Conditions", said.conditions or None),
         ("Program", f"modcal {Trace().version}"),
@@ -250,7 +246,7 @@ def camera_certificate(
     return Certificate(
         title="Accuracy certificate: calibration by camera",
         met=met,
-        reservations=doubts,
+        reservations=tuple(doubts[:MAX_REASONS]),
         before=1e3 * solution.judged.nominal_interval[0],
         facts=facts,
         silent_on=_SILENT_ON,
@@ -258,18 +254,6 @@ def camera_certificate(
         said=said,
         recorded="images and joints",
     )
-
-
-def _reservations(solution: CameraSolution, images: int) -> tuple[str, ...]:
-    """Why a PASS is not one without reservations, as many as the page has room for."""
-    out = [
-        "The figure is that of a fit to these images, with the interval that they leave: the floor of arm and camera "
-        "is not known.",
-        *solution.claim.decision.because[1:],
-    ]
-    if left := images - solution.fit.table.views:
-        out.append(f"{left} of {images} images were left out.")
-    return tuple(out[:MAX_REASONS])
 
 
 def _size(error: ToolError, calibrated: bool = True) -> str:

@@ -16,11 +16,22 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, counted
-from modcal_core.report.blocks import Block, Facts, Figures, Listing, Page, Paragraph, Section, Signatures, tone_of
+from modcal_core.report.blocks import (
+    Block,
+    Figures,
+    KeyFigures,
+    Listing,
+    Page,
+    Paragraph,
+    Section,
+    Signatures,
+    Tone,
+    tone_of,
+)
 from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
 from modcal_core.report.particulars import Particulars
-from modcal_core.report.tables import STATISTICS, error_tables
-from modcal_core.verdict import PoseTest, Tolerance, pose_test
+from modcal_core.report.tables import STATISTICS, error_tables, floor_words, rejected_words
+from modcal_core.verdict import PoseTest, Tolerance, Verdict, pose_test
 
 MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
@@ -67,7 +78,7 @@ class Certificate:
         return "PASS, with reservations" if self.met.result == "PASS" and self.reservations else self.met.result
 
     @property
-    def tone(self) -> str:
+    def tone(self) -> Tone:
         """The colour of the result."""
         return tone_of(self.heading)
 
@@ -105,12 +116,11 @@ def certificate(
 
 def _reservations(report: Outcome, stated: Stated) -> tuple[str, ...]:
     """Why a PASS is not one without reservations; empty where it is."""
-    out = []
+    out, claim = [], report.claim
     if report.status == "open":
         out.append(f"The verdict is open: {report.open_because[0]}")
     if report.status == "cannot_tell":
         out.append("The floor is not known: neither how well the arm repeats, nor whether the error could be smaller.")
-    claim = report.claim
     if claim is not None and claim.is_open:
         out.append(
             f"{claim.unshown_mm:.3f} mm of the upper end are held by what arms are like, not by readings: "
@@ -126,8 +136,8 @@ def _reservations(report: Outcome, stated: Stated) -> tuple[str, ...]:
             f"The instrument is accurate to {stated.instrument_mm:g} mm, more than a third of the tolerance: "
             "a tolerance this small cannot be verified with it."
         )
-    if out_of := report.rejected_stations():
-        out.append(_rejected(report, out_of))
+    if report.rejected_stations():
+        out.append(rejected_words(report))
     if report.grounds.convention:
         out.append(f"The readings are in another convention than usual ({report.grounds.convention}): it was undone.")
     return tuple(out)
@@ -135,32 +145,21 @@ def _reservations(report: Outcome, stated: Stated) -> tuple[str, ...]:
 
 def _reasons(report: Outcome) -> tuple[str, ...]:
     """What stands behind another result than PASS: the reasons of an open verdict, and what was left out."""
-    out = []
-    floor = None if report.judged is None else report.judged.floor_mm
-    if floor is not None and report.tolerance is not None and floor > report.tolerance.asked.mm:
+    judged, met, out = report.judged or Verdict("cannot_tell"), report.tolerance, []
+    if judged.floor_mm is not None and met is not None and judged.floor_mm > met.asked.mm:
         out.append(
-            f"Arm and instrument alone scatter by {floor:.3g} mm RMS, more than the tolerance: no calibration meets it."
+            f"Arm and instrument alone scatter by {judged.floor_mm:.3g} mm RMS, more than the tolerance: no "
+            "calibration meets it."
         )
     shown = MAX_REASONS - len(out)
     out += report.open_because[:shown]
     if (more := len(report.open_because) - shown) > 0:
         out.append(f"And {counted(more, 'more reason')}, in report.json.")
-    if report.status == "cannot_tell" and report.judged is not None and report.judged.remedy:
-        known = "" if report.judged.floor_known else "The floor is not known. "
-        out.append(f"{known}{report.judged.remedy}")
-    said = report.judged is not None and any(reason.kind == "rejected" for reason in report.judged.reasons)
-    if (count := report.rejected_stations()) and not said:
-        out.append(_rejected(report, count))
+    if judged.status == "cannot_tell" and judged.remedy:
+        out.append(f"{'' if judged.floor_known else 'The floor is not known. '}{judged.remedy}")
+    if report.rejected_stations() and not any(reason.kind == "rejected" for reason in judged.reasons):
+        out.append(rejected_words(report))
     return tuple(out)
-
-
-def _rejected(report: Outcome, count: int) -> str:
-    rejection = report.rejection
-    sizes = ""
-    if rejection is not None and rejection.with_mm is not None and rejection.without_mm is not None:
-        sizes = f": {rejection.with_mm:.3f} mm RMS with them, {rejection.without_mm:.3f} mm without"
-    counts = "are" if report.counts_rejected else "are not"
-    return f"{count} of {report.samples.stations} stations were rejected and {counts} in the figures{sizes}."
 
 
 def _before(report: Outcome, met: Tolerance) -> float | None:
@@ -231,46 +230,34 @@ def box_in_words(p: Array) -> str:
 
 def _temperatures(report: Outcome) -> str:
     """The recorded temperatures, all together."""
-    values = [np.asarray(s.values).ravel() for s in report.samples.signals if s.name.startswith("temperature:")]
-    finite = np.concatenate(values)[np.isfinite(np.concatenate(values))] if values else np.empty(0)
-    return f"{finite.min():.1f} … {finite.max():.1f} °C recorded" if len(finite) else ""
+    kept = [np.ravel(s.values) for s in report.samples.signals if s.name.startswith("temperature:")]
+    values = np.concatenate([np.empty(0), *kept])
+    values = values[np.isfinite(values)]
+    return f"{values.min():.1f} … {values.max():.1f} °C recorded" if len(values) else ""
 
 
 def _errors(report: Outcome) -> tuple[Section, ...]:
     """The errors before and after, where anything was scored."""
     tables = error_tables(report, _STAGES)
-    floor = Paragraph(f"Floor of arm and instrument: {_floor(report)}.")
+    floor = Paragraph(f"Floor of arm and instrument: {floor_words(report.judged) or 'not known'}.")
     return (Section("errors", "Error on scored stations", [*tables, floor]),) if tables else ()
-
-
-def _floor(report: Outcome) -> str:
-    judged = report.judged
-    if judged is None or judged.floor_mm is None:
-        return "not known"
-    source = judged.repeatability_mm.source or ""
-    how = {"revisits": "from postures visited again", "stated": "as stated"}.get(source, "")
-    angle = "" if judged.floor_deg is None else f" and {judged.floor_deg:.3g}°"
-    return f"{judged.floor_mm:.3g} mm{angle} RMS, {how}"
 
 
 def _iso(tests: PoseTest) -> tuple[str, ...]:
     """A sentence for the position, one for the orientation; or what is missing."""
-    if tests.missing:
-        return (f"AP and RP are not given. {tests.missing}",)
     before, after = tests.worst_mm("nominal"), tests.worst_mm("final")
-    assert before is not None
-    assert after is not None
+    if tests.missing or before is None or after is None:
+        return (f"AP and RP are not given. {tests.missing}",)
     fewest = min(p.visits for p in tests.poses)
     out = [
         f"{len(tests.poses)} poses, at least {fewest} visits each from one side. Largest AP {before[0]:.3f} mm before, "
         f"{after[0]:.3f} mm after; largest RP {after[1]:.3f} mm. Commanded is what the model computes from the "
         "joint positions; load and speed are those under conditions."
     ]
-    turned = [p for p in tests.poses if p.ap_deg is not None and p.rp_deg is not None]
+    turned = [(p.ap_deg["final"], p.rp_deg) for p in tests.poses if p.ap_deg is not None and p.rp_deg is not None]
     if len(turned) == len(tests.poses):
-        ap = np.abs([p.ap_deg["final"] for p in turned if p.ap_deg is not None]).max(axis=0)
-        rp = np.max([p.rp_deg for p in turned if p.rp_deg is not None], axis=0)
-        a, r = (" / ".join(f"{value:.4f}" for value in three) for three in (ap, rp))
+        three = (np.abs([ap for ap, _ in turned]).max(axis=0), np.max([rp for _, rp in turned], axis=0))
+        a, r = (" / ".join(f"{value:.4f}" for value in values) for values in three)
         out.append(f"About x / y / z of the instrument's frame: AP {a}°, RP ±{r}°.")
     return tuple(out)
 
@@ -301,16 +288,17 @@ def _silent_on(report: Outcome, stated: Stated, tests: PoseTest) -> tuple[str, .
 
 def certificate_html(one: Certificate) -> str:
     """The certificate as HTML text."""
-    blocks: list[Block] = []
-    if one.reservations:
-        label = "Reservations" if one.met.result == "PASS" else "Reasons"
-        blocks.append(Listing(one.reservations, one.tone, label))
-    blocks += [Figures([drawn(one.met, one.before, one.tone)]), Facts(one.facts), *one.sections]
-    blocks.append(Section("silent", "What this certificate does not say", [Listing(one.silent_on)]))
     of, names = one.hashes, (one.recorded, "robot description", "calibration.yaml")
-    if known := [pair for pair in zip(names, (of.recording, of.description, of.calibration), strict=True) if pair[1]]:
-        blocks.append(Section("hashes", "SHA-256", [Facts(known, small=True)]))
-    blocks.append(Signatures((("Measured by", one.said.measured_by), ("Approved by", one.said.approved_by))))
+    known = [pair for pair in zip(names, (of.recording, of.description, of.calibration), strict=True) if pair[1]]
+    blocks: list[Block] = [
+        Listing(one.reservations, one.tone, "Reservations" if one.met.result == "PASS" else "Reasons"),
+        Figures([drawn(one.met, one.before, one.tone)]),
+        KeyFigures(one.facts, "facts"),
+        *one.sections,
+        Section("silent", "What this certificate does not say", [Listing(one.silent_on)]),
+        Section("hashes", "SHA-256", [KeyFigures(known, "facts hash")]),
+        Signatures((("Measured by", one.said.measured_by), ("Approved by", one.said.approved_by))),
+    ]
     return Page(one.title, one.met.because, blocks, one.heading, one.tone, "certificate").html()
 
 
@@ -329,9 +317,7 @@ def drawn(met: Tolerance, before: float | None, tone: str) -> Chart:
     if low is not None and high is not None:
         said += f" with a 95 % interval of {low:.3f} to {high:.3f} mm"
     panel.line(np.full(2, asked), np.array([-0.5, 0.5]), BAD, 1.4, dashed=True)
-    words = (
-        "Bar: the tool's error, each end passed with a chance of 5 %; stroke: the likely one; dashed: the tolerance."
-    )
+    words = "Bar: the tool's error, each end passed with a chance of 5 %; stroke: the likely; dashed: the tolerance."
     if before is not None:
         words += f" Before calibration the error was {before:.3f} mm."
     return panel.chart("scale", f"Scale in millimetres: {said}.", words)

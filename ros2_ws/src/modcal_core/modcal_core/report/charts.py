@@ -70,15 +70,12 @@ _SHAPES = {  # around a point; all but dot and dash hollow
 
 @dataclass(frozen=True)
 class Chart:
-    """A picture of a page. drawn: SVG in the page's colours. caption: under it. name: unique on the page. width, height
-    [points].
-    """
+    """A picture of a page. drawn: SVG in the page's colours. caption: under it. name: unique there. width [points]."""
 
     name: str
     drawn: str
     caption: str
     width: float
-    height: float
 
 
 @dataclass(frozen=True)
@@ -145,34 +142,25 @@ class Panel:
     width: float = SMALL[0]
     height: float = SMALL[1]
     keys: tuple[tuple[str, str, str], ...] = ()
-    _drawn: list[str | tuple[str, int]] = field(default_factory=list)  # elements, or places of a mark and its number
+    _drawn: list[str] = field(default_factory=list)
     _marks: list[str] = field(default_factory=list)
 
-    @property
-    def _left(self) -> float:
-        if not self.y.names:
-            return _LEFT
-        longest = max(map(len, self.y.names))
-        return max(_LEFT, _TICK + _PAD + 4.0 + 0.62 * _TICK_PRINT * longest) if longest else 8.0
-
-    @property
-    def _right(self) -> float:
-        return self.width - _RIGHT
-
-    @property
-    def _top(self) -> float:
-        return _TOP + (_KEYS if self.keys else 0.0)
-
-    @property
-    def _bottom(self) -> float:
-        return self.height - _BELOW
+    def __post_init__(self) -> None:
+        """Where the axes stand, beside the names and below the legend."""
+        longest = max(map(len, self.y.names), default=0)
+        beside = max(_LEFT, _TICK + _PAD + 4.0 + 0.62 * _TICK_PRINT * longest) if longest else 8.0
+        self._left, self._right = beside if self.y.names else _LEFT, self.width - _RIGHT
+        self._top, self._bottom = _TOP + (_KEYS if self.keys else 0.0), self.height - _BELOW
 
     def marks(self, x: Array, y: Array, colour: str, shape: str = "circle", wide: float = 0.7) -> None:
         """The same mark at every point (N,): drawn once, and set at the corners of a line that is not seen."""
         places = _places(np.stack([self._across(x), self._along(y)], axis=1), " ")
         if places:
-            self._marks.append(_mark(shape, colour, wide))
-            self._drawn.append((places, len(self._marks) - 1))
+            name = f"@mark{len(self._marks)}"  # chart() puts its own name for the @
+            box = 'viewBox="-4 -4 8 8" markerWidth="8" markerHeight="8" markerUnits="userSpaceOnUse"'
+            self._marks.append(f'<marker id="{name}" {box}>{_mark(shape, colour, wide)}</marker>')
+            ends = "".join(f' marker-{end}="url(#{name})"' for end in ("start", "mid", "end"))
+            self._drawn.append(f'<path d="M{places}" fill="none"{ends}/>')
 
     def line(self, x: Array, y: Array, colour: str, wide: float = 1.1, dashed: bool = False) -> None:
         """A line through points (N,) in order."""
@@ -216,19 +204,19 @@ class Panel:
         if self.y.words:
             beside = self._left - _TICK - _PAD - widest - 5.92
             texts.append(_text(self.y.words, beside, 0.5 * (self._top + self._bottom), _NAME_PRINT, turned=True))
-        clip, ink = f"{name}-inside", "fill:none;stroke:var(--ink);stroke-width:0.8"
-        marks = "".join(_marker(f"{name}-mark{k}", mark) for k, mark in enumerate(self._marks))
-        drawn = "".join(_at(*d, name) if isinstance(d, tuple) else d for d in self._drawn)
+        ink = "fill:none;stroke:var(--ink);stroke-width:0.8"
         size = f'width="{self._right - self._left:g}" height="{self._bottom - self._top:g}"'
         zero = ""
         if not self.y.log and self.y.low < 0.0 < self.y.high:
             at = float(self._along(np.zeros(1))[0])
             zero = f'<path d="M{self._left:g} {at:.2f}H{self._right:g}" style="stroke:var(--line);stroke-width:0.8"/>'
+        inside = (
+            f'{"".join(self._marks)}<clipPath id="@in"><rect x="{self._left:g}" y="{self._top:g}" {size}/></clipPath>'
+            f'<g clip-path="url(#@in)">{zero}{"".join(self._drawn)}</g>'
+        ).replace("@", f"{name}-")
         body = (
             f'<rect width="{self.width:g}" height="{self.height:g}" style="fill:var(--paper)"/>'
-            f'{marks}<clipPath id="{clip}"><rect x="{self._left:g}" y="{self._top:g}" {size}/></clipPath>'
-            f'<g clip-path="url(#{clip})">{zero}{drawn}</g>'
-            f'<path d="{"".join(ticks)}" style="{ink}"/>'
+            f'{inside}<path d="{"".join(ticks)}" style="{ink}"/>'
             f'<path d="M{self._left:g} {self._top:g}V{self._bottom:g}H{self._right:g}" '
             f'style="{ink};stroke-linecap:square"/>'
             f'<g style="font-family:{_FONT};fill:var(--ink)">{self._legend()}{"".join(texts)}</g>'
@@ -240,7 +228,7 @@ class Panel:
             f'aria-label="{escape(alt, quote=True)}" style="max-width:{natural:.0f}px;min-width:{least:.0f}px">'
             f"{body}</svg>"
         )
-        return Chart(name, drawn, caption, self.width, self.height)
+        return Chart(name, drawn, caption, self.width)
 
     def _legend(self) -> str:
         out, at = [], self._left + 6.0
@@ -263,18 +251,6 @@ def _mark(shape: str, colour: str, wide: float) -> str:
     round_ends = ";stroke-linecap:round" if shape in ("dot", "dash") else ""
     style = f"fill:{fill};stroke:var(--{colour});stroke-width:{wide:g}{round_ends}"
     return f'<path d="{_SHAPES[shape]}" style="{style}"/>'
-
-
-def _marker(name: str, mark: str) -> str:
-    """A mark that lines refer to, in the units of the page."""
-    box = 'viewBox="-4 -4 8 8" markerWidth="8" markerHeight="8" markerUnits="userSpaceOnUse"'
-    return f'<marker id="{name}" {box}>{mark}</marker>'
-
-
-def _at(places: str, k: int, name: str) -> str:
-    """The k-th mark of a chart at these places."""
-    ends = "".join(f' marker-{end}="url(#{name}-mark{k})"' for end in ("start", "mid", "end"))
-    return f'<path d="M{places}" fill="none"{ends}/>'
 
 
 def _places(points: Array, between: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,25 +12,26 @@ from modcal_core.files import to_json
 from modcal_core.moves import NamedChange, SizeFound, series_of
 from modcal_core.report.as_json import claim_data, finite, picked, tolerance_data
 from modcal_core.report.blocks import (
-    Block,
     Figures,
-    Listing,
     Page,
     Section,
-    Summary,
     SummaryLine,
     TableBlock,
+    Tone,
     VerbResult,
-    files_section,
     tone_of,
 )
 from modcal_core.report.charts import AFTER, BAD, BEFORE, SOFT, Axis, Chart, Panel
 from modcal_core.report.tables import csv_text, stations_table
 from modcal_core.sentinel import ArmVerdict
 
-_OF_STATUS = {"unchanged": ("No change is seen", "good"), "changed": ("The arm has changed", "bad")}
+_OF_STATUS: dict[str, tuple[str, Tone]] = {
+    "unchanged": ("No change is seen", "good"),
+    "changed": ("The arm has changed", "bad"),
+}
 _LINKS = "This is no measurement: measure the ten stations of stations.csv, and let modcal check say what to repair."
 _DAY = 86400.0  # s
+_SIZES = ("change", "size", "value", "95 % interval", "unit")
 
 
 def sentinel_report(found: ArmVerdict, robot: str) -> VerbResult:
@@ -40,24 +41,26 @@ def sentinel_report(found: ArmVerdict, robot: str) -> VerbResult:
     if found.changes:
         files["stations.csv"] = csv_text(found.joints, found.stations, ".6f")
     heading, tone = _OF_STATUS.get(found.status, ("Cannot tell", "warn"))
-    lines = [
+    lines: list[str | SummaryLine] = [
         f"Evidence: {found.log_e:.1f} nats of {found.asked:.1f} that a change needs (one false alarm in a hundred "
         f"hours), the recordings counting by the power {found.weight:.2g}.",
-        f"These signals do not show: {', '.join(found.unseen) or 'nothing of what was asked'}.",
-        *(
-            [f"Not judged, outside the reference period or no torques: {', '.join(found.untold)}."]
-            if found.untold
-            else []
-        ),
-        *([_LINKS] if found.changes else []),
+        SummaryLine(f"These signals do not show: {', '.join(found.unseen) or 'nothing of what was asked'}.", "doubt"),
     ]
-    blocks: list[Block] = [
-        Listing(lines),
+    if found.untold:
+        said = f"Not judged, outside the reference period or no torques: {', '.join(found.untold)}."
+        lines.append(SummaryLine(said, "doubt"))
+    tables = []
+    if found.changes:
+        lines.append(_LINKS)
+        rows = tuple((*_row(c.label, s), c.since) for c in found.changes for s in c.sizes)
+        tables = [TableBlock("Changes", (*_SIZES, "since"), rows, 2)]
+    blocks = [
+        Section("changes", "What changed", tables, "Changes"),
         Section("trends", "Every recording by itself", [Figures(_trends(found))], "Trends"),
+        Section("noticed", "What would have been noticed", [_noticed(found)], "Noticed"),
     ]
-    blocks += [Section("noticed", "What would have been noticed", [_noticed(found)], "Noticed")]
-    page = Page(f"{robot}: has it changed?", found.sentence, [*blocks, files_section(files)], heading, tone).html()
-    return VerbResult(data, _summary(found), {**files, "sentinel.html": page}, "Sentinel", "sentinel.html")
+    page = Page(f"{robot}: has it changed?", found.sentence, blocks, heading, tone, lines=lines)
+    return page.result(data, files, tables, "Sentinel", "sentinel.html")
 
 
 def _data(found: ArmVerdict, robot: str) -> dict[str, Any]:
@@ -67,8 +70,7 @@ def _data(found: ArmVerdict, robot: str) -> dict[str, Any]:
         **picked(found, "status", "asked", "weight", "hours", "unseen", verdict="sentence", outside="untold"),
         "log_e": found.log_e if np.isfinite(found.log_e) else None,
         "changes": [
-            {**picked(c, "kind", "place", "label", "sentence", "since", "probability", "same_as"),
-             "sizes": [{**picked(s, "name", "value", "unit"), "ci95": [s.low, s.high]} for s in c.sizes]}
+            {**picked(c, "kind", "place", "label", "sentence", "since", "probability", "same_as"), **_sized(c.sizes)}
             for c in found.changes
         ],
         "would_have_been_noticed": {label: {"size": s, "unit": unit} for label, (s, unit) in found.noticed.items()},
@@ -78,28 +80,6 @@ def _data(found: ArmVerdict, robot: str) -> dict[str, Any]:
             for b in found.bags
         ],
     }  # fmt: skip
-
-
-def _summary(found: ArmVerdict) -> tuple[Summary, ...]:
-    out: list[Summary] = []
-    rows = tuple((c.label, s.name, f"{s.value:+.4g}", f"{s.low:.4g} … {s.high:.4g}", s.unit, c.since)
-                 for c in found.changes for s in c.sizes)  # fmt: skip
-    if rows:
-        head = ("change", "size", "value", "95 % interval", "unit", "since")
-        out.append(TableBlock("", head, rows, 2))
-    if found.unseen:
-        out.append(SummaryLine(f"These signals do not show: {', '.join(found.unseen)}.", "doubt"))
-    if found.untold:
-        out.append(SummaryLine(_not_judged(found), "doubt"))
-    tone = {"unchanged": "good", "changed": "bad"}.get(found.status, "warn")
-    out.append(SummaryLine(found.sentence, tone))  # type: ignore[arg-type]
-    if found.changes:
-        out.append(SummaryLine(_LINKS, "legend"))
-    return tuple(out)
-
-
-def _not_judged(found: ArmVerdict) -> str:
-    return f"Not judged, for outside the reference period, or no torques: {', '.join(found.untold)}."
 
 
 def _noticed(found: ArmVerdict) -> TableBlock:
@@ -119,11 +99,10 @@ def _trends(found: ArmVerdict) -> list[Chart]:
     for k, one in enumerate(shown):
         t = np.array([(p.time - first) / _DAY for p in one.points])
         x, std = np.array([p.value for p in one.points]), np.array([p.std for p in one.points])
-        panel = Panel(
-            Axis.around("days", t), Axis.around(f"{one.name}, {one.unit}", np.r_[x - 2.0 * std, x + 2.0 * std])
-        )
-        for at, value, s in zip(t, x, std, strict=True):
-            panel.line(np.array([at, at]), np.array([value - 2.0 * s, value + 2.0 * s]), SOFT, 0.8)
+        ends = np.stack([x - 2.0 * std, x + 2.0 * std], axis=1)
+        panel = Panel(Axis.around("days", t), Axis.around(f"{one.name}, {one.unit}", ends))
+        for at, two in zip(t, ends, strict=True):
+            panel.line(np.array([at, at]), two, SOFT, 0.8)
         old = np.array([p.entry in reference for p in one.points])
         panel.marks(t[old], x[old], BEFORE, "circle")
         panel.marks(t[~old], x[~old], BAD if one.name in named else AFTER, "square")
@@ -138,7 +117,17 @@ _HEADINGS = {
     "ambiguous": "Something has changed; these stations cannot tell which",
     "unexplained": "Something has changed that is not explained",
 }
-_SIZES = ("change", "size", "value", "95 % interval", "unit")
+
+
+def _sized(sizes: Sequence[SizeFound]) -> dict[str, Any]:
+    """Sizes of a change for JSON."""
+    return {"sizes": [{**picked(s, "name", "value", "unit"), "ci95": [s.low, s.high]} for s in sizes]}
+
+
+def _row(label: str, s: SizeFound) -> tuple[str, ...]:
+    """The same for a table, under the name of the change."""
+    span = "" if s.low == s.high else f"{s.low:.4g} … {s.high:.4g}"
+    return label, s.name, f"{s.value:+.4g}", span, s.unit
 
 
 def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
@@ -167,29 +156,11 @@ def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
 def _change(c: NamedChange) -> dict[str, Any]:
     return {
         **picked(c, "kind", "place", "label", "sentence", "turned_deg", "probability", "same_as", "repairable"),
-        "sizes": [{**picked(s, "name", "value", "unit"), "ci95": [s.low, s.high]} for s in c.sizes],
+        **_sized(c.sizes),
         "moved_mm": {"rms": c.moved_mm[0], "ci95": [c.moved_mm[1], c.moved_mm[2]]},
         "same_at_every_posture": bool(c.alike),
         "same_orientation": c.alike == "poses",
     }
-
-
-def checkup_summary(found: Checked) -> tuple[Summary, ...]:
-    """What a terminal shows: errors, changes, what would have been noticed, the answer, and what to do."""
-    out: list[Summary] = []
-    out += [table for table in _seen(found)]
-    if found.noticed:
-        said = ", ".join(f"{n.label} {n.mm:.3f} mm" for n in found.noticed if np.isfinite(n.mm)) or "nothing"
-        out.append(SummaryLine(f"Noticed in 95 of 100 cases, RMS at the tool: {said}.{_not_shown(found)}", "legend"))
-    out += [SummaryLine(note, "doubt") for note in found.notes]
-    out.append(SummaryLine(found.sentence, tone_of(found.status)))
-    out.append(SummaryLine(found.advice.sentence))
-    if found.report.claim is not None:
-        out.append(SummaryLine(f"{_judged(found)} {found.report.claim.sentence}", "legend"))
-    met = found.report.tolerance
-    if met is not None:
-        out.append(SummaryLine(f"{met.result}: {_judged(found)} {met.because}", tone_of(met.result)))
-    return tuple(out)
 
 
 def _errors(found: Checked) -> tuple[tuple[str, ...], ...]:
@@ -203,48 +174,33 @@ def _errors(found: Checked) -> tuple[tuple[str, ...], ...]:
     )
 
 
-def _not_shown(found: Checked) -> str:
-    unseen = ", ".join(label for n in found.noticed for label in n.unseen)
-    return f" These stations do not show: {unseen}." if unseen else ""
-
-
-def _judged(found: Checked) -> str:
-    return "Repaired model:" if found.repaired is not None else "Frozen model:"
-
-
-def _row(change: NamedChange, s: SizeFound) -> tuple[str, ...]:
-    span = "" if s.low == s.high else f"{s.low:.4g} … {s.high:.4g}"
-    return change.label, s.name, f"{s.value:+.4g}", span, s.unit
-
-
 def checkup_report(found: Checked, calibration: str, recording: str, others: Mapping[str, str]) -> VerbResult:
     """The check as a verb leaves it. calibration, recording: their names. others: files beside those of the check."""
     data = checkup_data(found, calibration)
     files = {"check.json": to_json(data)}
     if len(found.advice.stations):
         files["stations.csv"] = csv_text(found.joints, found.advice.stations, ".6f")
-    files |= others
-    heading, tone = _HEADINGS[found.status], str(tone_of(found.status))
+    heading, tone = _HEADINGS[found.status], tone_of(found.status)
     if found.status == "unchanged" and found.alike:
         heading, tone = "No change is seen", "warn"
-    lines = [
-        f"What to do: {found.advice.sentence}",
-        *([f"{_judged(found)} {found.report.claim.sentence}"] if found.report.claim is not None else []),
-        (
-            f"While nothing has changed, as much is named by chance in fewer than {_rarely(found.chance)} checks."
-            if found.changes
-            else "A change is named when stations show as much by chance in fewer than one of a hundred checks."
-        ),
-        *([f"Readings were undone to be used: {found.convention}."] if found.convention else []),
-        *found.notes,
-    ]
-    met = found.report.tolerance
+    judged, met = "Repaired model:" if found.repaired is not None else "Frozen model:", found.report.tolerance
+    lines: list[str | SummaryLine] = [f"What to do: {found.advice.sentence}"]
     if met is not None:
-        lines.insert(1, f"{met.result}. {_judged(found)} {met.because}")
-    seen = Section("seen", "What was seen", [*_tables(found), *_station_errors(found)])
-    title = f"{calibration}, checked by {recording}"
-    page = Page(title, found.sentence, [Listing(lines), seen, files_section(files)], heading, tone).html()
-    return VerbResult(data, checkup_summary(found), {**files, "check.html": page}, "Check", "check.html")
+        lines.append(SummaryLine(f"{met.result}: {judged} {met.because}", tone_of(met.result)))
+    if found.report.claim is not None:
+        lines.append(f"{judged} {found.report.claim.sentence}")
+    lines.append(
+        f"While nothing has changed, as much is named by chance in fewer than {_rarely(found.chance)} checks."
+        if found.changes
+        else "A change is named when stations show as much by chance in fewer than one of a hundred checks."
+    )
+    if found.convention:
+        lines.append(f"Readings were undone to be used: {found.convention}.")
+    lines += [SummaryLine(note, "doubt") for note in found.notes]
+    seen = _seen(found)
+    blocks = [Section("seen", "What was seen", [*seen, *_beside(found), *_station_errors(found)])]
+    page = Page(f"{calibration}, checked by {recording}", found.sentence, blocks, heading, tone, lines=lines)
+    return page.result(data, {**files, **others}, seen, "Check", "check.html")
 
 
 def _rarely(chance: float) -> str:
@@ -252,32 +208,31 @@ def _rarely(chance: float) -> str:
 
 
 def _seen(found: Checked) -> list[TableBlock]:
-    """The errors, and what changed."""
+    """The errors, what changed, and what would have been noticed."""
     title = f"Error at {found.stations} stations"
     out = [TableBlock(title, ("model", "RMS mm", "RMS deg"), _errors(found), heading=True)]
-    if rows := tuple(_row(c, s) for c in found.changes for s in c.sizes):
+    if rows := tuple(_row(c.label, s) for c in found.changes for s in c.sizes):
         below = "Of a base: in the frame of the first joint. Of a tool: in its own."
         out.append(TableBlock("What changed", _SIZES, rows, 2, below, heading=True))
+    if noticed := tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm)):
+        below = "RMS at the tool over these stations, of the direction that shows least."
+        if unseen := ", ".join(label for n in found.noticed for label in n.unseen):
+            below += f" These stations do not show: {unseen}."
+        title = "Noticed in 95 of 100 such checks"
+        out.append(TableBlock(title, ("change", "RMS, mm"), noticed, below=below, heading=True))
     return out
 
 
-def _tables(found: Checked) -> tuple[TableBlock, ...]:
-    out = _seen(found)
-    if found.changes:
-        rivals = tuple(
-            (c.label, ", ".join(c.same_as) or "none", c.alike, f"{100.0 * c.probability:.1f} %") for c in found.changes
-        )
+def _beside(found: Checked) -> list[TableBlock]:
+    """What explains the stations as well, and stations to add."""
+    out, changes = [], found.changes
+    if changes:
+        rivals = tuple((c.label, ", ".join(c.same_as) or "none", c.alike, f"{c.probability:.1%}") for c in changes)
         columns = ("named", "explains these stations as well", "the same at every posture", "probability")
         out.append(TableBlock("What it may as well be", columns, rivals, 3, heading=True))
     if len(found.advice.stations):
         out.append(stations_table("Stations to add", found.joints, np.asarray(found.advice.stations)))
-    noticed = tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm))
-    if noticed:
-        below = f"RMS at the tool over these stations, of the direction that shows least.{_not_shown(found)}"
-        out.append(
-            TableBlock("Noticed in 95 of 100 such checks", ("change", "RMS, mm"), noticed, below=below, heading=True)
-        )
-    return tuple(out)
+    return out
 
 
 def _station_errors(found: Checked) -> list[Figures]:

@@ -202,16 +202,10 @@ def _parameters(first: Side, second: Side, of_base_or_tool: frozenset[str]) -> l
     out = []
     for name in names:
         one, two = (table.get(name) for table in tables)
-        row: dict[str, Any] = {
-            "name": name,
-            "unit": next(found[2] for found in (one, two) if found is not None),
-            "first": None if one is None else {"value": one[0], "std": one[1]},
-            "second": None if two is None else {"value": two[0], "std": two[1]},
-            "difference": None,
-            "difference_ci95": None,
-            "shown": None,
-        }
-        if one is not None and two is not None:
+        row: dict[str, Any] = {"name": name, "unit": next(found[2] for found in (one, two) if found)}
+        row |= {side: x and {"value": x[0], "std": x[1]} for side, x in (("first", one), ("second", two))}
+        row |= dict.fromkeys(("difference", "difference_ci95", "shown"))
+        if one and two:
             apart, std = two[0] - one[0], float(np.hypot(one[1], two[1]))
             row |= {"difference": apart, "difference_ci95": [apart - _NORMAL * std, apart + _NORMAL * std]}
             if name not in of_base_or_tool and std > 0.0:
@@ -256,33 +250,29 @@ def _judged_tool(tool: ToolDifference, tolerance: float | None) -> tuple[Result,
     else:
         how = "no more than" if within else "more than"
         said += f" That is {how} their uncertainty explains ({expected:.3f} mm RMS with 95 %)."
-    if tolerance is None:
-        return ("same", f"No difference is shown. {said}") if within else ("differs", f"They differ. {said}")
-    if size.p95 > tolerance and not within:
-        return "beyond tolerance", f"They differ by more than {tolerance:g} mm. {said}"
-    if within and expected is not None and expected > tolerance:
-        return "cannot tell", f"Their uncertainty is larger than {tolerance:g} mm: it cannot be told. {said}"
-    if size.p95 > tolerance:
-        return "cannot tell", f"They differ by more than {tolerance:g} mm, but within their uncertainty. {said}"
-    if within:
-        return "same", f"No difference is shown, and {tolerance:g} mm would matter. {said}"
-    return "within tolerance", f"They differ, by less than {tolerance:g} mm. {said}"
+    result: Result = "same" if within else "differs"
+    words = "No difference is shown." if within else "They differ."
+    if tolerance is not None and size.p95 > tolerance:
+        result = "cannot tell" if within else "beyond tolerance"
+        words = f"They differ by more than {tolerance:g} mm{', but within their uncertainty' if within else ''}."
+    elif tolerance is not None and not within:
+        result, words = "within tolerance", f"They differ, by less than {tolerance:g} mm."
+    elif tolerance is not None and expected is not None and expected > tolerance:
+        result, words = "cannot tell", f"Their uncertainty is larger than {tolerance:g} mm: it cannot be told."
+    return result, f"{words} {said}"
 
 
 def _judged_errors(first: Side, second: Side) -> tuple[Result, str]:
     """Of two reports: whether the errors differ by more than their intervals."""
-    one, two = _final(first), _final(second)
-    assert one is not None
-    assert two is not None
-    said = f"The error is {one['rms']:.3f} mm RMS in {first.name} and {two['rms']:.3f} mm in {second.name}"
-    ends = [e["rms_ci95"] for e in (one, two) if e.get("rms_ci95") is not None]
+    sizes = [size for side in (first, second) if (size := _final(side))]
+    said = " and ".join(f"{e['rms']:.3f} mm RMS in {s.name}" for e, s in zip(sizes, (first, second), strict=True))
+    ends = [e["rms_ci95"] for e in sizes if e.get("rms_ci95") is not None]
     if len(ends) < 2:
-        return "cannot tell", f"{said}; one of them has no interval."
+        return "cannot tell", f"The error is {said}; one of them has no interval."
     apart = ends[0][1] < ends[1][0] or ends[1][1] < ends[0][0]
-    how = "do not overlap" if apart else "overlap"
+    word, how = ("They differ", "do not overlap") if apart else ("No difference is shown", "overlap")
     spans = " and ".join(f"{low:.3f} … {high:.3f} mm" for low, high in ends)
-    word = "They differ" if apart else "No difference is shown"
-    return "differs" if apart else "same", f"{word}. {said}; their 95 % intervals, {spans}, {how}."
+    return ("differs" if apart else "same"), f"{word}. The error is {said}; their 95 % intervals, {spans}, {how}."
 
 
 def _notes(first: Side, second: Side, tool: ToolDifference | None) -> tuple[str, ...]:
@@ -334,19 +324,13 @@ def _summary(data: Mapping[str, Any]) -> list[Summary]:
         rows.append((side["name"], *numbers, side["status"] or "", side["tolerance"] or ""))
     header = ("error on scored stations", "mean mm", "RMS mm", "95 % mm", "max mm", "status", "tolerance")
     out: list[Summary] = [TableBlock("", header, tuple(rows))]
-    units: dict[str, list[dict[str, Any]]] = {"m": [], "rad": []}  # a table never mixes two units
-    for row in data["parameters"]:
-        if not row["name"].startswith(_SET_UP):
-            units.setdefault(row["unit"], []).append(row)
-    for si, part in units.items():
-        unit, factor = scaled(si)
+    own = [row for row in data["parameters"] if not row["name"].startswith(_SET_UP)]
+    for si in sorted({row["unit"] for row in own}):  # a table never mixes two units
+        (unit, factor), part = scaled(si), sorted((row for row in own if row["unit"] == si), key=_rank)
+        more = f" {len(part) - _LARGEST} more are in comparison.json." if len(part) > _LARGEST else ""
         head = (f"parameters, {unit}", *names, "difference", "95 % interval", "shown")
-        if part:
-            out.append(TableBlock("", head, tuple(_cells(p, factor) for p in sorted(part, key=_rank)[:_LARGEST])))
-        if len(part) > _LARGEST:
-            out.append(SummaryLine(f"{len(part) - _LARGEST} more are in comparison.json."))
-    if any(units.values()):
-        out.append(legend(_LEGEND))
+        cells = tuple(_cells(row, factor) for row in part[:_LARGEST])
+        out.append(TableBlock("", head, cells, below=legend(_LEGEND) + more))
     if data["effects"]:
         rows = [(e["effect"], *("no" if e[s] is None else "yes" for s in ("first", "second"))) for e in data["effects"]]
         out.append(TableBlock("", ("effect", *names), tuple(rows)))

@@ -104,7 +104,8 @@ def scene(report: Outcome) -> Scene3D | None:
     for name, errors in named:
         miss = errors.position[rows]
         of_root = miss @ model.chain.T_base_root[:3, :3].T
-        stages.append((name, np.where(indirect[:, None], of_root, np.einsum("nji,nj->ni", R_frame_base, miss))))
+        of_base = np.einsum("nji,nj->ni", R_frame_base, miss)
+        stages.append((name, 1e3 * np.where(indirect[:, None], of_root, of_base)))
     twists = motion(model.effects, model.drivers(samples))[0] if model.effects else None
     places = arm_lines(model.chain, model.T_tip_tool, samples.q, twists)
     shown = spread_rows(len(samples), MAX_POSTURES)
@@ -143,10 +144,7 @@ def error_histogram(report: Outcome) -> Chart | None:
         seen = np.flatnonzero(counts[stage])
         panel.bars((bins[seen], bins[seen + 1]), (np.zeros(len(seen)), counts[stage][seen]), colour, full)
     alt = f"Histogram of held-out position errors. {'; '.join(said)}."
-    words = (
-        "Each bar counts held-out samples with an error of this size: outlined with the nominal model, "
-        "solid with the final."
-    )
+    words = "Held-out samples with an error of this size: outlined with the nominal model, solid with the final."
     return panel.chart("histogram", alt, words)
 
 
@@ -182,57 +180,36 @@ def timeline(report: Outcome) -> Chart | None:
 _MAX_TEMPERATURES = 4
 
 
-@dataclass(frozen=True)
-class Against:
-    """One horizontal axis. words: for people, with the unit. values: at the scored samples, (N,)."""
-
-    name: str
-    words: str
-    values: Array
-
-
 def residual_charts(report: Outcome) -> list[Chart]:
     """What the final model leaves of the scored samples, against each joint, time and the recorded temperatures."""
-    if not len(report.scored):
+    scored, model = report.scored, report.model
+    if not len(scored):
         return []
-    rows = spread_rows(len(report.scored), MAX_MARKS // 3)
+    units = ["rad or m"] * len(scored.names)
+    axes = [("time", "time, min", (scored.stamps - report.samples.stamps.min()) / 60.0)]
+    if model is not None:
+        units = ["rad" if turning else "m" for turning in model.chain.revolute]
+        at = model.drivers(scored)
+        heat = [name for name in at.signal_names() if name.startswith("temperature:")][:_MAX_TEMPERATURES]
+        axes += [(name.replace(":", " of "), f"{name.replace(':', ' of ')}, °C", at.values(name)) for name in heat]
+    joints = [(n, f"{n}, {unit}", q) for n, unit, q in zip(scored.names, units, scored.q.T, strict=True)]
+    rows = spread_rows(len(scored), MAX_MARKS // 3)
     left = 1e3 * report.errors["final"].position[rows]
     rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
     out = []
-    for i, a in enumerate(axes_of(report)):
-        panel = residual_panel(Axis.around(a.words, a.values[rows]), left)
-        mark_components(panel, a.values[rows], left)
-        alt = f"Residual against {a.name}: {rms:.3f} mm RMS."
-        out.append(panel.chart(f"left-{i}", alt, f"against {a.name.replace(':', ' of ')}"))
+    for i, (name, words, values) in enumerate([*joints, *axes]):
+        panel = residual_panel(words, values[rows], left)
+        out.append(panel.chart(f"left-{i}", f"Residual against {name}: {rms:.3f} mm RMS.", f"against {name}"))
     return out
 
 
-def axes_of(report: Outcome) -> list[Against]:
-    """Each joint, time since the first sample, and the recorded temperatures."""
-    scored = report.scored
-    units = ["rad or m"] * len(scored.names)
-    if report.model is not None:
-        units = ["rad" if turning else "m" for turning in report.model.chain.revolute]
-    joints = [Against(n, f"{n}, {u}", q) for n, u, q in zip(scored.names, units, scored.q.T, strict=True)]
-    time = Against("time", "time, min", (scored.stamps - report.samples.stamps.min()) / 60.0)
-    heat = []
-    if report.model is not None:
-        at = report.model.drivers(scored)
-        names = [name for name in at.signal_names() if name.startswith("temperature:")][:_MAX_TEMPERATURES]
-        heat = [Against(name, f"temperature of {name.partition(':')[2]}, °C", at.values(name)) for name in names]
-    return [*joints, time, *heat]
-
-
-def residual_panel(x: Axis, y: Array) -> Panel:
-    """An empty panel for residuals [mm] of any shape, whose limits a few far samples do not stretch."""
-    reach = 1.15 * max(float(np.percentile(np.abs(y), 99.5)), 1e-6)
-    return Panel(x, Axis("residual, mm", -reach, reach))
-
-
-def mark_components(panel: Panel, x: Array, y: Array) -> None:
-    """The three components of vectors (N, 3) at x (N,)."""
+def residual_panel(words: str, x: Array, y: Array) -> Panel:
+    """The three components of residuals (N, 3) [mm] at x (N,); a few far ones do not stretch the panel."""
+    reach = 1.15 * max(float(np.percentile(np.abs(y), 99.5)) if len(y) else 1.0, 1e-6)
+    panel = Panel(Axis.around(words, x if len(x) else np.zeros(1)), Axis("residual, mm", -reach, reach))
     for k, (colour, shape) in enumerate(OF_AXES):
         panel.marks(x, y[:, k], colour, shape)
+    return panel
 
 
 _POINTS, _MAX_CORNERS = 1600, 240  # of a curve: computed, and drawn

@@ -19,31 +19,27 @@ from modcal_core.report.blocks import (
     File,
     Fold,
     HeatTable,
+    KeyFigures,
     Listing,
     Page,
     Paragraph,
     Section,
     TableBlock,
-    Tiles,
     files_section,
     parameter_tables,
     size_tables,
     tone_of,
 )
-from modcal_core.report.figures import (
-    effect_shapes,
-    error_histogram,
-    residual_charts,
-    scene,
-    timeline,
-)
+from modcal_core.report.figures import effect_shapes, error_histogram, residual_charts, scene, timeline
 from modcal_core.report.tables import (
+    SOURCES,
     STATISTICS,
     STATUS_WORDS,
     account_tables,
     distances_table,
     effects_table,
     error_tables,
+    rejected_words,
     sentence,
     span,
 )
@@ -103,8 +99,8 @@ class _Sections:
             self.stations(),
             files_section(self.files, *rivals),
             self.grounds(),
-            _section("notes", "Notes", [Listing(self.data["notes"])] if self.data["notes"] else [], "Notes"),
-            Fold(title, [one for one in expert if one is not None], "expert"),
+            Section("notes", "Notes", [Listing(self.data["notes"])], "Notes"),
+            Fold(title, expert, "expert"),
             self.end(),
         ]
 
@@ -115,37 +111,29 @@ class _Sections:
     def answer(self) -> list[Block]:
         """What stands above the sections."""
         data, out = self.data, list[Block]()
-        if data["open_because"]:
-            out.append(Listing(data["open_because"], tone_of(self.report.status), "Open because"))
+        out.append(Listing(data["open_because"], tone_of(self.report.status), "Open because"))
         if met := data["tolerance"]:
             said = f"within {met['asked_mm']:g} mm. {met['because']}"
             out.append(Paragraph(said, met["result"], tone_of(met["result"])))
-        out.append(Tiles(self._tiles()))
-        return [*out, *([Listing(data["story"])] if data["story"] else [])]
+        return [*out, KeyFigures(self._tiles()), Listing(data["story"])]
 
     def _tiles(self) -> list[tuple[str, str]]:
-        data, out = self.data, []
-        before, after = data["error_mm"]["nominal"], data["error_mm"]["final"]
-        if before and after:
-            out += [("position, nominal model, RMS", f"{before['rms']:.3f} mm")]
-            out += [("position, final model, RMS", f"{after['rms']:.3f} mm")]
-            rejection = data["rejected_rms_mm"]
-            if rejection and None not in rejection.values() and rejection["with"] != rejection["without"]:
-                other = "without" if self.report.counts_rejected else "with"
-                out.append((f"{other} rejected stations, RMS", f"{rejection[other]:.3f} mm"))
-        if data["error_deg"]["nominal"] and data["error_deg"]["final"]:
-            out.append(("orientation, nominal model, RMS", f"{data['error_deg']['nominal']['rms']:.3g}°"))
-            out.append(("orientation, final model, RMS", f"{data['error_deg']['final']['rms']:.3g}°"))
+        """The few numbers that are wanted first."""
+        data, met = self.data, self.data["tolerance"]
+        out = [
+            (f"{what}, {stage} model, RMS", form.format(size["rms"]))
+            for what, of, form in (("position", "error_mm", "{:.3f} mm"), ("orientation", "error_deg", "{:.3g}°"))
+            for stage in ("nominal", "final")
+            if (size := data[of][stage])
+        ]
         floor, recording = data["noise_floor_mm"], data["recording"]
         out.append(("floor of arm and instrument", "not known" if floor is None else f"{floor:.3f} mm"))
         if claim := data["claim_mm"]:
             out.append(("tool, 95 % of the errors, at most", f"{claim['p95']['ci95'][1]:.3f} mm"))
-            if not data["apply"]:
-                out.append(("apply the calibration", "no"))
-        if met := data["tolerance"]:
+            out += [] if data["apply"] else [("apply the calibration", "no")]
+        if met:
             out.append((f"tolerance {met['asked_mm']:g} mm, {STATISTICS[met['statistic']]}", met["result"]))
-        out.append(("stations, rejected of them", f"{recording['stations']}, {recording['rejected'] or 'none'}"))
-        return out
+        return [*out, ("stations, rejected of them", f"{recording['stations']}, {recording['rejected'] or 'none'}")]
 
     def claim(self) -> Section | None:
         """What may be said of the tool."""
@@ -164,7 +152,7 @@ class _Sections:
         if mm["open"]:
             shown, held = f"{mm['shown_mm']:.3f} mm", f"{mm['unshown_mm']:.3f} mm"
             names = ("95 %, shown by the readings", f"95 %, held by what arms are like: {mm['open']}")
-            out.append(Tiles(tuple(zip(names, (shown, held), strict=True))))
+            out.append(KeyFigures(tuple(zip(names, (shown, held), strict=True))))
         said = "Each end is passed with a chance of 5 %."
         out.append(Paragraph(said + ("" if deg else " Readings without orientation claim none."), soft=True))
         return Section("claim", "Claim: the tool's error", out, "Claim")
@@ -195,38 +183,26 @@ class _Sections:
         return Section("offsets", "Joint offsets", out, "Joint offsets")
 
     def error(self) -> Section:
-        """The error before and after."""
-        split = self.data["split"]
-        where = f"On {split['held_out']} stations, with the calibration frozen."
+        """The error before and after, and what each station was used for."""
+        recording, split = self.data["recording"], self.data["split"]
+        where, used = "with the calibration frozen", ""
         if split["train"]:
-            where = f"On {split['held_out']} stations that neither the fit nor the selection has seen."
-        where += " Nominal: the nominal model, base and tool fitted; geometric: all geometry fitted; final: with every "
-        out: list[Block] = [Paragraph(f"{where}effect.", soft=True)]
-        out += error_tables(self.report)
-        out.append(Paragraph(self._used(), soft=True))
+            where = "that neither the fit nor the selection has seen"
+            used = f"; {split['train']} to fit, {split['explain']} to choose effects, {split['held_out']} to score"
+        said = (
+            f"On {split['held_out']} stations {where}. Nominal: the nominal model, base and tool fitted; geometric: "
+            "all geometry fitted; final: with every effect."
+        )
+        kind = recording["measurement"].replace("_", " ")
+        dropped = ", ".join(f"{count} {reason}" for reason, count in recording["dropped"].items())
+        more = [f"{recording['stations']} stations ({kind}){used}.", rejected_words(self.report)]
+        more += [f"Not used: {dropped}."] if dropped else []
+        out: list[Block] = [Paragraph(said, soft=True), *error_tables(self.report)]
+        out.append(Paragraph(" ".join(filter(None, more)), soft=True))
         if histogram := error_histogram(self.report):
             out.append(Figures([histogram]))
-        return Section(
-            "error", f"Error on {f'held-out {self._unit}' if split['train'] else 'scored station'}s", out, "Error"
-        )
-
-    def _used(self) -> str:
-        """What each station was used for."""
-        recording, split, r = self.data["recording"], self.data["split"], self.data["rejected_rms_mm"]
-        kind = recording["measurement"].replace("_", " ")
-        said = f"{recording['stations']} stations ({kind}), {recording['rejected']} of them rejected"
-        if split["train"]:
-            said += f"; {split['train']} stations to fit, {split['explain']} to choose effects, "
-            said += f"{split['held_out']} to score"
-        said += "."
-        if r and r["stations"] and r["with"] is not None and r["without"] is not None:
-            said += (
-                f" The table is {'with' if self.report.counts_rejected else 'without'} the rejected stations: final "
-                f"RMS {r['with']:.3f} mm with them, {r['without']:.3f} mm without."
-            )
-        if recording["dropped"]:
-            said += f" Not used: {', '.join(f'{count} {reason}' for reason, count in recording['dropped'].items())}."
-        return said
+        title = f"Error on {f'held-out {self._unit}' if split['train'] else 'scored station'}s"
+        return Section("error", title, out, "Error")
 
     def robot(self) -> Section | None:
         """The arm in three dimensions, and on paper."""
@@ -258,10 +234,9 @@ class _Sections:
         if sizes := size_tables(effects):
             words = "Each ± one standard deviation; a table for each unit."
             out += [Paragraph(words, "Their sizes.", soft=True), *sizes]
-        for e in effects:
-            if e["same_as"]:
-                words = f"cannot be distinguished from: {'; '.join(e['same_as'])}."
-                out.append(Paragraph(words, f"{e['family'].replace('_', ' ')} at {e['place']}"))
+        tied = [e for e in effects if e["same_as"]]
+        rivals = [f"{e['family'].replace('_', ' ')} at {e['place']}: {'; '.join(e['same_as'])}." for e in tied]
+        out += [Paragraph("", "Cannot be distinguished from others:"), Listing(rivals)] if rivals else []
         if shapes := effect_shapes(self.report):
             words = "The line is the estimate, the band its two standard deviations; ticks below show the samples."
             out += [Paragraph(words, "Their shapes.", soft=True), Figures(shapes)]
@@ -274,23 +249,22 @@ class _Sections:
         out: list[Block] = [] if drawn is None else [Figures([drawn])]
         if not len(rows):
             return Section("stations", "Stations", [*out, Paragraph("No station was rejected.")], "Stations")
+        samples = report.samples
         usual = 1e3 * float(np.median(report.residuals[~report.wrong])) if (~report.wrong).any() else 0.0
-        start = float(report.samples.stamps.min())
+        start = float(samples.stamps.min())
         listed = []
         for row in rows[:_MAX_LISTED]:
-            miss, time = 1e3 * float(report.residuals[row]), float(report.samples.stamps[row]) - start
+            miss, time = 1e3 * float(report.residuals[row]), float(samples.stamps[row]) - start
             times = f"{miss / max(usual, 1e-9):.0f}"
-            listed.append((str(int(report.samples.station[row])), f"{time:.1f}", f"{miss:.3f}", times))
-        said = "Rejected, because their residuals are too large for the spread of the model; usual are "
+            listed.append((str(int(samples.station[row])), f"{time:.1f}", f"{miss:.3f}", times))
+        said = f"Rejected, because their residuals are too large for the spread of the model; usual are {usual:.3f} mm."
         more = len(rows) - len(listed)
         below = f"And {more} more; all are in report.json." if more else ""
         header = ("station", "time, s", "error, mm", "times the usual")
-        table = TableBlock("Rejected stations", header, tuple(listed), below=below)
-        return Section(
-            "stations", "Stations", [*out, Paragraph(f"{said}{usual:.3f} mm.", soft=True), table], "Stations"
-        )
+        out += [Paragraph(said, soft=True), TableBlock("Rejected stations", header, tuple(listed), below=below)]
+        return Section("stations", "Stations", out, "Stations")
 
-    def grounds(self) -> Section | None:
+    def grounds(self) -> Section:
         """What else the verdict stands on."""
         data, lines = self.data, []
         if data["convention"]:
@@ -301,7 +275,7 @@ class _Sections:
         for n in data["not_applied"]:
             cost = f"That costs {n['cost_mm2']:.3g} mm² on held-out stations."
             lines.append(f"{n['effect']} was not applied: {n['why']}. {cost}")
-        return _section("grounds", "Further grounds of the verdict", [Listing(lines)] if lines else [])
+        return Section("grounds", "Further grounds of the verdict", [Listing(lines)])
 
     def account(self) -> Section | None:
         """The account of the squared error."""
@@ -318,20 +292,17 @@ class _Sections:
             if turned := data["predictable_deg"]:
                 read += f", and {_predicted(turned)} of the orientation error"
             parts.append(f"{read}.")
-        for size, unit in ((data["repeatability_mm"], "mm"), (data["repeatability_deg"], "°")):
+        for size, unit in ((data["repeatability_mm"], " mm"), (data["repeatability_deg"], "°")):
             if size and size["value"] is not None:
-                how = "from postures visited again" if size["source"] == "revisits" else "as stated"
-                parts.append(f"Repeatability {size['value']:.3g} {unit}, {how}.")
+                parts.append(f"Repeatability {size['value']:.3g}{unit}{SOURCES[size['source']]}.")
         blocks: list[Block] = [Paragraph(said, soft=True), *found, Paragraph(" ".join(parts))]
         return Section("account", "Account of the squared error", blocks)
 
-    def steps(self) -> Section | None:
+    def steps(self) -> Section:
         """What each step took away."""
-        rows, before = [], self.data["error_mm"]["nominal"]
-        for step in self.data["steps"] if before else ():
-            rows.append((step["added"].replace(":", " of "), f"{step['rms_mm']:.3f}"))
-        header = ("added", "RMS of what is left, mm")
-        return _section("steps", "What each step leaves", [TableBlock("Steps", header, tuple(rows))] if rows else [])
+        rows = [(step["added"].replace(":", " of "), f"{step['rms_mm']:.3f}") for step in self.data["steps"]]
+        table = TableBlock("Steps", ("added", "RMS of what is left, mm"), tuple(rows))
+        return Section("steps", "What each step leaves", [table] if self.data["error_mm"]["nominal"] else [])
 
     def evidence(self) -> Section | None:
         """Maps of the first and the last scan, with the same columns: the drivers that explain most in either."""
@@ -351,10 +322,10 @@ class _Sections:
         titles = ("Before any effect was added", "After the last one") if len(evidence) > 1 else ("The scan",)
         for title, seen in zip(titles, evidence, strict=True):
             columns = [j for j, driver in enumerate(seen.drivers) if driver in kept]
-            said = ""
-            for place, direction, driver, share in seen.strongest(1):
-                by = driver.replace(":", " of ")
-                said += f"Most is explained at {place} ({direction}) by {by}: {100 * share:.0f} %. "
+            said = "".join(
+                f"Most is explained at {place} ({direction}) by {driver.replace(':', ' of ')}: {100 * share:.0f} %. "
+                for place, direction, driver, share in seen.strongest(1)
+            )
             said += f"Noise alone gives as good a maximum with p = {seen.p_value:.1g}."
             if len(seen.drivers) > len(columns):
                 said += f" {len(seen.drivers) - len(columns)} weaker drivers are not shown."
@@ -363,22 +334,20 @@ class _Sections:
             out += [Paragraph(said, f"{title}."), HeatTable(title, "place, direction", names, rows)]
         return Section("evidence", "Evidence: place, direction, driver", out)
 
-    def distances(self) -> Section | None:
+    def distances(self) -> Section:
         """Known distances, as stated and as found; what distances alone make of a Delta."""
-        rows = tuple(
+        rows = [
             (
-                d["name"],
-                f"{d['stated_mm']:.3f} ± {d['stated_std_mm']:.3f}",
-                f"{d['misfit_mm']:+.3f}",
+                *(d["name"], f"{d['stated_mm']:.3f} ± {d['stated_std_mm']:.3f}", f"{d['misfit_mm']:+.3f}"),
                 f"{d['found_mm']:.3f} ± {d['found_std_mm']:.3f}" + (", contradicted" if d["contradicted"] else ""),
             )
             for d in self.data["known_distances"]
-        )
+        ]
         header = ("between", "stated, mm", "misfit of the fit, mm", "by the readings alone, mm")
-        known: list[Block] = [TableBlock("Known distances", header, rows)] if rows else []
+        known: list[Block] = [TableBlock("Known distances", header, tuple(rows))]
         alone = distances_table(self.report.by_distances)
         known += [b if isinstance(b, TableBlock) else Paragraph(b.text) for b in alone]
-        return _section("distances", "Distances", known)
+        return Section("distances", "Distances", known)
 
     def identifiability(self) -> Section | None:
         """What the stations determine."""
@@ -389,26 +358,22 @@ class _Sections:
         said += f", condition {seen['condition']:.0f}." if seen["condition"] else "."
         if seen["rank"] == seen["parameters"] and not seen["weak"]:
             said += " These stations determine every combination of them."
+        end = "% of what was expected beforehand"
+        weak = [f"{w['direction']}: known to {100 * w['std_over_prior']:.0f} {end}" for w in seen["weak"]]
+        lists = {"Not determined by these stations, kept nominal:": seen["unobservable"], "Weakly determined:": weak}
         out: list[Block] = [Paragraph(said)]
-        if seen["unobservable"]:
-            out += [
-                Paragraph("", "Not determined by these stations, held near nominal:"),
-                Listing(seen["unobservable"]),
-            ]
-        if seen["weak"]:
-            end = "% of what was expected beforehand"
-            lines = [f"{w['direction']}: known to {100 * w['std_over_prior']:.0f} {end}" for w in seen["weak"]]
-            out += [Paragraph("", "Weakly determined:"), Listing(lines)]
+        for title, lines in lists.items():
+            out += [Paragraph("", title), Listing(lines)] if lines else []
         if left := seen["left_out"]:
             title = f"{len(left)} directions that no recording of this kind can distinguish from others"
             out.append(Fold(title, [Paragraph(", ".join(left))]))
         return Section("told", "Identifiability", out)
 
-    def parameters(self) -> Section | None:
+    def parameters(self) -> Section:
         """All parameters."""
         tables = parameter_tables(self.report.parameters)
         said = "Deviations from the nominal robot, with their standard deviations; one unit a table."
-        return Section("parameters", "All parameters", [Paragraph(said, soft=True), *tables]) if tables else None
+        return Section("parameters", "All parameters", [Paragraph(said, soft=True), *tables] if tables else [])
 
     def end(self) -> Paragraph:
         """Where the numbers come from."""
@@ -416,11 +381,6 @@ class _Sections:
         digest = trace["bag_sha256"] and f"recording sha256 {trace['bag_sha256']}"
         known = (f"modcal {trace['version']}", trace["date"], trace["robot"], trace["instrument"], digest)
         return Paragraph(" · ".join(filter(None, known)), soft=True)
-
-
-def _section(name: str, title: str, blocks: list[Any], short: str = "") -> Section | None:
-    """A section of these blocks; None where there is none."""
-    return Section(name, title, blocks, short) if blocks else None
 
 
 def _predicted(share: Mapping[str, Any]) -> str:

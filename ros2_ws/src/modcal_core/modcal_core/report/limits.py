@@ -12,16 +12,7 @@ import numpy as np
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.outcome import counted
-from modcal_core.report.blocks import (
-    Listing,
-    Page,
-    Section,
-    Summary,
-    SummaryLine,
-    TableBlock,
-    VerbResult,
-    files_section,
-)
+from modcal_core.report.blocks import Page, Section, SummaryLine, TableBlock, VerbResult
 from modcal_core.report.figures import ShownPostures
 from modcal_core.report.tables import csv_text, percent
 from modcal_core.robots import JointPath, LoadedArm, Window, constant_bounds, motion, with_payload, within_torque
@@ -98,13 +89,11 @@ def limits_data(found: LimitsFound) -> dict[str, Any]:
         "joints": [_joint(found, equivalent, j) for j in range(len(names))],
     }
     if len(found.q) <= _MAX:
+        each = dict(
+            zip(("position", "velocity", "lower", "upper"), (found.q, found.velocity, *found.coupled), strict=True)
+        )
         data["at"] = [
-            {
-                "position": dict(zip(names, found.q[k].tolist(), strict=True)),
-                "velocity": dict(zip(names, found.velocity[k].tolist(), strict=True)),
-                "lower": dict(zip(names, found.coupled[0][k].tolist(), strict=True)),
-                "upper": dict(zip(names, found.coupled[1][k].tolist(), strict=True)),
-            }
+            {what: dict(zip(names, rows[k].tolist(), strict=True)) for what, rows in each.items()}
             for k in range(len(found.q))
         ]
     return data
@@ -182,12 +171,10 @@ def limits_report(found: LimitsFound, title: str, notes: Sequence[str] = ()) -> 
         names = found.arm.chain.names
         head = ("time_s", *names, *(f"{name}_velocity" for name in names))
         files["trajectory.csv"] = csv_text(head, np.column_stack([t, q, v]))
-    lines = [*notes, f"{percent(found.arm.share)} of the torque of each drive may be used.", _MEANINGS]
-    sections = [Section("bounds", "Bounds and loads", tables), _robot(found), files_section(files)]
-    page = Page(f"{title}: limits of acceleration", said, [Listing(lines), *sections]).html()
-    shown: list[Summary] = [table for table in tables]
-    shown += [SummaryLine(_MEANINGS, "legend"), *map(SummaryLine, (*notes, said))]
-    return VerbResult(data, shown, {**files, "report.html": page}, "Limits", "limits.json")
+    may = f"{percent(found.arm.share)} of the torque of each drive may be used."
+    blocks = [Section("bounds", "Bounds and loads", tables), _robot(found)]
+    page = Page(f"{title}: limits of acceleration", said, blocks, lines=(*notes, may, SummaryLine(_MEANINGS, "legend")))
+    return page.result(data, files, tables, "Limits", "limits.json")
 
 
 def _tables(found: LimitsFound) -> tuple[TableBlock, ...]:
@@ -195,10 +182,8 @@ def _tables(found: LimitsFound) -> tuple[TableBlock, ...]:
     chain, drives = found.arm.chain, found.arm.drives
     bounds = (found.window.equivalent(), found.coupled)
     out = []
-    for turning, kind, unit, torque, inertia in (
-        (True, "turning", "rad/s²", "N m", "kg m²"),
-        (False, "sliding", "m/s²", "N", "kg"),
-    ):
+    units = {True: ("turning", "rad/s²", "N m", "kg m²"), False: ("sliding", "m/s²", "N", "kg")}
+    for turning, (kind, unit, torque, inertia) in units.items():
         allowed, loads = [], []
         for j in (int(j) for j in np.flatnonzero(chain.revolute == turning)):
             tightest = (_span(lower[:, j].max(), upper[:, j].min()) for lower, upper in bounds)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from html import escape
 from pathlib import Path
 from typing import Any, Self
@@ -40,8 +40,8 @@ def summary(report: Outcome) -> tuple[Summary, ...]:
 
 
 def _blocks(report: Outcome) -> Iterator[Summary]:
-    yield from error_tables(report)
-    yield legend({stage: said for stage, said in _STAGES.items() if report.size_mm(stage) is not None})
+    stages = {stage: said for stage, said in _STAGES.items() if report.size_mm(stage) or report.size_deg(stage)}
+    yield from (replace(table, below=legend(stages)) for table in error_tables(report))
     seen = report.identifiability
     if seen is not None:
         said = f"{seen.parameters} parameters, rank {seen.rank} (directions that the stations determine), "
@@ -49,9 +49,7 @@ def _blocks(report: Outcome) -> Iterator[Summary]:
         for name in seen.unobservable:
             yield SummaryLine(f"not determined by these stations: {name}", "doubt")
     if report.effects:
-        effects = effects_table(report)
-        yield effects
-        yield SummaryLine(f"  {effects.below}", "legend")
+        yield effects_table(report)
         yield from map(SummaryLine, report.story)
     for note in report.notes:
         yield SummaryLine(note, "doubt")

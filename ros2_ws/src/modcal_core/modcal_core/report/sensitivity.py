@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -11,26 +12,22 @@ from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.planning import NAMED, Plan, Study
-from modcal_core.report.as_json import claim_data
+from modcal_core.report.as_json import claim_data, picked
 from modcal_core.report.blocks import (
     Block,
     Figures,
     Fold,
-    Listing,
     Page,
     Scene3D,
     Section,
-    SummaryLine,
     TableBlock,
     VerbResult,
     explained,
-    files_section,
-    legend,
 )
 from modcal_core.report.charts import AFTER, GOOD, LARGE, Axis, Chart, Panel
 from modcal_core.report.figures import MAX_POINTS, ShownPostures, arm_lines
 from modcal_core.report.tables import STATISTICS, csv_text, percent, stations_table
-from modcal_core.robots import is_serial_arm, plain
+from modcal_core.robots import plain
 
 _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
@@ -65,11 +62,8 @@ def plan_sentences(plan: Plan) -> list[str]:
     """What a person should know."""
     request, expected, k, claim = plan.request, plan.expected, plan.distinct, plan.expected.claim
     more = "" if request.besides is None else f" besides the {len(request.besides)} that are measured"
-    asked = (
-        ""
-        if request.accuracy is None
-        else f" are needed for {1e3 * request.accuracy:.3g} mm ({STATISTICS[request.measure]})"
-    )
+    needed = "" if request.accuracy is None else f"{1e3 * request.accuracy:.3g} mm ({STATISTICS[request.measure]})"
+    asked = f" are needed for {needed}" if needed else ""
     out = [
         f"{k} stations{more}{asked}. To be claimed of a usual arm: 95 % of the errors over the workspace are below "
         f"{claim.mm['p95'].ci95[1]:.3f} mm, RMS at most {claim.mm['rms'].ci95[1]:.3f} mm. The fit leaves "
@@ -94,9 +88,7 @@ def plan_sentences(plan: Plan) -> list[str]:
         out.append("No floor is given: stations may lie below the base.")
     P = len(plan.parameters)
     if expected.indices.rank < P:
-        out.append(
-            f"These stations show {expected.indices.rank} of {P} parameters: the others keep their nominal values."
-        )
+        out.append(f"These stations show {expected.indices.rank} of {P} parameters: the others stay nominal.")
     if plan.route.blocked:
         ways = ", ".join(f"{i + 1} to {i + 2}" for i in plan.route.blocked)
         out.append(f"No free path was found from station {ways}: use a motion planner or move the arm by hand there.")
@@ -110,7 +102,7 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
     """
     points: list[dict[str, Any]] = []
     chain = plan.ground.model.chain
-    own = chain.own if is_serial_arm(chain) else np.ones(chain.n, bool)  # no controller takes a joint that follows
+    own = chain.own  # no controller takes a joint that follows
     now = 0.0
 
     def stand(q: Array) -> None:
@@ -141,10 +133,9 @@ def plan_report(plan: Plan, title: str, speed: float, dwell: float) -> VerbResul
         "trajectory.yaml": to_yaml(to_trajectory_data(plan, speed, dwell)),
     }
     table = stations_table("Stations in their order", plan.ground.model.chain.names, plan.q)
-    listed = Section("stations", "Stations", [table])
-    blocks: list[Block | None] = [Listing(sentences[1:]), _stations_shown(plan), listed, files_section(files)]
-    page = Page(f"{title}: stations to measure", sentences[0], blocks).html()
-    return VerbResult(data, [*map(SummaryLine, sentences)], {**files, "report.html": page}, "Stations", "plan.yaml")
+    blocks = [_stations_shown(plan), Section("stations", "Stations", [table])]
+    page = Page(f"{title}: stations to measure", sentences[0], blocks, lines=sentences[1:])
+    return page.result(data, files, (), "Stations", "plan.yaml")
 
 
 def _stations_shown(plan: Plan) -> Section:
@@ -161,53 +152,39 @@ def _stations_shown(plan: Plan) -> Section:
 
 COLUMNS = {
     "parameter": "",
-    "SFCDPE mm": "by how much an error of this parameter moves the point, weighted over the postures",
-    "RSFCDPE": "the same, divided by that of the base factor",
     "share": "of the mean square error of the point, all parameters in error",
+    "seen": "how much of this parameter's variance the stations remove; 100 % is determined",
+    "gain mm": "by how much the RMS error falls once this parameter is known",
+    "left mm": "the gain that these stations leave",
     "S": "share of the variance that this parameter causes alone (Sobol, first order)",
     "S_T": "share of the variance that goes when all others are known (Sobol, total)",
-    "gain mm": "by how much the RMS error falls once this parameter is known",
-    "seen": "how much of this parameter's variance the stations remove; 100 % is determined",
-    "left mm": "the gain that these stations leave",
+    "SFCDPE mm": "by how much an error of this parameter moves the point, weighted over the postures",
+    "RSFCDPE": "the same, divided by that of the base factor",
 }
 _SAME = 1e-6  # share of an index within which it is the same at every posture
-_LISTED, _SHOWN = 10, 12  # parameters of a table on the page, and on a terminal
+_SHOWN = 12  # parameters of the first table
 _ROW = 14.0  # points of a picture, a parameter
 _LEVELS = 12  # of the cells of a map
+_SOBOL = ("first", "std_first", "total", "std_total")
 _NAMED = 3  # of the strongest parameters, in a sentence
 
 
 def sensitivity_data(study: Study) -> dict[str, Any]:
     """Numbers and texts that JSON can hold."""
-    at, joint = study.indices, study.joint
-    rows = []
-    for k, factor in enumerate(study.closed.factors):
-        row: dict[str, Any] = {
-            "name": factor.name,
-            "unit": factor.unit,
-            "size": float(at.sizes[k]),
-            "sfcdpe_mm": 1e3 * float(at.multi[k]),
-            "rsfcdpe": float(at.relative_multi[k]),
-            "mean_mm": 1e3 * float(at.mean[k]),
-            "min_mm": 1e3 * float(at.single[:, k].min()),
-            "max_mm": 1e3 * float(at.single[:, k].max()),
-            "same_everywhere": bool(_constant(study)[k]),
-            "share": float(joint.before.share[k]),
-            "rms_gain_mm": 1e3 * float(joint.before.rms_gain[k]),
-        }
-        for output, indices in study.variance.items():
-            row[f"sobol_{output}"] = {
-                "first": float(indices.first[k]),
-                "std_first": float(indices.std_first[k]),
-                "total": float(indices.total[k]),
-                "std_total": float(indices.std_total[k]),
-            }
-        row["measured"] = {
-            "seen": float(joint.seen[k]),
-            "rms_gain_left_mm": 1e3 * float(joint.after.rms_gain[k]),
-            "matters_and_is_not_seen": bool(joint.unseen[k]),
-        }
-        rows.append(row)
+    at, joint, constant = study.indices, study.joint, _constant(study)
+    columns: dict[str, Array] = {
+        "size": at.sizes,
+        "sfcdpe_mm": 1e3 * at.multi,
+        "rsfcdpe": at.relative_multi,
+        "mean_mm": 1e3 * at.mean,
+        "min_mm": 1e3 * at.single.min(axis=0),
+        "max_mm": 1e3 * at.single.max(axis=0),
+        "same_everywhere": constant,
+        "share": joint.before.share,
+        "rms_gain_mm": 1e3 * joint.before.rms_gain,
+    }
+    left = 1e3 * joint.after.rms_gain
+    measured = {"seen": joint.seen, "rms_gain_left_mm": left, "matters_and_is_not_seen": joint.unseen}
     return {
         "modcal_sensitivity": 1,
         "joints": list(study.closed.chain.names),
@@ -220,9 +197,24 @@ def sensitivity_data(study: Study) -> dict[str, Any]:
             "std_mm": 1e3 * study.of.measured.std_m,
             "std_mrad": 1e3 * study.of.measured.std_rad,
         },
-        "parameters": rows,
+        "parameters": [
+            {
+                **picked(factor, "name", "unit"),
+                **_row_of(k, columns),
+                **{
+                    f"sobol_{of}": {name: getattr(found, name)[k].item() for name in _SOBOL}
+                    for of, found in study.variance.items()
+                },
+                "measured": _row_of(k, measured),
+            }
+            for k, factor in enumerate(study.closed.factors)
+        ],
         "sentences": sensitivity_sentences(study),
     }
+
+
+def _row_of(k: int, columns: Mapping[str, Array]) -> dict[str, Any]:
+    return {name: values[k].item() for name, values in columns.items()}
 
 
 def _constant(study: Study) -> np.ndarray:
@@ -285,15 +277,9 @@ def _rows(study: Study) -> list[tuple[str, ...]]:
     joint, at, vector = study.joint, study.indices, study.variance["vector"]
     return [
         (
-            at.names[k],
-            f"{1e3 * at.multi[k]:.3f}",
-            f"{at.relative_multi[k]:.3f}",
-            f"{joint.before.share[k]:.1%}",
-            f"{vector.first[k]:.3f}",
-            f"{vector.total[k]:.3f}",
-            f"{1e3 * joint.before.rms_gain[k]:.4f}",
-            f"{joint.seen[k]:.0%}",
-            f"{1e3 * joint.after.rms_gain[k]:.4f}",
+            *(at.names[k], f"{joint.before.share[k]:.1%}", f"{joint.seen[k]:.0%}"),
+            *(f"{1e3 * gains[k]:.4f}" for gains in (joint.before.rms_gain, joint.after.rms_gain)),
+            *(f"{index[k]:.3f}" for index in (vector.first, vector.total, 1e3 * at.multi, at.relative_multi)),
         )
         for k in np.argsort(-joint.before.share, kind="stable")
     ]
@@ -307,41 +293,15 @@ def sensitivity_report(study: Study, title: str) -> VerbResult:
         "sensitivity.json": to_json(data),
         "single_point.csv": csv_text([*study.closed.chain.names, *study.indices.names], single, ".9g"),
     }
-    meanings = legend({name: meaning for name, meaning in COLUMNS.items() if meaning}).text.strip()
-    every = TableBlock("All parameters", tuple(COLUMNS), tuple(rows), below=meanings)
-    strongest: list[Block] = [*_tables(study), Figures([_gain(study)])]
-    blocks: list[Block | None] = [
-        Listing(sentences[1:]),
-        Section("strongest", "Parameters that matter most", strongest),
+    strongest = explained(COLUMNS, rows[:_SHOWN], title="The strongest parameters")
+    every = TableBlock("All parameters", strongest.header, tuple(rows))
+    blocks: list[Block] = [
+        Section("strongest", "Parameters that matter most", [strongest, Figures([_gain(study)])]),
         Section("robot", "Robot", [_robot(study)]),
         Fold("Expert: all parameters; by pose", [every, Figures([_by_pose(study)])], "expert"),
-        files_section(files),
     ]
-    page = Page(f"{title}: sensitivity", sentences[0], blocks).html()
-    said = [*explained(COLUMNS, rows[:_SHOWN]), *map(SummaryLine, sentences)]
-    return VerbResult(data, said, {**files, "report.html": page})
-
-
-def _tables(study: Study) -> tuple[TableBlock, ...]:
-    """Strongest parameters, lengths and angles separate, with what each adds to the error."""
-    joint, out = study.joint, []
-    order = [int(k) for k in np.argsort(-joint.before.share, kind="stable")]
-    for title, lengths, unit in (("Angles", False, "mrad"), ("Lengths", True, "mm")):
-        rows = [
-            (
-                study.closed.names[k],
-                percent(joint.before.share[k], 1),
-                percent(joint.seen[k]),
-                f"{1e3 * study.indices.sizes[k]:.3g}",
-            )
-            for k in order
-            if study.closed.factors[k].is_length == lengths
-        ]
-        header = ("parameter", "share of the squared error", "observed by the stations", f"assumed error, {unit}")
-        below = "" if len(rows) <= _LISTED else f"{len(rows) - _LISTED} weaker ones are in the part for experts."
-        if rows:
-            out.append(TableBlock(title, header, tuple(rows[:_LISTED]), below=below, heading=True))
-    return tuple(out)
+    page = Page(f"{title}: sensitivity", sentences[0], blocks, lines=sentences[1:])
+    return page.result(data, files, [strongest])
 
 
 def _robot(study: Study) -> Scene3D:

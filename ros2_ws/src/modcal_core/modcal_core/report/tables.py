@@ -41,7 +41,7 @@ def sentence(report: Outcome) -> str:
     """What a person reads first, a few sentences."""
     if report.size_mm("final") is None and report.size_deg("final") is None:
         return _counts(report) + " No station was scored, so the error is unknown."
-    parts = [_counts(report), _error(report), short_status(report.judged)]
+    parts = [_counts(report), _error(report), rejected_words(report), short_status(report.judged)]
     if report.searched is False:
         parts.append(NOT_SOUGHT)
     if report.tolerance is not None:
@@ -61,45 +61,41 @@ def short_status(verdict: Verdict | None) -> str:
 
 
 def _counts(report: Outcome) -> str:
-    """How many stations there are and how many of them were rejected, and what never became one."""
-    rejected = report.rejected_stations()
-    said = f"{counted(report.samples.stations, 'station')}, "
-    said += f"{rejected} of them rejected" if rejected else "none rejected"
+    """How many stations there are, and what never became one."""
+    said = counted(report.samples.stations, "station")
+    said += "" if report.rejected_stations() else ", none rejected"
     if again := report.readmitted.stations:
-        said += f", {again} taken in again after that"
+        said += f", {again} taken in again after they had been rejected"
     if lost := unexpected(report.dropped):
         said += f"; {counted(lost, 'reading')} could not be used"
     return said + "."
 
 
 def _error(report: Outcome) -> str:
-    """The error of the scored stations, with and without those that were rejected."""
+    """The error of the scored stations, and before."""
     where = f"On the {report.set_sizes()['held_out']} held out from fitting"
     if not len(report.sets.train):
         where = "With the calibration frozen"
-    angle = report.size_deg("final")
-    sizes = [_size_mm(report)] if report.size_mm("final") is not None else []
-    rejected = report.held_out_rejected() > 0
-    if angle is not None:
-        sizes.append(f"{'orientation ' if rejected else ''}{angle.rms:.3g}°")
+    size, angle = report.size_mm("final"), report.size_deg("final")
+    sizes = [f"{size.rms:.3f} mm RMS"] if size is not None else []
+    sizes += [f"{angle.rms:.3g}°"] if angle is not None else []
     named = report.searched is None or any(finding.effects for finding in report.effects)
     stages = [("nominal", "nominal model"), *([("geometric", "geometry alone")] if named else [])]
     before = [said for stage, name in stages if (said := _stage(report, stage, name))]
     compared = f" ({', '.join(before)})" if before else ""
-    return f"{where} the error is {('; ' if rejected else ' and ').join(sizes)}{compared}."
+    return f"{where} the error is {' and '.join(sizes)}{compared}."
 
 
-def _size_mm(report: Outcome) -> str:
-    """The RMS of the final model, without and with the rejected stations."""
-    after, out, count = report.size_mm("final"), report.rejection, report.held_out_rejected()
-    assert after is not None
-    if not count or out is None or out.with_mm is None:
-        return f"{after.rms:.3f} mm RMS"
-    rejected, them = ("rejected one", "it") if count == 1 else (f"{count} rejected", "them")
-    if not report.counts_rejected:
-        return f"{after.rms:.3f} mm RMS without the {rejected} among these, {out.with_mm:.3f} mm with {them}"
-    without = "" if out.without_mm is None else f", {out.without_mm:.3f} mm without"
-    return f"{out.with_mm:.3f} mm RMS with the {rejected}, which are too many to leave out{without}"
+def rejected_words(report: Outcome) -> str:
+    """How many stations were rejected, if any, whether they count in the figures, and these with and without them."""
+    count, out = report.rejected_stations(), report.rejection
+    if not count:
+        return ""
+    sizes = ""
+    if out is not None and out.with_mm is not None and out.without_mm is not None:
+        sizes = f": {out.with_mm:.3f} mm RMS with them, {out.without_mm:.3f} mm without"
+    counts = "are" if report.counts_rejected else "are not"
+    return f"{count} of {report.samples.stations} stations were rejected and {counts} in the figures{sizes}."
 
 
 def _stage(report: Outcome, stage: str, name: str) -> str:
@@ -116,15 +112,21 @@ def _reasons(verdict: Verdict) -> str:
     return said + (f" And {counted(more, 'more reason')}, in report.json." if more else "")
 
 
-def _floor(verdict: Verdict) -> str:
-    """What the floor is, and how it is known."""
-    known = [(f"{verdict.floor_mm:.3f} mm", verdict.repeatability_mm.source)] if verdict.floor_mm is not None else []
+def floor_words(verdict: Verdict | None) -> str:
+    """What the floor is, and how it is known; nothing where it is not."""
+    verdict, sizes = verdict or Verdict("cannot_tell"), []
+    if verdict.floor_mm is not None:
+        sizes.append((f"{verdict.floor_mm:.3f} mm", SOURCES[verdict.repeatability_mm.source]))
     if verdict.floor_deg is not None:
-        known.append((f"{verdict.floor_deg:.3g}°", verdict.repeatability_deg.source))
-    if len({source for _, source in known}) == 1:
-        known = [(" and ".join(size for size, _ in known), known[0][1])]
-    sizes = " and ".join(f"{size}{_SOURCES[source]}" for size, source in known)
-    allowed = f"the residual is as small as this arm and this instrument allow{f' ({sizes})' if sizes else ''}"
+        sizes.append((f"{verdict.floor_deg:.3g}°", SOURCES[verdict.repeatability_deg.source]))
+    if len(sizes) == 2 and sizes[0][1] == sizes[1][1]:
+        sizes = [(f"{sizes[0][0]} and {sizes[1][0]}", sizes[0][1])]
+    return " and ".join(size + source for size, source in sizes)
+
+
+def _floor(verdict: Verdict) -> str:
+    words = floor_words(verdict)
+    allowed = f"the residual is as small as this arm and this instrument allow{f' ({words})' if words else ''}"
     return f"{allowed}{_unsettled(verdict)}."
 
 
@@ -139,7 +141,7 @@ def _unsettled(verdict: Verdict) -> str:
     )
 
 
-_SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}
+SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}
 
 
 _EFFECT_COLUMNS = {
@@ -191,7 +193,7 @@ def effects_table(report: Outcome) -> TableBlock:
         )
         for f in report.effects
     )
-    return TableBlock("Effects", (*header, "p"), rows, words=4, below=legend(_EFFECT_COLUMNS).text.strip())
+    return TableBlock("Effects", (*header, "p"), rows, words=4, below=legend(_EFFECT_COLUMNS))
 
 
 def account_tables(verdict: Verdict | None, fold: bool = False) -> list[TableBlock]:
@@ -231,9 +233,7 @@ def distances_table(found: ByDistances | None) -> list[Summary]:
         return []
     rows = tuple((m.name, f"{1e3 * m.f:.4f}", f"{1e3 * m.held_out:.4f}", f"{m.evaluations}") for m in found.methods)
     header = ("by distances alone", "RMS of fitted distances, mm", "held-out RMS, mm", "evaluations")
-    said = (
-        f"Of the Delta's {PARAMETERS} parameters distances between {found.points} points show {found.seen.rank}; not "
-    )
+    said = f"Of the Delta's {PARAMETERS} parameters distances of {found.points} points show {found.seen.rank}; not "
     lines = [f"{said}shown, and left nominal: {'; '.join(found.seen.unseen) or 'none'}."]
     lines += [f"Ended at a bound of what is allowed: {', '.join(found.at_bound)}."] * bool(found.at_bound)
     return [TableBlock("By distances alone", header, rows), *map(SummaryLine, lines)]

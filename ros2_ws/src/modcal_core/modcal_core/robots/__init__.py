@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames, pose_and_jacobian
     from modcal_core.robots.kinematics import spatial_jacobian
     from modcal_core.robots.makers import NO_HASH, from_ur_kinematics, kinematics_yaml_data, lacks_hash
-    from modcal_core.robots.mechanism import Mechanism, followers_of, forward, gravity_wrench, inverse, inverse_batch
+    from modcal_core.robots.mechanism import Mechanism, forward, gravity_wrench, inverse, inverse_batch
     from modcal_core.robots.mechanism import is_delta, is_serial_arm, joint_ranges, offset_wrench, passable
     from modcal_core.robots.mechanism import payload_wrench, random_postures, takes, tool_frames
     from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_cpc, from_csv, from_table, from_ur_conf
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from modcal_core.robots.urdf import joint_origins, other_tips, read_chain, read_path
     from modcal_core.robots.urdf_inertias import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
     from modcal_core.robots.urdf_inertias import moved_centres, read_inertias, weightless
-    from modcal_core.robots.urdf_tree import CollisionShape, Tree, collision_shapes, parse, rerooted
-    from modcal_core.robots.urdf_write import calibrated_urdf, chain_urdf, joint_element, number, origin_element
-    from modcal_core.robots.urdf_write import ros2_control_offsets, urdf_text, xacro_origins
+    from modcal_core.robots.urdf_tree import CollisionShape, Tree, collision_shapes, parse
+    from modcal_core.robots.urdf_write import added, calibrated_urdf, chain_urdf, joint_element, number
+    from modcal_core.robots.urdf_write import origin_element, rerooted, ros2_control_offsets, urdf_text, xacro_origins
 else:
     from modcal_core.lazy import lazy_face
 

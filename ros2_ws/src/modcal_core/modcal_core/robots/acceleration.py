@@ -8,33 +8,25 @@ Joint i's drive, of torque τ_i within ±τ_max,i, moves
 
     lower ≤ M q̈ ≤ upper,      upper = τ_max − f − C q̇ − g,      lower = −τ_max − f − C q̇ − g.
 
-A joint that stands may begin to move either way: then dry friction is taken from both sides. Three readings of it:
+Of a joint that stands dry friction is taken from both sides. Three readings of it: *equivalent*, ``lower_i / M_ii ≤
+q̈_i ≤ upper_i / M_ii``, each joint with the others at rest and their drives out of account; *given*, joint i's interval
+while the others accelerate as they do; and *box*, bounds that hold together, whatever the others do within theirs.
 
-* *equivalent*: each joint by itself, the others at rest and whatever their drives must bear left out of account,
-  ``lower_i / M_ii ≤ q̈_i ≤ upper_i / M_ii``: the equivalent-inertia method, with unequal bounds up and down.
-* *given*: joint i's interval in the polytope while the others accelerate as they do, all drives minded.
-* *box*: bounds that hold together, whatever the others do within theirs.
-
-What goes with no acceleration follows by Newton and Euler's recursion, written in the base frame, where it becomes sums
-along the chain. With S_i the unit twist of joint i and I_j the spatial inertias of
-:mod:`modcal_core.robots.bodies`, at q̈ = 0:
+What goes with no acceleration follows by Newton and Euler's recursion in the base frame, where it becomes sums along
+the chain. With S_i the unit twist of joint i, I_j the spatial inertias of :mod:`modcal_core.robots.bodies`, and gravity
+as an acceleration of the base upwards (Luh, Walker and Paul 1980; Featherstone 2008, chapter 5), at q̈ = 0:
 
     V_j = Σ_{i ≤ j} S_i q̇_i,    A_j = (−g, 0) + Σ_{i ≤ j} ad(V_i) S_i q̇_i,
     F_j = I_j A_j − ad(V_j)ᵀ I_j V_j,    τ_i = S_iᵀ Σ_{j ≥ i} F_j.
 
-Gravity is an acceleration of the base upwards (Luh, Walker and Paul 1980; Featherstone 2008, chapter 5).
-
-The box: wanted are bounds −l ≤ x ≤ u with l, u > 0, of the greatest product Π (u_i l_i)^w_i, such that every x between
-them obeys ``lower ≤ A x ≤ upper``. Which weights w_i > 0 is a matter of taste, and 1 the plain choice; whichever, the
-box does not depend on the units of the components. A box obeys a row
-if its worst corner does, which is linear in (u, l): with A⁺ and A⁻ the positive and negative parts of A,
+The box: bounds −l ≤ x ≤ u of the greatest product Π (u_i l_i)^w_i, w_i > 0, all of whose corners obey ``lower ≤ A x ≤
+upper``; it does not depend on the units of the components. With A⁺ and A⁻ the positive and negative parts of A,
 
     | A⁺  A⁻ | | u |     |  upper |
     | A⁻  A⁺ | | l |  ≤  | −lower |
 
-so a concave function, Σ w log z, is maximised over a polytope, B z ≤ h with B ≥ 0, z > 0. With multipliers y of the
-rows the optimum is where Bᵀ y = w/z and y (h − B z) = 0; Newton's method on both, the second relaxed to μ → 0 (a
-primal-dual interior point; Boyd and Vandenberghe, Convex Optimization, 2004, chapter 11).
+so Σ w log z is maximised over B z ≤ h with B ≥ 0, z > 0. The optimum has Bᵀ y = w/z and y (h − B z) = 0: Newton's
+method on both, the second relaxed to μ → 0 (primal-dual interior point; Boyd and Vandenberghe 2004, chapter 11).
 """
 
 from __future__ import annotations

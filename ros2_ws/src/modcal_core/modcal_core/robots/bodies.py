@@ -1,21 +1,19 @@
-"""The bodies of a chain: what gravity asks of every joint for them, and what it must set in motion.
+"""The bodies of a chain: what gravity asks of every joint for them, what it must set in motion, and what the arm
+carries.
 
-Inertias: everything is computed in the base frame, where twists and inertias of all bodies add without being carried
-along. With S_i the unit twist of joint i (see :func:`modcal_core.robots.kinematics.spatial_jacobian`), ``I_j`` the
-spatial inertia of body j, twists linear first, about the base's origin,
+Everything is computed in the base frame, where twists and inertias of all bodies add. With S_i the unit twist of joint
+i (:func:`modcal_core.robots.kinematics.spatial_jacobian`) and ``I_j`` the spatial inertia of body j, twists linear
+first,
 
     I_j = | m 1      −m ĉ         |          M_ij = S_iᵀ (Σ_{k ≥ max(i, j)} I_k) S_j,
           | m ĉ      I_c − m ĉ ĉ  |
 
 the composite rigid body algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 6).
 
-What an arm carries, from the efforts of its joints while it stands in several postures.
-
-At rest a joint gives what gravity asks of it. That is linear in the mass of every body and in mass times centre, the
-payload's included. Beside the payload the estimate has, by joint, the torque constant, an offset and dry friction,
-which acts against the side from which the joint came; and the arm's own bodies, which a robot description states only
-roughly. All of them are held by priors, so that a covariance says what the postures show (Bayesian linear regression;
-the scatter of each joint is estimated with it). Recordings without the payload show the arm's own part by itself.
+At rest a joint gives what gravity asks of it, linear in the mass of every body and in mass times centre, the payload's
+included. Beside the payload an estimate has, by joint, the torque constant, an offset and dry friction, which acts
+against the side from which the joint came, and the arm's own bodies, which descriptions state roughly. Priors hold all
+of them, so that a covariance says what the postures show (Bayesian linear regression, each joint's scatter with it).
 """
 
 from __future__ import annotations

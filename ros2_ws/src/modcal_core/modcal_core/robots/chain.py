@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -102,6 +103,9 @@ class Chain:
     links: tuple[str, ...] = ()
     follows: tuple[Follower, ...] = ()
 
+    closed: ClassVar[bool] = False  # its links form no loops
+    first_place: ClassVar[int] = 0  # of the first joint; what stands before it is the base, so they share it
+
     @classmethod
     def build(
         cls,
@@ -175,19 +179,9 @@ class Chain:
         return J
 
     @property
-    def first_place(self) -> int:
-        """The place of the first joint; what stands before it is the base, so they share it."""
-        return 0
-
-    @property
     def tool_place(self) -> int:
         """The place of the tool, behind the last joint."""
         return self.n
-
-    @property
-    def closed(self) -> bool:
-        """Whether its links form loops; those of a chain do not."""
-        return False
 
     @cached_property
     def T_base_root(self) -> Array:

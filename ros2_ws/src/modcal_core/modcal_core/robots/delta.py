@@ -2,19 +2,17 @@
 
 Base frame: origin in the middle of the fixed platform, z up; the moving platform hangs below. Arm i stands in the
 upright plane at azimuth α_i and turns about the horizontal tangent there: at θ_i = 0 it points outwards, and a positive
-θ_i lowers it. The parallelogram keeps the moving platform's orientation, so its two rods are one rod of length L2_i
-from the elbow to the platform's centre, once the platform's own radius has been taken off that of the shoulder
-(dB_i = R_i − r_i). With θ_i = k_i q_i + q_zero,i the centre p of the platform obeys
+θ_i lowers it. The parallelogram keeps the platform's orientation, so its two rods are one rod of length L2_i from the
+elbow to the platform's centre, the platform's radius taken off that of the shoulder (dB_i = R_i − r_i). With θ_i = k_i
+q_i + q_zero,i the centre p obeys
 
     |p − C_i| = L2_i,    C_i = Rz(α_i) (dB_i + L1_i cos θ_i, 0, −L1_i sin θ_i),    i = 1, 2, 3,
 
-and the tool stands at ``Trans(p) Rz(φ) T_tip_tool``, φ = k_s q_4 for the telescopic shaft, 0 where there is none.
+and the tool stands at ``Trans(p) Rz(φ) T_tip_tool``, φ = k_s q_4 for the telescopic shaft, 0 where there is none. A
+linear Delta has a carriage at height h_i = k_i q_i + q_zero,i [m] of tower i, which leans outwards by λ_i in L1's
+place:
 
-A linear Delta has a carriage at height h_i = k_i q_i + q_zero,i [m] of tower i, which leans outwards by λ_i:
-
-    C_i = Rz(α_i) (dB_i + h_i sin λ_i, 0, h_i cos λ_i),
-
-so that of its six constants q_zero is a length, and λ stands in the place of L1. Everything else is the same.
+    C_i = Rz(α_i) (dB_i + h_i sin λ_i, 0, h_i cos λ_i).
 
 Rods of a pair that differ in length by δ, at a spacing of d, tilt the platform: with R its orientation, t_i the tangent
 along which the rods of arm i stand apart, u_i the way outwards, r the platform's radius and s_i along the rods,
@@ -22,14 +20,12 @@ along which the rods of arm i stand apart, u_i the way outwards, r the platform'
     s_i · (R t_i − t_i) = ε_i = δ_i / d        |p + (R − 1) r u_i − C_i| = L2_i,
 
 exact but for terms of (d / L2) (δ / d)². ε is no structural parameter: it is an effect, found where the data show it.
-These are three equations for R; the middle p follows from three spheres about the elbows, shifted by ``(R − 1) r u_i``.
-With a_i = R t_i × s_i and w_i the columns of the inverse of the matrix with these rows, the platform turns by
-``Σ w_i ε_i`` to first order. This is what of the closed chain with 54 parameters (Vischer and Clavel 1998) remains once
-each pair's mean is one rod: constant tilts of axes and shifts of joints along the rods are errors of the arms' places.
+The first three are equations for R, the others three spheres about shifted elbows. With a_i = R t_i × s_i and w_i the
+columns of the inverse of the matrix with these rows, the platform turns by ``Σ w_i ε_i`` to first order. This remains
+of the closed chain with 54 parameters (Vischer and Clavel 1998) once each pair's mean is one rod.
 
 Structural parameters, 24 as in CN114571465B: six constants of each arm (q_zero, k, α, dB, L1, L2), and six of the tool
-(x, y, z, rx, ry, rz). The zero of the shaft is the tool's rz. k_s belongs to the drawing; where it is wrong, the
-diagnosis names it (a gear ratio at the shaft).
+(x, y, z, rx, ry, rz), whose rz is the zero of the shaft. k_s belongs to the drawing.
 """
 
 from __future__ import annotations
@@ -37,14 +33,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot, BadTable, refusing
 from modcal_core.geometry import Array, cross, se3, so3
-from modcal_core.robots.chain import read_only
+from modcal_core.robots.chain import Follower, read_only
 from modcal_core.robots.kinematics import LoopShare, Tilt
 from modcal_core.schema import NUMBER, TEXT, Schema, list_of, record, require, stated
 
@@ -84,6 +80,11 @@ class Delta:
     platform_radius: float = 0.0
     linear: bool = False
 
+    closed: ClassVar[bool] = True  # its links form loops, which close only where the platform fits its arms
+    first_place: ClassVar[int] = 1  # of the first arm's joint; place 0 is the base, which all arms stand on
+    links: ClassVar[tuple[str, ...]] = ()  # a Delta's file names none
+    follows: ClassVar[tuple[Follower, ...]] = ()  # no joint follows another
+
     @classmethod
     def build(
         cls,
@@ -111,13 +112,11 @@ class Delta:
         if n not in (ARMS, ARMS + 1) or len(set(names)) != n:
             said = "names three arms, and perhaps a shaft, each once"
             raise BadRobot(f"delta with joints {', '.join(names) or 'none'}", f"it {said}", "correct the names")
-        rows = [np.broadcast_to(np.asarray(row, dtype=float), ARMS) for row in
-                (zero, ratio, azimuth, offset, proximal, distal)]  # fmt: skip
-        wide, far = (np.r_[np.full(ARMS, end), np.full(n - ARMS, turn)]
-                     for end, turn in zip(_LIMITS[linear], (-np.pi, np.pi), strict=True))  # fmt: skip
+        rows = [np.broadcast_to(row, ARMS) for row in (zero, ratio, azimuth, offset, proximal, distal)]
+        wide, far = np.r_[np.tile(_LIMITS[linear], (ARMS, 1)), np.tile([-np.pi, np.pi], (n - ARMS, 1))].T
         out = cls(
             tuple(names),
-            read_only(np.stack(rows)),
+            read_only(rows),
             read_only(wide if lower is None else lower),
             read_only(far if upper is None else upper),
             read_only(tool),
@@ -163,21 +162,6 @@ class Delta:
     def units(self) -> Mapping[str, str]:
         """Names of the constants of an arm, in their order, each with its unit."""
         return _OF_TOWER if self.linear else _OF_ARM
-
-    @property
-    def links(self) -> tuple[str, ...]:
-        """Names of links; a Delta's file states none."""
-        return ()
-
-    @property
-    def closed(self) -> bool:
-        """Whether its links form loops: three, which close only where the platform fits its arms."""
-        return True
-
-    @property
-    def first_place(self) -> int:
-        """The place of the first arm's joint; place 0 is the base, which all arms stand on."""
-        return 1
 
     @property
     def tool_place(self) -> int:
@@ -244,12 +228,10 @@ class Delta:
 
 def _require_sound(delta: Delta) -> None:
     name = f"delta {', '.join(delta.names)}"
-    n = delta.n
-    shapes = {"limits": (delta.lower.shape, delta.upper.shape), "tool": (delta.tool.shape,)}
-    for what, found in shapes.items():
-        wanted = (6,) if what == "tool" else (n,)
-        if any(shape != wanted for shape in found):
-            raise BadRobot(name, f"{what} must be {wanted[0]} numbers", "correct the file")
+    for what, found in (("limits", delta.lower), ("limits", delta.upper), ("tool", delta.tool)):
+        count = 6 if what == "tool" else delta.n
+        if found.shape != (count,):
+            raise BadRobot(name, f"{what} must be {count} numbers", "correct the file")
     if not all(np.isfinite(a).all() for a in (delta.constants, delta.lower, delta.upper, delta.tool)):
         raise BadRobot(name, "has a constant or limit that is not finite", "correct the file")
     for row in (DISTAL,) if delta.linear else (PROXIMAL, DISTAL):

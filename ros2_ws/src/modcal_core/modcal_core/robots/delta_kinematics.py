@@ -171,22 +171,19 @@ def delta_inverse(delta: Delta, position: ArrayLike, yaw: float = 0.0) -> Array:
         x, y, z = c * at[0] + s * at[1] - offset, c * at[1] - s * at[0], at[2]
         if delta.linear:  # a carriage h (sin λ, 0, cos λ) is L2 away, above the platform
             lean = np.array([np.sin(L1), np.cos(L1)])
-            along, apart = float(lean @ [x, z]), float(np.hypot(lean @ [-z, x], y))
-            if apart > L2:
-                said = f"{1e3 * (apart - L2):.1f} mm too far away for tower {delta.names[i]}"
-                raise NotReachable(where, said, "ask for a position within reach", position=apart - L2)
-            theta[i] = (along + np.sqrt(L2 * L2 - apart * apart) - zero) / ratio
-            continue
-        # the elbow L1 (cos θ, 0, −sin θ) is L2 away:  x cos θ − z sin θ = (x² + y² + z² + L1² − L2²) / 2 L1
-        far = float(np.hypot(x, z))
-        wanted = (x * x + y * y + z * z + L1 * L1 - L2 * L2) / (2.0 * L1)
-        if not abs(wanted) <= far:
-            nearest, farthest = float(np.hypot(far - L1, y)), float(np.hypot(far + L1, y))
-            gap, how = (nearest - L2, "too far away") if nearest > L2 else (L2 - farthest, "too near")
-            said = f"{1e3 * gap:.1f} mm {how} for arm {delta.names[i]}"
-            raise NotReachable(where, said, "ask for a position within reach", position=gap)
-        angle = np.arctan2(-z, x) - np.arccos(np.clip(wanted / far, -1.0, 1.0))
-        theta[i] = (remainder(angle, 2.0 * np.pi) - zero) / ratio
+            gap, how = float(np.hypot(lean @ [-z, x], y)) - L2, "too far away"
+        else:
+            far = float(np.hypot(x, z))
+            gap, how = max((np.hypot(far - L1, y) - L2, "too far away"), (L2 - np.hypot(far + L1, y), "too near"))
+        if not gap <= 0.0:
+            said = f"{1e3 * gap:.1f} mm {how} for {'tower' if delta.linear else 'arm'} {delta.names[i]}"
+            raise NotReachable(where, said, "ask for a position within reach", position=float(gap))
+        if delta.linear:
+            angle = lean @ [x, z] + np.sqrt(L2 * L2 - (gap + L2) ** 2)
+        else:  # the elbow L1 (cos θ, 0, −sin θ) is L2 away:  x cos θ − z sin θ = (x² + y² + z² + L1² − L2²) / 2 L1
+            wanted = (x * x + y * y + z * z + L1 * L1 - L2 * L2) / (2.0 * L1)
+            angle = remainder(np.arctan2(-z, x) - np.arccos(np.clip(wanted / far, -1.0, 1.0)), 2.0 * np.pi)
+        theta[i] = (angle - zero) / ratio
     q = np.r_[theta, [yaw / delta.shaft_ratio] * delta.has_shaft]
     for j, name in enumerate(delta.names):
         beyond = max(float(delta.lower[j] - q[j]), float(q[j] - delta.upper[j]))

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -157,15 +157,21 @@ _NEARLY = 0.1  # sine of the angle below which a slide is moved, for its line ma
 def from_dh(table: Mapping[str, Any]) -> Chain:
     """The chain of a classical DH table. Raises BadTable."""
     rows = read_rows(table, "dh", KEYS)
-    theta, d, a, alpha = (rows.column(key) for key in DH)
-    return rows.chain(np.concatenate([np.eye(4)[None], _about_z(theta, d) @ _about_x(alpha, a)]))
+    about_z, about_x = _row_motions(rows)
+    return rows.chain(np.concatenate([np.eye(4)[None], about_z @ about_x]))
 
 
 def from_mdh(table: Mapping[str, Any]) -> Chain:
     """The chain of a modified (Craig) DH table. Raises BadTable."""
     rows = read_rows(table, "mdh", KEYS)
+    about_z, about_x = _row_motions(rows)
+    return rows.chain(np.concatenate([about_x @ about_z, np.eye(4)[None]]))
+
+
+def _row_motions(rows: TableRows) -> tuple[Array, Array]:
+    """Rz(theta) Tz(d) and Rx(alpha) Tx(a) of every row, (n, 4, 4)."""
     theta, d, a, alpha = (rows.column(key) for key in DH)
-    return rows.chain(np.concatenate([_about_x(alpha, a) @ _about_z(theta, d), np.eye(4)[None]]))
+    return _about_z(theta, d), _about_x(alpha, a)
 
 
 def to_dh(chain: Chain, largest_offset: float = 10.0) -> dict[str, Any]:
@@ -174,13 +180,11 @@ def to_dh(chain: Chain, largest_offset: float = 10.0) -> dict[str, Any]:
     largest_offset: a row that needs a larger d [m] is refused, with NotRepresentable naming the two joints.
     """
     rows = _rows(chain, largest_offset)
-    last = rows.last
-    try:
-        end = _between(rows.beyond, largest_offset, keep=True)
+    last, T_tool = rows.last, rows.beyond
+    end = _between(rows.beyond, keep=True)
+    if end.offset <= largest_offset:  # else the tool pose takes what a row cannot
         last = end.turned(_wrap(last.theta + end.theta), last.d + end.d)
         T_tool = _about_z(last.phi, last.c)
-    except _TooFar:  # the tool pose takes what a row cannot
-        T_tool = rows.beyond
     return write_rows("dh", chain, [link.data() for link in [*rows.links, last]], rows.T_base, T_tool)
 
 
@@ -199,10 +203,6 @@ def to_mdh(chain: Chain, largest_offset: float = 10.0) -> dict[str, Any]:
     return write_rows("mdh", chain, columns, rows.T_base, T_tool)
 
 
-class _TooFar(Exception):
-    """A common normal farther away than allowed; holds its distance [m] and the sine of the axes' angle."""
-
-
 @dataclass(frozen=True)
 class _Link:
     """``Rz(theta) Tz(d) Tx(a) Rx(alpha) Rz(phi) Tz(c)`` between two joint axes [rad, m]."""
@@ -213,12 +213,13 @@ class _Link:
     alpha: float = 0.0
     phi: float = 0.0
     c: float = 0.0
+    offset: float = 0.0  # m; how far away the common normal is from either frame
 
     def turned(self, theta: float, d: float) -> _Link:
         """The same with another theta and d; of the two x axes along the normal, the one nearer to theta = 0."""
         coaxial = self.a == 0.0 and self.alpha == 0.0
         if coaxial or abs(theta) <= 0.5 * np.pi + 1e-9:
-            return _Link(theta, d, self.a, self.alpha, self.phi, self.c)
+            return replace(self, theta=theta, d=d)
         return _Link(_wrap(theta + np.pi), d, -self.a, -self.alpha, _wrap(self.phi - np.pi), self.c)
 
     def data(self) -> dict[str, float]:
@@ -245,12 +246,13 @@ def _rows(chain: Chain, largest_offset: float) -> _Rows:
     pairs: list[str] = []
     farthest, most = 0.0, 0.0
     for k in range(1, chain.n):
-        try:
-            link = _between(constants[k], largest_offset)
-        except _TooFar as far:
-            pairs.append(f"{chain.names[k - 1]} and {chain.names[k]}, {math.asin(min(1.0, far.args[1])):.2g} rad")
+        link = _between(constants[k])
+        if link.offset > largest_offset:
+            angle = math.asin(min(1.0, abs(math.sin(link.alpha))))
+            pairs.append(f"{chain.names[k - 1]} and {chain.names[k]}, {angle:.2g} rad")
             # c = distance / s, so it changes by c / s with the angle
-            farthest, most = max((farthest, most), (far.args[0], 1e-3 * far.args[0] / far.args[1]))
+            farthest = max(farthest, link.offset)
+            most = max(most, 1e-3 * link.offset / abs(math.sin(link.alpha)))
             continue
         link = link.turned(_wrap(theta + link.theta), d + link.d)
         links.append(link)
@@ -264,8 +266,8 @@ def _rows(chain: Chain, largest_offset: float) -> _Rows:
     return _Rows(T_base, links, _Link(theta, d), constants[-1])
 
 
-def _between(T: Array, largest_offset: float, keep: bool = False) -> _Link:
-    """The link from one z axis to another at T. Raises _TooFar.
+def _between(T: Array, keep: bool = False) -> _Link:
+    """The link from one z axis to another at T.
 
     On parallel axes a shift along them, and a turn if there is no distance, may go to either joint: to the second,
     unless keep.
@@ -283,10 +285,8 @@ def _between(T: Array, largest_offset: float, keep: bool = False) -> _Link:
     theta, alpha = math.atan2(u, -v), math.atan2(s, w)
     c = (x * u + y * v) / (s * s)
     d = z - c * w
-    if max(abs(c), abs(d)) > largest_offset:
-        raise _TooFar(max(abs(c), abs(d)), s)
     rest = (_about_z(theta, 0.0) @ _about_x(alpha, 0.0))[:3, :3].T @ T[:3, :3]
-    return _Link(theta, d, (y * u - x * v) / s, alpha, math.atan2(rest[1, 0], rest[0, 0]), c)
+    return _Link(theta, d, (y * u - x * v) / s, alpha, math.atan2(rest[1, 0], rest[0, 0]), c, max(abs(c), abs(d)))
 
 
 def _with_slides_moved(chain: Chain) -> Array:
@@ -318,13 +318,9 @@ def _wrap(angle: float) -> float:
 
 def _about_z(theta: Any, d: Any) -> Array:
     """Rz(theta) Tz(d), (..., 4, 4)."""
-    theta, d = np.broadcast_arrays(np.asarray(theta, dtype=float), np.asarray(d, dtype=float))
-    zero = np.zeros_like(theta)
-    return se3.exp(np.stack([zero, zero, d, zero, zero, theta], axis=-1))
+    return se3.exp(np.multiply.outer(d, np.eye(6)[2]) + np.multiply.outer(theta, np.eye(6)[5]))
 
 
 def _about_x(alpha: Any, a: Any) -> Array:
     """Rx(alpha) Tx(a), (..., 4, 4)."""
-    alpha, a = np.broadcast_arrays(np.asarray(alpha, dtype=float), np.asarray(a, dtype=float))
-    zero = np.zeros_like(alpha)
-    return se3.exp(np.stack([a, zero, zero, alpha, zero, zero], axis=-1))
+    return se3.exp(np.multiply.outer(a, np.eye(6)[0]) + np.multiply.outer(alpha, np.eye(6)[3]))

@@ -1,23 +1,19 @@
 """The fastest motion along a joint path: within the drives' torque at every posture, or within constant bounds.
 
 Along q(s) the drives give τ = (M q') s̈ + (M q'' + C(q, q') q') ṡ² + g + friction, linear in s̈ and ṡ² but for viscous
-friction, which goes with ṡ = √x. There the square root is replaced by lines that err on the safe side: where friction
-takes torque from the drive by its tangent at the last solution (so the error goes as this is repeated), where it helps
-to brake by its chord. The direction of every joint is known along a path, and with it the sign of dry friction.
+friction, which goes with ṡ = √x. Lines that err on the safe side replace the root: the tangent at the last solution
+where friction takes torque from the drive (its error goes as this is repeated), the chord where it helps to brake.
 
 With x = ṡ² and u = s̈ = ½ dx/ds, whatever bounds torques or accelerations along a path reads, at each place s,
 
     lower(s) ≤ a(s) u + b(s) x ≤ upper(s),      0 ≤ x ≤ most(s).
 
-On a grid with u constant between two places, x_{k+1} = x_k + 2 Δ_k u_k. Backwards from the end, the set of speeds from
-which the end can still be reached is an interval [0, K_k]; forwards from the beginning, the greatest acceleration that
-stays within these sets is best at every place (Pham and Pham, A new approach to time-optimal path parameterization
-based on reachability analysis, IEEE Transactions on Robotics 34(3), 2018); where a row loses its u between two places,
-to within what the grid itself is off. The limits are asked for at both ends of every interval, so that between places
-they are overstepped to second order in Δ only.
-
-K_k is the largest x for which some u obeys all rows. u is eliminated by pairing each row that bounds it from below with
-each that bounds it from above (Fourier and Motzkin), which leaves bounds on x alone.
+On a grid with u constant between two places, x_{k+1} = x_k + 2 Δ_k u_k. Backwards from the end, the speeds from which
+the end can still be reached are an interval [0, K_k]; forwards, the greatest acceleration that stays within these is
+best at every place (Pham and Pham, IEEE Transactions on Robotics 34(3), 2018), to within what the grid itself is off.
+Limits are asked for at both ends of every interval: in between they are overstepped to second order in Δ only. K_k is
+the largest x for which some u obeys all rows; pairing each row that bounds u from below with each from above (Fourier
+and Motzkin) leaves bounds on x alone.
 """
 
 from __future__ import annotations

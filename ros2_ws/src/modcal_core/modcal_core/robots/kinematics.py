@@ -1,12 +1,10 @@
 """Forward kinematics and Jacobians of a chain: of many postures at once, and of one where a clock runs.
 
-``frames`` gives the two frames that matter at each joint, both with the joint's axis as z: just *before* its motion
-(where a link error sits) and, after the last joint, the tip. Jacobian columns follow from them: a twist e at a frame T
-moves the tip by ``Ad(T) e`` seen from the base.
-
-One posture goes without what a batch costs. Everything else that needs a chain's kinematics asks here, but for what is
-written for its speed: the sweeps of a fit (:mod:`modcal_core.calibration.kernels`) and the descents of many different
-arms (:mod:`modcal_core.modules.targets`). Tests hold them to this, to twelve digits.
+``frames`` gives the frames just *before* each joint's motion (where a link error sits), the joint's axis as z, and the
+tip. Jacobian columns follow from them: a twist e at a frame T moves the tip by ``Ad(T) e`` seen from the base.
+Everything that needs a chain's kinematics asks here, but for the sweeps of a fit
+(:mod:`modcal_core.calibration.kernels`) and the descents of many different arms (:mod:`modcal_core.modules.targets`),
+which tests hold to this, to twelve digits.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadTable, NotRepresentable, refusing
+from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import DH, from_dh, vector
@@ -56,21 +56,19 @@ def kinematics_yaml_data(
     factory: what the manufacturer's tool took from this very arm; its form, its hash and all else in it are kept.
     Raises BadTable where it is not of this arm.
     """
-    own = dict(zip(chain.names, chain.origins, strict=False))
-    origins = own if origins is None else origins
+    origins = dict(zip(chain.names, chain.origins, strict=False)) if origins is None else origins
     found = _in_makers_form(chain, origins)
     if factory is None:
         return found
     filled = _filled_in(factory, found, "factory kinematics")
-    prefix = _ur_prefix(chain.names)
-    if prefix is None:
+    if _ur_prefix(chain.names) is None:
         return filled
     made = from_ur_kinematics(factory)
     own = _behind_the_half_turn({name: origins[name] for name in chain.names})
     table = [_HALF_TURN @ made.origins[0], *made.origins[1:-1]]
     if all(_near(F, T) for F, T in zip(table, own.values(), strict=True)):
         return filled
-    return _filled_in(factory, ur_kinematics(_as_laid_out(chain, made)), "")
+    return _filled_in(factory, _ur_form(_as_laid_out(chain, made)), "")
 
 
 def lacks_hash(data: Mapping[str, Any]) -> bool:
@@ -198,38 +196,21 @@ def _filled_in(factory: Any, found: Mapping[str, Any], where: str) -> dict[str, 
 
 
 def _in_makers_form(chain: Chain, origins: Mapping[str, Array]) -> dict[str, Any]:
+    """The origins as the maker's description reads them: UR's six, Franka's seven and the fixed one to its flange, any
+    other arm's by joint name.
+    """
     if _ur_prefix(chain.names) is not None:
-        return ur_kinematics(_behind_the_half_turn({name: origins[name] for name in chain.names}))
-    prefix = _franka_prefix(chain.names)
-    if prefix is not None:
-        return franka_kinematics({name: T for name, T in origins.items() if name.startswith(prefix)})
+        return _ur_form(_behind_the_half_turn({name: origins[name] for name in chain.names}))
+    if (prefix := _franka_prefix(chain.names)) is not None:
+        joints = [f"joint{i}" for i in range(1, 9) if f"{prefix}joint{i}" in origins]
+        return {joint: {"kinematic": _origin(origins[prefix + joint])} for joint in joints}
     return {name: _origin(origins[name]) for name in chain.names}
 
 
-def ur_kinematics(origins: Mapping[str, Array]) -> dict[str, Any]:
-    """``{kinematics: {shoulder: {x, y, z, roll, pitch, yaw}, …}}`` of the six joints of one UR arm.
-
-    origins: ``T_parent_joint`` (4, 4) by joint name; the names may share a prefix. The hash is left out: it is the
-    arm's own controller that has one. Raises NotRepresentable when they are not a UR arm's.
-    """
-    prefix = _ur_prefix(tuple(origins))
-    if prefix is None:
-        raise NotRepresentable("UR kinematics", f"needs joints {', '.join(_UR)}", "choose another form")
+def _ur_form(origins: Mapping[str, Array]) -> dict[str, Any]:
+    """UR's table; the hash is left out: it is the arm's own controller that has one."""
+    prefix = _ur_prefix(tuple(origins)) or ""
     return {"kinematics": {link: _origin(origins[prefix + joint]) for joint, link in _UR.items()}}
-
-
-def franka_kinematics(origins: Mapping[str, Array]) -> dict[str, Any]:
-    """``{joint1: {kinematic: {x, y, z, roll, pitch, yaw}}, …}`` of the seven joints of one Franka arm.
-
-    origins: ``T_parent_joint`` (4, 4) by joint name; joint 8, which is fixed and leads to the flange, is written too if
-    it is there. Raises NotRepresentable when they are not a Franka arm's.
-    """
-    names = tuple(name for name in origins if _FRANKA.fullmatch(name))
-    prefix = _franka_prefix(names)
-    if prefix is None:
-        raise NotRepresentable("Franka kinematics", "needs joints *_joint1 … *_joint7", "choose another form")
-    joints = [f"joint{i}" for i in range(1, 9) if prefix + f"joint{i}" in origins]
-    return {joint: {"kinematic": _origin(origins[prefix + joint])} for joint in joints}
 
 
 def _ur_prefix(names: tuple[str, ...]) -> str | None:

@@ -1,21 +1,15 @@
-"""What calibration asks of a robot, whatever it is built like: a serial chain or a Delta.
+"""What calibration asks of a robot, whatever it is built like: a serial chain or a Delta. Here are the functions whose
+formulas differ and that need kinematics.
 
-Both offer joints ``names`` with limits at places ``first_place`` …, a tool at ``tool_place``, between a base and a tip
-link, and ways to change them. The functions here are those whose formulas differ and that need kinematics.
-
-Inverse kinematics: the posture that puts the tip where it is wanted.
-
-Newton's method, damped as Levenberg and Marquardt do, on the error seen from the tip,
+Inverse kinematics: the posture that puts the tip where it is wanted, by Newton's method, damped as Levenberg and
+Marquardt do, on the error seen from the tip,
 
     e = (Rᵀ (p_d − p), log(Rᵀ R_d)),        de/dq = −[[I, −hat(e_p)], [0, J_l⁻¹(e_ω)]] J_body,
 
-with the damping in proportion to the squared error (Sugihara 2011): far away it holds the steps back, close to the
-solution it vanishes and convergence is quadratic, also where a redundant arm leaves steps undecided. A joint that would
-leave its limits is held at them and the others go on. Where that ends in a dead end, other postures are tried.
-
-From many starts for many poses at once a row is one start for one pose: every row has its own damping, and rows that
-have arrived or can get no nearer drop out, so the work shrinks with them. Two hundred rows take about a tenth of the
-time of two hundred single descents.
+with the damping in proportion to the squared error (Sugihara 2011): it holds far steps back and vanishes close to the
+solution, also where a redundant arm leaves steps undecided. A joint that would leave its limits is held at them. Where
+that ends in a dead end, other postures are tried: all rows, one start for one pose each, descend at once, each with its
+own damping, and drop out when they have arrived or get no nearer.
 """
 
 from __future__ import annotations
@@ -29,7 +23,7 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import NotReachable
 from modcal_core.geometry import Array, crossed_rows, se3, so3
 from modcal_core.robots import bodies, delta_kinematics, kinematics
-from modcal_core.robots.chain import Chain, Follower, ranges
+from modcal_core.robots.chain import Chain, ranges
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.kinematics import Frames, frames, tip_motions
 from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
@@ -203,11 +197,6 @@ _STEP, _SLID = 0.1, 0.02  # rad, m; on a way that is looked at
 def is_serial_arm(robot: Mechanism) -> TypeGuard[Chain]:
     """Whether the robot is a serial chain: what is known of such only, asks here and passes over others."""
     return isinstance(robot, Chain)
-
-
-def followers_of(robot: Mechanism) -> tuple[Follower, ...]:
-    """Its joints that mimic another one."""
-    return robot.follows if is_serial_arm(robot) else ()
 
 
 def is_delta(robot: object) -> TypeGuard[Delta]:

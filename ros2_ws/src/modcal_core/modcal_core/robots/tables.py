@@ -1,44 +1,28 @@
-"""A chain from a kinematic table of any known convention.
+"""Chains from and to kinematic tables: CPC, any table by its convention, CSV, and the DH table nearest to an arm.
 
-After H. Zhuang, Z. S. Roth and F. Hamano, "A complete and parametrically continuous kinematic model for robot
-manipulators", IEEE Transactions on Robotics and Automation 8(4), 1992. With each joint axis as z of its frame, the step
-from one joint to the next is ``V = R(b) Rz(beta) Trans(l)``: b (3,) is the direction of the next axis seen from this
-one, and
+CPC (Zhuang, Roth and Hamano, IEEE Transactions on Robotics and Automation 8(4), 1992). With each joint axis as z of its
+frame, the step from one joint to the next is ``V = R(b) Rz(beta) Trans(l)``, with b (3,) the direction of the next axis
+seen from this one, l (3,) [m] the way to the next joint's frame, and the shortest turn that brings z to b:
 
             | 1 - bx²/(1+bz)    -bx by/(1+bz)    bx |
     R(b) =  | -bx by/(1+bz)     1 - by²/(1+bz)   by |
             | -bx               -by              bz |
 
-is the shortest turn that brings z there. l (3,) [m] leads to the next joint's frame. A row is the step *behind* its
-joint; beta and the third component of l commute with the next joint's motion, so an export leaves them 0: four numbers
-a joint, and no angle at which they jump but for opposite axes. Those are avoided by ``reversed: true``, which says that
-the joint counts negatively about its b. Base and tool, which need all six, are poses; the rest of the table is as in
-:mod:`modcal_core.robots.dh`.
+A row is the step *behind* its joint. beta and the third component of l commute with the next joint's motion, so an
+export leaves them 0: four numbers a joint, and no jump but for opposite axes. Those are avoided by ``reversed: true``:
+the joint counts negatively about its b. Base and tool are poses; the rest of the table is as in
+:mod:`modcal_core.robots.dh`. All of b is written, as bz from bx and by loses half of the digits between perpendicular
+axes; two are read, too.
 
-The paper keeps bx and by and takes bz = √(1 - bx² - by²) ≥ 0. Between perpendicular axes, the commonest case, that root
-loses half of the digits, so all three are written here; two are read, too.
+CSV has comment lines (``# convention: dh``, ``# base_link: …``, ``# tip_link: …``, ``# base: x y z roll pitch yaw``,
+``# tool: …``, ``# unit: mm deg``), then a head and one row a joint: name, type, the convention's columns, lower, upper.
+CPC's columns are bx by bz lx ly lz beta reversed. Numbers keep every digit. Without names joints are joint_1, joint_2,
+…; ``joint`` and ``offset`` are read as name and theta, semicolons as commas. A turn or length that no arm has is
+refused.
 
-::
-
-    # convention: dh
-    # base_link: base_link
-    # tip_link: tool0
-    # base: 0.0 0.0 0.0 0.0 0.0 0.0            x y z [m], roll pitch yaw [rad]
-    # tool: 0.0 0.0 0.0 0.0 0.0 0.0
-    name,type,theta,d,a,alpha,lower,upper
-    shoulder_pan_joint,revolute,0.0,0.1273,0.0,1.5707963267948966,-6.28,6.28
-
-CPC has columns bx by bz lx ly lz beta reversed in place of the four. Numbers keep every digit. With a line
-``# unit: mm deg`` lengths are in millimetres and angles in degrees throughout, as most controllers show them.
-A table without names is of joints joint_1, joint_2, …; ``joint`` and ``offset`` are read as name and theta, as many
-tables have them, and semicolons as commas. A turn or a length that no arm has is of another unit, and refused.
-
-Two axes that are parallel in the nominal arm are no longer quite so in a calibrated one. Of the two directions in which
-one may be tilted against the other, a DH row has one, alpha, about the common normal; a tilt across it needs a common
-normal far away and offsets of kilometres (see :mod:`modcal_core.robots.dh`). Here the nearly parallel neighbours are
-made parallel, and all numbers of that arm's table, base and tool pose included, are fitted to the poses of the true one
-over its joint ranges, which leaves them near where they were. What the table cannot hold is measured at other postures
-and comes back with it.
+Nearest DH: of the two ways in which axes that are meant to be parallel are tilted in a calibrated arm, a DH row holds
+one; the other needs offsets of kilometres. Here such neighbours are made parallel, and all numbers of that arm's table,
+base and tool included, are fitted to the true poses over the joint ranges. What is lost is measured at other postures.
 """
 
 from __future__ import annotations
@@ -302,23 +286,15 @@ def _require_units(joints: Sequence[Mapping[str, Any]], chain: Chain, unit: str,
 
 def _scaled(table: Mapping[str, Any], length: float, angle: float) -> dict[str, Any]:
     """The table with every length and every angle times a factor."""
-    out = dict(table)
-    for key in _POSES:
-        if key in out:
-            pose = out[key]
-            out[key] = {"xyz": [length * v for v in pose["xyz"]], "rpy": [angle * v for v in pose["rpy"]]}
-    out["joints"] = [_scaled_row(row, length, angle) for row in table["joints"]]
-    return out
+    factors = dict.fromkeys((*_LENGTHS, "xyz", "l"), length) | dict.fromkeys((*_ANGLES, "rpy"), angle)
 
+    def scaled(part: Mapping[str, Any]) -> dict[str, Any]:
+        limit = length if part.get("type") == "prismatic" else angle
+        own = factors | {"lower": limit, "upper": limit}
+        return {key: np.multiply(value, own[key]).tolist() if key in own else value for key, value in part.items()}
 
-def _scaled_row(row: Mapping[str, Any], length: float, angle: float) -> dict[str, Any]:
-    out = dict(row)
-    limit = length if row.get("type") == "prismatic" else angle
-    factors = dict.fromkeys(_LENGTHS, length) | dict.fromkeys(_ANGLES, angle) | {"lower": limit, "upper": limit}
-    out.update({key: factor * out[key] for key, factor in factors.items() if key in out})
-    if "l" in out:
-        out["l"] = [length * v for v in out["l"]]
-    return out
+    poses = {key: scaled(table[key]) for key in _POSES if key in table}
+    return {**table, **poses, "joints": [scaled(row) for row in table["joints"]]}
 
 
 def _joint(row: list[str], header: list[str], where: str) -> dict[str, Any]:

@@ -103,25 +103,16 @@ def _fingers(tree: Tree, link: str, before: int, tooled: bool) -> set[str]:
     They are known by two or more branches that are the longest, and shorter than the arm before; the two arms of a
     torso are longer than what carries them. A single one is known by its name, or by that of the link that it moves.
     """
-    depth = {joint.name: _depth(tree, joint) for joint in tree.below[link]}
+    branches = tree.below[link]
+    depth = {joint.name: _depth(tree, joint) for joint in branches}
     deepest = max(depth.values(), default=0)
     if 0 < deepest < before and list(depth.values()).count(deepest) > 1:
         return {name for name, d in depth.items() if d > 0}
-    return {
-        joint.name
-        for joint in tree.below[link]
-        if joint.moves and depth[joint.name] < before and _named_as_finger(joint, tooled or len(depth) > 1)
-    }
-
-
-def _named_as_finger(joint: Joint, behind: bool) -> bool:
-    """Whether a joint's names are a gripper's. behind: whether it stands behind the arm's end.
-
-    The joint before a whole hand may be named after it as well: a gripper's own stands on a palm, which carries more,
-    or behind a tool's frame.
-    """
-    names = f"{joint.name} {joint.child}".lower()
-    return bool(_FINGER.search(names)) or (behind and bool(_GRIPPER.search(names)))
+    # the joint before a whole hand may be named after it: a gripper's own stands on a palm, which carries more, or
+    # behind a tool's frame
+    named = (_FINGER, _GRIPPER) if tooled or len(branches) > 1 else (_FINGER,)
+    texts = {joint.name: f"{joint.name} {joint.child}".lower() for joint in branches if joint.moves}
+    return {name for name, text in texts.items() if depth[name] < before and any(one.search(text) for one in named)}
 
 
 def _depth(tree: Tree, joint: Joint) -> int:

@@ -2,10 +2,6 @@
 
 Only what kinematics and gravity need is read: what simulators, drivers and meshes add cannot break the reading. Of what
 may stand once, the first counts.
-
-A joint on the way from the root to that link is turned round: where its child was at O R(a, q) in its parent, the
-parent is at R(−a, q) O⁻¹ in its child. A joint's origin stands before its motion, so O⁻¹ is a fixed joint of its own,
-behind a link <joint>_frame.
 """
 
 from __future__ import annotations
@@ -341,71 +337,12 @@ def _check(tree: Tree) -> None:
             said = f"is the child of joints {carried[joint.child]} and {joint.name}"
             raise BadRobot(f"link '{joint.child}'", said, "give each link one parent")
         carried[joint.child] = joint.name
-    _check_depth(tree, carried)
-
-
-def _check_depth(tree: Tree, carried: Mapping[str, str]) -> None:
-    """Refuse loops, and more joints in a row than Python's stack should be asked for."""
-    depth: dict[str, int] = {}
-    for joint in tree.joints:
-        row, link = list[str](), joint.child
-        while link in carried and link not in depth and len(row) <= len(tree.links):
-            row.append(link)
-            link = tree.above[link].parent
-        if len(row) > len(tree.links):
-            raise BadRobot(f"joint {joint.name}", "closes a loop", "give a tree of links")
-        first = depth.get(link, 0)
-        depth.update({below: first + k for k, below in enumerate(reversed(row), 1)})
-    if (deepest := max(depth.values(), default=0)) > _DEEPEST:
-        raise BadRobot("robot description", f"has {deepest} joints in a row, {_DEEPEST} is the limit", _ONE_ROBOT)
-
-
-# --- The same robot hung up at another of its links, so that a chain may go from one arm's tip to another's
-
-_REPLACED = ("origin", "axis", "parent", "child")
-
-
-def rerooted(urdf_xml: str, link: str) -> str:
-    """The URDF text with this link as its root; every two links stand to each other as before, at the same joint
-    positions. Comments are lost. The text as it is where the link is its root. Raises BadRobot.
-    """
-    tree = parse(urdf_xml)
-    path = tree.path(tree.root(), tree.link(link))
-    if not path:
-        return urdf_xml
-    root = document(urdf_xml)
-    taken = {*tree.links, *(joint.name for joint in tree.joints)}
-    for joint in path:
-        element = next(e for e in root if e.tag == "joint" and e.get("name") == joint.name)
-        for part in [e for e in element if e.tag in _REPLACED]:
-            element.remove(part)
-        back = se3.inverse(joint.T_parent_joint)
-        if not joint.moves:
-            _put(element, back, joint.child, joint.parent)
-            continue
-        frame = _free(f"{joint.name}_frame", taken)
-        root.append(etree.Element("link", name=frame))
-        _put(element, np.eye(4), joint.child, frame)
-        etree.SubElement(element, "axis", xyz=_text(-joint.axis))
-        fixed = etree.SubElement(root, "joint", name=_free(f"{joint.name}_origin", taken), type="fixed")
-        _put(fixed, back, frame, joint.parent)
-    return str(etree.tostring(root, encoding="unicode"))
-
-
-def _put(element: etree._Element, T: Array, parent: str, child: str) -> None:
-    """Origin, parent and child of a joint."""
-    etree.SubElement(element, "origin", xyz=_text(T[:3, 3]), rpy=_text(so3.to_rpy(T[:3, :3])))
-    etree.SubElement(element, "parent", link=parent)
-    etree.SubElement(element, "child", link=child)
-
-
-def _free(name: str, taken: set[str]) -> str:
-    """The name, with strokes behind it where it is taken; taken from now on."""
-    while name in taken:
-        name += "_"
-    taken.add(name)
-    return name
-
-
-def _text(values: Array) -> str:
-    return " ".join(repr(float(v) + 0.0) for v in values)
+    reached, level, depth = set[str](), [link for link in tree.links if link not in carried], 0
+    while level:
+        reached.update(level)
+        level = [joint.child for link in level for joint in tree.below[link]]
+        depth += bool(level)
+    if looped := next((joint.name for joint in tree.joints if joint.child not in reached), None):
+        raise BadRobot(f"joint {looped}", "closes a loop", "give a tree of links")
+    if depth > _DEEPEST:  # more than Python's stack should be asked for
+        raise BadRobot("robot description", f"has {depth} joints in a row, {_DEEPEST} is the limit", _ONE_ROBOT)

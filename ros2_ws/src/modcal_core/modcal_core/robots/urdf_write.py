@@ -10,15 +10,18 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
 
 import numpy as np
+from lxml import etree
 
 from modcal_core.errors import BadRobot, NotRepresentable
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import joint_origins, read_path
+from modcal_core.robots.urdf_tree import document, parse
 
 _SAME = 1e-15  # a constant that differs by less was not corrected
 # An attribute inside a start tag that is known to be well formed: its name, its quote, its value.
@@ -166,40 +169,53 @@ def chain_urdf(chain: Chain, name: str = "arm") -> str:
     robot = ET.Element("robot", name=name)
     taken = {chain.base, chain.tip}
     above = chain.base
-    ET.SubElement(robot, "link", name=above)
+    added(robot, "link", name=above)
     for k, joint in enumerate(chain.names):
-        link = f"{joint}_link"
-        while link in taken:
-            link += "_"
-        taken.add(link)
+        link = _free(f"{joint}_link", taken)
         limited = bool(np.isfinite([chain.lower[k], chain.upper[k]]).all())
         kind = "prismatic" if not chain.revolute[k] else "revolute" if limited else "continuous"
         element = joint_element(robot, joint, kind, above, link, chain.origins[k])
-        ET.SubElement(element, "axis", xyz=_numbers(chain.axes[k]))
-        limits: Mapping[str, float] = {"lower": chain.lower[k], "upper": chain.upper[k]} if limited else {}
-        # a reader must find both numbers; 0 says that nobody knows
-        ET.SubElement(
-            element, "limit", {key: number(v) for key, v in {**limits, "effort": 0.0, "velocity": 0.0}.items()}
-        )
-        ET.SubElement(robot, "link", name=link)
+        added(element, "axis", xyz=_numbers(chain.axes[k]))
+        ends = {"lower": number(chain.lower[k]), "upper": number(chain.upper[k])} if limited else {}
+        added(element, "limit", **ends, effort="0.0", velocity="0.0")  # a reader must find both; 0: nobody knows
+        added(robot, "link", name=link)
         above = link
     joint_element(robot, f"to_{chain.tip}", "fixed", above, chain.tip, chain.origins[-1])
-    ET.SubElement(robot, "link", name=chain.tip)
+    added(robot, "link", name=chain.tip)
     return urdf_text(robot)
 
 
-def joint_element(robot: ET.Element, name: str, kind: str, parent: str, child: str, T: Array) -> ET.Element:
+def added(parent: Any, tag: str, **attributes: str) -> Any:
+    """A new element with these attributes, the last of its parent, which is of xml.etree or of lxml."""
+    element = parent.makeelement(tag, attributes)
+    parent.append(element)
+    return element
+
+
+def joint_element(robot: Any, name: str, kind: str, parent: str, child: str, T: Array) -> Any:
     """A joint of this kind between two links, added to the robot."""
-    joint = ET.SubElement(robot, "joint", name=name, type=kind)
-    origin_element(joint, T)
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
+    joint = added(robot, "joint", name=name, type=kind)
+    _place(joint, parent, child, T)
     return joint
 
 
-def origin_element(element: ET.Element, T: Array) -> None:
+def _place(joint: Any, parent: str, child: str, T: Array) -> None:
+    origin_element(joint, T)
+    added(joint, "parent", link=parent)
+    added(joint, "child", link=child)
+
+
+def origin_element(element: Any, T: Array) -> None:
     """An origin at T (4, 4) [m], added to the element."""
-    ET.SubElement(element, "origin", xyz=_numbers(T[:3, 3]), rpy=_numbers(so3.to_rpy(T[:3, :3])))
+    added(element, "origin", xyz=_numbers(T[:3, 3]), rpy=_numbers(so3.to_rpy(T[:3, :3])))
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """The name, with strokes behind it where it is taken; taken from now on."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
 
 
 def urdf_text(robot: ET.Element) -> str:
@@ -211,6 +227,41 @@ def urdf_text(robot: ET.Element) -> str:
 def number(value: float) -> str:
     """A number with every digit, and no −0."""
     return repr(float(value) + 0.0)
+
+
+# --- The same robot hung up at another of its links, so that a chain may go from one arm's tip to another's
+
+_REPLACED = ("origin", "axis", "parent", "child")
+
+
+def rerooted(urdf_xml: str, link: str) -> str:
+    """The URDF text with this link as its root; every two links stand to each other as before, at the same joint
+    positions. Comments are lost. The text as it is where the link is its root. Raises BadRobot.
+
+    A joint on the way from the root to that link is turned round: where its child was at O R(a, q) in its parent, the
+    parent is at R(−a, q) O⁻¹ in its child. A joint's origin stands before its motion, so O⁻¹ is a fixed joint of its
+    own, behind a link <joint>_frame.
+    """
+    tree = parse(urdf_xml)
+    path = tree.path(tree.root(), tree.link(link))
+    if not path:
+        return urdf_xml
+    root = document(urdf_xml)
+    taken = {*tree.links, *(joint.name for joint in tree.joints)}
+    for joint in path:
+        element = next(e for e in root if e.tag == "joint" and e.get("name") == joint.name)
+        for part in [e for e in element if e.tag in _REPLACED]:
+            element.remove(part)
+        back = se3.inverse(joint.T_parent_joint)
+        if not joint.moves:
+            _place(element, joint.child, joint.parent, back)
+            continue
+        frame = _free(f"{joint.name}_frame", taken)
+        added(root, "link", name=frame)
+        _place(element, joint.child, frame, np.eye(4))
+        added(element, "axis", xyz=_numbers(-joint.axis))
+        joint_element(root, _free(f"{joint.name}_origin", taken), "fixed", frame, joint.parent, back)
+    return str(etree.tostring(root, encoding="unicode"))
 
 
 # --- A robot's joint origins as a file that xacro includes, for descriptions that are written in xacro
@@ -255,12 +306,12 @@ def ros2_control_offsets(offsets: Mapping[str, float], notes: Sequence[str] = ()
     for note in notes:
         robot.append(ET.Comment(f" {note.replace('--', '—')} "))
     for name, offset in offsets.items():
-        transmission = ET.SubElement(robot, "transmission", name=f"{name}_transmission")
-        ET.SubElement(transmission, "plugin").text = "transmission_interface/SimpleTransmission"
-        ET.SubElement(transmission, "actuator", name=f"{name}_actuator", role="actuator1")
-        joint = ET.SubElement(transmission, "joint", name=name, role="joint1")
-        ET.SubElement(joint, "mechanical_reduction").text = "1.0"
-        ET.SubElement(joint, "offset").text = number(offset)
+        transmission = added(robot, "transmission", name=f"{name}_transmission")
+        added(transmission, "plugin").text = "transmission_interface/SimpleTransmission"
+        added(transmission, "actuator", name=f"{name}_actuator", role="actuator1")
+        joint = added(transmission, "joint", name=name, role="joint1")
+        added(joint, "mechanical_reduction").text = "1.0"
+        added(joint, "offset").text = number(offset)
     return urdf_text(robot)
 
 

@@ -16,17 +16,13 @@ import numpy as np
 from modcal_core.calibration import FINEST, Calibration, Cell, Errors, Stated, errors, fit_cell
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array
+from modcal_core.hypotheses import last_step
 from modcal_core.measurements import Samples, share_of_known, spread_rows
 from modcal_core.measurements.kinds import is_direct
 from modcal_core.robots import Mechanism, forward, is_serial_arm
 from modcal_core.verdict.verdict import NotAsked
 
-# Powers of ten of a metre that tables and pendants round to; an instrument has errors of its own beside its last digit
-_STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
-_SAME = 0.01  # of a step; readings this close to its multiples are rounded to it
 _MOVED = 1e-3  # rad or m; a joint that moved by more should be seen
-_MAX_BITS = 16  # binary digits; single precision has 23, which is finer than instruments are
-_FINEST_STEP = 1e-7  # m or rad; what numbers are apart by less is no last digit
 _NOMINAL = 1.5e-4  # of the reach; nominal arms miss by ten times that, one calibrated by its maker by some 3e-4
 _BETTERED = 0.64  # of the square; what a calibration takes away from a real arm's is more than a fifth in RMS
 _FINE = 2e-5  # m; what writing leaves to be finer than any arm repeats
@@ -196,15 +192,10 @@ def _digits(written: _Written, of: float) -> tuple[str, ...]:
 def _written(samples: Samples, chain: Mechanism) -> _Written:
     """The last digits of these samples. A number is as wrong as one between two steps, step / √12."""
     position = samples.reading
-    each = np.array([max(_step(column), _lattice(column)) for column in position.T])
+    each = np.array([last_step(column) for column in position.T])
     step, own = float(each.max()), " and ".join("xyz"[k] for k in np.flatnonzero(each))
     made, how = float(np.sqrt(np.sum(each**2) / 12.0)), f"{1e3 * step:.3g} mm{'' if each.all() else f' in {own}'}"
-    if bits := _bits(position):
-        last = 2.0 ** (np.floor(np.log2(np.maximum(np.abs(position), 1e-12))) - bits)
-        by_bits = float(np.sqrt(np.mean(np.sum(last**2, axis=1)) / 12.0))
-        if by_bits > made:
-            made, how = by_bits, f"{bits + 1} binary digits (numbers of low precision)"
-    steps = np.array([_step_of_joints(q) if np.ptp(q) > _MOVED else 0.0 for q in samples.q.T])
+    steps = np.array([last_step(q) if np.ptp(q) > _MOVED else 0.0 for q in samples.q.T])
     if not steps.any() or not is_serial_arm(chain):
         return _Written(made, 0.0, how, "", step)
     q = samples.q[spread_rows(len(samples), _MAX)]
@@ -214,48 +205,6 @@ def _written(samples: Samples, chain: Mechanism) -> _Written:
     names = [name for name, own in zip(samples.names, steps, strict=True) if own]
     who = "Joint positions are" if len(names) == chain.n else f"The positions of {' and '.join(names)} are"
     return _Written(made, joints, how, f"{who} rounded to {steps.max():.2g} rad", step)
-
-
-def _bits(x: Array) -> int:
-    """Binary digits after the first that numbers are written with, 0 where they are many."""
-    mantissa, _ = np.frexp(x)
-    for bits in range(4, _MAX_BITS + 1):
-        u = mantissa * 2.0 ** (bits + 1)
-        if np.abs(u - np.round(u)).max() < 1e-6:
-            return bits
-    return 0
-
-
-def _lattice(x: Array) -> float:
-    """Common step of numbers (N,), all of which differ by multiples of it; 0 where it is below :data:`_FINEST_STEP`."""
-    size = 0.0
-    for gap in np.diff(np.unique(x)):
-        a, b = max(size, float(gap)), min(size, float(gap))
-        while b > _FINEST_STEP:
-            a, b = b, abs(a - b * round(a / b))
-        size = a
-        if size < 10.0 * _FINEST_STEP:
-            return 0.0
-    return size
-
-
-def _step_of_joints(q: Array) -> float:
-    """The power of ten of a radian or a degree that joint positions are rounded to [rad]; 0 where there is none."""
-    for unit in (1.0, np.pi / 180.0):
-        for digits in range(1, 6):
-            u = q / (unit * 10.0**-digits)
-            if len(u) and np.abs(u - np.round(u)).max() < _SAME:
-                return float(unit * 10.0**-digits)
-    return _lattice(q)
-
-
-def _step(position: Array) -> float:
-    """The power of ten [m] that readings are rounded to; 0 where there is none."""
-    for step in _STEPS:
-        u = position / step
-        if len(u) and np.abs(u - np.round(u)).max() < _SAME:
-            return step
-    return 0.0
 
 
 def _rms(x: Array) -> float:

@@ -29,9 +29,9 @@ from modcal_core.measurements import (
 )
 from modcal_msgs_py.tables import readings as of_readings
 from modcal_msgs_py.tables.moments import TIME, stamps_of
-from modcal_msgs_py.tables.readings import COLUMN, FORMS, JOINTS, READINGS, each, mapping, one_of, said
+from modcal_msgs_py.tables.readings import COLUMN, JOINTS, READINGS, each, mapping, one_of, said
 from modcal_msgs_py.tables.sheet import Form, Sheet, joined, read_sheet
-from modcal_msgs_py.tables.table import Faults, Table, chosen
+from modcal_msgs_py.tables.table import Table, chosen
 
 _REMEDY = "see docs/import.md"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")  # of a topic, as ROS 2 allows
@@ -119,73 +119,38 @@ def require_mapping(stated: Any, source: str) -> Mapping[str, Any]:
         raise BadTable(f"{source}: undecided", first, "correct what is below it, and remove the line")
     require(stated, SCHEMA, source, _REMEDY)
     for i, table in enumerate(stated["tables"]):
-        for part, what, remedy in (*_faulty(table), *_faulty_form(table, "")):
+        for part, what, remedy in _contradictions(table):
             raise BadTable(f"{source}: tables, entry {i + 1}{part}", what, remedy)
     if not any("joints" in table or "ray" in table for table in stated["tables"]):
         raise BadTable(source, "no table has joints", "state joints: {unit, columns} of one of them")
     return stated
 
 
-_Fault = tuple[str, str, str]  # part of the entry, what is wrong with it, remedy
-
-
-def _faulty(table: Mapping[str, Any]) -> Iterator[_Fault]:
-    """What no schema says: keys that exclude, or need, one another."""
+def _contradictions(table: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """What no schema says, as a part of the entry, what is wrong with it, and the remedy."""
     stated = [key for key in READINGS if key in table]
     if "same_point" in stated and len(stated) > 1:
         yield "", "same_point stands beside other readings", "state one of them"
     if not stated and "joints" not in table:
         what = "neither joints nor a reading are stated"
         yield "", what, f"state joints, one of {', '.join(READINGS)}, or both"
-    for pose in each(table.get("pose")):
-        forms = [form for form in FORMS if form in pose]
-        if len(forms) != 1:
-            what = f"{' and '.join(forms)} are both stated" if forms else "its angle convention is not stated"
-            yield ": pose", what, f"state one of {', '.join(FORMS)}"
-    for key in ("pose", "point"):
-        if any("plus" in one and "minus" in one for one in each(table.get(key))):
-            yield f": {key}", "plus and minus are both stated", "state one of them"
-    for one in each(table.get("bearing")):
-        angles = [key for key in ("elevation", "zenith") if key in one]
-        if ("vector" in one) == ("azimuth" in one) or ("azimuth" in one) != (len(angles) == 1):
-            what = "neither a vector nor two angles are stated"
-            yield ": bearing", what, "state vector, or azimuth and one of elevation and zenith"
-    for key, needs, unit in (("bearing", "azimuth", "rad or deg"), ("plane", "column", "m or mm")):
-        if any(needs in one and "unit" not in one for one in each(table.get(key))):
-            yield f": {key}", "'unit' is not stated", f"state {unit}"
+    if any("column" in one and "unit" not in one for one in each(table.get("plane"))):
+        yield ": plane", "'unit' is not stated", "state m or mm"
     for name in table.get("signals") or {}:
         if not _NAME.fullmatch(name):
             remedy = "use letters, digits, _ and /, and begin with a letter"
             yield ": signals", f"{shown(name)} is not a topic name", remedy
     joints = table.get("joints", {})
-    for part in ("units", "sign", "offset", "coupled", "velocity", "effort", "commanded"):
-        stated = joints.get(part, {})
-        stated = stated.get("columns", {}) if part in ("velocity", "effort", "commanded") else stated
-        others = [name for some in stated.values() for name in some] if part == "coupled" else []
-        for name in (*stated, *others):
+    named = {part: [*joints.get(part, ())] for part in ("units", "sign", "offset", "coupled")}
+    named |= {part: [*joints.get(part, {}).get("columns", ())] for part in ("velocity", "effort", "commanded")}
+    named["coupled"] += [name for others in joints.get("coupled", {}).values() for name in others]
+    for part, names in named.items():
+        for name in names:
             if name not in joints["columns"]:
                 yield f": joints: {part}", f"{name} has no position column", "name joints of columns"
-
-
-def _faulty_form(part: Mapping[str, Any], where: str) -> Iterator[_Fault]:
-    delimiter, decimal, by = part.get("delimiter", ","), part.get("decimal", "."), part.get("by", "row")
-    if delimiter in '\r\n"\0':
-        yield f"{where}: delimiter", f"{shown(delimiter)} cannot separate columns", _REMEDY
-    if delimiter == decimal:
-        yield f"{where}: decimal", f"{shown(decimal)} is the delimiter too", "state the other one"
-    if not _is_text_encoding(part.get("encoding", "utf-8-sig")):
-        yield f"{where}: encoding", f"{shown(part['encoding'])} is not a text encoding", "e.g. utf-8"
-    if isinstance(by, str) and by != "row":
-        yield f"{where}: by", f"{shown(by)} is neither columns nor row", "state {column here: column there}, or row"
-    for other in part.get("joined", ()):
-        yield from _faulty_form(other, f"{where}: joined")
-
-
-def _is_text_encoding(name: str) -> bool:
-    try:
-        return isinstance("".encode(name), bytes)  # or it raises
-    except (LookupError, ValueError, UnicodeError):
-        return False
+    for part in (table, *table.get("joined", ())):
+        if part.get("delimiter", ",") == part.get("decimal", "."):
+            yield ": decimal", f"{shown(part.get('decimal', '.'))} is the delimiter too", "state the other one"
 
 
 @dataclass(frozen=True)
@@ -242,14 +207,13 @@ class _Found:
 
     def take(self, entry: Mapping[str, Any], sheet: Sheet, source: str) -> None:
         """Read one table. Raises BadTable."""
-        faults = Faults(sheet.path.name, entry.get("missing", "refuse") == "skip")
         time = entry["time"]
         places = [one for key in ("pose", "point") for one in each(entry.get(key))]
         target = next((one["target"] for one in places if "target" in one), None)
         if target is not None:
             sheet, in_order = _by_target(sheet, target)
             time = time if in_order else {"order": {"period_s": _TARGET_S}}
-        table = Table(sheet, faults, frozenset(map(str, entry.get("missing_values", ()))))
+        table = Table(sheet, frozenset(map(str, entry.get("missing_values", ()))), entry.get("missing") == "skip")
         if "zeros_missing" in entry:
             table.blank_zeros(list(entry["zeros_missing"]))
         stamps, note = stamps_of(table, time, self._clock)
@@ -263,13 +227,13 @@ class _Found:
             self.commanded += [wanted] if wanted is not None else []
         found = list(of_readings.readings_of(table, entry, stamps, source))
         self.signals += _signals(table, entry, stamps)
-        faults.require_none()
+        table.require_sound()
         if not np.isfinite(stamps).any() or ("joints" in entry and not len(self.joints[-1].stamps)):
             raise BadTable(
                 sheet.path.name, "has no row with a time and all joints", "check the columns and missing cells"
             )
         self._clock = float(np.nanmax(stamps)) + 1.0
-        self._notes += [n for n in (note, *faults.notes()) if n and n not in self._notes]
+        self._notes += [n for n in (note, *table.notes()) if n and n not in self._notes]
         self.readings += found
         self._sockets += [track.frame for track in found] if "same_point" in entry else []
 
@@ -287,7 +251,7 @@ _TARGET_S = 10.0  # s between rows that are put in order of their targets, whose
 
 def _by_target(sheet: Sheet, column: Any) -> tuple[Sheet, bool]:
     """The rows in order of the target that was measured, and whether they were in such an order already."""
-    names = Table.of(sheet).text(column)
+    names = Table(sheet).text(column)
     first = {name: i for i, name in reversed(list(enumerate(names)))}
     order = sorted(range(len(names)), key=lambda i: first[names[i]])
     rows, lines = [sheet.rows[i] for i in order], [sheet.lines[i] for i in order]

@@ -7,8 +7,8 @@ model explains both alike, with its sign reversed: no fit tells which it is. So 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -34,7 +34,7 @@ class JointChoice:
     joints: LabelledJoints
     angle: str
     length: str
-    counted: JointCounting = field(default_factory=lambda: JointCounting({}, ""))
+    counted: JointCounting
 
     def scales(self, chain: Mechanism) -> Array:
         """What a unit of each joint that has a column is in rad or m."""
@@ -59,7 +59,7 @@ class JointChoice:
             out["units"] = dict.fromkeys(sliding, self.length)
         keys = numbers.keys(self.joints.columns)
         out["columns"] = dict(zip(chain.own_names, keys, strict=True))
-        for key, value in self.counted.stated.items():
+        for key, value in self.counted.stated(chain.names).items():
             degrees = key == "offset" and self.angle == "deg"
             out[key] = {name: round(float(np.degrees(x)), 6) if degrees else x for name, x in value.items()}
         return out
@@ -71,7 +71,8 @@ def choices_of(chain: Mechanism, joints: LabelledJoints, values: Array) -> list[
     largest = float(np.abs(values[:, list(joints.columns)][:, turning]).max(initial=0.0))
     angles = ["deg"] if largest > MAX_RAD else ["rad", "deg"]
     lengths = ["m"] if turning.all() else list(LENGTHS)
-    return [JointChoice(joints, *units) for units in product(angles if turning.any() else ["rad"], lengths)]
+    pairs = product(angles if turning.any() else ["rad"], lengths)
+    return [JointChoice(joints, angle, length, JointCounting.none(chain)) for angle, length in pairs]
 
 
 @dataclass(frozen=True)
@@ -141,9 +142,9 @@ class Fitted:
         """Columns that are all zero where nothing was read."""
         return self.body.zeros
 
-    def entry(self, numbers: Numbers) -> dict[str, Any]:
-        """The readings as a mapping states them: pose, point or targets."""
-        meaning, body = self.best.meaning, self.body
+    def entry(self, numbers: Numbers, judged: Judged | None = None) -> dict[str, Any]:
+        """The readings as a mapping states them: pose, point or targets. judged: the meaning; None: the best."""
+        meaning, body = (judged or self.best).meaning, self.body
         reading: dict[str, Any] = {"frame": "tracker", "unit": meaning.unit}
         if body.points:
             return {"targets": {**reading, "points": {name: numbers.keys(triple) for name, triple in body.points}}}
@@ -164,28 +165,26 @@ class Fitted:
             stated["conjugate"] = True
         return {"pose": {**reading, turning.form: stated, **({"inverse": True} if meaning.inverse else {})}}
 
+    def otherwise(self, numbers: Numbers, chain: Mechanism, other: Judged, word: str) -> str:
+        """What a mapping of another meaning would state in place of the best one's."""
+        one, two = (
+            {**self.entry(numbers, judged), "joints": self.choices[judged.meaning.postures].entry(numbers, chain)}
+            for judged in (self.best, other)
+        )
+        return "; ".join(differences(one, two, word))
+
     def proved(self, numbers: Numbers, chain: Mechanism) -> list[str]:
         """What the data shows, with what came second."""
-        best, body = self.best, self.body
-        direction = "the tracker in the tool (inverse)" if best.meaning.inverse else "the tool in the tracker"
-        if best.meaning.turning is None:
-            direction = "points of the tool in the tracker"
-            direction += f", {sum_in_words(numbers, body)}" if body.away else ""
-            direction += f", of the targets that {numbers.shown(self.target)} tells" if self.target is not None else ""
-        joints = f"joints in {self.choice.units(chain)}: the nominal arm misses {len(self.rows)} rows by {missed(best)}"
-        out = ["; ".join((_turning_words(numbers, body, best), direction, _positions(best), f"{joints} (median)"))]
+        (key,) = self.entry(numbers)
+        out = [
+            f"joints and {key} as stated: the nominal arm misses {len(self.rows)} rows by {missed(self.best)} (median)"
+        ]
         if self.choice.counted.words:
             out.append(f"joints are counted otherwise than the robot description does: {self.choice.counted.words}")
         for other in self.found[1:2]:
-            pairs = differences(numbers, self, best, other)
-            instead = "; ".join(f"{two} instead of {one}" for one, two in pairs)
-            out.append(f"second best, {worse(best, other)}: {instead}")
+            instead = self.otherwise(numbers, chain, other, "in place of")
+            out.append(f"second best, {worse(self.best, other)}: {instead}")
         return out
-
-
-def sum_in_words(numbers: Numbers, body: Body) -> str:
-    """Columns of a position and of the deviation that is added to it: ``X, Y, Z minus dx, dy, dz``."""
-    return f"{numbers.shown(*body.position)} {'plus' if body.sign > 0.0 else 'minus'} {numbers.shown(*body.away)}"
 
 
 def missed(judged: Judged) -> str:
@@ -194,44 +193,14 @@ def missed(judged: Judged) -> str:
     return f"{1e3 * judged.match.typical:.3g} mm{turn}"
 
 
-def _turning_words(numbers: Numbers, body: Body, judged: Judged) -> str:
-    """How orientations are read, in words."""
-    turning = judged.meaning.turning
-    if body.points:
-        return f"the body of {len(body.points)} targets ({', '.join(name for name, _ in body.points)})"
-    if turning is None or body.turned is None:
-        return "positions only"
-    if turning.form == QUATERNION:
-        order = "x y z w" if turning.order == (0, 1, 2, 3) else "w x y z"
-        return f"quaternions {order}{', conjugated' if turning.conjugate else ''}"
-    if turning.form == MATRIX:
-        return f"a rotation matrix, {'row by row' if turning.order[1] == 1 else 'column by column'}"
-    columns = numbers.shown(*(body.turned[i] for i in turning.order))
-    unit = "degrees" if turning.degrees else "radians"
-    if turning.form != EULER:
-        return f"a rotation vector in {unit} ({columns})"
-    fixed = turning.sequence[::-1].lower()
-    return f"Euler angles {turning.sequence} turning along (= {fixed} about fixed axes) in {unit} ({columns})"
-
-
-def _positions(judged: Judged) -> str:
-    return f"positions in {'inches' if judged.meaning.unit == 'in' else judged.meaning.unit}"
-
-
-def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -> list[tuple[str, str]]:
-    """Differences between the best meaning and another: pairs of words for the best and for the other."""
-    directions = ("the tool in the tracker", "the tracker in the tool")
-
-    def words(judged: Judged) -> Iterator[str]:
-        choice = chosen.choices[judged.meaning.postures]
-        yield _turning_words(numbers, chosen.body, judged)
-        yield _positions(judged)
-        yield directions[judged.meaning.inverse]
-        yield f"joints {numbers.shown(*choice.joints.columns)}"
-        yield f"joints in {choice.angle} and {choice.length}"
-        yield choice.counted.words or "joints as they are counted in the robot description"
-
-    return [(one, two) for one, two in zip(words(best), words(other), strict=True) if one != two]
+def differences(one: Mapping[str, Any], other: Mapping[str, Any], word: str) -> Iterator[str]:
+    """What another mapping states differently, key by key: ``pose: unit m``, the word, ``mm``."""
+    for key in dict.fromkeys((*one, *other)):
+        a, b = one.get(key, "none"), other.get(key, "none")
+        if isinstance(a, Mapping) and isinstance(b, Mapping):
+            yield from (f"{key}: {said}" for said in differences(a, b, word))
+        elif a != b:
+            yield f"{key} {b} {word} {a}"
 
 
 def worse(best: Judged, other: Judged) -> str:
@@ -261,10 +230,10 @@ def decided(numbers: Numbers, fits: Sequence[Fitted]) -> tuple[list[Fitted], tup
         sums = [f for f in fits if f.body.away and f.body.position == plain.body.position]
         if len(sums) == 2 and plain.best.match.typical < _GOAL * min(f.best.match.typical for f in sums):
             minus = min(sums, key=lambda f: f.body.sign)
+            goal, away = numbers.shown(*plain.body.position), numbers.shown(*minus.body.away)
             question = (
-                f"{numbers.shown(*plain.body.position)} are goals, for the nominal arm reproduces them; what was "
-                f"reached is {sum_in_words(numbers, minus.body)}, or plus it, which no fit can tell: keep minus, or "
-                "write plus (the wrong one doubles every error)"
+                f"{goal} are goals, for the nominal arm reproduces them; what was reached is {goal} minus {away}, or "
+                "plus it, which no fit can tell: keep minus, or write plus (the wrong one doubles every error)"
             )
             rest = [f for f in out if set(f.body.position) != set(plain.body.position)]
             return [minus, *(f for f in rest if f.computed)], (question,)

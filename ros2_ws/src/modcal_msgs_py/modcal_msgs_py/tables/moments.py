@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
+from io import StringIO
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
@@ -280,47 +281,38 @@ def read_track(path: Path) -> TextTrack:
     tracker wrote no number are left out.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        text = path.read_text(encoding="utf-8-sig").translate({ord(","): " ", ord(";"): " "})
     except UnicodeDecodeError as error:
         raise BadTable(str(path), "is neither a bag nor text", f"give a bag, or lines of {_FORMS}") from error
-    words = [(k, row) for k, line in enumerate(lines, 1) if (row := _words(line))]
-    if not words:
+    words = next((words for line in text.splitlines() if (words := line.partition("#")[0].split())), None)
+    if words is None:
         raise BadTable(str(path), "holds no numbers", f"give lines of {_FORMS}")
-    if any(number(word) is None for word in words[0][1]):
-        return _labelled(path, words[0][0])
-    return _bare(path, words)
+    return _bare(path, text) if all(number(word) is not None for word in words) else _labelled(path)
 
 
-def _words(line: str) -> list[str]:
-    return line.partition("#")[0].replace(",", " ").replace(";", " ").split()
-
-
-def _bare(path: Path, words: list[tuple[int, list[str]]]) -> TextTrack:
+def _bare(path: Path, text: str) -> TextTrack:
     """Rows of 3 or 7 numbers, or of 4 or 8 that begin with a time."""
-    width = len(words[0][1])
-    for line, row in words:
-        if any(number(word) is None for word in row):
-            raise BadTable(f"{path}, line {line}", "is not numbers", f"give {_FORMS}")
-        if len(row) != width or not {width, width - 1} & set(_WIDTHS):
-            raise BadTable(f"{path}, line {line}", f"has {len(row)} numbers", f"give in every line {_FORMS}")
-    values = np.array([list(map(number, row)) for _, row in words], float)
-    if width in _WIDTHS:
-        return TextTrack(values)
-    stamps = values[:, 0]
-    back = np.flatnonzero(~(np.diff(stamps) >= 0.0))
-    if len(back):
-        line = words[int(back[0]) + 1][0]
-        said = f"has {width} numbers, and the first is no time: it goes back"
-        raise BadTable(f"{path}, line {line}", said, f"give {_FORMS}")
-    return TextTrack(values[:, 1:], stamps)
+    remedy = f"give in every line {_FORMS}"
+    try:
+        values = np.loadtxt(StringIO(text), ndmin=2)
+    except ValueError as error:
+        said = f"is not rows of as many numbers ({str(error).partition(';')[0]})"
+        raise BadTable(str(path), said, remedy) from error
+    width, timed = values.shape[1], values.shape[1] - 1 in _WIDTHS
+    if not timed and width not in _WIDTHS:
+        raise BadTable(str(path), f"has {width} numbers in a row", remedy)
+    if timed and not (np.diff(values[:, 0]) >= 0.0).all():
+        said = f"has {width} numbers in a row, and the first is no time: it goes back"
+        raise BadTable(str(path), said, remedy)
+    return TextTrack(values[:, 1:], values[:, 0]) if timed else TextTrack(values)
 
 
-def _labelled(path: Path, line: int) -> TextTrack:
+def _labelled(path: Path) -> TextTrack:
     """The one position, with the one quaternion and the time where there are such, that labels name."""
     try:
         numbers = Numbers.of(sniff(path))
     except BadTable as error:
-        raise BadTable(f"{path}, line {line}", "is not numbers", f"give {_FORMS}, or labels above them") from error
+        raise BadTable(str(path), "is not numbers", f"give {_FORMS}, or labels above them") from error
     time = find_time(numbers, set())
     free = {k: label for k, label in numbers.labels.items() if k not in time.columns}
     read = {k: label for k, label in free.items() if label.role in (MEASURED, COMMANDED) and not label.computed}

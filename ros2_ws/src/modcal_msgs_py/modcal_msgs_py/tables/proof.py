@@ -1,33 +1,44 @@
 """What proves a reading of columns: the nominal arm that fits.
 
-The core compares meanings by a likelihood that single bad rows do not decide. Here are the hypotheses that only a
-table has: joints that it counts otherwise than the robot description, each as a mapping states it; a column that names
-which of several targets was measured; rows that belong elsewhere.
+The core compares meanings by a likelihood that single bad rows do not decide, and searches for what is written down
+wrongly. Here is what only a table has: joints that it counts otherwise than the robot description, each as a mapping
+states it; a column that names which of several targets was measured; rows that belong elsewhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import permutations
 from typing import Any
 
 import numpy as np
 
 from modcal_core.geometry import Array, so3
-from modcal_core.hypotheses import BEYOND_DOUBT, HandEye, Judged, Postures, judge, placed, rivals, same_poses, turnings
+from modcal_core.hypotheses import (
+    BEYOND_DOUBT,
+    COMMON,
+    LENGTHS,
+    Answer,
+    HandEye,
+    Hypothesis,
+    Postures,
+    explain,
+    family,
+    placed,
+    same_poses,
+    turnings,
+)
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Mechanism, forward, takes
-from modcal_msgs_py.tables.readings import joint_map
 
-_ROUNDS = 3  # mistakes in how joints are counted that are looked for, one after the other
-_HALF = 0.5  # of what is left, by which the reading that is meant must be better
+_HALF = 0.5  # of what is left, by which targets of their own must be better than one
 _TURNS = (90.0, -90.0, 180.0)  # degrees, by which zeros differ that were set otherwise
 _STEPS = 10  # iterations
 _ASTRAY, _ODDS = 0.05, float(np.log(20.0))  # share of readings that may say anything; odds, by which one does
 _MOST_TARGETS, _EACH = 12, 5  # targets on a tool, and rows of each
-_ROWS, _MAX = 60, 300  # rows that are looked at for the likeliest ways, and judged
-_COEFFICIENTS, _TRIED = 13, 8  # of a coordinate; ways that are judged
+_MAX = 300  # rows that are looked at
 
 
 def is_turned(values: Array) -> bool:
@@ -37,105 +48,94 @@ def is_turned(values: Array) -> bool:
 
 @dataclass(frozen=True)
 class JointCounting:
-    """How joints are counted otherwise than the robot description does: as a mapping states it, and in words."""
+    """How joints are counted otherwise than in the robot description: positions are ``M r + offset`` of what a table
+    holds [rad, m]. words: the same for a person.
+    """
 
-    stated: Mapping[str, Any]
+    M: Array
+    offset: Array
     words: str
+
+    @classmethod
+    def none(cls, chain: Mechanism) -> JointCounting:
+        """Joints that are counted as in the robot description."""
+        return cls(np.eye(chain.n), np.zeros(chain.n), "")
 
     def applied(self, q: Array, chain: Mechanism) -> Array:
         """Positions (N, n) [rad, m] of what a table holds."""
-        M, offset = joint_map({"unit": "rad", **self.stated}, chain.names)
-        return chain.followed(q @ M.T + offset)
+        return chain.followed(q @ self.M.T + self.offset)
 
-    def joined(self, other: JointCounting) -> JointCounting:
-        """Both."""
-        merged: dict[str, Any] = {key: dict(value) for key, value in self.stated.items()}
-        for key, value in other.stated.items():
-            merged[key] = {**merged.get(key, {}), **value}
-        return JointCounting(merged, "; ".join(w for w in (self.words, other.words) if w))
+    def then(self, other: JointCounting) -> JointCounting:
+        """Both, the other applied to what this one makes of a table."""
+        words = "; ".join(w for w in (self.words, other.words) if w)
+        return JointCounting(other.M @ self.M, other.M @ self.offset + other.offset, words)
+
+    def stated(self, names: Sequence[str]) -> Mapping[str, Any]:
+        """The same as a mapping states it."""
+        M = {name: dict(zip(names, row, strict=True)) for name, row in zip(names, self.M.tolist(), strict=True)}
+        coupled = {name: {n: x for n, x in row.items() if n != name and x} for name, row in M.items()}
+        every = {
+            "sign": {name: row[name] for name, row in M.items() if row[name] != 1.0},
+            "offset": {name: x for name, x in zip(names, self.offset.tolist(), strict=True) if x},
+            "coupled": {name: others for name, others in coupled.items() if others},
+        }
+        return {key: value for key, value in every.items() if value}
 
 
 def _corrections(chain: Mechanism) -> Iterator[JointCounting]:
     """Every joint the other way round, with another zero, and counted together with another."""
-    names = np.array(chain.names)[chain.own & chain.revolute].tolist()
+    plain, one, at = JointCounting.none(chain), np.eye(chain.n), {name: j for j, name in enumerate(chain.names)}
+    turning = np.array(chain.names)[chain.own & chain.revolute].tolist()
     for name in chain.own_names:
-        yield JointCounting({"sign": {name: -1.0}}, f"{name} counts the other way")
-    for name in names:
+        M = np.diag(np.where(np.arange(chain.n) == at[name], -1.0, 1.0))
+        yield JointCounting(M, plain.offset, f"{name} counts the other way")
+    for name in turning:
         for angle in _TURNS:
             words = f"{abs(angle):g}° are {'added to' if angle > 0.0 else 'taken from'} {name}"
-            yield JointCounting({"offset": {name: float(np.radians(angle))}}, words)
-    for name, other in permutations(names, 2):
+            yield JointCounting(plain.M, np.radians(angle) * one[at[name]], words)
+    for name, other in permutations(turning, 2):
         for factor in (1.0, -1.0):
             words = f"{name} is counted together with {other} (so {other} is {'added' if factor > 0 else 'taken off'})"
-            yield JointCounting({"coupled": {name: {other: factor}}}, words)
+            yield JointCounting(plain.M + factor * np.outer(one[at[name]], one[at[other]]), plain.offset, words)
 
 
-_Way = tuple[int, JointCounting]  # number of the choice of postures, and how it counts joints
+def _undone(counted: JointCounting, case: HandEye) -> HandEye:
+    return case.moved(counted.applied(case.q, case.chain))
 
 
 def corrected(
-    chain: Mechanism, choices: Sequence[Postures], position: Array
-) -> tuple[int, JointCounting, list[JointCounting]] | None:
-    """Which choice of postures, counted how, makes points (N, 3) fit, and what fits as well; None: nothing does.
-
-    One mistake after the other, each beyond doubt and of half of what is left.
+    chain: Mechanism, choices: Sequence[Postures], position: Array, units: Sequence[str]
+) -> tuple[int, list[JointCounting]] | None:
+    """Which choice of postures makes points (N, 3) in one of these units fit, and how joints are then counted, the
+    likeliest first; None: nothing does.
     """
-    ways: list[_Way] = [(k, JointCounting({}, "")) for k in range(len(choices))]
-    best = next(iter(_all(chain, choices, ways, position)), None)
-    alike = list[JointCounting]()
-    for _ in range(_ROUNDS):
-        if best is None or best.explained(chain):
-            break
-        tried = [(k, counted.joined(c)) for k, counted in ways for c in _corrections(chain)]
-        tried = [(k, c) for k, c in tried if takes(chain, c.applied(choices[k].q, chain)).all()]
-        tried = _likeliest(chain, choices, tried, position)
-        found = _all(chain, choices, tried, position)
-        top = found[0] if found else best
-        if top.match.score - best.match.score <= BEYOND_DOUBT or top.share > _HALF * best.share:
-            break
-        k = tried[top.meaning.postures][0]
-        same = [j for j in (top, *rivals(found)) if j.meaning.unit == top.meaning.unit]
-        counted = [tried[j.meaning.postures][1] for j in same if tried[j.meaning.postures][0] == k]
-        best, (first, *alike) = top, _distinct(chain, counted, choices[k].q)
-        ways = [(k, first)]
-    (k, counted_so), *others = ways
-    return (k, counted_so, alike) if counted_so.stated and not others and best is not None and best.near else None
-
-
-def _distinct(chain: Mechanism, counted: Sequence[JointCounting], q: Array) -> list[JointCounting]:
-    """The same without those that are the first one said otherwise, of which the plainest is kept.
-
-    A joint between two others that turns the other way is one with half a turn added to its neighbours.
-    """
-    T = [forward(chain, c.applied(q, chain)) for c in counted]
-    same = [c for c, other in zip(counted, T, strict=True) if same_poses(T[0], other[:, :3, :3], other[:, :3, 3])]
-    plainest = [c.words for c in _corrections(chain)]
-    first = min(same, key=lambda c: next((i for i, w in enumerate(plainest) if c.words.endswith(w)), 0))
-    return [first, *(c for c in counted if c not in same)]
-
-
-def _likeliest(chain: Mechanism, choices: Sequence[Postures], tried: list[_Way], position: Array) -> list[_Way]:
-    """The ways of counting that leave least of the positions, whatever base, tool and unit are.
-
-    A coordinate of a point of the tool is linear in the tip's turn, its place and 1.
-    """
-    rows = spread_rows(len(position), _ROWS)
-    if len(rows) < 2 * _COEFFICIENTS:
-        return tried
-    left = []
-    for k, counted in tried:
-        T = forward(chain, counted.applied(choices[k].q[rows], chain))
-        design = np.c_[T[:, :3].reshape(-1, 12), np.ones(len(rows))]
-        fit = design @ np.linalg.lstsq(design, position[rows], rcond=1e-9)[0]
-        left.append(float(np.median(np.linalg.norm(position[rows] - fit, axis=1))))
-    return [tried[i] for i in np.argsort(left, kind="stable")[:_TRIED]]
-
-
-def _all(chain: Mechanism, choices: Sequence[Postures], ways: Sequence[_Way], position: Array) -> list[Judged]:
-    """The meanings of points, of these postures counted in these ways, best first."""
     rows = spread_rows(len(position), _MAX)
-    postures = [Postures(c.applied(choices[k].q[rows], chain), choices[k].name) for k, c in ways]
-    return judge(chain, postures, position[rows], None)
+    parts = {c.words: c for c in _corrections(chain)}
+    best: tuple[int, Answer] | None = None
+    for k, choice in enumerate(choices):
+        q = choice.q[rows]
+        possible = [c for c in parts.values() if takes(chain, c.applied(q, chain)).all()]
+        table = family(COMMON, [Hypothesis(c.words, "", partial(_undone, c), 0.0, touches="joints") for c in possible])
+        for unit in units:
+            case = HandEye.of_arrays(chain, q, LENGTHS[unit] * position[rows])
+            answer = explain(case.read(volume=3.0 * float(np.log(LENGTHS[unit]))), table)
+            if answer.gain > BEYOND_DOUBT and (best is None or answer.after.evidence > best[1].after.evidence):
+                best = k, answer
+    if best is None:
+        return None
+    k, answer = best
+    said = [h.what for h in answer.said]
+    ways = [said, *([*said[:i], rival, *said[i + 1 :]] for rival in answer.rivals for i in range(len(said)))]
+    out = []
+    for way in ways:
+        counted = JointCounting.none(chain)
+        for name in way:
+            counted = counted.then(parts[name])
+        out.append(counted)
+    first, *others = (forward(chain, counted.applied(choices[k].q, chain)) for counted in out)
+    # a joint between two others that turns the other way is one with half a turn added to its neighbours
+    apart = [not same_poses(first, T[:, :3, :3], T[:, :3, 3]) for T in others]
+    return k, [out[0], *(counted for counted, own in zip(out[1:], apart, strict=True) if own)]
 
 
 def by_target(chain: Mechanism, q: Array, position: Array, columns: Mapping[int, Sequence[str]]) -> int | None:

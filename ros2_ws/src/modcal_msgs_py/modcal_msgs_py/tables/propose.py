@@ -50,7 +50,6 @@ from modcal_msgs_py.tables.fits import (
     JointsAlone,
     choices_of,
     decided,
-    differences,
     missed,
     with_deviations,
     worse,
@@ -131,17 +130,12 @@ def _rays_alone(way: Together, numbers: Numbers, names: Sequence[str]) -> Propos
     joints = [j for j in joint_columns(numbers, names) if not all(numbers.labels[k].of_instrument for k in j.columns)]
     if not rays or joints or len(rays) + len(time.columns) < len(numbers.usable):
         return None
-    units = [numbers.labels[one.columns[0]].unit for one in rays]
-    asked = tuple(
-        {
-            f"cannot tell the unit of {numbers.shown(*one.columns)}: no label says"
-            for one, unit in zip(rays, units, strict=True)
-            if not unit
-        }
-    )
+    unknown = [one.columns[0] for one in rays if not numbers.labels[one.columns[0]].unit]
+    asked = tuple(f"cannot tell the unit of {numbers.shown(k)}: no label says" for k in unknown)
     rows = [
-        {"frame": r.frame, "unit": u or "mm", "column": numbers.key(r.columns[0])}
-        for r, u in zip(rays, units, strict=True)
+        {"frame": one.frame, "unit": numbers.labels[k].unit or "mm", "column": numbers.key(k)}
+        for one in rays
+        for k in one.columns
     ]
     form = way.sheet.form.entry()
     entry = {"files": way.sheet.path.name, **form, "missing": "skip", "time": time.stated, "ray": rows}
@@ -191,11 +185,11 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
             questions = (*questions, *asked)
     whole = read if isinstance(read, Fitted) else None
     used = {*read.choice.joints.columns, *read.columns, *time.columns}
-    stamps = stamps_of(Table.of(numbers.sheet), time.stated, 0.0)[0] if time.columns else None
+    stamps = stamps_of(Table(numbers.sheet), time.stated, 0.0)[0] if time.columns else None
     around = Surroundings(numbers, chain, read.choice, whole, used, stamps, arm.inertias, arm.bystanders)
     beside = find_beside(around, labelled)
-    asked_all = tuple(dict.fromkeys((*questions, *beside.questions)))
-    return _made(_Findings(numbers, time, read, beside, way, asked_all, assumed), arm)
+    beside.questions[:0], beside.said[:0] = questions, assumed
+    return _made(numbers, (time, way), read, beside, arm)
 
 
 class _Search:
@@ -322,11 +316,12 @@ class _Search:
             return [told]
         position = _columns_read(point.body, self._numbers.values[point.rows])[0]
         choices = [Postures(c.postures(self._chain, self._numbers.values[point.rows]), "") for c in point.choices]
-        found = corrected(self._chain, choices, position)
+        unit = self._numbers.labels[point.body.position[0]].unit
+        found = corrected(self._chain, choices, position, [unit] if unit in LENGTHS else list(LENGTHS))
         if found is None:
             return fits
-        k, counted, rivalling = found
-        some = [replace(point.choices[k], counted=c) for c in (counted, *rivalling)]
+        k, counted = found
+        some = [replace(point.choices[k], counted=c) for c in counted]
         alike = [f.body for f in plain if f.body.position == point.body.position]
         made = [self._fitted(b, [some[0].joints], some) for b in dict.fromkeys((*alike, point.body))]
         return [f for f in made if f is not None and f.best.near] or fits
@@ -420,8 +415,8 @@ def _decided(
             "rotvec or matrix, or leave the orientation out"
         )
     for rival in rivals(chosen.found):
-        pairs = "; ".join(f"{one} from {two}" for one, two in differences(numbers, chosen, best, rival))
-        questions.append(f"cannot tell {pairs} ({worse(best, rival)})")
+        either = chosen.otherwise(numbers, chain, rival, "or")
+        questions.append(f"cannot tell {either} ({worse(best, rival)})")
     by_labels = [j for j in labelled if j.role == MEASURED]
     if by_labels and chosen.choice.joints.columns not in [j.columns for j in by_labels]:
         named = numbers.shown(*by_labels[0].columns)
@@ -453,26 +448,18 @@ def _alike(one: Fitted, other: Fitted) -> bool:
     return len(one.best.R) == len(other.best.R) and same_poses(A, other.best.R, other.best.position)
 
 
-@dataclass(frozen=True)
-class _Findings:
-    """What was found out of a table."""
-
-    numbers: Numbers
-    time: RowTimes
-    read: Fitted | Sighted | JointsAlone
-    beside: OtherColumns
-    way: Together
-    questions: tuple[str, ...]
-    assumed: Sequence[str]
-
-
-def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
-    """The mapping that was found, with its proof and what was assumed."""
-    numbers, read, beside, way = found.numbers, found.read, found.beside, found.way
-    chain, choice, sheet = arm.chain, read.choice, numbers.sheet
+def _made(
+    numbers: Numbers,
+    rows: tuple[RowTimes, Together],
+    read: Fitted | Sighted | JointsAlone,
+    beside: OtherColumns,
+    arm: MeasuredArm,
+) -> Proposal:
+    """The mapping that was found, with its proof and what was assumed. rows: when they were taken, and from where."""
+    (time, way), chain, choice, sheet = rows, arm.chain, read.choice, numbers.sheet
     entry: dict[str, Any] = {"files": sheet.path.name, **sheet.form.entry()}
     used = {*choice.joints.columns, *read.columns, *beside.used}
-    said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", found.time.said]
+    said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", time.said]
     pairs = zip(chain.own_names, choice.joints.columns, strict=True)
     shown = ", ".join(f"{name} = {numbers.shown(k)}" for name, k in pairs)
     said += [f"the joints' columns by {choice.joints.how}: {shown}", *way.said]
@@ -493,7 +480,7 @@ def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
         said.append("rows of zeros are rows in which nothing was read")
     if way.stated:
         entry["joined"] = list(way.stated)
-    entry["time"] = found.time.stated
+    entry["time"] = time.stated
     joints = choice.entry(numbers, chain)
     both = {key: {**joints.get(key, {}), **beside.joints[key]} for key in ("columns", "units") if key in beside.joints}
     entry["joints"] = {**joints, **beside.joints, **both}
@@ -504,24 +491,21 @@ def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
     entry |= {key: stated for key, stated in others.items() if stated}
     by = [(one["by"], Path(one["files"]).stem) for one in way.stated if one["by"] != "row"]
     keys = {key for pairs, stem in by for ours, theirs in pairs.items() for key in (ours, theirs, f"{stem}.{theirs}")}
-    used |= {*found.time.columns, *(k for k in range(sheet.width) if numbers.key(k) in keys)}
-    said += [*found.assumed, *beside.said, *_unused(numbers, used)]
-    mapping: dict[str, Any] = {"undecided": list(found.questions)} if found.questions else {}
-    mapping |= {**arm.stated, "tables": [entry]}
-    return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), found.questions)
+    used |= {*time.columns, *(k for k in range(sheet.width) if numbers.key(k) in keys)}
+    said += [*beside.said, *_unused(numbers, used)]
+    asked = tuple(dict.fromkeys(beside.questions))
+    mapping = {**({"undecided": list(asked)} if asked else {}), **arm.stated, "tables": [entry]}
+    return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), asked)
 
 
 def _unused(numbers: Numbers, taken: set[int]) -> Iterator[str]:
     """Every column that is not used, by why."""
-    rest = [k for k in range(numbers.sheet.width) if k not in taken]
-    for why, some in (
-        ("", [k for k in rest if k in numbers.usable]),
-        (" (constant)", [k for k in rest if k in numbers.filled and k not in numbers.usable]),
-        (
-            " (numbers in few rows)",
-            [k for k in rest if k not in numbers.filled and np.isfinite(numbers.values[:, k]).any()],
-        ),
-        (" (no numbers)", [k for k in rest if np.isnan(numbers.values[:, k]).all() and any(numbers.sheet.column(k))]),
-    ):
-        if some:
-            yield f"not used: {numbers.shown(*some)}{why}"
+    reasons: dict[str, list[int]] = {"": [], " (constant)": [], " (numbers in few rows)": [], " (no numbers)": []}
+    for k in sorted(set(range(numbers.sheet.width)) - taken):
+        if k in numbers.filled:
+            reasons["" if k in numbers.usable else " (constant)"].append(k)
+        elif np.isfinite(numbers.values[:, k]).any():
+            reasons[" (numbers in few rows)"].append(k)
+        elif any(numbers.sheet.column(k)):
+            reasons[" (no numbers)"].append(k)
+    yield from (f"not used: {numbers.shown(*some)}{why}" for why, some in reasons.items() if some)

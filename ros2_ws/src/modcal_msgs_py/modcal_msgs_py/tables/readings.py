@@ -244,7 +244,7 @@ def _orientation(table: Table, one: Mapping[str, Any], there: np.ndarray, where:
     if form in ("quaternion", "matrix"):
         empty = np.linalg.norm(values[rows], axis=1) <= _MIN_LENGTH
         for i in rows[empty].tolist():  # a lost reading where those are skipped
-            if table.faults.skip:
+            if table.skip:
                 table.lack([i], "the orientation (all zeros)")
             else:
                 table.bad(i, first, f"a {form} of zeros is not an orientation")
@@ -341,7 +341,9 @@ def rigid_poses(points: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class ReadingKind:
-    """One kind of reading in a mapping. kind: of the track. properties: that are stated beside the frame."""
+    """One kind of reading in a mapping. kind: of the track. properties: that are stated beside the frame. ways: keys of
+    which one set is stated.
+    """
 
     kind: str
     topic: str
@@ -350,11 +352,16 @@ class ReadingKind:
     required: tuple[str, ...] = ()
     several: bool = True
 
+    ways: tuple[tuple[str, ...], ...] = ()
+
     @property
     def schema(self) -> Schema:
         """What a mapping states: one, or a list of them."""
-        one = mapping({"frame": _FRAME, **self.properties}, "frame", *self.required)
-        return {**one, "type": ["object", "array"], "items": one, "minItems": 1} if self.several else one
+        ways = [{"type": "object", "required": list(way)} for way in self.ways]
+        choice = {"oneOf": ways} if ways else {}
+        one = {**mapping({"frame": _FRAME, **self.properties}, "frame", *self.required), **choice}
+        several = {"oneOf": [*ways, {"type": "array"}]} if ways else {}
+        return {**one, "type": ["object", "array"], "items": one, "minItems": 1, **several} if self.several else one
 
 
 _LENGTHS: Schema = {"unit": _LENGTH, "column": COLUMN}
@@ -371,7 +378,7 @@ READINGS = {
         POSE, "/tracker/pose", _pose,
         {**_PLACE, "inverse": said({"type": "boolean"}, "true: the table holds the tracker's pose in the tool"),
          **{name: form.schema for name, form in FORMS.items()}},
-        ("unit", "position"),
+        ("unit", "position"), ways=tuple((name,) for name in FORMS),
     ),
     "targets": ReadingKind(
         POSE, "/tracker/pose", _targets,
@@ -386,6 +393,7 @@ READINGS = {
         {"vector": columns(3), "unit": one_of("rad", "deg", "gon"), "azimuth": COLUMN, "elevation": COLUMN,
          "zenith": COLUMN,
          "clockwise": said({"type": "boolean"}, "true: the azimuth grows clockwise, seen from above")},
+        ways=(("vector",), ("azimuth", "elevation", "unit"), ("azimuth", "zenith", "unit")),
     ),
     "plane": ReadingKind(TOUCH, "/tracker/plane", _length, _LENGTHS),
     "ray": ReadingKind(RAY, "/gripper/range", _length, _LENGTHS, ("unit", "column")),

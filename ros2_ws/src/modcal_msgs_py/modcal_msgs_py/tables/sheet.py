@@ -15,6 +15,7 @@ import numpy as np
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
+from modcal_core.measurements import shown
 from modcal_msgs_py.tables.labels import words
 
 BLANKS = " "  # as a delimiter: any run of blanks and tabs
@@ -111,10 +112,10 @@ def texts(path: Path, encoding: str | None = None) -> tuple[dict[str, str], str,
     for name in (encoding,) if encoding else (guessed, "latin-1"):
         try:
             text = raw.decode(name).replace("\r\n", "\n").replace("\r", "\n")
-        except UnicodeError:
+        except (LookupError, ValueError):  # no such encoding, or not of text, or the text is in another one
             continue
         return {"": _SPACED.sub("=", text) if "=" in text else text}, name, name != "latin-1" or bool(encoding)
-    raise BadTable(str(path), "is not text in the stated encoding", "state its encoding")
+    raise BadTable(str(path), f"is not text in the encoding {encoding}", "state the one that it is in, e.g. utf-8")
 
 
 def _workbook(path: Path) -> dict[str, str]:
@@ -202,7 +203,7 @@ def read_sheet(path: Path, form: Form) -> Sheet:
     body = above[form.preamble_rows] if len(above) > form.preamble_rows else ""
     try:
         filled = list(_cells(body, form.delimiter))
-    except (csv.Error, TypeError) as error:
+    except (csv.Error, TypeError, ValueError) as error:
         raise BadTable(str(path), f"is not a table ({error})", "state its delimiter, or give a CSV file") from error
     below = filled[int(form.header) + form.units_rows :]
     rows = [cells for _, cells in below]
@@ -351,7 +352,10 @@ def joined(sheet: Sheet, stated: Mapping[str, Any], folder: Path, source: str, o
 
 def _partners(sheet: Sheet, other: Sheet, stated: Mapping[str, Any], source: str) -> np.ndarray:
     """The row of the other sheet that belongs to each row (N,), −1 for none."""
-    if stated["by"] == "row":
+    if isinstance(stated["by"], str):
+        if stated["by"] != "row":
+            said = f"{shown(stated['by'])} is neither columns nor row"
+            raise BadTable(f"{source}: joined: by", said, "state {column here: column there}, or row")
         if len(sheet.rows) != len(other.rows):
             said = f"{sheet.path.name} has {len(sheet.rows)} rows, {other.path.name} has {len(other.rows)}"
             raise BadTable(f"{source}: joined", said, "name columns in by")

@@ -15,7 +15,7 @@ from modcal_core.measurements import BEARING, RANGE, RAY, TOUCH
 from modcal_core.measurements.kinds import kinds
 from modcal_core.robots import Chain, Mechanism
 from modcal_msgs_py.tables.columns import LabelledJoints, Numbers
-from modcal_msgs_py.tables.fits import JointChoice, choices_of
+from modcal_msgs_py.tables.fits import JointChoice, choices_of, differences
 from modcal_msgs_py.tables.labels import grouped, words
 from modcal_msgs_py.tables.readings import UNITS, direction
 
@@ -48,13 +48,22 @@ class Way:
     zenith: bool = False
     clockwise: bool = False
 
-    def words(self, choices: Sequence[JointChoice]) -> str:
-        """Description in words."""
-        said = f"in {self.unit}" if self.unit else "as unit vectors"
-        if self.unit in _ANGLES:
-            turn = "clockwise" if self.clockwise else "from x to y"
-            said += f", {'zenith angles' if self.zenith else 'elevations'}, azimuths {turn}"
-        return f"{said}; joints in {choices[self.choice].angle}"
+    def entry(self, numbers: Numbers, one: SightColumns) -> dict[str, Any]:
+        """What a mapping states of an instrument that is read so."""
+        keys = numbers.keys(one.columns)
+        stated: dict[str, Any] = {"frame": one.frame}
+        if one.kind != BEARING:
+            return {**stated, "unit": self.unit, "column": keys[0]}
+        if len(keys) == 3:
+            return {**stated, "vector": keys}
+        second = {"zenith" if self.zenith else "elevation": keys[1]}
+        return {
+            **stated,
+            "unit": self.unit,
+            "azimuth": keys[0],
+            **second,
+            **({"clockwise": True} if self.clockwise else {}),
+        }
 
 
 @dataclass(frozen=True)
@@ -82,30 +91,29 @@ class Sighted:
         """The readings as a mapping states them."""
         out: dict[str, Any] = {}
         for one in self.instruments:
-            way = self.found[one.kind][0][0]
-            keys = numbers.keys(one.columns)
-            stated: dict[str, Any] = {"frame": one.frame}
-            if one.kind != BEARING:
-                stated |= {"unit": way.unit, "column": keys[0]}
-            elif len(keys) == 3:
-                stated |= {"vector": keys}
-            else:
-                stated |= {"unit": way.unit, "azimuth": keys[0], "zenith" if way.zenith else "elevation": keys[1]}
-                stated |= {"clockwise": True} if way.clockwise else {}
+            stated = self.found[one.kind][0][0].entry(numbers, one)
             out.setdefault("plane" if one.kind == TOUCH else one.kind, []).append(stated)
         return {key: stated[0] if len(stated) == 1 else stated for key, stated in out.items()}
 
     def proved(self, numbers: Numbers, chain: Mechanism) -> list[str]:
         """What the data shows, with what came second."""
         out = []
-        for kind, ways in self.found.items():
-            (way, match), *rest = ways
-            said = f"{_WORDS[kind]} {way.words(self.choices)}: the nominal arm misses {len(self.rows)} rows by "
-            out.append(f"{said}{1e3 * match.typical:.3g} mm (median)")
+        for kind, ((way, match), *rest) in self.found.items():
+            missed = f"{1e3 * match.typical:.3g} mm (median)"
+            out.append(f"{_WORDS[kind]} as stated: the nominal arm misses {len(self.rows)} rows by {missed}")
+            first = next(one for one in self.instruments if one.kind == kind)
             for other, worse in rest[:1]:
-                gap = match.score - worse.score
-                out.append(f"second best, worse by {gap:.0f} in log-likelihood: {other.words(self.choices)}")
+                instead = _otherwise(numbers, first, self.choices, (way, other), "in place of")
+                out.append(f"second best, worse by {match.score - worse.score:.0f} in log-likelihood: {instead}")
         return out
+
+
+def _otherwise(
+    numbers: Numbers, one: SightColumns, choices: Sequence[JointChoice], ways: tuple[Way, Way], word: str
+) -> str:
+    """What a mapping of another way would state in place of the first one's, of an instrument and the joints."""
+    best, other = ({**way.entry(numbers, one), "joints": {"unit": choices[way.choice].angle}} for way in ways)
+    return "; ".join(differences(best, other, word))
 
 
 def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:
@@ -183,11 +191,9 @@ def find_sights(
             continue
         found[kind] = ways
         alike = [way for way, match in ways[1:] if not ways[0][1].beyond(match)]
-        questions += [
-            f"cannot tell {names}: {ways[0][0].words(choices)} from {other.words(choices)} (less than "
-            f"{BEYOND_DOUBT:.0f} in log-likelihood apart)"
-            for other in alike[:3]
-        ]
+        either = (_otherwise(numbers, mine[0], choices, (ways[0][0], other), "or") for other in alike[:3])
+        less = f"less than {BEYOND_DOUBT:.0f} in log-likelihood apart"
+        questions += [f"cannot tell of {names}: {said} ({less})" for said in either]
     if not found:
         return None
     if len({ways[0][0].choice for ways in found.values()}) > 1:

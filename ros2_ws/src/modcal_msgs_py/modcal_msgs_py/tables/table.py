@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,73 +18,18 @@ _LARGEST = 1e19  # of any number in a table; nanoseconds since 1970 are below
 _MAX_LINES, _MAX_KINDS = 20, 12  # that a message lists; more are counted
 
 
-@dataclass
-class Faults:
-    """Faulty cells and missing ones of one file. skip: whether rows with missing cells are left out and counted."""
-
-    file: str
-    skip: bool = False
-    _cells: dict[tuple[str, str], list[tuple[int, str]]] = field(default_factory=dict)
-    _missing: dict[str, set[int]] = field(default_factory=dict)
-
-    def bad(self, line: int, column: object, said: str, kind: str = "") -> None:
-        """Note a cell that cannot be used. kind: what cells with the same fault have in common."""
-        found = self._cells.setdefault((f"column {column}" if column is not None else "", kind or said), [])
-        if all(line != seen for seen, _ in found[-1:]):
-            found.append((line, said))
-
-    def missing(self, lines: Iterable[int], what: str) -> None:
-        """Note rows that lack something that is needed."""
-        self._missing.setdefault(what, set()).update(lines)
-
-    def require_none(self) -> None:
-        """Raises BadTable that names all faulty rows with the reasons, if there are any."""
-        told = [_told(column, cells) for (column, _), cells in self._cells.items()]
-        rows = {line for cells in self._cells.values() for line, _ in cells}
-        remedy = "correct the cells, or leave the rows out"
-        if not self.skip and self._missing:
-            told += [f"{_lines(sorted(lines))}, {what}: no number" for what, lines in self._missing.items()]
-            rows = rows.union(*self._missing.values())
-            remedy = "correct the cells, leave the rows out, or state missing: skip"
-        if not told:
-            return
-        more = f"; {len(told) - _MAX_KINDS} more reasons" if len(told) > _MAX_KINDS else ""
-        count = f"{len(rows)} faulty rows: " if len(rows) > 1 else ""
-        raise BadTable(self.file, f"{count}{'; '.join(told[:_MAX_KINDS])}{more}", remedy)
-
-    def notes(self) -> list[str]:
-        """A sentence for each reason why rows were left out."""
-        return [
-            f"{self.file}: {len(lines)} row{'s were' if len(lines) > 1 else ' was'} left out: no number in {what}."
-            for what, lines in self._missing.items()
-            if lines
-        ]
-
-
-def _told(column: str, cells: list[tuple[int, str]]) -> str:
-    line, said = cells[0]
-    also = f" (also {_lines([other for other, _ in cells[1:]])})" if len(cells) > 1 else ""
-    return f"line {line}{', ' if column else ''}{column}: {said}{also}"
-
-
-def _lines(lines: list[int]) -> str:
-    more = f" and {len(lines) - _MAX_LINES} more" if len(lines) > _MAX_LINES else ""
-    return f"line{'s' if len(lines) > 1 else ''} {', '.join(map(str, lines[:_MAX_LINES]))}{more}"
-
-
 @dataclass(frozen=True)
 class Table:
-    """A sheet whose columns are asked for. missing: further texts that stand for no number."""
+    """A sheet whose columns are asked for, and what was found wrong in it. missing: further texts that stand for no
+    number. skip: whether rows that lack a number are left out and counted.
+    """
 
     sheet: Sheet
-    faults: Faults
     missing: frozenset[str] = frozenset()
+    skip: bool = False
     _read: dict[Any, Array] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, sheet: Sheet) -> Table:
-        """A table of which nothing more is stated."""
-        return cls(sheet, Faults(sheet.path.name))
+    _wrong: dict[tuple[str, str], dict[int, str]] = field(default_factory=dict)  # by column and kind: sentences of rows
+    _lacking: dict[str, set[int]] = field(default_factory=dict)  # rows, by what they lack
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -110,7 +54,8 @@ class Table:
         there = np.ones(len(self), bool)
         for key in keys if several else [keys]:
             found = np.isfinite(self.numbers(key))
-            self.lack(np.flatnonzero(~found & ~self._faulty), f"column {key}")
+            faulty = {row for cells in self._wrong.values() for row in cells}
+            self.lack((i for i in np.flatnonzero(~found).tolist() if i not in faulty), f"column {key}")
             there &= found
         return there
 
@@ -122,24 +67,44 @@ class Table:
 
     def lack(self, rows: Iterable[int], what: str) -> None:
         """Note that these rows lack something."""
-        lines = [self.sheet.lines[i] for i in rows]
-        if lines:
-            self.faults.missing(lines, what)
+        self._lacking.setdefault(what, set()).update(rows)
 
     def bad(self, row: int, column: object, said: str, kind: str = "") -> None:
-        """Note a faulty cell."""
-        self._faulty[row] = True
-        self.faults.bad(self.sheet.lines[row], column, said, kind)
+        """Note a faulty cell. kind: what cells with the same fault have in common."""
+        self._wrong.setdefault((f"column {column}", kind or said), {}).setdefault(row, said)
+
+    def require_sound(self) -> None:
+        """Raises BadTable that names all faulty rows with the reasons, if there are any."""
+        lacking = {} if self.skip else {what: rows for what, rows in self._lacking.items() if rows}
+        told = [(column, list(cells), next(iter(cells.values()))) for (column, _), cells in self._wrong.items()]
+        told += [(what, sorted(rows), "no number") for what, rows in lacking.items()]
+        if not told:
+            return
+        reasons = []
+        for where, (first, *others), said in told:
+            lines = ", ".join(str(self.sheet.lines[i]) for i in others[:_MAX_LINES])
+            more = f" and {len(others) - _MAX_LINES} more" if len(others) > _MAX_LINES else ""
+            also = f" (also line{'s' * (len(others) > 1)} {lines}{more})" if others else ""
+            reasons.append(f"line {self.sheet.lines[first]}, {where}: {said}{also}")
+        rest = f"; {len(reasons) - _MAX_KINDS} more reasons" if len(reasons) > _MAX_KINDS else ""
+        count = len({row for _, rows, _ in told for row in rows})
+        faulty = f"{count} faulty rows: " if count > 1 else ""
+        remedy = f"correct the cells, or leave the rows out{', or state missing: skip' if lacking else ''}"
+        raise BadTable(self.path.name, f"{faulty}{'; '.join(reasons[:_MAX_KINDS])}{rest}", remedy)
+
+    def notes(self) -> list[str]:
+        """A sentence for each reason why rows were left out."""
+        return [
+            f"{self.path.name}: {len(rows)} row{'s were' if len(rows) > 1 else ' was'} left out: no number in {what}."
+            for what, rows in self._lacking.items()
+            if rows
+        ]
 
     def text(self, key: Any) -> list[str]:
         """A column as text; of several, what they hold with a blank between."""
         if isinstance(key, Sequence) and not isinstance(key, str):
             return [" ".join(cells).strip() for cells in zip(*(self.text(k) for k in key), strict=True)]
         return self.sheet.column(index(self.sheet, key))
-
-    @cached_property
-    def _faulty(self) -> np.ndarray:
-        return np.zeros(len(self.sheet.rows), bool)
 
     def _numbers(self, key: Any) -> Array:
         out = np.full(len(self), np.nan)

@@ -13,9 +13,9 @@ from modcal_core.camera import BoardView, Moved
 from modcal_core.files import write_folder
 from modcal_core.geometry import Array
 from modcal_core.online import BETTER
-from modcal_nodes.calibrating.corners import MIN, CameraSolved, CornerIntake, solve_corners
+from modcal_nodes.calibrating.corners import MIN, CameraSolved, CornerIntake, CornerJob, solve_corners
 from modcal_nodes.calibrating.intake import Buffer, KnownArm
-from modcal_nodes.calibrating.state import forget_images, read_images, write_images
+from modcal_nodes.calibrating.state import KeptImages, forget_images, read_images, write_images
 from modcal_nodes.calibrating.worker import Publishers, SolveWorker
 
 
@@ -38,12 +38,11 @@ class ByCamera:
         self._folder = Path(chosen["state"]) if chosen["state"] else None
         self._given: list[list[tuple[BoardView, Array]]] = []  # of each camera, what the last solve came from
         self._was_trusted = self._restoring = False
-        for number, one in enumerate(intake.every, start=1):
-            kept = None if self._folder is None else read_images(self._folder, intake.target, number)
-            if kept is not None:
-                one.images, one.size = kept.images, kept.size
-                if number == 1:
-                    self._was_trusted = self._restoring = kept.trusted
+        kept = None if self._folder is None else read_images(self._folder, intake.target)
+        if kept is not None:
+            self._was_trusted = self._restoring = kept.trusted
+            for one, images, size in zip(intake.every, kept.images, kept.sizes, strict=False):
+                one.images, one.size = images, size if images else None
 
     def restore(self, arm: KnownArm, buffer: Buffer, worker: SolveWorker) -> None:
         """Go on with what was trusted before a restart: have its images solved again, once the arm is known."""
@@ -63,10 +62,11 @@ class ByCamera:
 
     def keep(self) -> None:
         """Keep the images on disk, to go on from them after a restart; of a trusted model those that it came from."""
-        given = self._given if self._was_trusted else [one.images for one in self.intake.every]
-        for number, (one, images) in enumerate(zip(self.intake.every, given, strict=False), start=1):
-            if self._folder is not None and images and one.size is not None:
-                write_images(self._folder, images, one.size, one.target, self._was_trusted, number)
+        every = self.intake.every
+        given = self._given if self._was_trusted else [one.images for one in every]
+        if self._folder is not None and any(given):
+            sizes = [one.size or (0, 0) for one in every]
+            write_images(self._folder, KeptImages(given, sizes, self._was_trusted), self.intake.target)
 
     def begin(
         self, name: str, arm: KnownArm, buffer: Buffer, worker: SolveWorker, answer: Callable[[bool, str], None]
@@ -77,15 +77,13 @@ class ByCamera:
             return f"{count} images of the target at different postures, at least {MIN} are needed"
         chosen = self._chosen
         self._given = [list(one.images) for one in self.intake.every]
-        job = self.intake.job(
-            urdf=arm.description,
-            base=chosen["base"],
+        job = CornerJob(
+            *(self.intake.cameras(), arm.description, chosen["base"]),
             tip=arm.chain.tip if arm.chain is not None else chosen["tip"],
             seed=chosen["seed"],
             effects=chosen["effects"],
             heard=buffer.collected(),
             clock_limit=chosen["clock_limit_s"],
-            page=bool(chosen["out"]),
         )
         done = partial(self._solved, buffer, buffer.forgotten, answer)
         worker.give(name, solve_corners, job, finish=done, fail=partial(answer, False))

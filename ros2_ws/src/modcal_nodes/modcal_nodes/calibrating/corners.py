@@ -23,7 +23,6 @@ from modcal_core.camera import (
     CameraWatch,
     ImageMoments,
     Moved,
-    PrintedTarget,
     beside,
     enough_corners,
     read_target,
@@ -55,19 +54,15 @@ class CameraSolved:
     verdict: str
     apply: bool
     fit: CameraFit
-    error_mm: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class CornerJob:
-    """All that a calibration from corners needs, so that it can be done elsewhere. heard: of other instruments.
-    further: what further cameras saw.
+    """All that a calibration from corners needs, so that it can be done elsewhere. cameras: what each saw. heard: of
+    other instruments.
     """
 
-    views: tuple[BoardView, ...]
-    q: Array
-    size: tuple[int, int]
-    target: PrintedTarget
+    cameras: tuple[CameraImages, ...]
     urdf: str
     base: str
     tip: str
@@ -75,8 +70,6 @@ class CornerJob:
     effects: bool
     heard: SampleMemory
     clock_limit: float
-    page: bool = True
-    further: tuple[CameraImages, ...] = ()
 
 
 def solve_corners(job: CornerJob) -> CameraSolved:
@@ -87,53 +80,34 @@ def solve_corners(job: CornerJob) -> CameraSolved:
         others = beside(robot.chain, samples, robot.inertias)
     except ModcalError:  # no other instrument, or too little of it
         others = None
-    first = CameraImages(job.q, job.views, job.target, job.size)
-    solution = solve_camera(
-        CameraProblem(
-            robot.chain,
-            (first, *job.further),
-            inertias=robot.inertias,
-            beside=others,
-            look_for_effects=job.effects,
-        ),
-        np.random.default_rng(job.seed),
+    about = CameraProblem(
+        *(robot.chain, job.cameras), inertias=robot.inertias, beside=others, look_for_effects=job.effects
     )
-    report = camera_report(solution, robot, len(job.views), {}, page=job.page)
-    middle, _, high = solution.claim.in_view.interval
-    return CameraSolved(
-        dict(report.files),
-        str(report.data["verdict"]),
-        solution.claim.decision.word == APPLY,
-        solution.fit,
-        (1e3 * middle, 1e3 * high),
-    )
-
-
-@dataclass
-class _Watching:
-    """What all cameras' images are held against. moved: what was, as far as they show."""
-
-    watch: CameraWatch | None = None
-    moved: Moved | None = None
+    solution = solve_camera(about, np.random.default_rng(job.seed))
+    report = camera_report(solution, robot, len(job.cameras[0].views), {})
+    apply = solution.claim.decision.word == APPLY
+    return CameraSolved(dict(report.files), str(report.data["verdict"]), apply, solution.fit)
 
 
 class CornerIntake:
     """Images' corners with their joints. name: of the topic of a further camera, "" of the first. further: those of
-    further cameras that look at the same target.
+    further cameras that look at the same target. moved: what was since the calibration, as far as all images show.
     """
 
-    def __init__(self, target: Path, further: Sequence[str] = (), name: str = "") -> None:
-        """target: file of the printed target. further: topics. Raises BadTable."""
+    def __init__(
+        self, target: Path, further: Sequence[str] = (), name: str = "", first: CornerIntake | None = None
+    ) -> None:
+        """target: file of the printed target. further: topics. first: whose further one this is. Raises BadTable."""
         self.target = read_target(target)
         self.name = name
-        self.further = tuple(CornerIntake(target, name=topic) for topic in further)
+        self._first = first or self
+        self.further = tuple(CornerIntake(target, name=topic, first=self) for topic in further)
         self.images: list[tuple[BoardView, Array]] = []
         self.size: tuple[int, int] | None = None
         self.verdict = ""
         self.passed_over = 0
-        self._watching = _Watching()
-        for one in self.further:
-            one._watching = self._watching
+        self._watch: CameraWatch | None = None  # of the first: all cameras' images are held against it
+        self.moved: Moved | None = None
         self._joints: deque[tuple[float, Array]] = deque()
         self._waiting: deque[BoardView] = deque(maxlen=_WAITING)
 
@@ -153,11 +127,6 @@ class CornerIntake:
     def every(self) -> tuple[CornerIntake, ...]:
         """This one and those of further cameras."""
         return self, *self.further
-
-    @property
-    def moved(self) -> Moved | None:
-        """What was moved since the calibration, as far as images show."""
-        return self._watching.moved
 
     def joint_state(self, stamp: float, q: Array) -> None:
         """Remember where the joints were, and take the images that waited for it."""
@@ -201,8 +170,9 @@ class CornerIntake:
             return
         self.images.append((view, q))
         del self.images[:-_MAX]
-        if self._watching.watch is not None:
-            self._watching.moved = self._watching.watch.image(view, q, self.name)
+        first = self._first
+        if first._watch is not None:
+            first.moved = first._watch.image(view, q, self.name)
 
     def _standing_at(self, stamp: float) -> Array | None:
         """Where the joints were, None where they moved or nobody says."""
@@ -219,16 +189,13 @@ class CornerIntake:
             one.images.clear()
             one._waiting.clear()
             one.size = None
-        self._watching.moved = None
-        if self._watching.watch is not None:
-            self._watching.watch.forget()
+        self.moved = None
+        if self._watch is not None:
+            self._watch.forget()
 
-    def job(self, **rest: Any) -> CornerJob:
-        """What a solve needs, of those cameras that have seen enough. rest: fields that the arm and the node know."""
-        assert self.size is not None
-        further = tuple(one._seen() for one in self.further if len(one.images) >= MIN)
-        first = self._seen()
-        return CornerJob(tuple(first.views), first.q, self.size, self.target, further=further, **rest)
+    def cameras(self) -> tuple[CameraImages, ...]:
+        """What a solve needs, of the first camera and of those others that have seen enough."""
+        return tuple(one._seen() for one in self.every if one is self or len(one.images) >= MIN)
 
     def _seen(self) -> CameraImages:
         assert self.size is not None
@@ -240,12 +207,11 @@ class CornerIntake:
     def solved(self, found: CameraSolved) -> None:
         """Hold what comes from now on against this calibration."""
         self.verdict = found.verdict
-        watch = CameraWatch(found.fit, self.target)
-        self._watching.watch, self._watching.moved = watch, None
+        self._watch, self.moved = CameraWatch(found.fit, self.target), None
         # a move shows most plainly against images from before it
         last = [(view, q, one.name) for one in self.every for view, q in one.images[-_BEFORE:]]
         for view, q, name in sorted(last, key=lambda each: each[0].stamp):
-            watch.image(view, q, name)
+            self._watch.image(view, q, name)
 
     def status(self) -> Status:
         """How many images there are, what they led to, and whether anything was moved since."""

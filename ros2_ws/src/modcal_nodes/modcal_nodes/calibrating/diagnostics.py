@@ -11,9 +11,8 @@ from typing import cast, get_args
 import numpy as np
 
 from modcal_core.online import SUSPECTED, SampleStream, Supervisor
-from modcal_core.outcome import Outcome
 from modcal_core.recalibrate import ModelComparison
-from modcal_core.report import REMEDY, short_status
+from modcal_core.report import REMEDY
 from modcal_core.verdict import Status as VerdictStatus
 from modcal_nodes.ros import ERROR, OK, WARN, Status
 
@@ -40,27 +39,17 @@ class Standing:
         return self.status == "at_floor"
 
 
-def standing_of(report: Outcome) -> Standing:
-    """What may be said of a model by its report."""
-    judged = report.judged
-    because = () if judged is None else judged.open_because or tuple(filter(None, [judged.remedy]))
-    claim = report.claim
-    p95 = None if claim is None else claim.mm["p95"].ci95[1]
-    return Standing(report.status, because, short_status(judged), p95, None if claim is None else claim.apply)
-
-
-def standing_of_json(text: str | None) -> Standing | None:
-    """The same by the text of ``report.json``; None where there is none, or it is of a version that had no verdict."""
+def standing_of(report: str | None) -> Standing | None:
+    """What may be said of a model by the text of its ``report.json``; None without one, or without a verdict in it."""
     try:
-        data = json.loads(text or "")
+        data = json.loads(report or "")
         status, reasons, remedy = data["status"], tuple(map(str, data["open_because"])), data["remedy"]
         claimed, apply = data.get("claim_mm"), data.get("apply")
         p95 = None if claimed is None else float(claimed["p95"]["ci95"][1])
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
-    if not isinstance(remedy, str | None) or not isinstance(apply, bool | None):
-        return None
-    if status not in get_args(VerdictStatus):
+    strange = not isinstance(remedy, str | None) or not isinstance(apply, bool | None)
+    if strange or status not in get_args(VerdictStatus):
         return None
     because = reasons or tuple(filter(None, [remedy]))
     said = " ".join(because[:_MAX_SAID])
@@ -135,7 +124,8 @@ def model_status(
         return Status("model", WARN, text, facts)
     if standing is None:
         return Status("model", WARN, verdict, facts)
-    text = verdict if standing.line in verdict else f"{verdict.rstrip('. ')}. {standing.line}"
+    known = standing.line.partition(":")[0].rstrip(".") in verdict
+    text = verdict if known else f"{verdict.rstrip('. ')}. {standing.line}"
     return Status("model", OK if standing.at_floor else WARN, text, facts)
 
 

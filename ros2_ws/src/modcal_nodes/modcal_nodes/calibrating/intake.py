@@ -21,7 +21,7 @@ from modcal_core.measurements import DAY, ELSEWHEN, UNUSABLE, Dropped, Recording
 from modcal_core.measurements.kinds import kinds
 from modcal_core.online import ASKED, BETTER, Policy, SampleStream, Supervisor
 from modcal_core.recalibrate import SampleMemory
-from modcal_core.robots import Chain, Delta, JointColumns, Mechanism, followers_of, is_serial_arm, read_chain
+from modcal_core.robots import Chain, Delta, JointColumns, Mechanism, is_serial_arm, read_chain
 from modcal_msgs_py import (
     JOINT_COMMANDS,
     JOINT_STATES,
@@ -254,7 +254,7 @@ class KnownArm:
         except ModcalError as error:
             self.trouble = str(error)
             return False
-        told = JointColumns.of(chain.names, followers_of(chain), sorted(names)).joints
+        told = JointColumns.of(chain.names, chain.follows, sorted(names)).joints
         if len(told) < chain.n:
             missing = ", ".join(name for j, name in enumerate(chain.names) if j not in told)
             self.trouble = f"joint_states does not name {missing} yet"
@@ -270,7 +270,7 @@ class KnownArm:
         if self.stream is None or self.chain is None:
             return
         if names not in self._told:
-            columns = JointColumns.of(self.chain.names, followers_of(self.chain), names)
+            columns = JointColumns.of(self.chain.names, self.chain.follows, names)
             self._told[names] = columns if len(columns.joints) == self.chain.n else None
         told = self._told[names]
         if told is not None:
@@ -439,14 +439,10 @@ def lacking(arm: KnownArm, inputs: Iterable[MonitoredSubscription], by_camera: b
     return _NO_CORNERS if by_camera else _NO_TRACKER
 
 
-def require_policy(chosen: dict[str, Any]) -> None:
-    """Raises BadTable for a policy that there is none of."""
+def policy(chosen: dict[str, Any]) -> Policy:
+    """When results are trusted, and when a solve starts by itself. Raises BadTable for what is no policy."""
     if chosen["accept"] not in (ASKED, BETTER):
         raise BadTable(f"accept '{chosen['accept']}'", f"{BETTER} and {ASKED} are known", "set one of them")
-
-
-def policy(chosen: dict[str, Any]) -> Policy:
-    """When results are trusted, and when a solve starts by itself."""
     return Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -27,6 +27,7 @@ from modcal_nodes.io import read_calibration
 
 _SAMPLES = "samples.npz"
 _LOCK = ".in_use"
+_TEXTS = (".yaml", ".json", ".html")
 
 
 @dataclass(frozen=True)
@@ -38,67 +39,84 @@ class State:
     samples: Samples | None = None
 
 
-class StateLock:
-    """Held on a folder as long as this process lives: two calibrators would overwrite each other's model."""
+class StateFolder:
+    """A folder that this process holds as long as it lives: two calibrators would overwrite each other's model.
 
-    def __init__(self, folder: Path) -> None:
-        """Take it. Raises BadTable where another process holds it, or the folder cannot be made."""
-        self.warning = ""  # why it could not be taken, where the file system knows no locks
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._file = (folder / _LOCK).open("a+")
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._file.seek(0)
-            who = self._file.read().strip() or "another process"
-            self._file.close()
-            raise BadTable(str(folder), f"is in use by {who}", "give each calibrator a folder of its own") from None
-        except OSError as error:
-            if not folder.is_dir():
-                raise BadTable(str(folder), f"cannot be made ({error.strerror})", "choose another folder") from error
-            self.warning = f"{folder}: cannot be locked ({error.strerror}): check that no other calibrator uses it"
+    path: of it, None where nothing is kept, or no longer. Each file is replaced as a whole, so that a kill leaves the
+    old or the new one.
+    """
+
+    def __init__(self, folder: str, log: RcutilsLogger) -> None:
+        """Lock the folder. Raises BadTable where another process holds it, or it cannot be made."""
+        self.path = Path(folder) if folder else None
+        self._log = log
+        self._lock: IO[str] | None = None
+        if self.path is None:
             return
-        self._file.truncate(0)
-        self._file.write(f"process {os.getpid()}\n")
-        self._file.flush()
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            lock = (self.path / _LOCK).open("a+")
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.seek(0)
+            who = lock.read().strip() or "another process"
+            lock.close()
+            raise BadTable(folder, f"is in use by {who}", "give each calibrator a folder of its own") from None
+        except OSError as error:
+            if not self.path.is_dir():
+                raise BadTable(folder, f"cannot be made ({error.strerror})", "choose another folder") from error
+            log.warning(f"{folder}: cannot be locked ({error.strerror}): check that no other calibrator uses it")
+            return
+        lock.truncate(0)
+        lock.write(f"process {os.getpid()}\n")
+        lock.flush()
+        self._lock = lock
 
     def release(self) -> None:
-        """Give it up."""
-        if not self.warning:
-            self._file.truncate(0)
-            self._file.close()
+        """Let others have it."""
+        if self._lock is not None:
+            self._lock.truncate(0)
+            self._lock.close()
 
+    def read(self) -> State:
+        """What it holds. Raises BadTable for what is damaged."""
+        if self.path is None:
+            return State()
+        samples = _read_samples(self.path / _SAMPLES)
+        if not (self.path / "calibration.yaml").is_file():
+            return State(samples=samples)
+        texts = (file for file in self.path.iterdir() if file.suffix in _TEXTS)
+        files = {file.name: file.read_text(encoding="utf-8") for file in texts}
+        return State(read_calibration(self.path), files, samples)
 
-def read_state(folder: Path) -> State:
-    """What a folder holds; nothing where it does not exist. Raises BadTable for what is damaged."""
-    if not folder.is_dir():
-        return State()
-    calibration, files = None, None
-    if (folder / "calibration.yaml").is_file():
-        calibration = read_calibration(folder)
-        files = {
-            p.name: p.read_text(encoding="utf-8") for p in folder.iterdir() if p.suffix in (".yaml", ".json", ".html")
-        }
-    return State(calibration, files, _read_samples(folder / _SAMPLES))
+    def write(self, files: Mapping[str, str], samples: Samples | None = None) -> None:
+        """Keep the files of the trusted calibration, and samples, of either what there is."""
+        if self.path and files:
+            write_folder(self.path, files)
+        if self.path and samples is not None:
+            _write_samples(self.path / _SAMPLES, samples)
 
+    def save(self, files: Mapping[str, str], samples: Samples | None) -> tuple[bool, str]:
+        """Whether all was saved, and where or why not."""
+        if not self.path:
+            return False, "no folder: set the parameter state"
+        try:
+            self.write(files, samples)
+        except OSError as error:
+            return False, f"{self.path}: {error.strerror}: make room, or check its permissions"
+        return True, f"saved in {self.path}"
 
-def write_state(folder: Path, state: State) -> None:
-    """Write what there is; each file is replaced as a whole, so that a kill leaves the old or the new one."""
-    if state.files:
-        write_folder(folder, state.files)
-    if state.samples is not None:
-        _write_samples(folder / _SAMPLES, state.samples)
+    def save_samples(self, samples: Samples | None) -> None:
+        """Keep the stations so far; a failure is logged."""
+        saved, said = self.save({}, samples)
+        if self.path and not saved:
+            self._log.error(f"{said}; stations are not saved")
 
 
 def _write_samples(path: Path, samples: Samples) -> None:
     arrays = {f.name: getattr(samples, f.name) for f in fields(samples) if f.name not in SHARED}
-    about = {
-        "names": samples.names,
-        "frames": samples.frames,
-        "sockets": samples.sockets,
-        "clock": samples.clock,
-        "signals": [[track.name, track.topic] for track in samples.signals],
-    }
+    about = {name: getattr(samples, name) for name in ("names", "frames", "sockets", "clock")}
+    about["signals"] = [[track.name, track.topic] for track in samples.signals]
     for i, track in enumerate(samples.signals):
         arrays[f"signal_{i}_stamps"], arrays[f"signal_{i}_values"] = track.stamps, track.values
     _write_arrays(path, about, arrays)
@@ -142,117 +160,49 @@ def _read_samples(path: Path) -> Samples | None:
         return Samples(names, frames, signals=signals, sockets=sockets, clock=clock, **arrays)
 
 
-class StateFolder:
-    """path: of the folder, None where nothing is kept."""
-
-    def __init__(self, folder: str, log: RcutilsLogger) -> None:
-        """Lock the folder. Raises BadTable where another calibrator uses it."""
-        self.path = Path(folder) if folder else None
-        self._log = log
-        self._lock = StateLock(self.path) if self.path else None
-        if self._lock is not None and self._lock.warning:
-            log.warning(self._lock.warning)
-
-    def read(self) -> State:
-        """What it holds. Raises BadTable for what is damaged."""
-        return read_state(self.path) if self.path else State()
-
-    def leave_alone(self) -> None:
-        """What it holds is of another arm: from now on nothing is written."""
-        self.path = None
-
-    def keep(self, calibration: Calibration, files: Mapping[str, str]) -> None:
-        """What is trusted from now on."""
-        if self.path:
-            write_state(self.path, State(calibration, files))
-
-    def save(
-        self, calibration: Calibration | None, files: Mapping[str, str], samples: Samples | None
-    ) -> tuple[bool, str]:
-        """Whether all was saved, and where or why not."""
-        if not self.path:
-            return False, "no folder: set the parameter state"
-        try:
-            write_state(self.path, State(calibration, files if calibration else None, samples))
-        except OSError as error:
-            return False, f"{self.path}: {error.strerror}: make room, or check its permissions"
-        return True, f"saved in {self.path}"
-
-    def save_samples(self, samples: Samples | None) -> None:
-        """The stations so far; a failure is logged."""
-        if self.path and samples is not None:
-            try:
-                write_state(self.path, State(samples=samples))
-            except OSError as error:
-                self._log.error(f"{self.path}: {error.strerror}: stations are not saved")
-
-    def release(self) -> None:
-        """Let others have it."""
-        if self._lock is not None:
-            self._lock.release()
-
-
-_FILES = "images*.npz"
+_IMAGES, _OF_VIEWS = "images.npz", ("ids", "pixels", "cov")
 
 
 @dataclass(frozen=True)
 class KeptImages:
-    """images: views with the joints at each, (n,). size: [px]. trusted: whether what they led to was trusted."""
+    """images: of each camera, views with the joints at each, (n,). sizes: of each camera's images [px]. trusted:
+    whether what they led to was trusted.
+    """
 
-    images: list[tuple[BoardView, Array]]
-    size: tuple[int, int]
+    images: Sequence[list[tuple[BoardView, Array]]]
+    sizes: Sequence[tuple[int, int]]
     trusted: bool
 
 
-def write_images(
-    folder: Path,
-    images: Sequence[tuple[BoardView, Array]],
-    size: tuple[int, int],
-    target: PrintedTarget,
-    trusted: bool,
-    camera: int = 1,
-) -> None:
-    """Keep images in a folder; the file is replaced as a whole. camera: number of a further one, from 2."""
-    about = {"size": size, "target": _form(target), "trusted": trusted, "names": [view.name for view, _ in images]}
-    views = [view for view, _ in images]
-    arrays = {
-        "count": np.array([len(view) for view in views]),
-        "ids": np.concatenate([view.ids for view in views]),
-        "pixels": np.concatenate([view.pixels for view in views]),
-        "cov": np.concatenate([view.cov for view in views]),
-        "stamp": np.array([view.stamp for view in views]),
-        "q": np.array([q for _, q in images]),
-    }
-    _write_arrays(folder / _file(camera), about, arrays)
+def write_images(folder: Path, kept: KeptImages, target: PrintedTarget) -> None:
+    """Keep the images of all cameras in a folder, instead of those that it holds."""
+    every = [one for some in kept.images for one in some]
+    views = [view for view, _ in every]
+    about = {"sizes": kept.sizes, "target": _form(target), "trusted": kept.trusted, "names": [v.name for v in views]}
+    arrays = {name: np.concatenate([getattr(view, name) for view in views]) for name in _OF_VIEWS}
+    arrays["camera"] = np.repeat(np.arange(len(kept.images)), [len(some) for some in kept.images])
+    arrays["count"], arrays["stamp"] = np.array([len(view) for view in views]), np.array([v.stamp for v in views])
+    _write_arrays(folder / _IMAGES, about, arrays | {"q": np.array([q for _, q in every])})
 
 
-def read_images(folder: Path, target: PrintedTarget, camera: int = 1) -> KeptImages | None:
-    """The images of a folder, None where it holds none, or those of another target. camera: as written. Raises BadTable
-    for damage.
-    """
-    path = folder / _file(camera)
+def read_images(folder: Path, target: PrintedTarget) -> KeptImages | None:
+    """The images of a folder, None where it holds none, or those of another target. Raises BadTable for damage."""
+    path = folder / _IMAGES
     if not path.is_file():
         return None
     with _arrays(path, "images") as (about, stored):
-        of_views = (stored[name] for name in ("ids", "pixels", "cov"))
-        ids, pixels, cov = (np.split(values, np.cumsum(stored["count"])[:-1]) for values in of_views)
-        views = map(BoardView, map(str, about["names"]), ids, pixels, cov)
-        stamped = zip(views, stored["stamp"], stored["q"], strict=True)
-        images = [(replace(view, stamp=float(stamp)), q) for view, stamp, q in stamped]
-        width, height = (int(side) for side in about["size"])
-    if about.get("target") != _form(target):
-        return None
-    return KeptImages(images, (width, height), bool(about.get("trusted")))
+        of_views = (np.split(stored[name], np.cumsum(stored["count"])[:-1]) for name in _OF_VIEWS)
+        views = map(BoardView, map(str, about["names"]), *of_views)
+        images: list[list[tuple[BoardView, Array]]] = [[] for _ in about["sizes"]]
+        for camera, view, stamp, q in zip(stored["camera"], views, stored["stamp"], stored["q"], strict=True):
+            images[camera].append((replace(view, stamp=float(stamp)), q))
+        sizes = [(int(width), int(height)) for width, height in about["sizes"]]
+        return KeptImages(images, sizes, bool(about["trusted"])) if about["target"] == _form(target) else None
 
 
 def forget_images(folder: Path) -> None:
     """Keep none any more, of any camera."""
-    for path in folder.glob(_FILES):
-        path.unlink(missing_ok=True)
-
-
-def _file(camera: int) -> str:
-    return "images.npz" if camera == 1 else f"images_{camera}.npz"
+    (folder / _IMAGES).unlink(missing_ok=True)
 
 
 def _form(target: PrintedTarget) -> str:

@@ -29,11 +29,10 @@ from modcal_core.measurements import Dropped, Samples
 from modcal_core.online import ChangeHypothesis, Estimator
 from modcal_core.outcome import one_instrument_notes
 from modcal_core.public import check
-from modcal_core.recalibrate import Job, ModelComparison, Recalibration, SampleMemory, recalibrate
+from modcal_core.recalibrate import Job, ModelComparison, SampleMemory, recalibrate
 from modcal_core.report import calibration_files, checkup_data, sentence
 from modcal_core.robots import Mechanism
 from modcal_msgs_py import fill_calibration, fill_change, fill_checked, fill_estimate, fill_identity, fill_verdict
-from modcal_nodes.calibrating.diagnostics import Standing, standing_of
 from modcal_nodes.ros import DONE, FAILED, LATCHED, Action, GuardedNode, interface, settle_in
 
 _YIELDING = 5  # of niceness: what nodes do within milliseconds goes before what takes seconds
@@ -43,15 +42,14 @@ _YIELDING = 5  # of niceness: what nodes do within milliseconds goes before what
 class Solved:
     """What a solve brings back: the calibration, the texts of its files, the comparison, and what was found.
 
-    verdict: its sentence. standing: what may be said of the model. rms: on stations that the fit has not seen [m].
-    doubled: sentences on frames that may be one instrument's.
+    verdict: its sentence. rms: on stations that the fit has not seen [m]. doubled: sentences on frames that may be one
+    instrument's.
     """
 
     calibration: Calibration
     files: dict[str, str]
     comparison: ModelComparison
     verdict: str
-    standing: Standing
     story: tuple[str, ...]
     rms: float | None
     doubled: tuple[str, ...]
@@ -64,19 +62,13 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
     size = report.size_mm("final")
     return Solved(
         resolved.result.calibration,
-        _files(resolved, job, urdf, page),
+        calibration_files(resolved.result.calibration, report, job.chain, urdf, page=page),
         resolved.comparison,
         sentence(report),
-        standing_of(report),
         report.story,
         None if size is None else 1e-3 * size.rms,
         one_instrument_notes(resolved.result.scored),
     )
-
-
-def _files(resolved: Recalibration, job: Job, urdf: str, page: bool) -> dict[str, str]:
-    calibration = resolved.result.calibration
-    return calibration_files(calibration, resolved.report, job.chain, urdf, page=page)
 
 
 def condense(heard: SampleMemory, chain: Mechanism, clock_limit: float, most: int) -> tuple[Samples, Dropped]:
@@ -316,15 +308,6 @@ class Publishers:
             self._estimate.publish(fill_estimate(message, estimator.names, estimator.values, estimator.std))
 
 
-@dataclass(frozen=True)
-class LiveCheck:
-    """sentence: for a person. data: of check.json. changed: whether anything is named or left unexplained."""
-
-    sentence: str
-    data: dict[str, Any]
-    changed: bool
-
-
 def live_check(
     heard: SampleMemory,
     chain: Mechanism,
@@ -332,28 +315,17 @@ def live_check(
     clock_limit: float,
     newest: int,
     since: float | None,
-) -> LiveCheck:
-    """The check by the newest stations; of those since a stamp [s] where something is suspected to have changed.
-
-    Raises ModcalError for too few, or for what is not of this arm.
+) -> dict[str, Any]:
+    """The check by so many newest stations, the data of check.json; by those since a stamp [s] where something is
+    suspected to have changed. Raises ModcalError for too few, or for what is not of this arm.
     """
     samples, _, _ = heard.prepared(chain, clock_limit)
-    found = check(calibration, newest_of(samples, newest, since))
-    said = f"{found.sentence} {found.advice.sentence}"
-    return LiveCheck(said, checkup_data(found), found.status != "unchanged")
-
-
-def newest_of(samples: Samples, count: int, since: float | None) -> Samples:
-    """The samples of the newest stations, of those since a stamp where one is given. Raises NotEnoughData."""
-    first = -np.inf if since is None else since
-    stations = samples.station[samples.stamps >= first]
-    kept = np.unique(stations)[-count:]
-    if len(kept) < count:
+    kept = np.unique(samples.station[samples.stamps >= (-np.inf if since is None else since)])[-newest:]
+    if len(kept) < newest:
         where = "" if since is None else " since something seems to have changed"
-        raise NotEnoughData(
-            f"{len(kept)} stations{where}", f"a check looks at {count}", "drive to more, or set check_stations"
-        )
-    return samples.select(np.flatnonzero(np.isin(samples.station, kept)))
+        said = f"a check looks at {newest}"
+        raise NotEnoughData(f"{len(kept)} stations{where}", said, "drive to more, or set check_stations")
+    return checkup_data(check(calibration, samples.select(np.flatnonzero(np.isin(samples.station, kept)))))
 
 
 _CHECK = "check"
@@ -395,12 +367,12 @@ class CheckService:
     def _progress(self, feedback: Any) -> None:
         feedback.phase, feedback.elapsed_s = "checking", time.monotonic() - self._begun
 
-    def _found(self, check: LiveCheck) -> None:
-        message = self._outputs.check(check.data)
+    def _found(self, data: dict[str, Any]) -> None:
+        message = self._outputs.check(data)
         log = self._node.get_logger()
-        said = f"check: {check.sentence}"
-        if check.changed:  # a place that logs keeps its severity
-            log.warning(said)
+        said = f"{data['verdict']} {data['advice']}"
+        if data["status"] != "unchanged":  # a place that logs keeps its severity
+            log.warning(f"check: {said}")
         else:
-            log.info(said)
-        self._action.end(DONE, f"{check.sentence} {self._outputs.about()}", checked=message)
+            log.info(f"check: {said}")
+        self._action.end(DONE, f"{said} {self._outputs.about()}", checked=message)

@@ -119,9 +119,7 @@ def _of_bag(recording: Recording, topic: str | None, options: ArticulateOptions)
         named = [r for r in shown if r.topic == wanted]
         if not named:
             had = sorted({r.topic for r in shown} | {t.topic for t in recording.joints})
-            raise BadRecording(
-                f"topic {wanted}", "shows no poses, points or joint states here", f"use {', '.join(had)}"
-            )
+            raise BadRecording(f"topic {wanted}", "shows no poses, points or joint states", f"use {', '.join(had)}")
         return _reading(named[0])
     if shown and not of_arm and urdf is None and calibration is None:
         return _reading(shown[0])

@@ -17,14 +17,13 @@ from modcal_core.modules import (
     Assembly,
     Generation,
     Library,
-    ModuleError,
     ModuleErrors,
     Synthesis,
     assembly_to_data,
     chain_of,
     described,
-    incidence_of,
     learn,
+    matrix_text,
     module_frames,
     picture,
     recording_evidence,
@@ -41,7 +40,7 @@ from modcal_core.modules import (
     with_recording,
 )
 from modcal_core.preprocess import prepare
-from modcal_core.report import Summary, SummaryLine, VerbResult, explained
+from modcal_core.report import Summary, SummaryLine, TableBlock, VerbResult, explained
 from modcal_msgs_py import read_recording
 from modcal_nodes.cli.console import Output, saving, speaking
 from modcal_nodes.cli.options import EXISTING, Whole, given
@@ -86,33 +85,28 @@ def synthesize_command(
 
         result = synthesize(task, library, seed, workers or len(os.sched_getaffinity(0)), heard)
     files = synthesis_files(result, library, library_file)
-    shown = [sentence(result), *_ranking(result, library)]
+    shown: list[str | Summary] = [sentence(result), _ranking(result, library)]
     output.saved(VerbResult(to_data(result, library), shown, files, "Best", "best.yaml"), f"{task.name}_synthesis")
 
 
 def synthesis_files(result: Synthesis, library: Library, library_file: Path | None = None) -> dict[str, str]:
     """Names and texts of everything a synthesis leaves behind."""
-    best = assembly_to_data(result.ranking[0].assembly, library)
-    if library_file:
-        best["library"] = "library.yaml"
-    files = {
-        "best.yaml": to_yaml(best),
-        "ranking.json": to_json(to_data(result, library)),
-        "ranking.md": to_markdown(result, library),
-    }
+    best, first = result.ranking[0], assembly_to_data(result.ranking[0].assembly, library)
+    files = {"ranking.json": to_json(to_data(result, library)), "ranking.md": to_markdown(result, library)}
     if library_file:  # a copy, so that the folder can be moved
+        first["library"] = "library.yaml"
         files["library.yaml"] = library_file.read_text(encoding="utf-8")
+    files["best.yaml"] = to_yaml(first)
     for k, target in enumerate(result.task.targets):
-        candidate = result.ranking[0]
-        title = f"{candidate.assembly.name} at {target.name}"
-        files[f"best_target_{k + 1}.svg"] = picture(candidate.assembly, library, candidate.postures[k], title)
-    for i, candidate in enumerate(result.ranking[:_PICTURES]):
+        title = f"{best.assembly.name} at {target.name}"
+        files[f"best_target_{k + 1}.svg"] = picture(best.assembly, library, best.postures[k], title)
+    for i, candidate in enumerate(result.ranking[:_PICTURES], 1):
         title = f"{candidate.assembly.name} at zero, cost {candidate.cost:.3g}"
-        files[f"rank_{i + 1}.svg"] = picture(candidate.assembly, library, title=title)
+        files[f"rank_{i}.svg"] = picture(candidate.assembly, library, title=title)
     return files
 
 
-def _ranking(result: Synthesis, library: Library) -> list[Summary]:
+def _ranking(result: Synthesis, library: Library) -> TableBlock:
     rows = []
     for i, candidate in enumerate(result.ranking):
         way, angle = candidate.miss.max(axis=0)
@@ -161,7 +155,8 @@ def assemble_command(spec: Path, library_file: Path | None, store: Path | None, 
     assembly, library = read_assembly(spec, library_file)
     errors = twists_from_data(read_yaml(store), str(store)) if store else None
     named = [m.serial for m in assembly.modules if m.serial]
-    known = set() if errors is None else {serial for serial, _ in errors}
+    known = {serial for serial, _ in errors or ()}
+    strangers = [] if errors is None else [s for s in named if s not in known]
     out = output.out or Path(assembly.name)
     stated = assembly_to_data(assembly, library)
     files = {
@@ -169,8 +164,6 @@ def assemble_command(spec: Path, library_file: Path | None, store: Path | None, 
         "assembly.yaml": to_yaml(stated),
         "assembly.svg": picture(assembly, library),
     }
-    strangers = [] if errors is None else [s for s in named if s not in known]
-    matrix = incidence_of(assembly, library)
     data = {
         "robot": str(out / "robot.urdf"),
         "assembly": stated,
@@ -178,8 +171,8 @@ def assemble_command(spec: Path, library_file: Path | None, store: Path | None, 
         "known": [s for s in named if s in known],
         "strangers": strangers,
     }
-    shown: list[str | Summary] = [*_table(assembly, library), "assembly incidence matrix:", str(matrix)]
-    shown.append(f"code: {stated['code']}")
+    matrix, code = matrix_text(stated["aim"]), f"code: {stated['code']}"
+    shown: list[str | Summary] = [_table(assembly, library), "assembly incidence matrix:", matrix, code]
     if errors is not None:
         shown.append(f"{len(data['known'])} of {len(assembly.modules)} modules are known from {store}")
     if strangers:
@@ -213,10 +206,7 @@ def learn_command(
     known = store_from_data(read_yaml(store), library, str(store)) if store.exists() else ModuleErrors()
     with output.working() as watch:
         watch(f"reading {bag.name}")
-        prepared = prepare(
-            read_recording(bag, topics=options.topics),
-            chain_of(assembly, library),
-        )
+        prepared = prepare(read_recording(bag, topics=options.topics), chain_of(assembly, library))
         watch("fitting the modules")
         new = recording_evidence(assembly, library, prepared.samples)
         others = [w for w in known.recordings if w.assembly.name != assembly.name]
@@ -239,27 +229,20 @@ def learn_command(
         "p_value": float(p_value),
         "as_known": as_known,
         "notes": list(prepared.notes),
-        "parts": [_part(serial, part, error) for (serial, part), error in known.parts.items()],
+        "parts": [
+            {
+                **{"serial": serial, "kind": error.kind, "part": part, "assemblies": int(error.seen)},
+                **{"twist": np.asarray(error.twist).tolist(), "std": np.asarray(error.std).tolist()},  # [m, rad]
+            }
+            for (serial, part), error in known.parts.items()
+        ],
     }
     output.result(found, _learned(found), f"Modules: {store}")
 
 
-def _part(serial: str, part: str, error: ModuleError) -> dict[str, Any]:
-    """What is known of one part of one module: twist and standard deviations (6,) [m, rad]."""
-    return {
-        "serial": serial,
-        "kind": error.kind,
-        "part": part,
-        "assemblies": int(error.seen),
-        "twist": np.asarray(error.twist).tolist(),
-        "std": np.asarray(error.std).tolist(),
-    }
-
-
 def _learned(found: dict[str, Any]) -> list[str | Summary]:
-    out: list[str | Summary] = [SummaryLine(note, "doubt") for note in found["notes"]]
-    out += _known(found["parts"])
-    out.append(f"{found['stations']} stations, {1e3 * found['residual_m']:.3f} mm RMS left by the fit")
+    left = f"{found['stations']} stations, {1e3 * found['residual_m']:.3f} mm RMS left by the fit"
+    out: list[str | Summary] = [*(SummaryLine(note, "doubt") for note in found["notes"]), _known(found["parts"]), left]
     if not found["as_known"]:
         said = (
             f"Learned although this assembly is not as its modules were known (p = {found['p_value']:.1g}): a serial "
@@ -269,28 +252,23 @@ def _learned(found: dict[str, Any]) -> list[str | Summary]:
     return out
 
 
-def _table(assembly: Assembly, library: Library) -> list[Summary]:
-    rows = []
-    joints = iter(assembly.joint_names)
+def _table(assembly: Assembly, library: Library) -> TableBlock:
+    rows, joints = [], iter(assembly.joint_names)
     frames = module_frames(assembly, library)
-    for i, (module, T) in enumerate(zip(assembly.modules, frames, strict=False)):
+    places = [[f"{1e3 * x + 0.0:.1f}" for x in T[:3, 3]] for T in frames]
+    for i, (module, at) in enumerate(zip(assembly.modules, places, strict=False)):
         kind = library.types[module.kind]
         length = f"{1e3 * kind.length(module.size):g}" if kind.sizes > 1 else ""
-        at = [f"{1e3 * x + 0.0:.1f}" for x in T[:3, 3]]
         makes = next(joints) if kind.role == JOINT else ""
         rows.append((module.kind, module.serial, makes, length, str(90 * module.turn) if i else "", *at))
-    tip = [f"{1e3 * x + 0.0:.1f}" for x in frames[-1][:3, 3]]
-    rows.append(("tip", "", "tool0", "", "", *tip))
-    return explained(_MODULES, rows, words=3)
+    return explained(_MODULES, [*rows, ("tip", "", "tool0", "", "", *places[-1])], words=3)
 
 
-def _known(parts: list[dict[str, Any]]) -> list[Summary]:
+def _known(parts: list[dict[str, Any]]) -> TableBlock:
     rows = []
     for known in parts:
-        twist, std = np.array(known["twist"]), np.array(known["std"])
-        shift, turn = (float(np.linalg.norm(twist[at])) for at in (slice(0, 3), slice(3, 6)))
-        sure = (float(np.sqrt(np.mean(std[at] ** 2))) for at in (slice(0, 3), slice(3, 6)))
-        numbers = [f"{1e3 * x:.3f}" for pair in zip((shift, turn), sure, strict=True) for x in pair]
-        part = known["part"].replace("_", " ")
-        rows.append((known["serial"], known["kind"], part, str(known["assemblies"]), *numbers))
+        twist, std = (1e3 * np.reshape(known[name], (2, 3)) for name in ("twist", "std"))
+        sizes = zip(np.linalg.norm(twist, axis=1), np.sqrt(np.mean(std**2, axis=1)), strict=True)
+        words = known["serial"], known["kind"], known["part"].replace("_", " "), str(known["assemblies"])
+        rows.append((*words, *(f"{x:.3f}" for pair in sizes for x in pair)))
     return explained(_PARTS, rows, words=3)

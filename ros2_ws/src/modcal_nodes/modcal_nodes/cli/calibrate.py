@@ -8,13 +8,13 @@ from pathlib import Path
 
 import click
 
-from modcal_core.calibration import Calibration, Cell, Stated
+from modcal_core.calibration import Calibration
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome
 from modcal_core.public import evaluate
-from modcal_core.report import Hashes, Particulars, VerbResult, report_files, summary, to_json_data
+from modcal_core.report import VerbResult, report_files, summary, to_json_data
 from modcal_nodes.cli.camera_input import CameraOptions, by_camera, calibrate_images
-from modcal_nodes.cli.certificate import certified_hashes, exit_code, particulars
+from modcal_nodes.cli.certificate import CertifiedOptions, exit_code
 from modcal_nodes.cli.console import Output, saving
 from modcal_nodes.cli.inputs import arm_line, chain_line
 from modcal_nodes.cli.options import EXISTING, given
@@ -28,25 +28,8 @@ from modcal_nodes.io import (
     of_cell,
     opened,
     option,
-    read_cell,
     read_topics,
-    stated_from,
 )
-
-
-@dataclass(frozen=True)
-class CertifiedOptions(FrozenOptions):
-    """The same with what is asked of a certificate."""
-
-    certificate: bool = option(
-        "Write certificate.html, one page to print and sign. Needs --tolerance-mm.", default=False
-    )
-    serial: str | None = option("Serial number of the robot, for the certificate.", metavar="TEXT")
-
-    @property
-    def cell(self) -> Cell:
-        """What is known of the surroundings of a frozen calibration."""
-        return read_cell(self.cell_file, stated=stated_from(vars(self)))
 
 
 @dataclass(frozen=True)
@@ -87,19 +70,15 @@ def calibrate_command(
     (docs/camera.md).
     """
     images = by_camera(ctx, bag, camera)
-    said = particulars(options)
+    said = options.particulars()
     if images or bag is None:
         return calibrate_images(camera, options, bag, output, said)
     with output.working() as watch:
         done = calibrate_bag(bag, options, more, watch)
-        files = dict(done.files)
-        if said is not None:
-            watch("writing the certificate")
-            described = options.delta or options.urdf or done.result.robot.description
-            hashes = certified_hashes(described, done.files["calibration.yaml"])
-            files |= certified(done.result.report, done.result.samples, options, said, hashes)
-    arm = arm_line(done.result.robot)
-    return _say(done.result.report, arm, f"{bag.resolve().stem}_calibration", files, output)
+        report, robot = done.result.report, done.result.robot
+        described = options.delta or options.urdf or robot.description
+        page = options.certified(report, done.result.samples, described, done.files["calibration.yaml"])
+    return _say(report, arm_line(robot), f"{bag.resolve().stem}_calibration", {**done.files, **page}, output)
 
 
 @click.command("evaluate")
@@ -109,7 +88,7 @@ def calibrate_command(
 @saving()
 def evaluate_command(calibration: Path, bag: Path, output: Output, options: EvaluateOptions) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
-    said = particulars(options)
+    options.particulars()
     frozen = Calibration.load(calibration)
     of_core = ("refit_base", "refit_tool", "block", "seed", "tolerance_mm", "tolerance_of")
     cell = options.cell
@@ -119,10 +98,7 @@ def evaluate_command(calibration: Path, bag: Path, output: Output, options: Eval
         with of_cell(options.cell_file):
             report = evaluate(frozen, samples, cell=cell, **{name: getattr(options, name) for name in of_core})
         files = report_files(report, calibration=calibration_name(calibration))
-        if said is not None:
-            watch("writing the certificate")
-            hashes = certified_hashes(samples.origin.description, calibration)
-            files |= certified(report, samples, options, said, hashes, frozen)
+        files |= options.certified(report, samples, samples.origin.description, calibration, frozen)
     arm = chain_line(frozen.nominal.chain.base, frozen.nominal.chain.tip, frozen.nominal.chain.n)
     return _say(report, arm, f"{bag.resolve().stem}_evaluation", files, output)
 
@@ -137,24 +113,6 @@ def calibration_name(calibration: Path) -> str:
     """What a calibration is called: its folder, or the file where that has another name than usual."""
     path = calibration.resolve()
     return path.parent.name if path.name == "calibration.yaml" else path.stem if path.is_file() else path.name
-
-
-def certified(
-    report: Outcome,
-    samples: Samples,
-    options: CertifiedOptions,
-    said: Particulars,
-    hashes: Hashes,
-    frozen: Calibration | None = None,
-) -> dict[str, str]:
-    """Name and text of the certificate's file. frozen: the calibration that is scored, where it is not a new one."""
-    from modcal_core.report import certificate, certificate_html, is_made_from
-
-    # options go before the cell file, and that before what instruments state
-    own = Stated(instrument_mm=samples.origin.instrument_mm, instrument_deg=samples.origin.instrument_deg)
-    stated = options.cell.stated.over(own)
-    made_from = frozen is not None and is_made_from(frozen, samples)
-    return {"certificate.html": certificate_html(certificate(report, stated, said, hashes, made_from))}
 
 
 def _say(report: Outcome, arm: str, folder: str, files: Mapping[str, str], output: Output) -> int:

@@ -22,24 +22,17 @@ from modcal_nodes.cli.inputs import arm_line
 from modcal_nodes.io import Options, Watch, opened, option, repeated
 
 if TYPE_CHECKING:
-    from modcal_core.camera import CameraImages, CameraSolution, Lens, MarkerBundle, PrintedTarget, ReadingsBeside
+    from modcal_core.camera import (
+        CameraImages,
+        CameraProblem,
+        CameraSolution,
+        Lens,
+        MarkerBundle,
+        PrintedTarget,
+        ReadingsBeside,
+    )
     from modcal_core.report import Particulars
     from modcal_nodes.vision import ImageFolder
-
-
-def described_arm(
-    urdf: Path | None, base: str | None, tip: str | None, recorded: Collection[str], recording: Recording | None = None
-) -> tuple[Robot, tuple[str, ...]]:
-    """As :func:`arm_between`, of a file, or of the description in a recording where no file is given."""
-    if urdf is not None:
-        text, where = urdf.read_text(encoding="utf-8", errors="replace"), str(urdf)
-    elif recording is None or recording.robot_description is None:
-        source = "images" if recording is None else recording.source
-        raise BadRobot(source, "holds no robot_description", "give --urdf, or record the topic")
-    else:
-        text, where = recording.robot_description, f"{recording.source}, robot_description"
-    with about(where):
-        return arm_between(text, base, tip, recorded)
 
 
 def arm_between(
@@ -53,7 +46,7 @@ def arm_between(
     if base is None or tip is None:
         return Robot.from_urdf(urdf, base, tip, recorded), ()
     tree = parse(urdf)
-    over = _above_both(tree, tree.link(base), tree.link(tip))
+    over = next(link for link in _above(tree, tree.link(tip)) if link in _above(tree, tree.link(base)))
     if over == base:
         return Robot.from_urdf(urdf, base, tip, recorded), ()
     turned = rerooted(urdf, base)
@@ -70,30 +63,26 @@ def arm_between(
     return replace(robot, inertias=held_behind(turned, robot.inertias, robot.chain, own, down)), (said,)
 
 
-def _above_both(tree: Tree, base: str, tip: str) -> str:
-    """The link that carries both, or is one of them."""
-    above, link = {base}, base
-    while link in tree.above:
-        link = tree.above[link].parent
-        above.add(link)
-    link = tip
-    while link not in above:
-        link = tree.above[link].parent
-    return link
+def _above(tree: Tree, link: str) -> list[str]:
+    """The link and what carries it, up to the root."""
+    out = [link]
+    while out[-1] in tree.above:
+        out.append(tree.above[out[-1]].parent)
+    return out
 
 
 def stated_lenses(given: Sequence[str]) -> dict[str, tuple[Lens, str]]:
     """The lenses in camera_info files, each with its file, by camera_key of its camera, "" where none is said."""
     from modcal_nodes.vision import camera_key, read_camera_info
 
-    out = {}
+    out: dict[str, tuple[Lens, str]] = {}
     for said in given:
-        name, file = ("", said) if Path(said).exists() else (said.rpartition("=")[0], said.rpartition("=")[2])
+        name, _, file = ("", "", said) if Path(said).exists() else said.rpartition("=")
         if not Path(file).exists():
             raise BadTable(f"--camera-info {said}", f"names no file {file}", "give FILE, or CAMERA=FILE")
-        if camera_key(name) in out:
+        if (key := camera_key(name)) in out:
             raise BadTable(f"--camera-info {said}", "is given twice", "give one file a camera")
-        out[camera_key(name)] = read_camera_info(Path(file)), file
+        out[key] = read_camera_info(Path(file)), file
     return out
 
 
@@ -121,16 +110,8 @@ class CameraOptions:
     camera_info: tuple[str, ...] = repeated(
         "Intrinsics, of a camera of several by its name. Default: from the images.", "[CAMERA=]FILE"
     )
-    intrinsics: str = option(
-        "What becomes of those in --camera-info.",
-        default="tolerance",
-        choices=("free", "tolerance", "fixed"),
-    )
-    arm_mm: float | None = option(
-        "Error of the nominal arm at its tool, RMS, as you know it.",
-        above=0.0,
-        metavar="MM",
-    )
+    intrinsics: str = option("What becomes of these.", default="tolerance", choices=("free", "tolerance", "fixed"))
+    arm_mm: float | None = option("Error of the nominal arm at its tool, RMS, as known.", above=0.0, metavar="MM")
     mounting: str | None = option("Where the camera is. Default: found.", choices=("tip", "world"))
     fisheye: bool = option("The lens is a fisheye, where no camera_info says so.", default=False)
     flat_target: bool = option("The target is flat: on glass or aluminium.", default=False)
@@ -139,21 +120,6 @@ class CameraOptions:
     def on_tip(self) -> bool | None:
         """Whether the arm carries the camera; None where it is not stated."""
         return None if self.mounting is None else self.mounting == "tip"
-
-
-@dataclass(frozen=True)
-class CameraInput:
-    """robot: it. found: the images of the first camera. others: readings of other instruments in the bag, None where it
-    has none. further: what further cameras saw. lens: stated of the first camera. notes: on the further ones, and
-    on two arms.
-    """
-
-    robot: Robot
-    found: ImageFolder
-    others: ReadingsBeside | None = None
-    further: tuple[CameraImages, ...] = ()
-    lens: Lens | None = None
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -177,125 +143,135 @@ class CameraSource:
         """Lenses as :func:`stated_lenses` has them."""
         return stated_lenses(self.camera.camera_info)
 
-    def read(self) -> CameraInput:
-        """The robot, and what was seen of it. Raises ModcalError."""
-        if self.camera.images is None:
-            robot, notes, seen = self._in_bag()
-        else:
-            robot, notes, seen = self._in_files(self.camera.images)
-        two_arms = bool(notes)
-        (first, found), *others = seen.items()
-        further = [self._further(name or "images", one, self.target, self.camera.on_tip) for name, one in others]
+    def problem(self) -> tuple[CameraProblem, Robot, ImageFolder, tuple[str, ...]]:
+        """(What is to be solved, the robot, the images of the first camera, notes). Raises ModcalError."""
+        from modcal_core.camera import CameraProblem
+
+        robot, notes = self._arm()
+        two_arms, told = bool(notes), tuple[str, ...]()
+        (first, found), *others = self._images(robot).items()
+        seen = {name or "images": (one, self.target, self.camera.on_tip) for name, one in others}
         for name, one in others:
             out = (f"left out: {image}: {why}." for image, why in one.left_out.items())
             notes += tuple(f"{name}: {said}" for said in (*one.notes, *out))
         if self.recording is not None:
-            further += [self._also(said, robot) for said in self.camera.also_camera]
-        lens = self._lens(found, [first, *(one.name for one in further)])
-        readings = None
-        told = [] if self.recording is None else [r for r in self.recording.readings if not r.by_type]
+            seen |= dict(self._also(said, robot) for said in self.camera.also_camera)
+            told = tuple(r.topic for r in self.recording.readings if not r.by_type)
+        self._require_named([first, *seen])
         if told and two_arms:
             notes += ("Readings of other instruments are left out: where they stand, the chain's first link moves.",)
-        elif told:
-            readings = self._beside(robot)
-        return CameraInput(robot, found, readings, tuple(further), lens, notes)
+        problem = CameraProblem(
+            robot.chain,
+            (
+                self._seen(first, found, self.target, self.camera.on_tip, self.lenses.get("")),
+                *(self._seen(name, *one) for name, one in seen.items()),
+            ),
+            arm_m=None if self.camera.arm_mm is None else 1e-3 * self.camera.arm_mm,
+            fixed=self.options.fixed,
+            inertias=robot.inertias,
+            beside=self._beside(robot, told) if told and not two_arms else None,
+            look_for_effects=not self.options.geometry_only,
+        )
+        return problem, robot, found, (*found.notes, *notes)
 
-    def _in_files(self, images: Path) -> tuple[Robot, tuple[str, ...], dict[str, ImageFolder]]:
-        """(The robot, a note on two arms, images by camera) of a folder, or of tables of corners."""
+    def _arm(self) -> tuple[Robot, tuple[str, ...]]:
+        """The robot, and a note on two arms."""
+        urdf, recording = self.options.urdf, self.recording
+        tracks = () if recording is None else recording.joints
+        columns = frozenset(name for track in tracks for name in track.names)
+        recorded = columns if self.camera.joints is None else _columns(self.camera.joints)
+        if urdf is not None:
+            text, where = camera_urdf(urdf).read_text(encoding="utf-8", errors="replace"), str(urdf)
+        elif recording is None or recording.robot_description is None:
+            source = "images" if recording is None else recording.source
+            raise BadRobot(source, "holds no robot_description", "give --urdf, or record the topic")
+        else:
+            text, where = recording.robot_description, f"{recording.source}, robot_description"
+        with about(where):
+            return arm_between(text, self.options.base, self.options.tip, recorded)
+
+    def _images(self, robot: Robot) -> dict[str, ImageFolder]:
+        """Images by camera: of a folder, of tables of corners, or of the bag."""
         from modcal_nodes.vision import read_corner_tables, read_images
 
-        joints, options = self.camera.joints, self.options
-        assert joints is not None
-        assert options.urdf is not None
-        robot, notes = described_arm(camera_urdf(options.urdf), options.base, options.tip, _columns(joints))
+        images, joints = self.camera.images, self.camera.joints
+        if images is None or joints is None:
+            return {"": self._of_topic(self.camera.image_topic, "", self.target, robot)}
         if images.is_dir():
-            return robot, notes, {"": read_images(images, joints, robot.names, self.target, self.watch)}
+            return {"": read_images(images, joints, robot.names, self.target, self.watch)}
         sizes = {name: lens.size for name, (lens, _) in self.lenses.items()}
-        return robot, notes, read_corner_tables(images, joints, robot.names, self.target, sizes)
+        return read_corner_tables(images, joints, robot.names, self.target, sizes)
 
-    def _in_bag(self) -> tuple[Robot, tuple[str, ...], dict[str, ImageFolder]]:
-        """The same of the bag's images."""
+    def _of_topic(
+        self, topic: str | None, camera: str, target: PrintedTarget | MarkerBundle, robot: Robot
+    ) -> ImageFolder:
+        """What the bag's images of a topic show; None: of the only one. camera: key of its lens."""
         from modcal_nodes.vision import read_bag_images
 
-        options = self.options
         assert self.bag is not None
         assert self.recording is not None
-        urdf = None if options.urdf is None else camera_urdf(options.urdf)
-        recorded = frozenset(name for track in self.recording.joints for name in track.names)
-        robot, notes = described_arm(urdf, options.base, options.tip, recorded, self.recording)
-        size = self.lenses[""][0].size if "" in self.lenses else None
-        topic = self.camera.image_topic
-        found = read_bag_images(self.bag, self.recording, robot.names, self.target, topic, self.watch, size)
-        return robot, notes, {"": found}
+        size = self.lenses[camera][0].size if camera in self.lenses else None
+        return read_bag_images(self.bag, self.recording, robot.names, target, topic, self.watch, size)
 
-    def _also(self, said: str, robot: Robot) -> CameraImages:
-        """What a further camera of the bag saw. said: its topic, and after = the file of its target, where that is
-        another.
+    def _also(
+        self, said: str, robot: Robot
+    ) -> tuple[str, tuple[ImageFolder, PrintedTarget | MarkerBundle, bool | None]]:
+        """The topic of a further camera of the bag, what it saw, of which target, and that nobody says where it is.
+
+        said: the topic, and after = the file of its target, where that is another.
         """
         from modcal_core.camera import read_any_target
-        from modcal_nodes.vision import camera_key, read_bag_images
+        from modcal_nodes.vision import camera_key
 
-        assert self.bag is not None
-        assert self.recording is not None
         topic, _, file = said.partition("=")
         if file and not Path(file).exists():
             raise BadTable(f"--also-camera {said}", f"names no file {file}", "give TOPIC, or TOPIC=target.yaml")
         target = read_any_target(Path(file)) if file else self.target
-        lens = self.lenses.get(camera_key(topic))
-        size = None if lens is None else lens[0].size
-        found = read_bag_images(self.bag, self.recording, robot.names, target, topic, self.watch, size)
-        return self._further(topic, found, target, None)
+        return topic, (self._of_topic(topic, camera_key(topic), target, robot), target, None)
 
-    def _further(
-        self, name: str, found: ImageFolder, target: PrintedTarget | MarkerBundle, on_tip: bool | None
+    def _seen(
+        self,
+        name: str,
+        found: ImageFolder,
+        target: PrintedTarget | MarkerBundle,
+        on_tip: bool | None,
+        otherwise: tuple[Lens, str] | None = None,
     ) -> CameraImages:
-        """What a further camera saw. on_tip: whether the arm carries the camera."""
+        """What a camera saw. on_tip: whether the arm carries it, where stated. otherwise: a lens for any camera."""
+        from modcal_core.camera import CameraImages
         from modcal_nodes.vision import camera_key, require_size
 
-        lens, source = self.lenses.get(camera_key(name), (found.lens, found.lens_of))
+        lens, source = self.lenses.get(camera_key(name)) or otherwise or (found.lens, found.lens_of)
         if lens is not None:
             require_size(lens, found.size, source)
-        return replace(self.seen(found, target, lens, on_tip), name=name)
-
-    def seen(
-        self, found: ImageFolder, target: PrintedTarget | MarkerBundle, lens: Lens | None, on_tip: bool | None
-    ) -> CameraImages:
-        """What a camera saw. lens: where known. on_tip: whether the arm carries the camera, where stated."""
-        from modcal_core.camera import CameraImages
-
         return CameraImages(
             *(found.q, found.views, target, found.size, found.velocity, lens, self.camera.intrinsics, on_tip),
             flat=self.camera.flat_target,
             moments=found.moments,
             fisheye=self.camera.fisheye,
+            name=name or "images",
         )
 
-    def _lens(self, found: ImageFolder, cameras: list[str]) -> Lens | None:
-        """The lens of the first camera, as far as it is stated. cameras: names of all, the first may be empty."""
-        from modcal_nodes.vision import camera_key, require_size
+    def _require_named(self, cameras: list[str]) -> None:
+        """Raises BadTable for a lens of which it is not clear whose it is. cameras: names, the first may be empty."""
+        from modcal_nodes.vision import camera_key
 
-        first, stated = cameras[0], self.lenses
+        first, stated, known = cameras[0], self.lenses, ", ".join(cameras)[:200]
         if strange := set(stated) - {"", *map(camera_key, cameras)}:
-            known = f"they are of {', '.join(cameras)[:200]}" if first else "they have one camera, without a name"
-            raise BadTable(
-                f"--camera-info {min(strange)}=…", "names no camera of these images", f"name it as they do: {known}"
-            )
+            known = f"they are of {known}" if first else "they have one camera, without a name"
+            said = f"--camera-info {min(strange)}=…"
+            raise BadTable(said, "names no camera of these images", f"name it as they do: {known}")
         if "" in stated and first and len(cameras) > 1:
-            said = f"does not say of which camera it is: {', '.join(cameras)[:200]}"
+            said = f"does not say of which camera it is: {known}"
             raise BadTable(f"--camera-info {stated[''][1]}", said, f"give {first}=FILE, and so on")
-        lens, source = stated.get(camera_key(first)) or stated.get("") or (found.lens, found.lens_of)
-        if lens is not None:
-            require_size(lens, found.size, source)
-        return lens
 
-    def _beside(self, robot: Robot) -> ReadingsBeside:
-        """Readings of other instruments in the bag."""
+    def _beside(self, robot: Robot, told: Collection[str]) -> ReadingsBeside:
+        """Readings of other instruments in the bag. told: topics that are surely theirs."""
         from modcal_core.camera import beside
 
         assert self.bag is not None
         assert self.recording is not None
         self.watch("reading other instruments")
-        told = {r.topic for r in self.recording.readings if not r.by_type}
         # poses that nobody called a tracker's may be made from these very images
         guessed = [r.topic for r in self.recording.readings if r.by_type and r.topic not in told]
         topics = Topics.of(self.options.topic, [*self.options.ignore, *guessed])
@@ -332,49 +308,38 @@ def by_camera(ctx: click.Context, bag: Path | None, camera: CameraOptions) -> bo
     with them.
     """
     given = {name for name in ctx.params if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE}
-    if camera.images is None and camera.target is None:
+    is_folder, wrong = camera.images is not None, ""
+    if not is_folder and camera.target is None:
         if bag is None:
-            raise click.UsageError("Missing argument 'BAG'.", ctx)
-        if alone := given & set(_TOGETHER):
-            raise click.UsageError(f"{_option(min(alone))} needs --images, or --target and a bag with images.", ctx)
-        return False
-    if camera.images is None:
-        if bag is None:
-            raise click.UsageError("--target needs a bag with images, or --images.", ctx)
-        if camera.joints is not None:
-            raise click.UsageError("--joints needs --images: a bag has joint states.", ctx)
-    else:
-        if missing := [name for name in ("joints", "target", "urdf") if name not in given]:
-            raise click.UsageError(f"--images needs {_option(missing[0])}.", ctx)
-        if of_bag := given & {"image_topic", "also_camera"}:
-            raise click.UsageError(f"{_option(min(of_bag))} is of a bag: leave out --images.", ctx)
-    if "cell_file" in given and "certificate" not in given:
-        raise click.UsageError(
-            "--cell states what is on a certificate where there are images: give --certificate.", ctx
-        )
-    if other := given - set(_TOGETHER) - set(_ALSO):
-        raise click.UsageError(f"{_option(min(other))} does not work with images.", ctx)
-    return True
+            wrong = "Missing argument 'BAG'."
+        elif alone := given & set(_TOGETHER):
+            wrong = f"{_option(min(alone))} needs --images, or --target and a bag with images."
+    elif is_folder and (missing := [name for name in ("joints", "target", "urdf") if name not in given]):
+        wrong = f"--images needs {_option(missing[0])}."
+    elif is_folder and (of_bag := given & {"image_topic", "also_camera"}):
+        wrong = f"{_option(min(of_bag))} is of a bag: leave out --images."
+    elif not is_folder and bag is None:
+        wrong = "--target needs a bag with images, or --images."
+    elif not is_folder and camera.joints is not None:
+        wrong = "--joints needs --images: a bag has joint states."
+    elif "cell_file" in given and "certificate" not in given:
+        wrong = "--cell states what is on a certificate where there are images: give --certificate."
+    elif other := given - set(_TOGETHER) - set(_ALSO):
+        wrong = f"{_option(min(other))} does not work with images."
+    if wrong:
+        raise click.UsageError(wrong, ctx)
+    return is_folder or camera.target is not None
 
 
 def calibrate_images(
-    camera: CameraOptions,
-    options: Options,
-    bag: Path | None,
-    output: Output,
-    said: Particulars | None = None,
+    camera: CameraOptions, options: Options, bag: Path | None, output: Output, said: Particulars | None = None
 ) -> int:
     """Calibrate the arm from images, of a folder or in the bag, write the results, and say them.
 
     said: what is stated for a certificate, None if none is asked for. Returns the exit code.
     """
     # OpenCV, which other verbs can do without
-    from modcal_core.report import (
-        camera_certificate,
-        camera_report,
-        camera_tolerance,
-        certificate_html,
-    )
+    from modcal_core.report import camera_certificate, camera_report, camera_tolerance, certificate_html
 
     with output.working() as watch:
         robot, found, solution = _solved(camera, options, bag, watch)
@@ -433,24 +398,13 @@ def plan_next_images(camera: CameraOptions, options: Options, count: int, output
 def _solved(
     camera: CameraOptions, options: Options, bag: Path | None, watch: Watch
 ) -> tuple[Robot, ImageFolder, CameraSolution]:
-    from modcal_core.camera import CameraProblem, read_any_target, solve_camera
+    from modcal_core.camera import read_any_target, solve_camera
 
     assert camera.target is not None
-    target = read_any_target(camera.target)
-    source = CameraSource(camera, options, target, bag, watch)
-    read = source.read()
-    robot, found = read.robot, read.found
-    problem = CameraProblem(
-        robot.chain,
-        (source.seen(found, target, read.lens, camera.on_tip), *read.further),
-        arm_m=None if camera.arm_mm is None else 1e-3 * camera.arm_mm,
-        fixed=options.fixed,
-        inertias=robot.inertias,
-        beside=read.others,
-        look_for_effects=not options.geometry_only,
-    )
+    source = CameraSource(camera, options, read_any_target(camera.target), bag, watch)
+    problem, robot, found, notes = source.problem()
     solution = solve_camera(problem, np.random.default_rng(options.seed), watch)
-    return robot, found, replace(solution, notes=(*found.notes, *read.notes))
+    return robot, found, replace(solution, notes=notes)
 
 
 def _option(name: str) -> str:

@@ -4,32 +4,70 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from modcal_core.calibration import Calibration, Cell, Stated
 from modcal_core.errors import BadTable
 from modcal_core.report import Particulars
-from modcal_nodes.io import read_particulars
+from modcal_nodes.io import FrozenOptions, option, read_cell, read_particulars, stated_from
 
 if TYPE_CHECKING:
+    from modcal_core.measurements import Samples
+    from modcal_core.outcome import Outcome
     from modcal_core.report import Hashes
     from modcal_core.verdict import Tolerance
-    from modcal_nodes.cli.calibrate import CertifiedOptions
 
 UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
 
 
-def particulars(options: CertifiedOptions) -> Particulars | None:
-    """What is stated for a certificate, before anything is computed; None if none was asked for. Raises BadTable."""
-    if not options.certificate:
-        if options.serial is not None:
-            raise BadTable("--serial", "is printed on a certificate only", "add --certificate")
-        return None
-    if options.tolerance_mm is None:
-        raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
-    said = read_particulars(options.cell_file)
-    return said if options.serial is None else replace(said, serial=options.serial)
+@dataclass(frozen=True)
+class CertifiedOptions(FrozenOptions):
+    """The same with what is asked of a certificate."""
+
+    certificate: bool = option("Write certificate.html, a page to print and sign. Needs --tolerance-mm.", default=False)
+    serial: str | None = option("Serial number of the robot, for the certificate.", metavar="TEXT")
+
+    @property
+    def cell(self) -> Cell:
+        """What is known of the surroundings of a frozen calibration."""
+        return read_cell(self.cell_file, stated=stated_from(vars(self)))
+
+    def particulars(self) -> Particulars | None:
+        """What is stated for a certificate; None if none was asked for. Raises BadTable."""
+        if not self.certificate:
+            if self.serial is not None:
+                raise BadTable("--serial", "is printed on a certificate only", "add --certificate")
+            return None
+        if self.tolerance_mm is None:
+            raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, such as 0.2")
+        said = read_particulars(self.cell_file)
+        return said if self.serial is None else replace(said, serial=self.serial)
+
+    def certified(
+        self,
+        report: Outcome,
+        samples: Samples,
+        description: str | Path | None,
+        calibration: str | Path,
+        frozen: Calibration | None = None,
+    ) -> dict[str, str]:
+        """Name and text of the certificate's file; none where none was asked for.
+
+        description, calibration: of :func:`certified_hashes`. frozen: the calibration that is scored, where it is not a
+        new one.
+        """
+        if (said := self.particulars()) is None:
+            return {}
+        from modcal_core.report import certificate, certificate_html, is_made_from
+
+        # options go before the cell file, and that before what instruments state
+        own = Stated(instrument_mm=samples.origin.instrument_mm, instrument_deg=samples.origin.instrument_deg)
+        made_from = frozen is not None and is_made_from(frozen, samples)
+        hashes = certified_hashes(description, calibration)
+        page = certificate(report, self.cell.stated.over(own), said, hashes, made_from)
+        return {"certificate.html": certificate_html(page)}
 
 
 def exit_code(met: Tolerance | None) -> int:

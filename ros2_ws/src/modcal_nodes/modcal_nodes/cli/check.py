@@ -15,8 +15,8 @@ from modcal_core.moves import pattern_of
 from modcal_core.public import check
 from modcal_core.report import calibration_files, checkup_report, report_files
 from modcal_core.robots import is_serial_arm, read_chain
-from modcal_nodes.cli.calibrate import CertifiedOptions, calibration_name, certified, frozen_samples
-from modcal_nodes.cli.certificate import certified_hashes, exit_code, particulars
+from modcal_nodes.cli.calibrate import calibration_name, frozen_samples
+from modcal_nodes.cli.certificate import CertifiedOptions, exit_code
 from modcal_nodes.cli.console import Output, saving
 from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import of_cell
@@ -37,7 +37,7 @@ def check_command(calibration: Path, bag: Path, urdf: Path | None, output: Outpu
     Names base, tool, a joint's zero, a gear, a load, heat, or the tracker, says by how much and what to do, and writes
     the model with only that repaired.
     """
-    said = particulars(options)
+    options.particulars()
     frozen = Calibration.load(calibration)
     cell = options.cell
     of_core = {name: getattr(options, name) for name in ("seed", "tolerance_mm", "tolerance_of")}
@@ -48,11 +48,9 @@ def check_command(calibration: Path, bag: Path, urdf: Path | None, output: Outpu
         with of_cell(options.cell_file):
             found = check(frozen, samples, cell=cell, pattern=_pattern(calibration), **of_core)
         files = _files(found, calibration, urdf, samples.origin.description)
-        if said is not None:
-            watch("writing the certificate")
-            model: str | Path = files.get("calibration.yaml", calibration)
-            hashes = certified_hashes(files.get("calibrated.urdf", samples.origin.description), model)
-            files |= certified(found.report, samples, options, said, hashes, frozen)
+        described = files.get("calibrated.urdf", samples.origin.description)
+        model: str | Path = files.get("calibration.yaml", calibration)
+        files |= options.certified(found.report, samples, described, model, frozen)
     recording = bag.resolve().stem
     output.saved(checkup_report(found, name, recording, files), f"{recording}_check")
     return exit_code(found.report.tolerance)
@@ -73,11 +71,12 @@ def _description(
     calibration: Path, urdf: Path | None, recorded: str | None, repaired: Calibration
 ) -> tuple[str | None, Any]:
     """The robot description to write into, and the arm as it stands there; None where there is none of this arm."""
-    nominal = repaired.nominal.serial
-    beside = (calibration if calibration.is_dir() else calibration.parent) / "calibrated.urdf"
-    texts = [urdf.read_text(encoding="utf-8")] if urdf is not None else []
-    texts += [] if urdf is not None or not beside.is_file() else [beside.read_text(encoding="utf-8")]
-    texts += [] if urdf is not None or recorded is None else [recorded]
+    nominal, beside = repaired.nominal.serial, _folder(calibration) / "calibrated.urdf"
+    if urdf is not None:
+        texts = [urdf.read_text(encoding="utf-8")]
+    else:
+        texts = [beside.read_text(encoding="utf-8")] if beside.is_file() else []
+        texts += [] if recorded is None else [recorded]
     for text in texts:
         try:
             chain = read_chain(text, nominal.base, nominal.tip)
@@ -90,9 +89,13 @@ def _description(
     return None, None
 
 
+def _folder(calibration: Path) -> Path:
+    return calibration if calibration.is_dir() else calibration.parent
+
+
 def _pattern(calibration: Path) -> float | None:
     """The predictable share in the report beside a calibration; None where there is none, as in reports of cameras."""
-    beside = (calibration if calibration.is_dir() else calibration.parent) / "report.json"
+    beside = _folder(calibration) / "report.json"
     if not beside.is_file():
         return None
     remedy = "remove it, or calibrate again"

@@ -62,6 +62,7 @@ STYLES: dict[Tone, str] = {
 
 def show(blocks: Iterable[str | Summary], console: Console) -> None:
     """Print tables and sentences, each in the colour of its meaning; texts as they are, paths whole."""
+    below = ""
     for block in blocks:
         if isinstance(block, str):
             console.print(block, soft_wrap=True)
@@ -75,6 +76,9 @@ def show(blocks: Iterable[str | Summary], console: Console) -> None:
             for row in block.rows:
                 table.add_row(*row)
             console.print(table)
+            if block.below and block.below != below:  # tables one after the other have one legend
+                console.print(f"  {block.below}", style=STYLES["legend"])
+            below = block.below
 
 
 def written(folder: Path, names: Iterable[str], what: str = "Report", first: str = "report.html") -> str:

@@ -20,7 +20,6 @@ from modcal_core.robots import (
     CONVENTIONS,
     UNITS,
     Chain,
-    NearestTable,
     chain_urdf,
     from_csv,
     from_table,
@@ -73,7 +72,7 @@ class ExportOptions(ChainOptions):
     link: str | None = option("For mount: the camera's link, such as camera_color_optical_frame.", metavar="LINK")
     largest_offset: float = option("Largest offset in a DH row [m].", default=10.0, type=float)
     nearest: bool = option(
-        "For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.", default=False
+        "For dh and mdh: keep nearly parallel axes parallel, and say what that costs.", default=False
     )
     unit: str = option("Of a table that is written as CSV.", default="m rad", choices=tuple(UNITS))
     factory_kinematics: Path | None = option("For kinematics: the maker's own file of this arm.")
@@ -121,7 +120,12 @@ def _table(source: Path, options: ExportOptions, out: Path | None) -> _Export:
     near = options.nearest and form != "cpc"
     if near:
         found = nearest_dh(chain, form, options.largest_offset)
-        table, left_out = found.table, (*left_out, _lost(found))
+        pairs = "; ".join(f"{a} and {b}" for a, b in found.parallel) or "none"
+        lost = (
+            f"tilts of nearly parallel axes across their common normal ({pairs}): the tip is off by "
+            f"{1e3 * found.rms:.3g} mm RMS, {1e3 * found.largest:.3g} mm and {math.degrees(found.angle):.2g}° at most"
+        )
+        table, left_out = found.table, (*left_out, lost)
     else:
         table = to_table(chain, form, options.largest_offset)
     ending = ".yaml" if unit == "m rad" else ".csv"
@@ -166,33 +170,20 @@ def read_table(path: Path) -> dict[str, Any] | None:
     return dict(data) if isinstance(data, Mapping) and {"convention", "kinematics"} & set(data) else None
 
 
-def _lost(found: NearestTable) -> str:
-    """What the nearest table of an arm cannot hold."""
-    pairs = "; ".join(f"{a} and {b}" for a, b in found.parallel) or "none"
-    return (
-        f"tilts of nearly parallel axes across their common normal ({pairs}): the tip is off by "
-        f"{1e3 * found.rms:.3g} mm RMS, {1e3 * found.largest:.3g} mm and {math.degrees(found.angle):.2g}° at most"
-    )
-
-
 def _origins(source: Path, options: ExportOptions) -> _Export:
     """The origins of a URDF's joints between base and tip."""
     form, base, tip, factory = options.to, options.base, options.tip, options.factory_kinematics
-    left_out: tuple[str, ...] = ()
+    urdf, left_out = source, tuple[str, ...]()
     if source.is_dir():
         calibration = read_calibration(source)
         whole = calibration.calibrated.chain
         base, tip = base or whole.base, tip or whole.tip
         left_out = _of_calibration(calibration, "calibrated", False)[1][:-1]
         urdf = source / "calibrated.urdf"
-    else:
-        urdf = source
     try:
         text = urdf.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
-        raise BadTable(
-            str(urdf), "cannot be read", "give a URDF, or the folder that `modcal calibrate` wrote"
-        ) from error
+        raise BadTable(str(urdf), "cannot be read", "give a URDF, or a folder of `modcal calibrate`") from error
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
         raise BadTable(str(source), f"is not a URDF, which {form} is made from", "give calibrated.urdf or its folder")
     chain, origins = read_chain(text, base, tip), joint_origins(text)
@@ -213,9 +204,7 @@ def _offsets(source: Path) -> _Export:
     if found is None or not found.found:
         raise BadTable(str(source), "determines no joint offset", "give the calibration of a serial arm")
     chain, offsets = calibration.nominal.serial, {one.joint: one.value for one in found.found}
-    notes = [
-        f"all but joint offsets, which leave {found.left_mm:.3g} mm RMS of the {found.nominal_mm:.3g} mm corrected",
-    ]
+    notes = [f"all but joint offsets, which leave {found.left_mm:.3g} mm RMS of {found.nominal_mm:.3g} mm corrected"]
     if open_ones := [name for name in chain.names if name not in offsets]:
         notes.append(f"offsets that base or tool take up: {', '.join(open_ones)}")
     said = ["Add these to offsets that are there already.", *(f"left out: {note}" for note in notes)]

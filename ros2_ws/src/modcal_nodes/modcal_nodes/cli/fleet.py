@@ -58,7 +58,7 @@ def fleet_command(
     data = {"modcal_fleet": 1, "out": str(out), "recordings": rows}
     output.result(
         data,
-        explained(_COLUMNS, [_shown(row) for row in rows], words=2),
+        [explained(_COLUMNS, [_shown(row) for row in rows], words=2)],
         written(out, [name, "a folder for each recording"], "Table", name),
     )
     if left := [row for row in rows if row["state"] != DONE]:

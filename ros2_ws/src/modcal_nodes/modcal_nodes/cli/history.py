@@ -12,18 +12,18 @@ from typing import Any
 import click
 
 from modcal_core.calibration import Calibration, fingerprint
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadTable, refusing
 from modcal_core.files import read_json
-from modcal_core.measurements import require
 from modcal_core.moves import Values, series_of, values_of
 from modcal_core.outcome import offsets_of
-from modcal_core.report import History, HistoryEntry, Side, compare, history_report
+from modcal_core.report import History, HistoryEntry, Side, VerbResult, compare, history_report
+from modcal_core.schema import require
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, saving
 from modcal_nodes.cli.options import EXISTING, Decimal
-from modcal_nodes.io import SCHEMA
 
 _DATED = re.compile(r"(\d{4}-\d{2}-\d{2})")
+_OF_MODCAL = {"type": "object", "required": ["modcal_report"], "properties": {"modcal_report": {"enum": [1]}}}
 _DEPTH = 3  # folders below the one that is given
 
 
@@ -147,11 +147,16 @@ def compare_command(first: Path, second: Path, tolerance_mm: float | None, outpu
     names = (first.name, second.name) if first.resolve().name != second.resolve().name else (str(first), str(second))
     with output.working() as watch:
         watch("comparing")
-        sides = [_side(path, name) for path, name in zip((first, second), names, strict=True)]
-        found = compare(sides[0], sides[1], tolerance_mm)
+        found = _compared(_side(first, names[0]), _side(second, names[1]), tolerance_mm, " or ".join(names))
     output.saved(found, f"{first.resolve().stem}_{second.resolve().stem}_comparison")
     judged = tolerance_mm is not None and found.data["result"] in ("beyond tolerance", "cannot tell")
     return UNMET if judged else 0
+
+
+@refusing
+def _compared(first: Side, second: Side, tolerance_mm: float | None, _: str) -> VerbResult:
+    """As :func:`compare`, whatever is in a report that a person has changed. Raises BadTable, naming the sides."""
+    return compare(first, second, tolerance_mm)
 
 
 def _side(path: Path, name: str) -> Side:
@@ -172,5 +177,5 @@ def _report(path: Path) -> dict[str, Any]:
     """The data of a report.json. Raises BadTable for anything else."""
     remedy = "give the report.json that modcal calibrate or modcal evaluate wrote"
     data = read_json(path, remedy)
-    require(data, SCHEMA, str(path), remedy)
+    require(data, _OF_MODCAL, str(path), remedy)
     return dict(data)

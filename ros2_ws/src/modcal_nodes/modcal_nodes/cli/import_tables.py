@@ -99,9 +99,7 @@ class ImportOptions(ChainOptions):
     mapping: Path | None = option(
         "For tables without a mapping: the mapping to write. Default: FILE.yaml.", type=click.Path(path_type=Path)
     )
-    out: Path | None = option(
-        "The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none.", type=WRITTEN
-    )
+    out: Path | None = option("The bag or URDF to write. Default: MAPPING's name; for mere tables none.", type=WRITTEN)
 
 
 @click.command("import")
@@ -220,17 +218,17 @@ def _proved(recording: Recording, stated: Mapping[str, Any], arm: tuple[str | No
         samples = cut_stations(cleaned(recording, chain.names, chain).recording, chain.names)
     except ModcalError:  # of another robot, or with nothing in common: `modcal calibrate` says so where it matters
         return recording
-    poses = [
-        p
-        for t in stated["tables"]
-        for p in ([t["pose"]] if isinstance(t.get("pose"), Mapping) else t.get("pose") or [])
-    ]
+    poses = [pose for table in stated["tables"] for pose in _listed(table.get("pose"))]
     sequences = {str(pose.get("euler", {}).get("sequence", "")) for pose in poses}
     undone = proved(samples, chain, sequences.pop() or None if len(sequences) == 1 else None)[1]
     if undone is None:
         return recording
     note = "Poses look inverse (tracker in tool): `modcal calibrate` inverts them; state inverse: true on import."
     return replace(recording, warnings=(*recording.warnings, note))
+
+
+def _listed(one: Any) -> list[Any]:
+    return [one] if isinstance(one, Mapping) else one or []
 
 
 def _stated_robot(key: str, stated: dict[str, object], mapping: Path, folder: Path) -> Path | None:

@@ -13,7 +13,7 @@ from modcal_core.errors import ModcalError
 from modcal_core.measurements import Recording, inspect
 from modcal_core.report import Summary, SummaryLine, TableBlock
 from modcal_core.robot import Robot
-from modcal_msgs_py import Repair, read_recording, repair_bag
+from modcal_msgs_py import read_recording, repair_bag
 from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.inputs import chain_line, described
 from modcal_nodes.cli.options import EXISTING, WRITTEN, given
@@ -91,24 +91,22 @@ def _shown(data: dict[str, Any], most: int) -> list[str | Summary]:
     """What is used first. most: signals that have a line each; of more there is one line."""
     out: list[str | Summary] = [SummaryLine(f"can be used for {use}", "good") for use in data["uses"]]
     if robot := data["robot"]:
-        said = chain_line(robot["base"], robot["tip"], len(robot["joints"]), robot["other_tips"])
-        out.append(SummaryLine(said))
-    rows = []
+        out.append(chain_line(robot["base"], robot["tip"], len(robot["joints"]), robot["other_tips"]))
     signals = [track for track in data["topics"] if track["what"].startswith("signal:")]
-    few = len(signals) <= most
-    for track in data["topics"] if few else (track for track in data["topics"] if track not in signals):
-        rate, gap = f"{track['rate']:.4g}", f"{track['largest_gap']:.3g} s"
-        rows.append((track["topic"], track["what"], str(track["count"]), rate, gap))
-    out.append(TableBlock("", ("topic", "what", "messages", "Hz", "largest gap"), tuple(rows), words=2))
-    if not few:
+    listed = [track for track in data["topics"] if len(signals) <= most or track not in signals]
+    rows = tuple(
+        (track["topic"], track["what"], f"{track['count']}", f"{track['rate']:.4g}", f"{track['largest_gap']:.3g} s")
+        for track in listed
+    )
+    out.append(TableBlock("", ("topic", "what", "messages", "Hz", "largest gap"), rows, words=2))
+    if len(signals) > most:
         topics = len({track["topic"] for track in signals})
-        said = f"{len(signals)} numbers of {topics} other topics, on which errors may depend: all with --verbose"
-        out.append(SummaryLine(said))
-    out.append(SummaryLine(f"duration: {data['duration_s']:.1f} s"))
+        out.append(f"{len(signals)} numbers of {topics} other topics, on which errors may depend: all with --verbose")
+    out.append(f"duration: {data['duration_s']:.1f} s")
     for one in data["listed"]:
         if one["role"] is None and one["could"]:
             kind = one["type_name"].rpartition("/")[2]
-            out.append(SummaryLine(f"{one['topic']} ({kind}) could be {' or '.join(map(_said, one['could']))}"))
+            out.append(f"{one['topic']} ({kind}) could be {' or '.join(map(_said, one['could']))}")
     return [*out, *(SummaryLine(finding, "doubt") for finding in data["findings"])]
 
 
@@ -136,13 +134,10 @@ def repair_command(bag: Path, out: Path | None, output: Output) -> None:
         "reasons": list(done.reasons),
         "messages": dict(done.saved),
     }
-    output.result(data, _saved(bag, done))
-
-
-def _saved(bag: Path, done: Repair) -> list[Summary]:
     count = sum(done.saved.values())
     if done.folder is None:
-        return [SummaryLine(f"{bag} is whole ({count} messages): nothing to repair")]
+        output.result(data, [f"{bag} is whole ({count} messages): nothing to repair"])
+        return
     table = TableBlock("", ("topic", "messages saved"), tuple((topic, str(n)) for topic, n in done.saved.items()))
     reasons = [SummaryLine(reason, "doubt") for reason in done.reasons]
-    return [*reasons, table, SummaryLine(f"{done.folder}: {count} messages saved", "good")]
+    output.result(data, [*reasons, table, SummaryLine(f"{done.folder}: {count} messages saved", "good")])

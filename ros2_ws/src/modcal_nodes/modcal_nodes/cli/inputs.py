@@ -22,9 +22,8 @@ def chain_line(base: str, tip: str, joints: int, others: Sequence[str] = ()) -> 
     """The chain that a verb works on, in a line. others: tips of other arms that might have been meant."""
     line = f"arm: {base} → {tip}, {joints} joint{'s' * (joints != 1)}"
     if others:
-        line += (
-            f"; --tip {' or --tip '.join(others[:_OTHERS])} for {'the other' if len(others) == 1 else 'another'} arm"
-        )
+        which = "the other" if len(others) == 1 else "another"
+        line += f"; --tip {' or --tip '.join(others[:_OTHERS])} for {which} arm"
     return line
 
 
@@ -41,9 +40,8 @@ def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> R
         if base is not None or tip is not None:
             raise BadRobot(str(path), "is a table, which describes one whole arm", "leave out --base and --tip")
         data = read_yaml(path)
-        return (
-            Robot.from_delta(path) if isinstance(data, Mapping) and "modcal_delta" in data else Robot.from_table(data)
-        )
+        is_delta = isinstance(data, Mapping) and "modcal_delta" in data
+        return Robot.from_delta(path) if is_delta else Robot.from_table(data)
 
 
 def described(recording: Recording, delta: Path | None, urdf: Path | None, base: str | None, tip: str | None) -> Robot:

@@ -1,4 +1,4 @@
-"""``modcal limits``: how hard each joint may be accelerated, with this payload, in these postures."""
+"""``modcal limits`` and ``modcal payload``: how hard joints may be accelerated, and what the arm carries."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 
 from modcal_core.errors import BadRecording, BadTable, about
 from modcal_core.geometry import Array
-from modcal_core.measurements import Recording, joints_by_time, spread_rows
-from modcal_core.report import LimitsFound, limits_report
+from modcal_core.measurements import Recording, efforts_at_rest, joints_by_time, spread_rows
+from modcal_core.report import LimitsFound, Quantity, Summary, SummaryLine, limits_report, quantity_tables
 from modcal_core.robot import Robot
-from modcal_core.robots import Chain, JointPath, LoadedArm, Payload, random_postures
+from modcal_core.robots import Chain, JointPath, LoadedArm, Payload, Stands, Weighed, random_postures, weigh
 from modcal_msgs_py import SUFFIXES, read_recording
-from modcal_nodes.cli.console import Output, saving
+from modcal_nodes.cli.console import Output, saving, speaking
 from modcal_nodes.cli.inputs import arm_line, described, numbers_by_joint, read_stations, whole_rows
 from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, TopicOptions, option, repeated
@@ -83,9 +83,7 @@ def limits_command(source: Path, output: Output, options: LimitsOptions) -> None
     base, tip, topics = options.base, options.tip, options.topics
     recording = read_recording(source, topics=topics) if source.is_dir() or source.name.endswith(SUFFIXES) else None
     if recording is not None and (options.at or options.velocity or options.workspace or options.path):
-        raise BadTable(
-            "--at, --velocity, --workspace, --path", f"and the postures of {source}", "give a URDF with them"
-        )
+        raise BadTable("--at, --velocity, --workspace, --path", f"and the postures of {source}", "give them a URDF")
     if recording is not None:
         robot = described(recording, None, options.urdf, base, tip)
     else:
@@ -110,15 +108,13 @@ def limits_command(source: Path, output: Output, options: LimitsOptions) -> None
 def _motion(chain: Chain, options: LimitsOptions) -> tuple[Array, Array]:
     """Positions and velocities (N, n) that are asked for."""
     at, workspace = options.at, options.workspace
+    if sum((options.path is not None, bool(at), workspace is not None)) > 1:
+        raise BadTable("--path, --at, --workspace", "are three ways to choose postures", "give one of them")
     if options.path is not None:
-        if at or workspace is not None:
-            raise BadTable("--path", "and --at or --workspace are ways to choose postures", "give one of them")
         q = read_stations(options.path, chain)
         return q, np.zeros_like(q)
     speeds = _column(chain, options.velocity, "--velocity", np.zeros(chain.n))
     if workspace is not None:
-        if at:
-            raise BadTable("--at and --workspace", "are two ways to choose postures", "give one of them")
         q = random_postures(chain, workspace, np.random.default_rng(options.seed))
         return q, np.tile(speeds, (len(q), 1))
     # a joint that cannot stand at zero stands at the limit next to it
@@ -169,4 +165,75 @@ def _column(chain: Chain, said: tuple[str, ...], option: str, otherwise: Array) 
         if name not in chain.names:
             raise BadTable(f"{option} {name}", "is not a joint of this arm", f"name one of {', '.join(chain.names)}")
         out[chain.names.index(name)] = value
+    return out
+
+
+_SURE = 3.0  # standard deviations by which a mass is told from nothing
+
+
+@dataclass(frozen=True)
+class PayloadOptions(ChainOptions, TopicOptions):
+    """What is asked of a payload: the arm, a recording without it, and how far drives and description may be wrong."""
+
+    without: Path | None = option("Bag of the same arm without the payload, in any postures.", metavar="BAG")
+    urdf: Path | None = option("Robot description. Default: the one in the bag.")
+    torque_constants: float = option("Standard deviation of torque constants [%].", default=5.0, type=float, above=0.0)
+    masses: float = option("The same of the masses in the robot description [%].", default=10.0, type=float, above=0.0)
+    gravity: tuple[float, ...] | None = option(
+        "Which way gravity pulls in the base link, where its z does not point up.", type=float, nargs=3
+    )
+
+
+@click.command("payload")
+@click.argument("bag", type=EXISTING)
+@given(PayloadOptions)
+@speaking
+def payload_command(bag: Path, output: Output, options: PayloadOptions) -> None:
+    """Weigh what the arm carries by the torques of its joints at rest: mass and centre, with their uncertainty.
+
+    BAG has joint states with effort, of some ten postures that were held for a second. A second bag without the
+    payload (--without) shows what the arm weighs by itself, and makes the answer several times sharper.
+    """
+    recording = read_recording(bag, topics=options.topics)
+    robot = described(recording, None, options.urdf, options.base, options.tip)
+    arm = LoadedArm.read(robot.description or "", robot.base, robot.tip)
+    inertias = arm.inertias if options.gravity is None else arm.inertias.pulled(options.gravity)
+    stands = [Stands(*efforts_at_rest(recording, arm.chain.names), True)]
+    if options.without is not None:
+        empty = read_recording(options.without, topics=options.topics)
+        stands.append(Stands(*efforts_at_rest(empty, arm.chain.names), False))
+    with about(str(bag)):
+        found = weigh(arm.chain, inertias, stands, 1e-2 * options.torque_constants, 1e-2 * options.masses)
+    said = [arm_line(robot), *_weighed(found, arm.chain, options.without is None)]
+    output.result(weighed_data(found, arm.chain), said)
+
+
+def weighed_data(found: Weighed, chain: Chain) -> dict[str, Any]:
+    """A payload for JSON."""
+    joints = zip(chain.names, found.scale.tolist(), found.scale_std.tolist(), found.scatter.tolist(), strict=True)
+    return {
+        "mass_kg": found.mass,
+        "mass_std_kg": float(found.std[0]),
+        "centre_m": found.centre.tolist(),
+        "centre_std_m": found.std[1:].tolist(),
+        "covariance": found.covariance.tolist(),
+        "postures": found.postures,
+        "joints": {name: {"factor": f, "factor_std": std, "scatter": scatter} for name, f, std, scatter in joints},
+    }
+
+
+def _weighed(found: Weighed, chain: Chain, alone: bool) -> list[Summary]:
+    """The same for a terminal. alone: without a recording of the bare arm."""
+    rows: list[Quantity] = [("mass", found.mass, float(found.std[0]), "kg")]
+    centre = zip("xyz", found.centre.tolist(), found.std[1:].tolist(), strict=True)
+    rows += [(f"centre, {axis} of {chain.tip}", at, std, "m") for axis, at, std in centre]
+    out: list[Summary] = [*quantity_tables(rows, "payload")]
+    if alone:
+        remedy = "A bag without the payload (--without) shows the arm's own weight and sharpens this."
+        out.append(SummaryLine(remedy, "legend"))
+    if found.mass < _SURE * found.std[0]:
+        out.append(SummaryLine("The mass cannot be told from nothing: its centre says little.", "doubt"))
+    else:
+        at = " ".join(f"{c:.4f}" for c in found.centre)
+        out.append(SummaryLine(f"For limits and plans: --payload {found.mass:.3f} --centre {at}"))
     return out

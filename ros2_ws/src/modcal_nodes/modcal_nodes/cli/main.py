@@ -27,7 +27,7 @@ GROUPS = {
         "sensitivity": ("plan", "Report which parameters of an arm matter most."),
         "plan": ("plan", "Choose stations: for an accuracy, or to tell explanations apart."),
         "target": ("target", "Write a board to print for calibrating with a camera."),
-        "payload": ("payload", "Weigh what the arm carries by the torques of its joints at rest."),
+        "payload": ("limits", "Weigh what the arm carries by the torques of its joints at rest."),
         "limits": ("limits", "Compute how fast each joint may accelerate with this payload."),
         "simulate": ("simulate", "Record a simulated cell with errors that its model lacks."),
     },
@@ -90,9 +90,8 @@ class _Verbs(click.Group):
         """The command of a verb, or None."""
         if cmd_name not in VERBS:
             return None
-        found = getattr(
-            import_module(f"modcal_nodes.cli.{VERBS[cmd_name][0]}"), f"{cmd_name.replace('-', '_')}_command"
-        )
+        module = import_module(f"modcal_nodes.cli.{VERBS[cmd_name][0]}")
+        found = getattr(module, f"{cmd_name.replace('-', '_')}_command")
         assert isinstance(found, click.Command)
         return found
 
@@ -159,23 +158,24 @@ def _fault() -> int:
     return 1
 
 
-# What a verb may need beyond what is always installed: the extra of the distribution that brings it
-_EXTRAS = {"mujoco": "simulate", "pyarrow": "fleet", "distributed": "fleet"}
-# Beside ROS from apt, which has none of them, or an older one
-_PACKAGES = {"cv2": "opencv-python-headless", "fpdf": "fpdf2"}
+# Where a module comes from that not every installation has: an extra of the distribution, or a package beside ROS from
+# apt, which has none, or an older one
+_SOURCES = {
+    "mujoco": "modcal[simulate]",
+    "pyarrow": "modcal[fleet]",
+    "distributed": "modcal[fleet]",
+    "cv2": "opencv-python-headless",
+    "fpdf": "fpdf2",
+}
 _ROS = ("rclpy", "ament_index_python", "launch", "launch_ros", "rosidl_runtime_py", "rosgraph_msgs", "lifecycle_msgs")
 
 
 def _source_of(module: str) -> str | None:
     """Where a module comes from that not every installation has; None for any other."""
-    if module in _PACKAGES:
-        return f"pip install {_PACKAGES[module]}"
-    if module in _EXTRAS:
-        return f"pip install 'modcal[{_EXTRAS[module]}]'"
+    if module in _SOURCES:
+        return f"pip install '{_SOURCES[module]}'"
     if module in _ROS or module.endswith(("_msgs", "_interfaces", "_srvs")):
-        return (
-            "source a ROS 2 installation, such as /opt/ros/jazzy/setup.bash; only call, door, play and watch need one"
-        )
+        return "source a ROS 2 installation (/opt/ros/jazzy/setup.bash); only call, door, play and watch need one"
     return None
 
 

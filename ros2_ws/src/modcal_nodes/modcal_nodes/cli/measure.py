@@ -58,7 +58,7 @@ class MeasureOptions(ChainOptions):
     """What is asked of a measurement, by the names of the command's options."""
 
     goal_mm: float | None = option(
-        "Error at the tool to be proven. Default: as good as can be.", above=0.0, metavar="MM"
+        "Error at the tool to be proven. Default: the least possible.", above=0.0, metavar="MM"
     )
     statistic: str = option("Statistic of --goal-mm.", "--of", default="rms", choices=("rms", "p95"))
     stations: int = option("Most stations.", default=MAX_STATIONS, low=1)
@@ -195,15 +195,15 @@ def _by_hand(place: Folder, kept: StoredSession, advisor: Advisor, watch: Watch)
 
 
 def _asking(place: Folder, advice: Advice, filled: FilledTable) -> list[str]:
-    session = advice.session
+    session, turns = advice.session, place.robot.mechanism.revolute
     lines = [*_nothing_new(place, filled), *left_out(advice)]
     lines.append(f"{counted(len(session.rows()), 'station')} measured; {_standing(advice)}".rstrip("; "))
     lines.append(f"Next: {counted(len(session.pending), 'station')} ({advice.why}), in {place.path / NEXT}")
     for number in session.pending:
-        q = session.stations[number].asked
-        turns = place.robot.mechanism.revolute
-        shown = (f"{np.degrees(v):9.3f}°" if t else f"{1e3 * v:9.3f} mm" for v, t in zip(q, turns, strict=True))
-        lines.append(f"  {number + 1:3d} {session.stations[number].role:7s}" + " ".join(shown))
+        station = session.stations[number]
+        q = zip(station.asked, turns, strict=True)
+        shown = " ".join(f"{np.degrees(v):9.3f}°" if turn else f"{1e3 * v:9.3f} mm" for v, turn in q)
+        lines.append(f"  {number + 1:3d} {station.role:7s}{shown}")
     return [
         *lines,
         "Write each reading into its row (leave a row empty for later; note 'unseen' or 'skipped' where there is",
@@ -237,13 +237,13 @@ def _standing(advice: Advice) -> str:
     status = advice.status
     if status.expected is None:
         return ""
-    parts = [f"{1e3 * status.expected:.3f} mm RMS expected"]
-    if status.bound is not None:
-        parts.append(f"at most {1e3 * status.bound:.3f} mm claimed")
-    if status.seen is not None:
-        parts.append(f"{1e3 * status.seen:.3f} mm seen at {status.proving} random stations")
-    if status.needed is not None:
-        parts.append(f"about {counted(status.needed, 'more station')}")
+    sizes = {
+        "{:.3f} mm RMS expected": status.expected,
+        "at most {:.3f} mm claimed": status.bound,
+        f"{{:.3f}} mm seen at {status.proving} random stations": status.seen,
+    }
+    parts = [said.format(1e3 * size) for said, size in sizes.items() if size is not None]
+    parts += [] if status.needed is None else [f"about {counted(status.needed, 'more station')}"]
     return ", ".join(parts)
 
 

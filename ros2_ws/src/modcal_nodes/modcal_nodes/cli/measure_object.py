@@ -12,7 +12,7 @@ from modcal_core.calibration import Calibration
 from modcal_core.correction import GripperRays, HeldBox, Placing, StackPlace, held_box, placing, rests
 from modcal_core.errors import BadTable, NotEnoughData, about
 from modcal_core.geometry import Array, se3
-from modcal_core.report import SummaryLine, TableBlock
+from modcal_core.report import Quantity, Summary, SummaryLine, quantity_tables
 from modcal_msgs_py import read_recording
 from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.inputs import numbers_by_joint
@@ -75,7 +75,7 @@ def measure_object_command(calibration: Path, bag: Path, output: Output, options
     rays = GripperRays.of(Calibration.load(calibration), "tool" if options.frame == "tool" else "tip")
     faces, size, place = rays.faces(options.face), options.known, options.place
     readings = read_recording(bag, topics=options.topics).readings
-    data, blocks, untold = list[dict[str, object]](), list[SummaryLine | TableBlock](), list[NotEnoughData]()
+    data, blocks, untold = list[dict[str, object]](), list[Summary](), list[NotEnoughData]()
     with about(str(bag)):
         spans = rests(rays, readings)
         for span in spans:
@@ -95,18 +95,15 @@ def measure_object_command(calibration: Path, bag: Path, output: Output, options
     return 3 if untold else 0
 
 
-def held_summary(held: HeldBox, put: Placing | None) -> list[SummaryLine | TableBlock]:
+def held_summary(held: HeldBox, put: Placing | None) -> list[Summary]:
     """What is said of a box, and of where it goes."""
     std, position = np.sqrt(np.diag(held.pose_covariance)), held.box.T_frame_box[:3, 3]
-    rows = [(f"{a} of its centre in {held.frame}", f"{1e3 * p:.2f} mm", f"{1e3 * s:.2f} mm")
-            for a, p, s in zip("xyz", position, std, strict=False)]  # fmt: skip
-    rows += [(f"size along its {a}", f"{1e3 * size:.2f} mm", f"{1e3 * s:.2f} mm" if s else "stated")
-             for a, size, s in zip("xyz", held.box.size, held.box.std[6:], strict=True)]  # fmt: skip
-    out: list[SummaryLine | TableBlock] = [TableBlock("", ("box", "value", "standard deviation"), tuple(rows))]
+    middle, size = zip("xyz", position, std, strict=False), zip("xyz", held.box.size, held.box.std[6:], strict=True)
+    rows: list[Quantity] = [(f"{a} of its centre in {held.frame}", float(x), float(s), "m") for a, x, s in middle]
+    rows += [(f"size along its {a}{'' if s else ', stated'}", float(x), float(s), "m") for a, x, s in size]
+    out: list[Summary] = [*quantity_tables(rows, "box")]
     quaternion = " ".join(f"{x:.5f}" for x in se3.to_pose(held.box.T_frame_box)[3:])
-    out.append(
-        SummaryLine(f"Its orientation in {held.frame}: {quaternion} (x y z w), ± {np.degrees(std[3:].max()):.2f}°.")
-    )
+    out.append(SummaryLine(f"Orientation in {held.frame}: {quaternion} (x y z w), ± {np.degrees(std[3:].max()):.2f}°."))
     if not held.box.spare:
         out.append(SummaryLine("No reading is spare: nothing checks that this is a box.", "doubt"))
     if held.silent:
@@ -115,6 +112,6 @@ def held_summary(held: HeldBox, put: Placing | None) -> list[SummaryLine | Table
         pose = " ".join(f"{x:.5f}" for x in se3.to_pose(put.T_base_frame))
         off = 1e3 * np.sqrt(np.diag(put.covariance)[:3])
         out.append(SummaryLine(f"To put it down: {put.frame} at {pose} in the base link (x y z qx qy qz qw)."))
-        out.append(SummaryLine(f"It then stands within {off[0]:.2f}, {off[1]:.2f}, {off[2]:.2f} mm (x y z, standard "
-                               "deviation), the arm's own error not counted."))  # fmt: skip
+        within = ", ".join(f"{one:.2f}" for one in off)
+        out.append(SummaryLine(f"It then stands within {within} mm (x y z, 1 σ), the arm's own error not counted."))
     return out

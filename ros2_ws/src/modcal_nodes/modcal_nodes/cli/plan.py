@@ -9,7 +9,6 @@ from typing import Any
 import click
 import numpy as np
 
-from modcal_core.calibration import Calibration
 from modcal_core.errors import BadTable, NotEnoughData, NotRepresentable
 from modcal_core.files import read_yaml, to_yaml
 from modcal_core.geometry import se3
@@ -63,8 +62,7 @@ class SensitivityOptions(ChainOptions):
         choices=("dh", "calibration"),
     )
     design: str | None = option(
-        "Design of postures for the indices. Default: l25, or sobol for more than six joints.",
-        choices=DESIGNS,
+        "Design of postures for the indices. Default: l25, or sobol for more than six joints.", choices=DESIGNS
     )
     levels: int = option("Levels of --design array; a prime.", default=5, low=2, high=31)
     postures: int | None = option("Postures of --design sobol. Default: 64, with --thorough 512.", low=4, high=4096)
@@ -156,7 +154,21 @@ def decide(options: PlanOptions, report: Path, site: Site | None, output: Output
         proposal = propose(calibration, i, j, share, rng, may)
         said.append(f"  {_worth(proposal)}")
         deciding += [proposal] if proposal.decides else []
-    data = _data(calibration, deciding)
+    data = {
+        "modcal_plan": 1,
+        "joints": list(calibration.nominal.chain.names),
+        "ties": [
+            {
+                "between": [p.effect.label, p.rival.label],
+                "separation": float(p.separation),
+                "stations": [
+                    {"position": q.tolist(), **({"approach": a.astype(int).tolist()} if a.any() else {})}
+                    for q, a in zip(p.q, p.approach, strict=True)
+                ],
+            }
+            for p in deciding
+        ],
+    }
     if deciding:
         result = VerbResult(data, said, {"plan.yaml": to_yaml(data)}, "Stations", "plan.yaml")
         output.saved(result, folder.with_name(f"{folder.name}_plan"))
@@ -180,25 +192,6 @@ def _worth(proposal: DecidingStations) -> str:
     )
 
 
-def _data(calibration: Calibration, proposals: list[DecidingStations]) -> dict[str, object]:
-    names = calibration.nominal.chain.names
-    return {
-        "modcal_plan": 1,
-        "joints": list(names),
-        "ties": [
-            {
-                "between": [p.effect.label, p.rival.label],
-                "separation": float(p.separation),
-                "stations": [
-                    {"position": [float(x) for x in q], **({"approach": [int(x) for x in a]} if a.any() else {})}
-                    for q, a in zip(p.q, p.approach, strict=True)
-                ],
-            }
-            for p in proposals
-        ],
-    }
-
-
 _NEXT = 10  # images, where no number is asked for
 _DECIDING = 16  # stations, where none are asked for
 _THOROUGH = 6000, 8  # candidates and starts
@@ -212,23 +205,18 @@ class PlanOptions(ChainOptions):
         "YAML: tracker, target, noise, spheres of the arm, floor, obstacles, limits. See docs/planning.md.",
         metavar="FILE",
     )
-    stations: int | None = option(
-        "Number of stations. Default: twice as many as modcal calibrate needs; with --decide: 16.",
-        low=2,
-    )
+    stations: int | None = option("Stations. Default: twice what modcal calibrate needs; with --decide: 16.", low=2)
     accuracy_mm: float | None = option("Use as many stations as needed for this error of the calibrated arm.", low=1e-6)
     measure: str = option("Statistic of --accuracy-mm.", default="p95", choices=("p95", "rms"))
     criterion: str = option("Criterion to optimise.", default=ACCURACY, choices=CRITERIA)
     reading: str = option(default="point", choices=("point", "pose"))
     fixed: tuple[str, ...] = repeated("Fixed parameter, as in modcal calibrate. Repeatable.", "NAME", "--fix")
-    besides: Path | None = option(
-        "plan.yaml or CSV of stations that are already measured and count too.", metavar="STATIONS"
-    )
+    besides: Path | None = option("plan.yaml or CSV of stations measured already, which count too.", metavar="STATIONS")
     candidates: int | None = option(
         f"Postures to choose from. Default: {CANDIDATES}, with --thorough {_THOROUGH[0]}.", low=10, high=20_000
     )
     starts: int | None = option(
-        f"Random starts of the exchange. Default: {STARTS}, with --thorough {_THOROUGH[1]}.", low=1, high=100
+        f"Starts of the exchange. Default: {STARTS}, with --thorough {_THOROUGH[1]}.", low=1, high=100
     )
     thorough: bool = option("Look longer for better stations.", default=False)
     speed: float = option("Joint speed of trajectory.yaml, rad/s.", default=0.5, low=1e-3)
@@ -280,9 +268,7 @@ def plan_command(robot: Path | None, output: Output, options: PlanOptions) -> No
     site = None if options.site is None else site_from_data(read_yaml(options.site), str(options.site))
     if options.report is not None:
         if robot is not None or options.accuracy_mm is not None:
-            raise BadTable(
-                "--decide", "cannot be combined with ROBOT or --accuracy-mm", "give REPORT alone: it holds the robot"
-            )
+            raise BadTable("--decide", "cannot be combined with ROBOT or --accuracy-mm", "give REPORT alone")
         decide(options, options.report, site, output)
         return
     if robot is None:
@@ -303,8 +289,7 @@ def _by_camera(robot: Path | None, asked: PlanOptions, output: Output) -> None:
     from modcal_nodes.cli.camera_input import CameraOptions, plan_next_images
 
     if asked.camera is None or asked.target is None:
-        joints = asked.target is None and asked.camera is None
-        given = "--joints" if joints else "--camera" if asked.camera is not None else "--target"
+        given = "--camera" if asked.camera is not None else "--target" if asked.target is not None else "--joints"
         raise BadTable(given, "needs --camera and --target", "give the images so far, and the target that they show")
     if asked.joints is not None and robot is None:
         raise BadTable("--joints", "needs ROBOT", "give the URDF: a folder of images has none")

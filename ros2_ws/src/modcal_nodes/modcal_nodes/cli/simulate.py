@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
-import yaml
+import numpy as np
 
 from modcal_core.errors import BadTable
+from modcal_core.files import parse_yaml
 from modcal_core.planning import RETURNS
 from modcal_core.robots import other_tips
 from modcal_msgs_py import write_recording
 from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.inputs import chain_line
 from modcal_nodes.cli.options import EXISTING, WRITTEN, Decimal, Whole
-from modcal_nodes.ros import SIMULATED_CELL, Parameter
+from modcal_nodes.ros import SIMULATED_CELL
 from modcal_nodes.simulation import Plant, recorded
 
 _OF_THE_NODE = (
@@ -94,32 +94,18 @@ def parameter(text: str) -> tuple[str, Any]:
         names = ", ".join(n for n in SIMULATED_CELL if n not in _OF_THE_NODE)
         raise BadTable(f"-p {text}", "is not a NAME=VALUE of the simulated cell", f"names are {names}")
     parameter = SIMULATED_CELL[name]
-    value = _typed(yaml.safe_load(written), parameter)
-    if value is None:
-        wanted = type(parameter.default).__name__
-        raise BadTable(f"-p {text}", f"is no {'list of numbers' if wanted == 'list' else wanted}", "write one")
+    kind, value = type(parameter.default), parse_yaml(written, f"-p {name}")
+    try:
+        if kind is list:
+            value = [float(item) for item in (value if isinstance(value, list) else [value])]
+        elif kind is float and not isinstance(value, bool):
+            value = float(value)
+        fits = type(value) is kind and (kind in (str, bool) or bool(np.isfinite(value).all()))
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        raise BadTable(f"-p {text}", f"is no {'list of numbers' if kind is list else kind.__name__}", "write one")
     low, high = parameter.low, parameter.high
     if low is not None and high is not None and not low <= value <= high:
         raise BadTable(f"-p {text}", f"{low:g} to {high:g} is allowed", "choose a value between")
     return name, value
-
-
-def _typed(value: Any, parameter: Parameter) -> Any:
-    """The value as the type that the parameter has, None where it is of another."""
-    kind = type(parameter.default)
-    if kind is list:
-        items = value if isinstance(value, list) else [value]
-        numbers = [_number(item) for item in items]
-        return None if None in numbers else numbers
-    if kind is float:
-        return _number(value)
-    return value if type(value) is kind else None
-
-
-def _number(value: Any) -> float | None:
-    """A finite number; YAML takes 1e-6 for a text."""
-    try:
-        number = float(value) if not isinstance(value, bool) else math.nan
-    except (TypeError, ValueError):
-        return None
-    return number if math.isfinite(number) else None

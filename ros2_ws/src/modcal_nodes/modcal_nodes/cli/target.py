@@ -37,14 +37,11 @@ class _Pattern(click.ParamType):
 
 
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_NUMBER = r"(\d+(?:\.\d+)?)"
 _COUNTS = _Pattern("7x5", r"(\d{1,4})[x×](\d{1,4})", "of the form 7x5", lambda m: (int(m[1]), int(m[2])))
-_LENGTH = _Pattern(
-    "30mm", r"(\d+(?:\.\d+)?)\s*(mm|cm|m)", "a length such as 30mm", lambda m: float(m[1]) * _METRES[m[2]]
-)
+_LENGTH = _Pattern("30mm", rf"{_NUMBER}\s*(mm|cm|m)", "a length such as 30mm", lambda m: float(m[1]) * _METRES[m[2]])
 _LENGTHS = _Pattern(
-    "209.5x149.8",
-    r"(\d+(?:\.\d+)?)[x×](\d+(?:\.\d+)?)",
-    "of the form 209.5x149.8 [mm]",
+    *("209.5x149.8", f"{_NUMBER}[x×]{_NUMBER}", "of the form 209.5x149.8 [mm]"),
     lambda m: (1e-3 * float(m[1]), 1e-3 * float(m[2])),
 )
 
@@ -65,9 +62,7 @@ class TargetOptions:
         "Lengths [mm] of the horizontal and the vertical ruler on the printed sheet, as you measured them.",
         type=_LENGTHS,
     )
-    measured_to_mm: float | None = option(
-        "How well you measured them.  [default: 0.3, as with a ruler]", low=0.001, metavar="MM"
-    )
+    measured_to_mm: float | None = option("How well you did.  [default: 0.3, as with a ruler]", low=0.001, metavar="MM")
 
     @property
     def chosen(self) -> list[tuple[str, tuple[int, int]]]:
@@ -87,16 +82,14 @@ def target_command(out: Path, output: Output, options: TargetOptions) -> None:
     Print it at 100 %, glue it to something flat, measure both rulers, and state them: modcal target --measured
     209.5x149.8 puts them into target.yaml.
     """
-    measured, square = options.measured, options.square
+    measured, square, ctx = options.measured, options.square, click.get_current_context()
     if not options.chosen and measured is not None:
         _measured(out, measured, options.measured_to_mm, output)
         return
     if len(options.chosen) != 1:
-        raise click.UsageError(
-            "Give one of --charuco, --chessboard, --aruco-grid and --tag.", click.get_current_context()
-        )
+        raise click.UsageError("Give one of --charuco, --chessboard, --aruco-grid, --tag.", ctx)
     if square is None:
-        raise click.UsageError("Missing option '--square'.", click.get_current_context())
+        raise click.UsageError("Missing option '--square'.", ctx)
     # OpenCV, which other verbs can do without
     from modcal_core.camera import CHARUCO, CHESSBOARD, TAG, PrintedTarget, target_to_data
     from modcal_nodes.vision import draw_sheet
@@ -105,7 +98,7 @@ def target_command(out: Path, output: Output, options: TargetOptions) -> None:
     inner = {CHARUCO: _MARKER * square, CHESSBOARD: 0.0, TAG: 0.0}.get(kind, 0.25 * square)
     if options.marker is not None:
         if kind in (CHESSBOARD, TAG):
-            raise click.UsageError(f"--marker does not work with --{kind}.", click.get_current_context())
+            raise click.UsageError(f"--marker does not work with --{kind}.", ctx)
         inner = options.marker
     words = "" if kind == CHESSBOARD else options.dictionary or "DICT_5X5_100"
     made = PrintedTarget(kind, columns, rows, square, round(inner, 6), words, options.tag or 0)
@@ -120,9 +113,7 @@ def target_command(out: Path, output: Output, options: TargetOptions) -> None:
         f"State what you read, for WIDTH and HEIGHT [mm]: modcal target --measured WIDTHxHEIGHT --out {out}",
     ]
     if sys.stdin.isatty() and sys.stdout.isatty() and measured is None:
-        answer = click.prompt(
-            "Measured lengths [mm] as 209.5x149.8, or Enter for later", default="", show_default=False
-        )
+        answer = click.prompt("Measured lengths [mm] as 209.5x149.8, or Enter", default="", show_default=False)
         measured = _LENGTHS.convert(answer, None, None) if answer else None
     if measured is None:
         output.result(data, said, written(out, files, "Target", "target.pdf"))

@@ -17,8 +17,8 @@ from distributed import Client, KilledWorker, wait
 
 from modcal_core.errors import BadRecording, BadTable, ModcalError
 from modcal_core.files import replace_folder
+from modcal_core.public import Result
 from modcal_core.report import to_json_data
-from modcal_core.result import Result
 from modcal_msgs_py import SUFFIXES
 from modcal_nodes.io import Options, calibrate_bag
 

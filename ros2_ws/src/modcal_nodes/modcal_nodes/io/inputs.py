@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,85 +23,25 @@ from modcal_core.calibration import (
     StatedPayload,
     StatedTool,
     StationDistance,
-    What,
     from_data,
 )
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml
 from modcal_core.geometry import Array, se3
-from modcal_core.measurements import Schema, require, shown, told
 from modcal_core.measurements.kinds import frame_on_plane
 from modcal_core.report import Particulars
 from modcal_core.robots import Delta, delta_from_data
+from modcal_core.schema import NUMBER, POSITIVE, TEXT, Schema, list_of, record, require
 from modcal_msgs_py import Topics, calibration_data
 
 if TYPE_CHECKING:
     from modcal_core.modules import Assembly, Library
 
-_NUMBER = {"type": "number"}
-_TEXT = {"type": "string", "minLength": 1}
-_TEXTS = {"type": ["array", "null"], "items": {"type": "string"}}
-_WHAT = {"type": "string", "enum": list(WHATS)}
-_THREE = {"type": "array", "items": _NUMBER, "minItems": 3, "maxItems": 3}
-
-
-def _mapping(properties: Schema, *required: str) -> Schema:
-    return {"type": "object", "properties": properties, "required": list(required), "additionalProperties": False}
-
-
-def _list(items: Schema) -> Schema:
-    return {"type": ["array", "null"], "items": items}
-
-
-_PAIR = {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2}
-_STAMPS = {"type": "array", "items": _NUMBER, "minItems": 2, "maxItems": 2}
-_DISTANCE = {"distance_m": _NUMBER, "std_m": _NUMBER}
-_PLANE = _mapping({"normal": _THREE, "offset_m": _NUMBER}, "normal", "offset_m")
-_QUATERNION = {"type": "array", "items": _NUMBER, "minItems": 4, "maxItems": 4}
-_POSE = {"position_m": _THREE, "quaternion": _QUATERNION}
-SCHEMA = _mapping(
-    {
-        "distances": _list(
-            {
-                "type": "object",
-                "oneOf": [
-                    _mapping({"between": _PAIR, **_DISTANCE}, "between", "distance_m"),
-                    _mapping({"stamps": _STAMPS, **_DISTANCE}, "stamps", "distance_m"),
-                ],
-            }
-        ),
-        "fixed": _TEXTS,
-        "own_target": _TEXTS,
-        "sockets": _TEXTS,
-        "known": _list(
-            _mapping(
-                {"frame": _TEXT, "in": _TEXT, "plane": _PLANE, **_POSE, "std_m": _NUMBER, "std_deg": _NUMBER},
-                "frame",
-                "in",
-            )
-        ),
-        "tool": {
-            **_mapping({**_POSE, "std_m": _NUMBER, "std_deg": _NUMBER}, "position_m", "std_m"),
-            "type": ["object", "null"],
-        },
-        "payloads": _list(_mapping({"mass_kg": _NUMBER, "centre_m": _THREE}, "mass_kg")),
-        "gravity": {**_THREE, "type": ["array", "null"]},
-        "moved": _list(_mapping({"stamp": _NUMBER, "what": _WHAT}, "stamp", "what")),
-        "own_in_recordings": {**_WHAT, "type": ["string"]},
-        "repeatability_mm": _NUMBER,
-        "repeatability_deg": _NUMBER,
-        "repeatability_iso": _NUMBER,
-        "instrument_mm": _NUMBER,
-        "instrument_deg": _NUMBER,
-        "topics": {"type": ["object", "null"], "additionalProperties": {"type": ["string", "array"], "items": _TEXT}},
-        "ignore": _TEXTS,
-        "tf": {"type": ["string", "null"]},
-        "certificate": {**_mapping({field.name: _TEXT for field in fields(Particulars)}), "type": ["object", "null"]},
-    }
-)
-
-
-T = TypeVar("T")
+_MIN_STD = 1e-7  # m, deg; what is stated better is stated as fixed
+_MAX_KG, _FARTHEST_M = 5000.0, 10.0  # the heaviest arms carry less than they weigh, which is three tonnes
+_UNIT = 0.01  # by which the length of a normal or a quaternion may be off
+_REMEDY = "see docs/calibration.md and docs/instruments.md"
+_OF_CELL = re.compile("cell file|known distance|frame '.*', known in")  # what a cell file alone can state
 # Names of the options of the command line, and what they state
 STATEMENTS = {
     "repeatability_mm": "repeatability_mm",
@@ -110,17 +50,58 @@ STATEMENTS = {
     "instrument_mm": "instrument_mm",
     "instrument_deg": "instrument_deg",
 }
-_MIN_STD = 1e-7  # m, deg; what is stated better is stated as fixed
-_MAX_KG, _FARTHEST_M = 5000.0, 10.0  # the heaviest arms carry less than they weigh, which is three tonnes
-_REMEDY = "see docs/calibration.md and docs/instruments.md"
-_OF_CELL = re.compile("cell file|known distance|frame '.*', known in")  # what a cell file alone can state
-_AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
-_AS_STATED = "a number, e.g. repeatability_mm: 0.02"
-_AS_MOVED = "{stamp: 1700000000.5, what: tool}, or what: base, or both"
-_AS_PAYLOAD = "{mass_kg: 2.5, centre_m: [0, 0, 0.05]}, in the tip link"
-_AS_GRAVITY = "[0, 0, -9.81], in the base link"
-_AS_TOOL = "{position_m: [0, 0, 0.055], std_m: 0.001}, and with orientation quaternion and std_deg"
-_AS_KNOWN = "{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}}, or with position_m and quaternion"
+_TEXT: Schema = {"type": "string", "minLength": 1}
+_WHAT: Schema = {"type": "string", "enum": list(WHATS)}
+_THREE = list_of(NUMBER, 3, 3)
+_POSE = {"position_m": _THREE, "quaternion": list_of(NUMBER, 4, 4)}
+_STD_M: Schema = {"type": "number", "minimum": _MIN_STD, "maximum": 1.0}
+_STD = {"std_m": _STD_M, "std_deg": {"type": "number", "minimum": _MIN_STD}}
+_DISTANCE = {"distance_m": {**POSITIVE, "maximum": 50.0}, "std_m": {**POSITIVE, "maximum": 1.0}}
+_FAR: Schema = {"type": "number", "minimum": -_FARTHEST_M, "maximum": _FARTHEST_M}
+_PLANE = record(("normal", "offset_m"), normal=_THREE, offset_m=NUMBER)
+
+
+def _or_null(schema: Schema) -> Schema:
+    return {**schema, "type": [schema["type"], "null"]}
+
+
+_TEXTS = _or_null(list_of(TEXT))
+_TOPICS: Schema = {"type": "object", "additionalProperties": {"type": ["string", "array"], "items": _TEXT}}
+SCHEMA = record(
+    distances=_or_null(
+        list_of(
+            {
+                "type": "object",
+                "oneOf": [
+                    record(("between", "distance_m"), between=list_of(TEXT, 2, 2), **_DISTANCE),
+                    record(("stamps", "distance_m"), stamps=list_of(NUMBER, 2, 2), **_DISTANCE),
+                ],
+            }
+        )
+    ),
+    fixed=_TEXTS,
+    own_target=_TEXTS,
+    sockets=_TEXTS,
+    known=_or_null(list_of(record(("frame", "in"), frame=_TEXT, plane=_PLANE, **{"in": _TEXT}, **_POSE, **_STD))),
+    tool=_or_null(record(("position_m", "std_m"), **_POSE, **_STD)),
+    payloads=_or_null(
+        list_of(
+            record(
+                ("mass_kg",),
+                mass_kg={"type": "number", "minimum": 0.0, "maximum": _MAX_KG},
+                centre_m=list_of(_FAR, 3, 3),
+            )
+        )
+    ),
+    gravity=_or_null(_THREE),
+    moved=_or_null(list_of(record(("stamp", "what"), stamp=NUMBER, what=_WHAT))),
+    own_in_recordings=_WHAT,
+    **dict.fromkeys(STATEMENTS, NUMBER),
+    topics=_or_null(_TOPICS),
+    ignore=_TEXTS,
+    tf=_or_null(TEXT),
+    certificate=_or_null(record(**{field.name: _TEXT for field in fields(Particulars)})),
+)
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -147,28 +128,25 @@ def read_cell(path: Path | None, fixed: tuple[str, ...] = (), stated: Stated | N
     if path is None:
         return Cell(fixed=fixed, stated=stated)
     data = _read_cell(path)
-    distances = tuple(_part(path, _distance, "distances", d, _AS_DISTANCE) for d in data.get("distances") or ())
-    for distance in distances:
-        if not (0.0 < distance.distance < 50.0 and 0.0 < distance.std < 1.0):
-            ends = distance.between if isinstance(distance, Distance) else map(str, distance.stamps)
-            raise BadTable(
-                f"{path}: distance {' to '.join(ends)}",
-                f"{distance.distance:g} ± {distance.std:g} m, 0 to 50 m is allowed",
-                "give metres",
-            )
-    own = data.get("own_in_recordings")
+    own, gravity = data.get("own_in_recordings"), data.get("gravity")
+    moved = sorted((Move(float(m["stamp"]), m["what"]) for m in data.get("moved") or ()), key=lambda m: m.at)
+    if gravity is not None and not any(gravity):
+        raise BadTable(f"{path}: gravity", "has no length", "give a direction in the base link, e.g. [0, 0, -9.81]")
     return Cell(
-        distances,
-        (*(str(f) for f in data.get("fixed") or ()), *fixed),
-        tuple(_part(path, _known, "known", k, _AS_KNOWN) for k in data.get("known") or ()),
-        tuple(str(f) for f in data.get("own_target") or ()),
-        stated.over(_part(path, stated_from, "repeatability and instrument", data, _AS_STATED)),
-        tuple(str(f) for f in data.get("sockets") or ()),
-        tuple(sorted((_part(path, _move, "moved", m, _AS_MOVED) for m in data.get("moved") or ()), key=lambda m: m.at)),
-        None if own is None else _part(path, _what, "own_in_recordings", own, ", ".join(WHATS)),
-        None if data.get("tool") is None else _part(path, _tool, "tool", data["tool"], _AS_TOOL),
-        None if data.get("gravity") is None else _part(path, _gravity, "gravity", data["gravity"], _AS_GRAVITY),
-        payloads=tuple(_part(path, _payload, "payloads", p, _AS_PAYLOAD) for p in data.get("payloads") or ()),
+        tuple(_distance(d) for d in data.get("distances") or ()),
+        (*(data.get("fixed") or ()), *fixed),
+        tuple(_known(k, f"{path}: known: {k['frame']}") for k in data.get("known") or ()),
+        tuple(data.get("own_target") or ()),
+        stated.over(stated_from(data)),
+        tuple(data.get("sockets") or ()),
+        tuple(moved),
+        own,
+        None if data.get("tool") is None else _tool(data["tool"], f"{path}: tool"),
+        None if gravity is None else _three(gravity),
+        payloads=tuple(
+            StatedPayload(float(p["mass_kg"]), _three(p.get("centre_m", (0.0, 0.0, 0.0))))
+            for p in data.get("payloads") or ()
+        ),
     )
 
 
@@ -217,88 +195,54 @@ def stated_from(data: Mapping[str, Any]) -> Stated:
     return Stated(**{field: None if value is None else float(value) for field, value in values.items()})
 
 
-def _part(path: Path, read: Callable[[Any], T], what: str, data: Any, expected: str) -> T:
-    try:
-        return read(data)
-    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise BadTable(f"{path}: {what}", f"{shown(data)} is not {expected}: {told(error)}", _REMEDY) from error
-
-
-def _move(data: Mapping[str, Any]) -> Move:
-    return Move(float(data["stamp"]), _what(data["what"]))
-
-
-def _what(said: Any) -> What:
-    for what in WHATS:
-        if said == what:
-            return what
-    raise ValueError(f"{said!r} is not one of {', '.join(WHATS)}")
+def _three(data: Sequence[Any]) -> tuple[float, float, float]:
+    x, y, z = map(float, data)
+    return x, y, z
 
 
 def _distance(data: Mapping[str, Any]) -> AnyDistance:
     distance, std = float(data["distance_m"]), float(data.get("std_m", 5e-5))
     if "stamps" in data:
-        first, second = (float(t) for t in data["stamps"])
+        first, second = map(float, data["stamps"])
         return StationDistance((first, second), distance, std)
-    return Distance((str(data["between"][0]), str(data["between"][1])), distance, std)
+    first, second = data["between"]
+    return Distance((first, second), distance, std)
 
 
-def _gravity(data: Any) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in data)
-    if not 0.0 < np.linalg.norm([x, y, z]) < np.inf:
-        raise ValueError("a direction has a length")
-    return x, y, z
-
-
-def _payload(data: Mapping[str, Any]) -> StatedPayload:
-    x, y, z = (float(v) for v in data.get("centre_m", (0.0, 0.0, 0.0)))
-    mass = float(data["mass_kg"])
-    if not (0.0 <= mass <= _MAX_KG and np.abs([x, y, z]).max() <= _FARTHEST_M):
-        raise ValueError(f"0 to {_MAX_KG:g} kg within {_FARTHEST_M:g} m of the tip are allowed")
-    return StatedPayload(mass, (x, y, z))
-
-
-def _tool(data: Mapping[str, Any]) -> StatedTool:
+def _tool(data: Mapping[str, Any], where: str) -> StatedTool:
     if ("quaternion" in data) != ("std_deg" in data):
-        raise ValueError("an orientation needs quaternion and std_deg, both")
-    std_m, std_rad = _deviations({"std_deg": np.inf, **data})
-    return StatedTool(_pose(data), std_m, std_rad)
+        raise BadTable(where, "states half of an orientation", "state quaternion and std_deg, or none of them")
+    return StatedTool(_pose(data, where), *_deviations({"std_deg": np.inf, **data}))
 
 
 def _deviations(data: Mapping[str, Any]) -> tuple[float, float]:
     """Deviations [m, rad] that are stated as std_m and std_deg."""
-    std_m, std_deg = float(data["std_m"]), float(data["std_deg"])
-    if not (_MIN_STD <= std_m < 1.0 and std_deg >= _MIN_STD):
-        raise ValueError(f"std_m from {_MIN_STD:g} to 1 m and std_deg from {_MIN_STD:g} are allowed")
-    return std_m, float(np.radians(std_deg))
+    return float(data["std_m"]), float(np.radians(data["std_deg"]))
 
 
-def _pose(data: Mapping[str, Any]) -> Array:
+def _unit(data: Sequence[Any], what: str, where: str) -> Array:
+    values = np.array(data, dtype=float)
+    if not abs(np.linalg.norm(values) - 1.0) < _UNIT:
+        raise BadTable(where, f"its {what} has length {np.linalg.norm(values):.4g}", "give one of length one")
+    return values
+
+
+def _pose(data: Mapping[str, Any], where: str) -> Array:
     """The transform (4, 4) of position_m and quaternion."""
-    pose = [*data.get("position_m", (0.0, 0.0, 0.0)), *data.get("quaternion", (0.0, 0.0, 0.0, 1.0))]
-    values = np.array([float(x) for x in pose])
-    if values.shape != (7,) or not 0.99 < float(np.linalg.norm(values[3:])) < 1.01:
-        raise ValueError("a position has three numbers, a quaternion four and length one")
-    return se3.from_pose(values)
+    turn = _unit(data.get("quaternion", (0.0, 0.0, 0.0, 1.0)), "quaternion", where)
+    return se3.from_pose(np.r_[_three(data.get("position_m", (0.0, 0.0, 0.0))), turn])
 
 
-def _known(data: Mapping[str, Any]) -> Known:
+def _known(data: Mapping[str, Any], where: str) -> Known:
     """A frame in another: its plane, its pose, or, for the same plane, nothing."""
-    extra = set(data) - {"frame", "in", "plane", "position_m", "quaternion", "std_m", "std_deg"}
-    if extra:
-        raise ValueError(f"unknown {', '.join(sorted(extra))}")
-    frame, to = str(data["frame"]), str(data["in"])
+    frame, to = data["frame"], data["in"]
     if "plane" in data:
-        normal = np.array([float(x) for x in data["plane"]["normal"]])
-        if normal.shape != (3,) or not 0.99 < float(np.linalg.norm(normal)) < 1.01:
-            raise ValueError("a normal has three numbers and length one")
+        normal = _unit(data["plane"]["normal"], "normal", where)
         return Known(frame, to, frame_on_plane(normal, float(data["plane"]["offset_m"])))
-    std: tuple[float, float] | None = None
-    if "std_m" in data or "std_deg" in data:
-        if to != "base" or not {"std_m", "std_deg"} <= set(data):
-            raise ValueError("std_m and std_deg go together, of a frame in the base")
-        std = _deviations(data)
-    return Known(frame, to, se3.inverse(_pose(data)), std)
+    deviations = {"std_m", "std_deg"} & set(data)
+    if deviations and (to != "base" or len(deviations) < 2):
+        raise BadTable(where, f"states {' and '.join(sorted(deviations))}", "state both, of a frame in the base")
+    return Known(frame, to, se3.inverse(_pose(data, where)), _deviations(data) if deviations else None)
 
 
 def read_library(path: Path | None) -> Library:

@@ -9,51 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from modcal_core.measurements import Schema
 from modcal_msgs_py import Topics
-
-_NUMBER = {"type": "number"}
-_NULL_NUMBER = {"type": ["number", "null"]}
-_TEXT = {"type": "string"}
-_NULL_TEXT = {"type": ["string", "null"]}
-
-
-def _mapping(properties: Schema, *required: str) -> Schema:
-    return {"type": "object", "properties": properties, "required": list(required)}
-
-
-def _or_null(schema: Schema) -> Schema:
-    return {**schema, "type": [schema["type"], "null"]}
-
-
-_PAIR = {"type": ["array", "null"], "items": _NUMBER, "minItems": 2, "maxItems": 2}
-_SIZE = _or_null(
-    _mapping({**{k: _NUMBER for k in ("mean", "rms", "p95", "max")}, "rms_ci95": _PAIR}, "mean", "rms", "p95", "max")
-)
-_QUANTITY = _mapping({"value": _NUMBER, "std": _NULL_NUMBER, "unit": _TEXT}, "value", "std", "unit")
-_EFFECT = _mapping(
-    {
-        **{name: _TEXT for name in ("family", "place", "direction", "driver")},
-        "parameters": {"type": "object", "additionalProperties": _QUANTITY},
-    },
-    *("family", "place", "direction", "driver", "parameters"),
-)
-_PARAMETER = _mapping({"name": _TEXT, "value": _NUMBER, "std": _NUMBER, "unit": _TEXT}, "name", "value", "std", "unit")
-SCHEMA = _mapping(
-    {
-        "modcal_report": {"type": "integer", "enum": [1]},
-        "recording": _mapping({"stations": {"type": "integer"}, "joints": {"type": "array", "items": _TEXT}}),
-        "error_mm": _mapping({"final": _SIZE}),
-        "effects": {"type": "array", "items": _EFFECT},
-        "unproved": {"type": "array", "items": _EFFECT},
-        "parameters": {"type": "array", "items": _PARAMETER},
-        "status": _TEXT,
-        "open_because": {"type": "array", "items": _TEXT},
-        "trace": _or_null(_mapping({name: _NULL_TEXT for name in ("date", "version", "robot")})),
-        "tolerance": _or_null(_mapping({"result": _TEXT})),
-    },
-    "modcal_report",
-)
 
 
 def option(text: str = "", *names: str, default: Any = None, **more: Any) -> Any:
@@ -82,13 +38,9 @@ class ChainOptions:
 class TopicOptions:
     """What the topics of a bag are."""
 
-    topic: tuple[str, ...] = repeated(
-        "The topic for a role, e.g. tracker/pose=/vrpn/tool/pose. Repeatable.", "ROLE=NAME"
-    )
+    topic: tuple[str, ...] = repeated("The topic for a role, as tracker/pose=/vrpn/tool/pose. Repeatable.", "ROLE=NAME")
     ignore: tuple[str, ...] = repeated("Leave a topic out. Repeatable.", "TOPIC")
-    tf: str | None = option(
-        "The tracker's readings are these frames in /tf, e.g. tracker:tool.", metavar="PARENT:CHILD"
-    )
+    tf: str | None = option("The tracker's readings are these frames in /tf, as tracker:tool.", metavar="PARENT:CHILD")
 
     @property
     def topics(self) -> Topics:
@@ -101,12 +53,10 @@ class FrozenOptions(TopicOptions):
     """What is asked of a frozen calibration on a recording."""
 
     cell_file: Path | None = option(
-        "YAML of known distances, fixed parameters, and what is stated of arm and instrument.", "--cell"
+        "YAML of known distances, fixed parameters, and statements on arm and instrument.", "--cell"
     )
     repeatability_mm: float | None = option("Repeatability of the arm, RMS over space.", above=0.0, metavar="MM")
-    repeatability_iso: float | None = option(
-        "The same as RP of ISO 9283, as data sheets give it.", above=0.0, metavar="MM"
-    )
+    repeatability_iso: float | None = option("The same as RP of ISO 9283, of the data sheet.", above=0.0, metavar="MM")
     repeatability_deg: float | None = option("Repeatability of the orientation, RMS.", above=0.0, metavar="DEG")
     instrument_mm: float | None = option("Error of the instrument, RMS over space.", above=0.0, metavar="MM")
     instrument_deg: float | None = option("Orientation error of the instrument, RMS.", above=0.0, metavar="DEG")
@@ -115,7 +65,7 @@ class FrozenOptions(TopicOptions):
         "Largest offset between tracker and joint clocks that is corrected.", default=0.5, low=0.0, metavar="S"
     )
     tolerance_mm: float | None = option(
-        "Allowed error: PASS, FAIL or CANNOT TELL; exit code 3 unless PASS.", above=0.0, metavar="MM"
+        "Allowed error: PASS, FAIL or CANNOT TELL; exit 3 unless PASS.", above=0.0, metavar="MM"
     )
     tolerance_of: str = option(
         "Which error of the held-out stations is compared with the tolerance.",
@@ -141,9 +91,7 @@ class RobotOptions:
     delta: Path | None = option("Description of a Delta robot, instead of a URDF.")
     base: str | None = option("Link where the arm begins. Default: the root link.", metavar="LINK")
     tip: str | None = option("Link where it ends. Default: the link behind most recorded joints.", metavar="LINK")
-    fixed: tuple[str, ...] = repeated(
-        "Fix a parameter or place at its nominal value, e.g. tool. Repeatable.", "NAME", "--fix"
-    )
+    fixed: tuple[str, ...] = repeated("Keep a parameter or place nominal, e.g. tool. Repeatable.", "NAME", "--fix")
     geometry_only: bool = option("Fit only the geometry; do not look for other effects.", default=False)
 
 
@@ -151,9 +99,7 @@ class RobotOptions:
 class Options(SplitOptions, RobotOptions):
     """What is asked of a calibration, beside the recording: the options of ``modcal calibrate`` under their names."""
 
-    by_distances: bool = option(
-        "Of a Delta: compare least squares and simulated annealing on distances alone.", default=False
-    )
+    by_distances: bool = option("Of a Delta: compare fits and simulated annealing on distances alone.", default=False)
     factory_kinematics: Path | None = option(
         "What the manufacturer's tool took from this arm: kinematics.yaml keeps its form and hash.", metavar="FILE"
     )

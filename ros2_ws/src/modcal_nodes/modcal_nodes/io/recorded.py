@@ -10,8 +10,7 @@ from modcal_core.calibration import Calibration, Cell, Move, Stated, together_st
 from modcal_core.errors import BadRecording, about
 from modcal_core.files import read_yaml
 from modcal_core.measurements import Samples, after, between, require_new, together
-from modcal_core.public import calibrate, tolerance_asked
-from modcal_core.result import Result
+from modcal_core.public import Result, calibrate, tolerance_asked
 from modcal_core.robot import Robot
 from modcal_msgs_py import Bag, Topics, read_bag
 from modcal_nodes.cli import described
@@ -97,15 +96,14 @@ def _with(samples: Samples, cell: Cell, added: Samples, name: str) -> tuple[Samp
     if late:
         notes = (
             *notes,
-            f"{name} overlaps the recordings before it in time: its stamps were shifted {late:.1f} s later.",
+            f"{name} overlaps the recordings before it: its stamps were shifted {late:.1f} s later.",
         )
     moment = between(samples, later)
     cell = replace(cell, between=tuple(sorted((*cell.between, moment))))
     if cell.own_in_recordings:
         cell = cell.with_move(Move(moment, cell.own_in_recordings))
-    stated = together_stated(
-        [Stated(instrument_mm=o.instrument_mm, instrument_deg=o.instrument_deg) for o in (one, two)]
-    )
+    each = [Stated(instrument_mm=o.instrument_mm, instrument_deg=o.instrument_deg) for o in (one, two)]
+    stated = together_stated(each)
     origin = replace(
         one,
         notes=notes,

@@ -7,14 +7,14 @@ drawn that way. Around it are a floor, boxes and spheres.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array, so3
@@ -24,7 +24,10 @@ from modcal_core.robots import CollisionShape, Tree, collision_shapes, parse
 _ALWAYS = 0.9  # share of random postures from which a pair that touches is drawn touching
 _DRAWN = 200  # random postures for that
 _FAR = 50.0  # m; half of the floor's and larger than any arm
-_KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
+_HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+_JOINTS = {"revolute": _HINGE, "continuous": _HINGE, "prismatic": _SLIDE}
+_BOX, _SPHERE, _PLANE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_PLANE
+_ROUND = {"cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER, "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE}
 
 
 @dataclass(frozen=True)
@@ -41,36 +44,26 @@ class CollisionModel:
 
     def __init__(self, urdf: str, names: Sequence[str], site: Site, folder: Path | None = None) -> None:
         """names: of the joints, in the order of all postures; other joints stand at zero. folder: where mesh files are
-        looked for beside absolute paths. Raises BadRobot for a description without collision shapes, or one whose mesh
-        files are not there.
+        looked for beside absolute paths. Raises BadRobot where they are not there.
         """
+        tree, shapes = parse(urdf), collision_shapes(urdf)
         self.names, self._margin = tuple(names), site.margin
-        self._xml = _mjcf(urdf, site, folder)
-        self._load([])
+        self._spec = _drawn(tree, shapes, site, folder)
+        self._allow(_neighbours(tree, shapes))
         joints = [self._model.joint(name) for name in self.names]
         self._at = np.array([j.qposadr[0] for j in joints])
-        self._allow_what_is_drawn_touching()
-
-    def _load(self, excluded: Sequence[tuple[str, str]]) -> None:
-        xml = ET.fromstring(self._xml)
-        contact = ET.SubElement(xml, "contact")
-        for one, other in excluded:
-            ET.SubElement(contact, "exclude", body1=one, body2=other)
-        self._model = mujoco.MjModel.from_xml_string(ET.tostring(xml, encoding="unicode"))
-        self._data = mujoco.MjData(self._model)
-
-    def _allow_what_is_drawn_touching(self) -> None:
-        low, high = self._model.jnt_range[self._at].T if len(self._at) else (np.zeros(0), np.zeros(0))
+        low, high = np.array([j.range for j in joints]).reshape(-1, 2).T
         low, high = np.where(high > low, low, -np.pi), np.where(high > low, high, np.pi)
-        rng = np.random.default_rng(0)  # the same pairs every time
-        counts: dict[tuple[str, str], int] = {}
-        for q in rng.uniform(low, high, (_DRAWN, len(self.names))):
-            for touch in self.touches(q):
-                pair = (touch.one, touch.other)
-                counts[pair] = counts.get(pair, 0) + 1
-        always = [pair for pair, count in counts.items() if count > _ALWAYS * _DRAWN and "world" not in pair]
-        if always:
-            self._load(always)
+        drawn = np.random.default_rng(0).uniform(low, high, (_DRAWN, len(self.names)))  # the same pairs every time
+        counts = Counter((touch.one, touch.other) for q in drawn for touch in self.touches(q))
+        self._allow({pair for pair, count in counts.items() if count > _ALWAYS * _DRAWN and "world" not in pair})
+
+    def _allow(self, pairs: Collection[tuple[str, str]]) -> None:
+        """Let these links touch each other."""
+        for one, other in sorted(pairs):
+            self._spec.add_exclude(bodyname1=one, bodyname2=other)
+        self._model = self._spec.compile()
+        self._data = mujoco.MjData(self._model)
 
     def touches(self, q: Array) -> list[LinkContact]:
         """What touches at a posture (n,), each pair of links once."""
@@ -80,54 +73,47 @@ class CollisionModel:
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)
         found: dict[tuple[str, str], float] = {}
-        for k in range(self._data.ncon):
-            contact = self._data.contact[k]
-            pair = tuple(sorted(self._body(int(g)) for g in (contact.geom1, contact.geom2)))
-            depth = self._margin - float(contact.dist)
-            found[pair] = max(found.get(pair, -np.inf), depth)  # type: ignore[index,arg-type]
+        for contact in self._data.contact:
+            one, other = sorted(self._model.body(self._model.geom_bodyid[geom]).name for geom in contact.geom)
+            found[one, other] = max(found.get((one, other), -np.inf), self._margin - float(contact.dist))
         return [LinkContact(one, other, depth) for (one, other), depth in found.items()]
-
-    def _body(self, geom: int) -> str:
-        return str(self._model.body(int(self._model.geom_bodyid[geom])).name)
 
     def free(self, q: Array) -> np.ndarray:
         """True for postures (N, n) at which nothing touches, (N,)."""
         return np.array([not self.touches(row) for row in q], dtype=bool)
 
 
-def has_shapes(urdf: str) -> bool:
-    """Whether any link of a description has a collision shape."""
-    return bool(collision_shapes(urdf))
-
-
-def _mjcf(urdf: str, site: Site, folder: Path | None) -> str:
-    tree, shapes = parse(urdf), collision_shapes(urdf)
-    if not shapes:
-        said = "has no collision shapes"
-        raise BadRobot("robot_description", said, "give one that has, or allow no_self_collision at your risk")
-    xml = ET.Element("mujoco")
-    ET.SubElement(xml, "compiler", angle="radian", autolimits="false")
-    assets, world = ET.SubElement(xml, "asset"), ET.SubElement(xml, "worldbody")
-    _surroundings(world, site)
-    waiting = [(tree.root(), _body(world, tree.root(), np.eye(4)))]
+def _drawn(tree: Tree, shapes: Mapping[str, Sequence[CollisionShape]], site: Site, folder: Path | None) -> Any:
+    """MuJoCo's drawing of the robot and of what stands around it."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = spec.compiler.autolimits = False
+    world, margin = spec.worldbody, {"margin": site.margin}
+    if site.floor is not None:
+        world.add_geom(type=_PLANE, size=[_FAR, _FAR, 1.0], pos=[0.0, 0.0, site.floor], **margin)
+    for ball in site.obstacles:
+        world.add_geom(type=_SPHERE, size=[ball.radius, 0.0, 0.0], pos=ball.centre, **margin)
+    for low, high in site.boxes:
+        world.add_geom(type=_BOX, size=0.5 * (high - low), pos=0.5 * (low + high), **margin)
+    # MuJoCo wants a mass of whatever moves; nothing is made of it
+    solid = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0], "explicitinertial": True}
+    bodies = {tree.root(): world.add_body(name=tree.root(), **solid)}
+    waiting = [tree.root()]
     while waiting:
-        name, body = waiting.pop()
+        name = waiting.pop()
         for shape in shapes.get(name, ()):
-            _geom(body, shape, site.margin, assets, folder)
+            if form := _form(shape, spec, folder):
+                bodies[name].add_geom(**form, **_placed(shape.T_link_shape), **margin)
         for joint in tree.below[name]:
-            inner = _body(body, joint.child, joint.T_parent_joint)
-            if joint.kind in _KINDS:
-                low, high = np.nan_to_num([joint.lower, joint.upper], posinf=0.0, neginf=0.0)
-                ET.SubElement(
-                    inner, "joint", name=joint.name, axis=_text(joint.axis), limited="false", type=_KINDS[joint.kind],
-                    range=f"{low} {high}",
-                )  # fmt: skip
-            waiting.append((joint.child, inner))
-    _leave_out_neighbours(ET.SubElement(xml, "contact"), tree, shapes)
-    return ET.tostring(xml, encoding="unicode")
+            bodies[joint.child] = bodies[name].add_body(name=joint.child, **_placed(joint.T_parent_joint), **solid)
+            if joint.kind in _JOINTS:
+                ends = np.nan_to_num([joint.lower, joint.upper], posinf=0.0, neginf=0.0)
+                kind = _JOINTS[joint.kind]
+                bodies[joint.child].add_joint(name=joint.name, type=kind, axis=joint.axis, limited=0, range=ends)
+            waiting.append(joint.child)
+    return spec
 
 
-def _leave_out_neighbours(contact: ET.Element, tree: Tree, shapes: Mapping[str, object]) -> None:
+def _neighbours(tree: Tree, shapes: Collection[str]) -> set[tuple[str, str]]:
     """Links that meet at a joint, also over links that carry no shape of their own."""
     pairs = {("world", tree.root())}
     for name in tree.links:
@@ -137,34 +123,26 @@ def _leave_out_neighbours(contact: ET.Element, tree: Tree, shapes: Mapping[str, 
             parent = joint.parent
             near = not joint.moves or parent not in shapes
             pairs.add((parent, name))
-    for one, other in sorted(pairs):
-        ET.SubElement(contact, "exclude", body1=one, body2=other)
+    return pairs
 
 
-def _body(parent: ET.Element, name: str, T: Array) -> ET.Element:
-    body = ET.SubElement(parent, "body", {"name": name, **_place(T)})
-    # MuJoCo wants a mass of whatever moves; nothing is made of it
-    ET.SubElement(body, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
-    return body
-
-
-def _geom(body: ET.Element, shape: CollisionShape, margin: float, assets: ET.Element, folder: Path | None) -> None:
-    sizes, kind, more = shape.sizes, shape.kind, dict[str, str]()
-    if kind == "box":
-        more["size"] = _text([0.5 * float(v) for v in sizes.get("size", "0 0 0").split()])
-    elif kind == "sphere":
-        more["size"] = sizes.get("radius", "0")
-    elif kind in ("cylinder", "capsule"):
-        more["size"] = f"{sizes.get('radius', 0)} {0.5 * float(sizes.get('length', 0.0))}"
-    elif kind == "mesh":
-        file, scale = str(_file(sizes.get("filename", ""), folder)), sizes.get("scale", "1 1 1")
-        known = next((a for a in assets if (a.get("file"), a.get("scale")) == (file, scale)), None)
-        if known is None:
-            known = ET.SubElement(assets, "mesh", name=f"mesh_{len(assets)}", file=file, scale=scale)
-        more["mesh"] = str(known.get("name"))
-    else:
-        return
-    ET.SubElement(body, "geom", {"type": kind, "margin": _text([margin]), **_place(shape.T_link_shape), **more})
+def _form(shape: CollisionShape, spec: Any, folder: Path | None) -> dict[str, Any] | None:
+    """Type and size of a shape; None for one that MuJoCo does not know."""
+    sizes = shape.sizes
+    if shape.kind == "box":
+        return {"type": _BOX, "size": [0.5 * float(v) for v in sizes.get("size", "0 0 0").split()]}
+    if shape.kind == "sphere":
+        return {"type": _SPHERE, "size": [float(sizes.get("radius", 0.0)), 0.0, 0.0]}
+    if shape.kind in _ROUND:
+        size = [float(sizes.get("radius", 0.0)), 0.5 * float(sizes.get("length", 0.0)), 0.0]
+        return {"type": _ROUND[shape.kind], "size": size}
+    if shape.kind != "mesh":
+        return None
+    file, scale = str(_file(sizes.get("filename", ""), folder)), sizes.get("scale", "1 1 1")
+    name = f"{file} {scale}"
+    if spec.mesh(name) is None:
+        spec.add_mesh(name=name, file=file, scale=[float(v) for v in scale.split()])
+    return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name}
 
 
 def _file(name: str, folder: Path | None) -> Path:
@@ -178,20 +156,5 @@ def _file(name: str, folder: Path | None) -> Path:
     return path.resolve()
 
 
-def _surroundings(world: ET.Element, site: Site) -> None:
-    margin = _text([site.margin])
-    if site.floor is not None:
-        ET.SubElement(world, "geom", type="plane", size=f"{_FAR} {_FAR} 1", pos=f"0 0 {site.floor}", margin=margin)
-    for ball in site.obstacles:
-        ET.SubElement(world, "geom", type="sphere", size=str(ball.radius), pos=_text(ball.centre), margin=margin)
-    for box in site.boxes:
-        middle, half = 0.5 * (box[0] + box[1]), 0.5 * (box[1] - box[0])
-        ET.SubElement(world, "geom", type="box", size=_text(half), pos=_text(middle), margin=margin)
-
-
-def _place(T: Array) -> dict[str, str]:
-    return {"pos": _text(T[:3, 3]), "quat": _text(np.roll(so3.to_quaternion(T[:3, :3]), 1))}
-
-
-def _text(values: ArrayLike) -> str:
-    return " ".join(f"{v:.12g}" for v in np.asarray(values))
+def _placed(T: Array) -> dict[str, Array]:
+    return {"pos": T[:3, 3], "quat": np.roll(so3.to_quaternion(T[:3, :3]), 1)}

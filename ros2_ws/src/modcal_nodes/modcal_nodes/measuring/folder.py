@@ -18,6 +18,7 @@ from modcal_core.outcome import readmitted_note
 from modcal_core.planning import PROOF, Advice, Goal, Session, Station, from_data, from_side, to_data, to_table
 from modcal_core.report import calibration_files
 from modcal_core.robot import Robot
+from modcal_nodes.measuring.runner import averaged
 from modcal_nodes.simulation import Plant
 
 SESSION, NEXT, STATIONS, RESULT = "session.yaml", "next.csv", "stations.csv", "measure.json"
@@ -147,14 +148,12 @@ _FIRST = 1.0e9  # s; any time, so that stamps are those of an instrument
 
 
 class Measurer(Protocol):
-    """What measures one station after the other."""
+    """What measures one station after the other. elapsed: seconds since the beginning."""
+
+    elapsed: float
 
     def measure(self, station: Station) -> Station:
         """The station with what became of it."""
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds since the beginning."""
 
 
 class CellInProcess:
@@ -165,17 +164,12 @@ class CellInProcess:
         self.plant = Plant({**chosen, "stations": 0})
         self._points = chosen["measurement"] == POINT
         self._period = 1.0 / chosen["tracker_rate_hz"]
-        self._now = 0.0
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds of the cell's own time."""
-        return self._now
+        self.elapsed = 0.0  # s of the cell's own time
 
     def measure(self, station: Station) -> Station:
         """Go there and average some readings."""
-        here = self.plant.posture(self._now)
-        begin = self._now
+        begin = self.elapsed
+        here = self.plant.posture(begin)
         travel = max(float(np.abs(station.asked - here).max()) / _SPEED, 0.1)
         first = begin + travel + _SETTLING
         times = first + self._period * np.arange(_READINGS)
@@ -183,14 +177,10 @@ class CellInProcess:
         if station.approach is not None:
             legs.insert(0, (0.7 * travel, from_side(station.asked, station.approach)))
         self.plant.go(legs, begin)
-        poses = np.array([self.plant.read(self.plant.tool(t)) for t in times])
-        self._now = float(times[-1]) + 0.1
+        poses = se3.to_pose(np.array([self.plant.read(self.plant.tool(t)) for t in times]))
+        reading, scatter = averaged(poses[:, :3] if self._points else poses)
+        self.elapsed = float(times[-1]) + 0.1
         q, _, effort = self.plant.joints(float(times[-1]))
-        mean = np.eye(4)
-        mean[:3, 3] = poses[:, :3, 3].mean(axis=0)
-        mean[:3, :3] = so3.mean(poses[:, :3, :3])
-        reading = mean[:3, 3] if self._points else se3.to_pose(mean)
-        scatter = float(np.sqrt(np.mean(np.var(poses[:, :3, 3], axis=0, ddof=1)) / len(poses)))
         stamp = _FIRST + float(times.mean())
         return station.measured(reading, q, stamp=stamp, effort=effort, sigma=scatter)
 

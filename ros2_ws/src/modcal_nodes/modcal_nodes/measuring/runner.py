@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from sensor_msgs.msg import JointState
 
-from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import TRAVEL
 from modcal_core.planning import UNSEEN, Station, TimedMotion
-from modcal_core.robots import Mechanism, followers_of
+from modcal_core.robots import Mechanism
 from modcal_msgs_py import JointInput
 
 IDLE, MOVING, SETTLING, READING, HELD = "idle", "moving", "settling", "reading", "held"
@@ -176,18 +175,11 @@ class Runner:
 
     def _measured(self) -> Station:
         assert self._station is not None
-        readings = np.array([reading for _, reading in self._read])
-        mean = readings[:, :3].mean(axis=0)
-        if readings.shape[1] > 3:
-            mean = np.r_[mean, so3.to_quaternion(so3.mean(so3.from_quaternion(readings[:, 3:])))]
-        scatter = float("nan")
-        if len(readings) > 1:
-            scatter = float(np.sqrt(np.mean(np.var(readings[:, :3], axis=0, ddof=1)) / len(readings)))
+        reading, scatter = averaged(np.array([reading for _, reading in self._read]))
         effort = np.mean(self._effort, axis=0) if self._effort else None
         stamp = float(np.mean([stamp for stamp, _ in self._read]))
-        return self._station.measured(
-            mean, np.mean(self._seen, axis=0), stamp=stamp, sigma=scatter, effort=effort, approach=self._came()
-        )
+        q = np.mean(self._seen, axis=0)
+        return self._station.measured(reading, q, stamp=stamp, sigma=scatter, effort=effort, approach=self._came())
 
     def _came(self) -> Array:
         """The way in which each joint last moved, −1, 0 (it did not) or 1, (n,)."""
@@ -207,13 +199,24 @@ class Runner:
         self._read, self._seen, self._effort = [], [], []
 
 
+def averaged(readings: Array) -> tuple[Array, float]:
+    """The mean of readings x y z (m, 3), of poses qx qy qz qw behind them, and the standard deviation of its position
+    per axis [m]; NaN of one reading.
+    """
+    count, mean = len(readings), readings[:, :3].mean(axis=0)
+    if readings.shape[1] > 3:
+        mean = np.r_[mean, so3.to_quaternion(so3.mean(so3.from_quaternion(readings[:, 3:])))]
+    scatter = np.sqrt(np.mean(np.var(readings[:, :3], axis=0, ddof=1)) / count) if count > 1 else np.nan
+    return mean, float(scatter)
+
+
 class JointReports:
     """The newest report of all joints. limits: lowest and highest positions (n,) [rad, m]. clock: seconds of the node's
     own time, in which messages are stamped.
     """
 
     def __init__(self, robot: Mechanism, limits: tuple[Array, Array], clock: Callable[[], float]) -> None:
-        self._joints, self._clock = JointInput(robot.names, *limits, followers_of(robot)), clock
+        self._joints, self._clock = JointInput(robot.names, *limits, robot.follows), clock
         self._received = -np.inf
 
     def receive(self, message: JointState, stale: float) -> None:
@@ -240,13 +243,6 @@ class JointReports:
         age = max(self._clock() - float(self._joints.stamps.min()), 0.0)
         received = min(self._received, time.monotonic() - age)
         return JointReport(q, received, effort if np.isfinite(effort).all() else None)
-
-
-def required(reports: JointReports | None, stale: float) -> None:
-    """Raises BadCommand where joints were never heard of, or not for so many seconds."""
-    if reports is None:
-        raise BadCommand("joint_states", "not received yet", "start the driver, or remap the topic")
-    reports.require_fresh(stale)
 
 
 class Worker:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +43,8 @@ from modcal_core.planning import (
     with_limits,
 )
 from modcal_core.robot import Robot
-from modcal_core.robots import Mechanism, forward, read_drives
-from modcal_nodes.measuring.collision import CollisionModel, has_shapes
+from modcal_core.robots import Mechanism, collision_shapes, forward, read_drives
+from modcal_nodes.measuring.collision import CollisionModel
 from modcal_nodes.measuring.folder import Folder, StoredSession
 from modcal_nodes.measuring.runner import (
     HELD,
@@ -56,19 +56,10 @@ from modcal_nodes.measuring.runner import (
     Rules,
     Runner,
     Worker,
-    required,
 )
 from modcal_nodes.ros import ERROR, OK, WARN
 
 _SIDE = 0.05  # rad or m from which a station is come to where the side matters
-
-
-@dataclass(frozen=True)
-class StationWay:
-    """How to go to a station: its number, and the motion, None where there is no free one."""
-
-    number: int
-    motion: TimedMotion | None
 
 
 class Place:
@@ -85,7 +76,7 @@ class Place:
         self._fastest = read_drives(urdf, self.robot.chain).speed
         self._slack = float(chosen["tolerance_rad"])
         self.shapes: CollisionModel | None = None
-        if has_shapes(urdf):
+        if collision_shapes(urdf):
             folder = Path(chosen["meshes"]) if chosen["meshes"] else None
             self.shapes = CollisionModel(urdf, self.robot.names, self.site, folder)
         elif not chosen["no_self_collision"]:
@@ -152,9 +143,10 @@ class Place:
             out[inside] = clearance(self._spheres, self.site, q[inside]) >= 0.0
         return out
 
-    def way(self, number: int, start: Array, speed: float) -> StationWay:
+    def way(self, number: int, start: Array, speed: float) -> TimedMotion | None:
         """How to go to a pending station from a posture (n,), no joint faster than the speed [rad/s, m/s], nor than the
-        description allows. Raises BadRobot where the arm cannot begin: that is no fault of the station.
+        description allows; None where no way is free. Raises BadRobot where the arm cannot begin: that is no fault of
+        the station.
         """
         station = self.session.stations[number]
         goal, begin = station.asked, self._inside(start)
@@ -165,9 +157,7 @@ class Place:
             before = free_way(begin, beside, self.free, self.pool.where)
             last = None if before is None else free_way(beside, goal, self.free, self.pool.where[:0])
             via = None if before is None or last is None else [*before, goal]
-        if via is None:
-            return StationWay(number, None)
-        return StationWay(number, timed([start, *via[1:]], np.minimum(speed, self._fastest)))
+        return None if via is None else timed([start, *via[1:]], np.minimum(speed, self._fastest))
 
     def _inside(self, q: Array) -> Array:
         """The posture (n,), within limits where it is beyond them by no more than an arm stands beside a station."""
@@ -187,31 +177,27 @@ class Place:
     def dry_run(self, start: Array, speed: float) -> str:
         """What the arm would do first, in sentences; nothing is sent. Raises ModcalError where it could not begin."""
         self.require_free(self._inside(start))
-        pending = self.session.pending
-        ways, here = [], start
+        pending, motions, here = self.session.pending, list[TimedMotion](), start
         for number in pending:
-            way = self.way(number, here, speed)
-            ways.append(way)
-            if way.motion is not None:
-                here = way.motion.end
-        lasting = [float(w.motion.t[-1]) for w in ways if w.motion is not None]
+            if (motion := self.way(number, here, speed)) is not None:
+                motions.append(motion)
+                here = motion.end
         where = forward(self.robot.mechanism, self.pool.where)[:, :3, 3]
-        low, high = where.min(axis=0), where.max(axis=0)
-        checked = "the shapes of the description" if self.shapes is not None else "spheres along the links only"
-        blocked = sum(w.motion is None for w in ways)
-        box = ", ".join(f"{axis} {a:.2f} to {b:.2f}" for axis, a, b in zip("xyz", low, high, strict=True))
+        box = ", ".join(
+            f"{axis} {a:.2f} to {b:.2f}" for axis, a, b in zip("xyz", where.min(axis=0), where.max(axis=0), strict=True)
+        )
+        checked = [
+            "limits",
+            "the shapes of the description" if self.shapes is not None else "spheres along the links only",
+        ]
+        checked += ["floor"] if self.site.floor is not None else []
+        if obstacles := len(self.site.boxes) + len(self.site.obstacles):
+            checked.append(f"{obstacles} obstacles")
         return (
-            f"{len(pending)} stations first, {sum(lasting):.0f} s of motion, {blocked} of them without a free way "
-            f"(skipped). Joints move at {speed:g} rad/s at most, less where the description says so. The tip may go "
-            f"anywhere in {box} m of {self.robot.base}. "
-            f"Checked: limits, {checked}"
-            + (", floor" if self.site.floor is not None else "")
-            + (
-                f", {len(self.site.boxes) + len(self.site.obstacles)} obstacles"
-                if self.site.boxes or self.site.obstacles
-                else ""
-            )
-            + ". Nothing has moved: call ~/start to accept."
+            f"{len(pending)} stations first, {sum(motion.t[-1] for motion in motions):.0f} s of motion, "
+            f"{len(pending) - len(motions)} of them without a free way (skipped). Joints move at {speed:g} rad/s at "
+            f"most, less where the description says so. The tip may go anywhere in {box} m of {self.robot.base}. "
+            f"Checked: {', '.join(checked)}. Nothing has moved: call ~/start to accept."
         )
 
 
@@ -273,7 +259,9 @@ class StationSequence:
             raise BadCommand("start", "nobody has looked at the dry run", "call ~/dry_run first, or set yes")
         if self._running:
             raise BadCommand("start", "it is measuring already", "call ~/stop first")
-        required(self._joints, self._stale)
+        if self._joints is None:
+            raise BadCommand("joint_states", "not received yet", "start the driver, or remap the topic")
+        self._joints.require_fresh(self._stale)
         self._runner.release()
         self._running, self._begun, self._blind = True, True, 0
         self._tell(OK, "measuring")
@@ -376,7 +364,7 @@ class StationSequence:
             self.start("")
         if self._running and runner.phase == IDLE:
             number = place.session.pending[0]
-            self._worker.begin(lambda: place.way(number, here.q, speed), self._go)
+            self._worker.begin(lambda: place.way(number, here.q, speed), lambda motion: self._go(number, motion))
 
     def _advised(self, advice: Advice) -> None:
         self._advice = advice
@@ -393,23 +381,23 @@ class StationSequence:
         self._summary = summary
         self._tell(OK, f"dry run: {summary}")
 
-    def _go(self, way: StationWay) -> None:
+    def _go(self, number: int, motion: TimedMotion | None) -> None:
         place, runner = self._place, self._runner
         assert place is not None
         assert runner is not None
-        station = place.session.stations[way.number]
-        if way.motion is None:
-            self._tell(WARN, f"station {way.number + 1} is skipped: no free way to it was found")
-            place.note(way.number, replace(station, state=SKIPPED))
+        station = place.session.stations[number]
+        if motion is None:
+            self._tell(WARN, f"station {number + 1} is skipped: no free way to it was found")
+            place.note(number, replace(station, state=SKIPPED))
             return
         here = self._now()
         if not self._running or runner.phase != IDLE or here is None:
             return
-        if np.abs(here.q - way.motion.q[0]).max() > self._chosen["tolerance_rad"]:
+        if np.abs(here.q - motion.q[0]).max() > self._chosen["tolerance_rad"]:
             return  # somebody else moved the arm: another way is looked for
-        runner.begin(way.number, station, way.motion, time.monotonic())
-        self._send(way.motion)
-        self._tell(OK, f"going to station {way.number + 1} ({station.role})")
+        runner.begin(number, station, motion, time.monotonic())
+        self._send(motion)
+        self._tell(OK, f"going to station {number + 1} ({station.role})")
 
     def _noted(self, done: Done) -> None:
         assert self._place is not None

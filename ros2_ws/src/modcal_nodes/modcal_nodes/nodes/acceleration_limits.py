@@ -10,7 +10,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import ModcalError
-from modcal_core.robots import LoadedArm, Payload, followers_of, require_method
+from modcal_core.robots import LoadedArm, Payload, require_method
 from modcal_msgs_py import JointInput, fill_accelerations
 from modcal_nodes import ros
 from modcal_nodes.cli import numbers_by_joint
@@ -66,7 +66,7 @@ class AccelerationLimits(ros.ManagedNode):
         try:
             arm = LoadedArm.read(self._urdf, chosen["base"] or None, chosen["tip"] or None, self._names or None)
             if self._joints is None or self._joints.names != arm.chain.names:
-                self._joints = JointInput(arm.chain.names, arm.chain.lower, arm.chain.upper, followers_of(arm.chain))
+                self._joints = JointInput(arm.chain.names, arm.chain.lower, arm.chain.upper, arm.chain.follows)
             self._described = arm
             self._arm, self._refusal = _with(arm, chosen), ""
         except ModcalError as error:

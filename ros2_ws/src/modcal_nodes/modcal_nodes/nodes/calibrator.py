@@ -39,7 +39,7 @@ class Calibrator(ros.ManagedNode):
         super().__init__("calibrator", ros.CALIBRATOR)
 
     def _check(self, new: dict[str, Any]) -> None:
-        calibrating.require_policy(new)
+        calibrating.policy(new)
 
     def _configure(self) -> None:
         chosen = self._chosen
@@ -127,7 +127,7 @@ class Calibrator(ros.ManagedNode):
         except BadRobot as error:
             # neither used nor overwritten
             self._trouble, self._buffer.samples = f"{self._folder.path}: {error}", None
-            self._folder.leave_alone()
+            self._folder.path = None
             self.get_logger().error(self._trouble)
             return
         if restored.calibration.uncertainty is None:
@@ -142,7 +142,7 @@ class Calibrator(ros.ManagedNode):
         self._outputs.model(self._files, to_data(restored.calibration))
         self._broadcast()
         self._verdict = "continuing with the saved model"
-        self._standing = calibrating.standing_of_json(self._files.get("report.json"))
+        self._standing = calibrating.standing_of(self._files.get("report.json"))
 
     def _observers(self) -> Sequence[str]:
         """Frames that are read; of images, the topics of their corners."""
@@ -236,7 +236,7 @@ class Calibrator(ros.ManagedNode):
         self._answer(success, message)
 
     def _camera_trusted(self, files: dict[str, str]) -> None:
-        self._files, self._standing = files, calibrating.standing_of_json(files.get("report.json"))
+        self._files, self._standing = files, calibrating.standing_of(files.get("report.json"))
 
     def _poll(self) -> None:
         """Take what the worker has finished, and give it what is due."""
@@ -312,18 +312,18 @@ class Calibrator(ros.ManagedNode):
         return response
 
     def _trusted(self, solved: calibrating.Solved) -> None:
-        self._files, self._candidate, self._standing = solved.files, None, solved.standing
+        self._files, self._candidate = solved.files, None
+        self._standing = calibrating.standing_of(solved.files.get("report.json"))
         self._said = None
         self._expect_frames()
         self._outputs.model(solved.files, to_data(solved.calibration))
         self._broadcast()
         self._outputs.no_change()
-        self._folder.keep(solved.calibration, solved.files)
+        self._folder.write(solved.files)
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = self._folder.save(
-            self._supervisor.trusted, self._files, self._buffer.samples
-        )
+        files = self._files if self._supervisor.trusted else {}
+        response.success, response.message = self._folder.save(files, self._buffer.samples)
         return response
 
     def _keep(self) -> None:

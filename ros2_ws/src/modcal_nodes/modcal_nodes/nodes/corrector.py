@@ -27,7 +27,6 @@ from modcal_core.correction import (
 )
 from modcal_core.errors import BadCommand, BadTable, ModcalError
 from modcal_core.measurements import RAY, Approach, ReadingTrack
-from modcal_core.robots import followers_of
 from modcal_msgs_py import (
     JointInput,
     SignalsHeard,
@@ -153,7 +152,7 @@ class Corrector(ros.ManagedNode):
         else:
             bounds = robot.bounds(self._commander.settings)
             if self._joints is None or self._joints.names != bounds.names:
-                follows = followers_of(robot.correction.chain)
+                follows = robot.correction.chain.follows
                 self._joints = JointInput(bounds.names, bounds.lower, bounds.upper, follows)
                 self._approach = Approach()
             self._refusal = ""

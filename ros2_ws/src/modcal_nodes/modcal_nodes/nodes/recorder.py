@@ -137,9 +137,8 @@ class Recorder(ros.ManagedNode):
             if recorder.waited is not None and recorder.topic in self._unheard:
                 self._unheard.discard(recorder.topic)
                 self._said.pop(recorder.topic, None)
-                self.get_logger().info(
-                    f"{recorder.topic}: the first message came {recorder.waited:.1f} s after subscribing"
-                )
+                waited = f"{recorder.waited:.1f} s after subscribing"
+                self.get_logger().info(f"{recorder.topic}: the first message came {waited}")
         if news:
             self._health.publish()
 
@@ -147,9 +146,8 @@ class Recorder(ros.ManagedNode):
         least = float(self._chosen["min_free_mb"])
         if self._free >= least * _MB:
             return None
-        return BadRecording(
-            f"disk of {self._base}", f"{self._free / _MB:.0f} MB free, less than min_free_mb = {least:g}", _ROOM
-        )
+        said = f"{self._free / _MB:.0f} MB free, less than min_free_mb = {least:g}"
+        return BadRecording(f"disk of {self._base}", said, _ROOM)
 
     def _end(self, error: ModcalError) -> None:
         self._trouble = error
@@ -161,20 +159,12 @@ class Recorder(ros.ManagedNode):
         for recorder in self._recorders:
             if (complaint := recorder.complaint()) is not None:
                 yield recorder.topic, complaint
-        trackers = [
-            recorder for recorder in self._recorders if recorder.topic.endswith(tuple("/" + role for role in READINGS))
-        ]
-        patience = float(self._chosen["patience_s"])
-        if (
-            trackers
-            and not any(recorder.count for recorder in trackers)
-            and time.monotonic() - self._started > patience
-        ):
+        trackers = [r for r in self._recorders if r.topic.endswith(tuple("/" + role for role in READINGS))]
+        late = time.monotonic() - self._started > float(self._chosen["patience_s"])
+        if trackers and late and not any(recorder.count for recorder in trackers):
             names = ", ".join(recorder.topic for recorder in trackers)
-            yield (
-                "tracker",
-                ros.Complaint(ros.WARN, "nobody", f"no message from a tracker ({names}): start it, or remap its topic"),
-            )
+            said = f"no message from a tracker ({names}): start it, or remap its topic"
+            yield "tracker", ros.Complaint(ros.WARN, "nobody", said)
 
     def _report(self) -> Iterator[ros.Status]:
         if self._bags:
@@ -206,9 +196,8 @@ class Recorder(ros.ManagedNode):
             text = f"{self._free / _MB:.0f} MB free, {minutes:.0f} minutes at this rate; ends at {least:g} MB: {_ROOM}"
             return ros.Status("bag", ros.WARN, text, facts)
         if self.get_clock().ros_time_is_active and not self._now():
-            return ros.Status(
-                "bag", ros.WARN, "simulated time has not begun: no node publishes /clock; stamps are 0", facts
-            )
+            said = "simulated time has not begun: no node publishes /clock; stamps are 0"
+            return ros.Status("bag", ros.WARN, said, facts)
         return ros.Status("bag", ros.OK, f"{self._bag.count} messages in {self._bag.folder}", facts)
 
     def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -18,7 +19,6 @@ from modcal_core.correction import ArmState, CalibratedRobot, tool_ellipsoid
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import Array
 from modcal_core.measurements import POINT, POSE, Approach
-from modcal_core.robots import followers_of
 from modcal_msgs_py import JointInput, SignalsHeard, require_version
 from modcal_nodes import ros
 from modcal_nodes.calibrating import KnownArm
@@ -63,42 +63,27 @@ class Viewer(ros.GuardedNode):
 
     def _listen(self) -> list[ros.MonitoredSubscription]:
         guarded = self._refusals.guarded
-        readings = {"tracker/pose": (PoseStamped, POSE), "tracker/point": (PointStamped, POINT)}
-        inputs = [
-            ros.MonitoredSubscription(
-                self, JointState, "joint_states", self._take_joints, ros.SENSOR, needed=True, single=True
-            )
+        heard: dict[str, tuple[type, Callable[[Any], None], Any]] = {  # by topic: message, what takes it, its QoS
+            "joint_states": (JointState, self._take_joints, ros.SENSOR),
+            "tracker/pose": (PoseStamped, guarded("tracker/pose", partial(self._take_reading, POSE)), ros.SENSOR),
+            "tracker/point": (PointStamped, guarded("tracker/point", partial(self._take_reading, POINT)), ros.SENSOR),
+            "temperature": (Temperature, guarded("temperature", self._take_temperature), ros.SENSOR),
+            "calibrator/calibration": (ros.interface("Calibration"), self._take_calibration, ros.LATCHED),
+            "calibrator/change": (ros.interface("Change"), guarded("change", self._take_change), ros.LATCHED),
+            "robot_description": (String, self._take_description, ros.LATCHED),
+        }
+        options: dict[str, dict[str, Any]] = {
+            "joint_states": {"needed": True, "single": True},
+            "calibrator/calibration": {"single": True},
+            "robot_description": {"needed": not self._chosen["robot_description"]},
+        }
+        return [
+            ros.MonitoredSubscription(self, message, topic, take, qos, **options.get(topic, {}))
+            for topic, (message, take, qos) in heard.items()
         ]
-        for topic, (message, kind) in readings.items():
-            inputs.append(
-                ros.MonitoredSubscription(
-                    self, message, topic, guarded(topic, partial(self._take_reading, kind)), ros.SENSOR
-                )
-            )
-        heat = guarded("temperature", lambda m: self._signals.hear_temperature(m, self._now()))
-        inputs.append(ros.MonitoredSubscription(self, Temperature, "temperature", heat, ros.SENSOR))
-        inputs.append(
-            ros.MonitoredSubscription(
-                self,
-                ros.interface("Calibration"),
-                "calibrator/calibration",
-                self._take_calibration,
-                ros.LATCHED,
-                single=True,
-            )
-        )
-        inputs.append(
-            ros.MonitoredSubscription(
-                self, ros.interface("Change"), "calibrator/change", guarded("change", self._take_change), ros.LATCHED
-            )
-        )
-        needed = not self._chosen["robot_description"]
-        inputs.append(
-            ros.MonitoredSubscription(
-                self, String, "robot_description", self._take_description, ros.LATCHED, needed=needed
-            )
-        )
-        return inputs
+
+    def _take_temperature(self, message: Temperature) -> None:
+        self._signals.hear_temperature(message, self._now())
 
     def _take_parameters(self) -> None:
         self._dirty = True
@@ -117,7 +102,7 @@ class Viewer(ros.GuardedNode):
     def _recognise(self) -> None:
         if self._arm.recognise(self._names) and self._arm.chain is not None:
             chain = self._arm.chain
-            self._joints = JointInput(chain.names, chain.lower, chain.upper, followers_of(chain))
+            self._joints = JointInput(chain.names, chain.lower, chain.upper, chain.follows)
             self._dirty = True
 
     def _take_description(self, message: String) -> None:

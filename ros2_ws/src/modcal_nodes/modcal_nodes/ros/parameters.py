@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from modcal_core.planning import RETURNS
@@ -22,6 +22,13 @@ class Parameter:
     live: bool = False
 
 
+def _live(default: Any, description: str, low: float | None = None, high: float | None = None) -> Parameter:
+    """One that may be changed while the node runs; of the impedance_setpoint with its next pull, or its next
+    configuration.
+    """
+    return Parameter(default, description, low, high, live=True)
+
+
 _MANAGED = {"autostart": Parameter(True, "Whether the node configures and activates itself when it starts.")}
 
 RECORDER = {
@@ -37,9 +44,9 @@ RECORDER = {
          "joint_commands", "temperature", "wrench"],
         "Topics that may be missing without a warning.",
     ),
-    "patience_s": Parameter(5.0, "Seconds without a message after which a warning is given.", 0.1, 3600.0),
-    "min_free_mb": Parameter(
-        200.0, "Free space on the disk below which the bag is closed and the recorder exits [MB].", 0.0, 1e12
+    "patience_s": _live(5.0, "Seconds without a message after which a warning is given.", 0.1, 3600.0),
+    "min_free_mb": _live(
+        200.0, "Free disk space below which the bag is closed and the recorder exits [MB].", 0.0, 1e12
     ),
 }  # fmt: skip
 
@@ -51,32 +58,24 @@ CALIBRATOR = {
     "tip": Parameter("", "Link where the arm ends; empty: the link behind most published joints."),
     "fixed": Parameter([""], "Parameters that are not fitted, by name, place or pattern."),
     "cell": Parameter("", "File of known distances and fixed parameters; empty: none."),
-    "out": Parameter("", "Folder for the files of a solve; empty: none are written."),
+    "out": _live("", "Folder for the files of a solve; empty: none are written."),
     "state": Parameter("", "Folder where the trusted model and the stations survive restarts; empty: none."),
     "target": Parameter("", "File of a printed target whose corners are taken from the topic corners; empty: none."),
     "also_corners": Parameter([""], "Topics of corners of further cameras that see the same target; empty: none."),
-    "effects": Parameter(True, "Whether a solve looks for effects beyond the geometry."),
-    "seed": Parameter(0, "Seed of the split into train, explain and held-out.", 0, 2**31 - 1),
-    "clock_limit_s": Parameter(
-        0.5, "Largest offset between tracker and joint clocks that is corrected [s].", 0.0, 60.0
-    ),
-    "accept": Parameter("better", "When a result is trusted: better (significantly, than the trusted one), or asked."),
-    "first_solve": Parameter(
-        0, "Stations after which the first solve starts automatically; 0: only on request.", 0, 100_000
-    ),
-    "after_change": Parameter(
-        20, "Stations since a change after which the diagnosis is repeated; 0: only on request.", 0, 100_000
-    ),
+    "effects": _live(True, "Whether a solve looks for effects beyond the geometry."),
+    "seed": _live(0, "Seed of the split into train, explain and held-out.", 0, 2**31 - 1),
+    "clock_limit_s": _live(0.5, "Largest offset between tracker and joint clocks that is corrected [s].", 0.0, 60.0),
+    "accept": _live("better", "When a result is trusted: better (significantly, than the trusted one), or asked."),
+    "first_solve": _live(0, "Stations after which the first solve starts by itself; 0: only on request.", 0, 100_000),
+    "after_change": _live(20, "Stations after a change until the diagnosis is repeated; 0: on request.", 0, 100_000),
     "check_stations": Parameter(10, "Newest stations that ~/check looks at.", 5, 48),
     "process_noise_places": Parameter([""], "Places that may drift slowly: base, tool or joints; empty: none."),
     "process_noise_m": Parameter(1e-6, "Standard deviation of that drift over one second [m].", 0.0, 1e-2),
     "process_noise_rad": Parameter(1e-6, "Standard deviation of the rotation over one second [rad].", 0.0, 1e-2),
     "buffer_s": Parameter(300.0, "Seconds of raw messages kept; older ones are kept as stations.", 20.0, 3600.0),
-    "max_stations": Parameter(2000, "Stations kept; beyond that, older ones are thinned.", 50, 100_000),
-    "silence_timeout_s": Parameter(5.0, "Seconds without a message after which a topic counts as silent.", 0.1, 600.0),
-    "publish_tf": Parameter(
-        False, "Whether trackers and tool of the trusted model are published on /tf_static (tf2_msgs)."
-    ),
+    "max_stations": _live(2000, "Stations kept; beyond that, older ones are thinned.", 50, 100_000),
+    "silence_timeout_s": _live(5.0, "Seconds without a message after which a topic counts as silent.", 0.1, 600.0),
+    "publish_tf": Parameter(False, "Whether the trusted model's trackers and tool are on /tf_static (tf2_msgs)."),
 }
 
 BOARD_DETECTOR = {
@@ -89,20 +88,18 @@ CORRECTOR = {
     "calibration": Parameter("", "Folder or file of a calibration; empty: take it from the latched topic calibration."),
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
     "delta": Parameter("", "File of a nominal Delta robot, instead of a robot_description; empty: none."),
-    "target": Parameter("tip", "Frame of the poses: tip (the tip link) or tool (the tracked target)."),
-    "stream": Parameter(False, "Whether every desired pose is a setpoint to be reached within horizon_s."),
-    "horizon_s": Parameter(0.1, "Time to reach a setpoint of a stream [s].", 0.005, 2.0),
-    "timeout_s": Parameter(0.1, "Age at which joint states and poses of a stream are too old [s].", 0.01, 2.0),
-    "goal_timeout_s": Parameter(1.0, "The same for desired poses outside a stream [s].", 0.01, 60.0),
-    "joint_speed_rad_s": Parameter(0.5, "Largest speed of revolute joints [rad/s].", 0.001, 10.0),
-    "joint_speed_m_s": Parameter(0.1, "Largest speed of prismatic joints [m/s].", 0.0001, 5.0),
-    "tolerance_m": Parameter(1e-6, "Predicted position error above which a pose is refused [m].", 1e-9, 1e-3),
-    "tolerance_rad": Parameter(1e-6, "The same for orientation [rad].", 1e-9, 1e-2),
-    "switch_step_rad": Parameter(
-        2e-3, "Largest joint step that a new calibration may cause in a stream [rad; m].", 0.0, 0.1
-    ),
-    "blend_s": Parameter(1.0, "Time over which such a step is blended in [s].", 0.0, 60.0),
-    "rate_hz": Parameter(100.0, "Corrected poses and joint states are published at most this often [Hz].", 0.1, 1000.0),
+    "target": _live("tip", "Frame of the poses: tip (the tip link) or tool (the tracked target)."),
+    "stream": _live(False, "Whether every desired pose is a setpoint to be reached within horizon_s."),
+    "horizon_s": _live(0.1, "Time to reach a setpoint of a stream [s].", 0.005, 2.0),
+    "timeout_s": _live(0.1, "Age at which joint states and poses of a stream are too old [s].", 0.01, 2.0),
+    "goal_timeout_s": _live(1.0, "The same for desired poses outside a stream [s].", 0.01, 60.0),
+    "joint_speed_rad_s": _live(0.5, "Largest speed of revolute joints [rad/s].", 0.001, 10.0),
+    "joint_speed_m_s": _live(0.1, "Largest speed of prismatic joints [m/s].", 0.0001, 5.0),
+    "tolerance_m": _live(1e-6, "Predicted position error above which a pose is refused [m].", 1e-9, 1e-3),
+    "tolerance_rad": _live(1e-6, "The same for orientation [rad].", 1e-9, 1e-2),
+    "switch_step_rad": _live(2e-3, "Largest joint step of a stream by a new calibration [rad; m].", 0.0, 0.1),
+    "blend_s": _live(1.0, "Time over which such a step is blended in [s].", 0.0, 60.0),
+    "rate_hz": _live(100.0, "Corrected poses and joint states are published at most this often [Hz].", 0.1, 1000.0),
     "publish_tf": Parameter(False, "Whether the corrected tip is published on /tf, as TIP_corrected (tf2_msgs)."),
 }
 
@@ -111,27 +108,17 @@ SIMULATED_CELL = {
     "delta": Parameter("", "File of a nominal Delta robot, instead of a URDF; empty: none."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
     "tip": Parameter("", "Link where the arm ends; empty: the one behind most joints."),
-    "seed": Parameter(
-        1, "Seed of the true arm, the tracker's place, the tool, the program and the noise.", 0, 2**31 - 1
-    ),
-    "visit": Parameter(
-        0, "Second seed: same arm, tracker and tool, with other postures and other noise.", 0, 2**31 - 1
-    ),
-    "length_std_m": Parameter(
-        5e-4, "Displacement of the true arm's bodies, standard deviation per axis [m].", 0.0, 0.1
-    ),
-    "angle_std_rad": Parameter(1e-3, "Rotation of the true arm's bodies, standard deviation per axis [rad].", 0.0, 0.2),
+    "seed": Parameter(1, "Seed of the true arm, the tracker's place, tool, program and noise.", 0, 2**31 - 1),
+    "visit": Parameter(0, "Second seed: same arm, tracker and tool, other postures and noise.", 0, 2**31 - 1),
+    "length_std_m": Parameter(5e-4, "Displacement of the true arm's bodies, deviation per axis [m].", 0.0, 0.1),
+    "angle_std_rad": Parameter(1e-3, "Rotation of the true arm's bodies, deviation per axis [rad].", 0.0, 0.2),
     "noise_m": Parameter(2e-5, "Noise of one tracker reading, per axis [m].", 0.0, 0.1),
     "noise_rad": Parameter(5e-5, "Noise of one tracker orientation, per axis [rad].", 0.0, 0.1),
-    "repeatability_rad": Parameter(
-        0.0, "Repeatability of each joint at each arrival, standard deviation [rad; m].", 0.0, 0.01
-    ),
+    "repeatability_rad": Parameter(0.0, "Repeatability of each joint at each arrival [rad; m].", 0.0, 0.01),
     "gear_joint": Parameter("", "Joint with a gear error that the model does not contain; empty: none."),
     "gear_cycles": Parameter(101.0, "Periods of that error per turn of the joint.", 0.0, 1000.0),
     "gear_amplitude_rad": Parameter(2e-4, "Amplitude of that error [rad].", 0.0, 0.01),
-    "joint_compliance_rad_per_nm": Parameter(
-        [0.0], "Compliance of the joints [rad/(N m); m/N]: one number for all, or one per joint."
-    ),
+    "joint_compliance_rad_per_nm": Parameter([0.0], "Compliance of all joints, or of each [rad/(N m); m/N]."),
     "measurement": Parameter("pose", "Readings of the tracker: pose or point."),
     "joint_rate_hz": Parameter(125.0, "Rate of joint states [Hz].", 1.0, 2000.0),
     "tracker_rate_hz": Parameter(50.0, "Rate of tracker readings [Hz].", 1.0, 2000.0),
@@ -143,7 +130,7 @@ SIMULATED_CELL = {
     "dwell_s": Parameter(0.8, "Standstill at each random posture [s].", 0.0, 60.0),
     "travel_s": Parameter(0.5, "Travel time to each random posture [s].", 0.05, 60.0),
     "obey_limits": Parameter(
-        False, "Whether travel takes as long as the URDF's velocity and effort demand; always so in modcal simulate."
+        False, "Whether travel keeps to the URDF's velocity and effort; modcal simulate always does."
     ),
     "repeat": Parameter(False, "Whether to continue with new random postures indefinitely."),
     "publish_clock": Parameter(False, "Whether to publish a simulated time on /clock and to stamp with it."),
@@ -152,13 +139,13 @@ SIMULATED_CELL = {
     "clock_start_s": Parameter(1000.0, "Start of simulated time [s].", 0.0, 4e9),
     "temperature_noise_k": Parameter(0.05, "Noise of a temperature [K].", 0.0, 10.0),
     # from here on: may be changed while the cell runs
-    "payload_kg": Parameter(0.0, "Undeclared mass at the tip [kg].", 0.0, 100.0),
-    "tool_bump_m": Parameter([0.0, 0.0, 0.0], "Displacement of the tool, along its axes [m]."),
-    "tool_turn_rad": Parameter([0.0, 0.0, 0.0], "Rotation of the tool, as a rotation vector [rad]."),
-    "tracker_move_m": Parameter([0.0, 0.0, 0.0], "Displacement of the tracker, along its axes [m]."),
-    "warm_up_link": Parameter("", "Link that warms up, and whose temperature is published; empty: none."),
-    "warm_up_m": Parameter(0.0, "Final growth of that link [m].", -0.01, 0.01),
-    "warm_up_s": Parameter(60.0, "Time constant of its warming and cooling [s].", 0.1, 1e5),
+    "payload_kg": _live(0.0, "Undeclared mass at the tip [kg].", 0.0, 100.0),
+    "tool_bump_m": _live([0.0, 0.0, 0.0], "Displacement of the tool, along its axes [m]."),
+    "tool_turn_rad": _live([0.0, 0.0, 0.0], "Rotation of the tool, as a rotation vector [rad]."),
+    "tracker_move_m": _live([0.0, 0.0, 0.0], "Displacement of the tracker, along its axes [m]."),
+    "warm_up_link": _live("", "Link that warms up, and whose temperature is published; empty: none."),
+    "warm_up_m": _live(0.0, "Final growth of that link [m].", -0.01, 0.01),
+    "warm_up_s": _live(60.0, "Time constant of its warming and cooling [s].", 0.1, 1e5),
 }
 
 SIMULATED_FURNITURE = {
@@ -173,9 +160,7 @@ SIMULATED_FURNITURE = {
     "damping": Parameter(-1.0, "Damping of its joint [N m s/rad; N s/m]; below zero: random.", -1.0, 1000.0),
     "spring": Parameter(-1.0, "Stiffness that closes it [N m/rad; N/m]; below zero: random.", -1.0, 1000.0),
     "mass_kg": Parameter(-1.0, "Mass of what moves [kg]; below zero: random.", -1.0, 200.0),
-    "stop": Parameter(
-        -1.0, "Position at which it jams [rad; m]; 0: locked; below zero: only at its own end.", -1.0, 3.0
-    ),
+    "stop": Parameter(-1.0, "Position at which it jams [rad; m]; 0: locked; below zero: at its own end.", -1.0, 3.0),
     "resistance": Parameter(
         "",
         "What holds it back besides, and its force at the handle [N]: closer, magnet, gasket, stick_slip, detents, "
@@ -186,18 +171,14 @@ SIMULATED_FURNITURE = {
     "joint_rate_hz": Parameter(250.0, "Rate of joint states [Hz].", 10.0, 1000.0),
     "wrench_rate_hz": Parameter(250.0, "Rate of the wrist's sensor [Hz].", 10.0, 1000.0),
     "truth_rate_hz": Parameter(100.0, "Rate of ~/contact_force and ~/object_truth [Hz].", 1.0, 1000.0),
-    "publish_clock": Parameter(
-        False, "Whether to publish a simulated time on /clock, which slows down on a busy machine."
-    ),
+    "publish_clock": Parameter(False, "Whether to publish simulated time on /clock; it slows down on a busy machine."),
     "clock_rate_hz": Parameter(500.0, "Rate of /clock in simulated time [Hz].", 10.0, 2000.0),
     "keep_step": Parameter(False, "Whether simulated time also waits for the next reference while references arrive."),
     "time_factor": Parameter(1.0, "Simulated seconds per real second.", 0.01, 10.0),
     "noise_n": Parameter(0.2, "Noise of a force, per axis [N].", 0.0, 10.0),
     "noise_nm": Parameter(0.01, "Noise of a torque, per axis [N m].", 0.0, 1.0),
     "publish_effort": Parameter(False, "Whether joint states contain what the drives give as effort."),
-    "approach_s": Parameter(
-        0.0, "Time in which the hand goes off and comes to the handle before it takes hold [s]; 0: none.", 0.0, 60.0
-    ),
+    "approach_s": Parameter(0.0, "Time in which the hand comes to the handle first [s]; 0: none.", 0.0, 60.0),
 }
 
 
@@ -206,32 +187,28 @@ ACCELERATION_LIMITS = {
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
     "tip": Parameter("", "Link that carries the payload; empty: the link behind most published joints."),
-    "payload_kg": Parameter(0.0, "Mass that the arm carries [kg].", 0.0, 1e4),
-    "payload_centre_m": Parameter([0.0, 0.0, 0.0], "Its centre of mass in the tip link [m]."),
-    "payload_inertia": Parameter([0.0] * 6, "Inertia about the centre of mass: ixx iyy izz ixy ixz iyz [kg m2]."),
-    "method": Parameter(
-        "coupled", "coupled (bounds that hold for all joints at once), or equivalent (each joint by itself)."
-    ),
-    "torque_share": Parameter(1.0, "Share of every drive's torque that may be used.", 0.01, 1.0),
-    "torque": Parameter([""], "Largest torques, instead of the URDF's effort, as joint=value [N m; N]."),
-    "friction": Parameter([""], "Dry friction, instead of the URDF's, as joint=value [N m; N]."),
-    "damping": Parameter([""], "Viscous friction, instead of the URDF's, as joint=value [N m s/rad; N s/m]."),
-    "rotor": Parameter([""], "Inertia of motor and gear, seen from the joint, as joint=value [kg m2; kg]."),
-    "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
-    "timeout_s": Parameter(0.1, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "payload_kg": _live(0.0, "Mass that the arm carries [kg].", 0.0, 1e4),
+    "payload_centre_m": _live([0.0, 0.0, 0.0], "Its centre of mass in the tip link [m]."),
+    "payload_inertia": _live([0.0] * 6, "Inertia about the centre of mass: ixx iyy izz ixy ixz iyz [kg m2]."),
+    "method": _live("coupled", "coupled (bounds for all joints at once), or equivalent (each joint by itself)."),
+    "torque_share": _live(1.0, "Share of every drive's torque that may be used.", 0.01, 1.0),
+    "torque": _live([""], "Largest torques, instead of the URDF's effort, as joint=value [N m; N]."),
+    "friction": _live([""], "Dry friction, instead of the URDF's, as joint=value [N m; N]."),
+    "damping": _live([""], "Viscous friction, instead of the URDF's, as joint=value [N m s/rad; N s/m]."),
+    "rotor": _live([""], "Inertia of motor and gear, seen from the joint, as joint=value [kg m2; kg]."),
+    "gravity": _live([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
+    "timeout_s": _live(0.1, "Age at which joint states are too old [s].", 0.01, 10.0),
     "rate_hz": Parameter(50.0, "Bounds are published at most this often [Hz].", 0.1, 250.0),
 }
 
 VIEWER = {
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
     "base": Parameter("", "Link where the arm begins; empty: that of the calibration, else the root link."),
-    "tip": Parameter(
-        "", "Link where the arm ends; empty: that of the calibration, else the link behind most published joints."
-    ),
-    "arrow_scale": Parameter(100.0, "Magnification of errors: at 100, 1 mm is drawn as 10 cm.", 1.0, 1e5),
-    "full_colour_m": Parameter(1e-3, "Residual from which an arrow is red [m].", 1e-6, 1.0),
+    "tip": Parameter("", "Link where the arm ends; empty: the calibration's, else that behind most joints."),
+    "arrow_scale": _live(100.0, "Magnification of errors: at 100, 1 mm is drawn as 10 cm.", 1.0, 1e5),
+    "full_colour_m": _live(1e-3, "Residual from which an arrow is red [m].", 1e-6, 1.0),
     "stations": Parameter(60, "Number of latest stations shown.", 1, 1000),
-    "timeout_s": Parameter(0.5, "Age at which joint states are too old to show a posture [s].", 0.01, 10.0),
+    "timeout_s": _live(0.5, "Age at which joint states are too old to show a posture [s].", 0.01, 10.0),
     "rate_hz": Parameter(5.0, "Rate at which markers are redrawn [Hz].", 0.1, 30.0),
 }
 
@@ -260,9 +237,7 @@ STATION_RUNNER = {
     "base": Parameter("", "First link of the arm; empty: the root."),
     "tip": Parameter("", "Last link of the arm; empty: the one behind most joints."),
     "meshes": Parameter("", "Folder in which the mesh files of collision shapes are."),
-    "site": Parameter(
-        "", "YAML of tracker, target, floor, obstacles, boxes, limits and workspace, as modcal plan takes."
-    ),
+    "site": Parameter("", "YAML of tracker, target, obstacles, limits and workspace, as modcal plan takes."),
     "goal_mm": Parameter(0.0, "Error at the tool to be proven [mm]; 0: as good as can be.", 0.0, 1000.0),
     "statistic": Parameter("rms", "Statistic of goal_mm: rms or p95."),
     "stations": Parameter(400, "Most stations.", 1, 100000),
@@ -270,40 +245,32 @@ STATION_RUNNER = {
     "measurement": Parameter("pose", "What the instrument sends: pose (tracker/pose) or point (tracker/point)."),
     "geometry_only": Parameter(False, "Fit only the geometry; look for no effects."),
     "seed": Parameter(0, "Seed of what is drawn at random.", 0, 2147483647),
-    "yes": Parameter(False, "Accept the dry run: begin to move once it is made, without ~/start."),
+    "yes": _live(False, "Accept the dry run: begin to move once it is made, without ~/start."),
     "no_self_collision": Parameter(False, "Accept a description without collision shapes: only spheres are checked."),
-    "speed_rad_s": Parameter(0.3, "Largest speed of a joint [rad/s; m/s].", 0.001, 3.0),
-    "settle_s": Parameter(0.5, "Standstill before a station is read [s].", 0.05, 60.0),
-    "readings": Parameter(10, "Readings averaged at a station.", 1, 10000),
-    "patience_s": Parameter(
-        5.0, "Time for the arm to arrive, and for readings, until a station is not seen [s].", 0.1, 600.0
-    ),
-    "timeout_s": Parameter(0.2, "Age at which joint states are too old, and the arm is held [s].", 0.01, 10.0),
-    "tracking_rad": Parameter(0.1, "Distance from the commanded motion at which the arm is held [rad; m].", 1e-4, 1.0),
-    "tolerance_rad": Parameter(0.01, "Distance from a station that counts as arrived [rad; m].", 1e-5, 0.5),
+    "speed_rad_s": _live(0.3, "Largest speed of a joint [rad/s; m/s].", 0.001, 3.0),
+    "settle_s": _live(0.5, "Standstill before a station is read [s].", 0.05, 60.0),
+    "readings": _live(10, "Readings averaged at a station.", 1, 10000),
+    "patience_s": _live(5.0, "Time for arrival and for readings until a station is not seen [s].", 0.1, 600.0),
+    "timeout_s": _live(0.2, "Age at which joint states are too old, and the arm is held [s].", 0.01, 10.0),
+    "tracking_rad": _live(0.1, "Distance from the commanded motion at which the arm is held [rad; m].", 1e-4, 1.0),
+    "tolerance_rad": _live(0.01, "Distance from a station that counts as arrived [rad; m].", 1e-5, 0.5),
     "rate_hz": Parameter(50.0, "Rate of the checks; a hold is sent within one period [Hz].", 5.0, 500.0),
 }
 
 ARTICULATION_ESTIMATOR = {
     **_MANAGED,
-    "input": Parameter(
-        "joint_states", "Source of the handle's pose: joint_states, tool_pose, tracker/pose, tracker/point."
-    ),
+    "input": Parameter("joint_states", "Handle's pose from joint_states, tool_pose, tracker/pose or tracker/point."),
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
     "base": Parameter("", "Link where the arm begins; empty: the root link."),
     "tip": Parameter("", "Link that holds the handle; empty: the link behind most published joints."),
-    "rate_hz": Parameter(50.0, "Poses are taken at most this often [Hz].", 1.0, 250.0),
-    "model_hz": Parameter(10.0, "The object's description is published at most this often [Hz].", 0.1, 100.0),
-    "timeout_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
+    "rate_hz": _live(50.0, "Poses are taken at most this often [Hz].", 1.0, 250.0),
+    "model_hz": _live(10.0, "The object's description is published at most this often [Hz].", 0.1, 100.0),
+    "timeout_s": _live(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
     "tolerance_m": Parameter(4e-3, "Prediction error below which a model is trusted [m].", 1e-4, 0.05),
-    "trust_after_m": Parameter(
-        0.0, "Path that must be seen before a model is trusted [m]; 0: as soon as it has predicted.", 0.0, 10.0
-    ),
-    "lookahead_m": Parameter(0.05, "Distance of the expected pose ahead along the path [m].", 1e-3, 0.5),
-    "still_m": Parameter(
-        3e-3, "Motion of a pulled handle in one second below which it counts as stuck [m].", 1e-4, 0.05
-    ),
-    "pull_n": Parameter(15.0, "Force above the initial one that counts as a pull [N].", 0.5, 500.0),
+    "trust_after_m": Parameter(0.0, "Path seen before a model is trusted [m]; 0: once it has predicted.", 0.0, 10.0),
+    "lookahead_m": _live(0.05, "Distance of the expected pose ahead along the path [m].", 1e-3, 0.5),
+    "still_m": Parameter(3e-3, "Motion of a pulled handle in a second below which it is stuck [m].", 1e-4, 0.05),
+    "pull_n": _live(15.0, "Force above the initial one that counts as a pull [N].", 0.5, 500.0),
     "tool_mass": Parameter(
         0.0,
         "Mass beyond the force sensor [kg]; needs upright poses and wrenches in the gripper frame; 0: none.",
@@ -314,128 +281,78 @@ ARTICULATION_ESTIMATOR = {
 
 IMPEDANCE_SETPOINT = {
     "robot_description": Parameter("", "URDF text; empty: take it from the topic robot_description."),
-    "base": Parameter("", "Link where the arm begins; empty: the root link."),
-    "tip": Parameter("", "Link that holds the handle; empty: the one behind most joints."),
-    "calibrated": Parameter(False, "Whether the tool is where tool_pose (the corrector's ~/pose) says it is."),
+    "base": _live("", "Link where the arm begins; empty: the root link."),
+    "tip": _live("", "Link that holds the handle; empty: the one behind most joints."),
+    "calibrated": _live(False, "Whether the tool is where tool_pose (the corrector's ~/pose) says it is."),
     "autostart": Parameter(False, "Whether the node configures and activates itself."),
-    "mode": Parameter("admittance", "admittance (for a stiff controller), or expected (for a compliant controller)."),
-    "direction": Parameter([0.0, 0.0, -1.0], "Assumed direction of the pull, in the tool frame."),
-    "goal": Parameter(0.0, "Opening to reach [rad when it turns, else m]; 0: goal_rad or goal_m.", 0.0, 3.0),
-    "goal_rad": Parameter(1.0472, "Opening of objects that turn [rad].", 0.01, 3.0),
-    "goal_m": Parameter(0.3, "Opening of objects that slide [m].", 0.005, 2.0),
-    "exploration_speed_m_s": Parameter(0.03, "Speed of the pull while the path is unknown [m/s].", 0.001, 0.2),
-    "speed_m_s": Parameter(0.06, "Speed once the path is known [m/s].", 0.001, 0.5),
-    "max_exploration_m": Parameter(0.25, "Longest motion while the path is unknown [m].", 0.01, 1.0),
-    "mass": Parameter([10.0, 10.0, 1.0], "Mass of the impedance along the pull, across, turning [kg; kg m2]."),
-    "damping": Parameter([1000.0, 1000.0, 80.0], "Its damping, the same three [N s/m; N m s/rad]."),
-    "stiffness": Parameter([1000.0, 300.0, 20.0], "Its stiffness, the same three [N/m; N m/rad]."),
-    "stack_stiffness": Parameter(
-        [3000.0, 200.0], "Stiffness requested from a stiff controller, translation and rotation [N/m; N m/rad]."
+    "mode": _live("admittance", "admittance (for a stiff controller), or expected (for a compliant controller)."),
+    "direction": _live([0.0, 0.0, -1.0], "Assumed direction of the pull, in the tool frame."),
+    "goal": _live(0.0, "Opening to reach [rad when it turns, else m]; 0: goal_rad or goal_m.", 0.0, 3.0),
+    "goal_rad": _live(1.0472, "Opening of objects that turn [rad].", 0.01, 3.0),
+    "goal_m": _live(0.3, "Opening of objects that slide [m].", 0.005, 2.0),
+    "exploration_speed_m_s": _live(0.03, "Speed of the pull while the path is unknown [m/s].", 0.001, 0.2),
+    "speed_m_s": _live(0.06, "Speed once the path is known [m/s].", 0.001, 0.5),
+    "max_exploration_m": _live(0.25, "Longest motion while the path is unknown [m].", 0.01, 1.0),
+    "mass": _live([10.0, 10.0, 1.0], "Mass of the impedance along the pull, across, turning [kg; kg m2]."),
+    "damping": _live([1000.0, 1000.0, 80.0], "Its damping, the same three [N s/m; N m s/rad]."),
+    "stiffness": _live([1000.0, 300.0, 20.0], "Its stiffness, the same three [N/m; N m/rad]."),
+    "stack_stiffness": _live([3000.0, 200.0], "Stiffness asked of a stiff controller [N/m; N m/rad]."),
+    "blend_s": _live(0.5, "Time over which new gains are blended in [s].", 0.0, 10.0),
+    "slowdown_force_n": _live(0.0, "Force above which the speed is reduced [N]; 0: 60 % of max_force_n.", 0.0, 500.0),
+    "slowdown_moment_nm": _live(6.0, "The same for the moment [N m].", 0.01, 100.0),
+    "stop_force_n": _live(0.0, "Force at which the speed is zero [N]; 0: 95 % of max_force_n.", 0.0, 500.0),
+    "stop_moment_nm": _live(14.0, "The same for the moment [N m].", 0.02, 100.0),
+    "max_force_n": _live(50.0, "Force at which the pull is aborted [N].", 1.0, 500.0),
+    "max_moment_nm": _live(20.0, "The same for the moment [N m].", 0.1, 100.0),
+    "max_speed_m_s": _live(0.25, "Largest speed of the tool's setpoint [m/s].", 0.001, 2.0),
+    "max_acceleration_m_s2": _live(2.5, "Largest acceleration of the tool's setpoint [m/s2].", 0.01, 50.0),
+    "max_angular_speed_rad_s": _live(1.5, "Largest angular speed of the tool's setpoint [rad/s].", 0.01, 10.0),
+    "max_angular_acceleration_rad_s2": _live(15.0, "Its largest angular acceleration [rad/s2].", 0.1, 300.0),
+    "max_displacement_m": _live(0.1, "Largest distance of a setpoint from the measured tool [m].", 0.001, 1.0),
+    "max_rotation_rad": _live(0.5, "Largest rotation of a setpoint from the measured tool [rad].", 0.01, 3.0),
+    "joint_speed_rad_s": _live(1.5, "Largest speed of revolute joints [rad/s].", 0.001, 10.0),
+    "joint_speed_m_s": _live(0.3, "Largest speed of prismatic joints [m/s].", 0.0001, 5.0),
+    "joint_acceleration_rad_s2": _live(15.0, "Largest acceleration of revolute joints [rad/s2].", 0.01, 200.0),
+    "joint_acceleration_m_s2": _live(3.0, "Largest acceleration of prismatic joints [m/s2].", 0.001, 100.0),
+    "min_gain": _live(0.02, "Singular value of the Jacobian below which a posture is singular [m; rad].", 1e-4, 1.0),
+    "tool_mass": _live(0.0, "Mass beyond the force sensor, if known [kg]; 0: tare only.", 0.0, 100.0),
+    "tool_centre": _live([0.0, 0.0, 0.0], "Centre of that mass in the sensor's frame [m]."),
+    "gravity": _live([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
+    "wrench": _live("sensor", "What tells the force on the tool: sensor (at the wrist), or efforts (of the joints)."),
+    "wrench_frame": _live("", "Another link fixed to the tool in which wrenches may be given."),
+    "wrench_by_tool": _live(False, "Whether the sensor reports the wrench exerted by the tool, not on the tool."),
+    "cutoff_hz": _live(30.0, "Cutoff of the force's low-pass [Hz].", 0.5, 500.0),
+    "servo_lag_s": _live(0.03, "Lag of the arm behind steadily moving setpoints [s].", 0.0, 1.0),
+    "contact_stiffness_n_m": _live(
+        20e3, "Stiffness of fingers and object; steel if touched stiffer [N/m].", 100.0, 1e6
     ),
-    "blend_s": Parameter(0.5, "Time over which new gains are blended in [s].", 0.0, 10.0),
-    "slowdown_force_n": Parameter(
-        0.0, "Force above which the speed is reduced [N]; 0: 60 % of max_force_n.", 0.0, 500.0
-    ),
-    "slowdown_moment_nm": Parameter(6.0, "The same for the moment [N m].", 0.01, 100.0),
-    "stop_force_n": Parameter(0.0, "Force at which the speed is zero [N]; 0: 95 % of max_force_n.", 0.0, 500.0),
-    "stop_moment_nm": Parameter(14.0, "The same for the moment [N m].", 0.02, 100.0),
-    "max_force_n": Parameter(50.0, "Force at which the pull is aborted [N].", 1.0, 500.0),
-    "max_moment_nm": Parameter(20.0, "The same for the moment [N m].", 0.1, 100.0),
-    "max_speed_m_s": Parameter(0.25, "Largest speed of the tool's setpoint [m/s].", 0.001, 2.0),
-    "max_acceleration_m_s2": Parameter(2.5, "Largest acceleration of the tool's setpoint [m/s2].", 0.01, 50.0),
-    "max_angular_speed_rad_s": Parameter(1.5, "Largest angular speed of the tool's setpoint [rad/s].", 0.01, 10.0),
-    "max_angular_acceleration_rad_s2": Parameter(
-        15.0, "Largest angular acceleration of the tool's setpoint [rad/s2].", 0.1, 300.0
-    ),
-    "max_displacement_m": Parameter(0.1, "Largest distance of a setpoint from the measured tool [m].", 0.001, 1.0),
-    "max_rotation_rad": Parameter(0.5, "Largest rotation of a setpoint from the measured tool [rad].", 0.01, 3.0),
-    "joint_speed_rad_s": Parameter(1.5, "Largest speed of revolute joints [rad/s].", 0.001, 10.0),
-    "joint_speed_m_s": Parameter(0.3, "Largest speed of prismatic joints [m/s].", 0.0001, 5.0),
-    "joint_acceleration_rad_s2": Parameter(15.0, "Largest acceleration of revolute joints [rad/s2].", 0.01, 200.0),
-    "joint_acceleration_m_s2": Parameter(3.0, "Largest acceleration of prismatic joints [m/s2].", 0.001, 100.0),
-    "min_gain": Parameter(
-        0.02, "Smallest singular value of the Jacobian; below it the posture counts as singular [m; rad].", 1e-4, 1.0
-    ),
-    "tool_mass": Parameter(0.0, "Mass beyond the force sensor, if known [kg]; 0: tare only.", 0.0, 100.0),
-    "tool_centre": Parameter([0.0, 0.0, 0.0], "Centre of that mass in the sensor's frame [m]."),
-    "gravity": Parameter([0.0, 0.0, -9.80665], "Gravity in the base link [m/s2]."),
-    "wrench": Parameter(
-        "sensor", "What tells the force on the tool: sensor (at the wrist), or efforts (of the joints)."
-    ),
-    "wrench_frame": Parameter("", "Another link fixed to the tool in which wrenches may be given."),
-    "wrench_by_tool": Parameter(False, "Whether the sensor reports the wrench exerted by the tool, not on the tool."),
-    "cutoff_hz": Parameter(30.0, "Cutoff of the force's low-pass [Hz].", 0.5, 500.0),
-    "servo_lag_s": Parameter(0.03, "Lag of the arm behind steadily moving setpoints [s].", 0.0, 1.0),
-    "contact_stiffness_n_m": Parameter(
-        20e3, "Stiffness of fingers and object; steel is assumed where the first touch is stiffer [N/m].", 100.0, 1e6
-    ),
-    "arm_stiffness_n_m": Parameter(
-        100e3, "Stiffest that the servos hold the tool, by which a force that is not felt is judged [N/m].", 100.0, 1e7
-    ),
-    "max_joint_lead_rad": Parameter(
+    "arm_stiffness_n_m": _live(100e3, "Stiffest hold of the servos, to judge a force not felt [N/m].", 100.0, 1e7),
+    "max_joint_lead_rad": _live(
         0.04,
         "Of an arm with stiff joint servos: lead of a joint's reference under its full effort at most, by which a "
         "force that is not felt is judged [rad]; 0: not known, or compliant joints.",
         0.0,
         1.0,
     ),
-    "tare_s": Parameter(0.5, "Duration of the tare [s].", 0.1, 10.0),
-    "timeout_s": Parameter(0.1, "Age at which an input is too old [s].", 0.01, 2.0),
-    "patience_s": Parameter(1.0, "Time that a pull waits for a late input before it is aborted [s].", 0.0, 60.0),
-    "rate_hz": Parameter(250.0, "Rate of setpoints [Hz].", 10.0, 1000.0),
-    "horizon_s": Parameter(0.02, "Time to reach a trajectory's point [s].", 0.001, 1.0),
+    "tare_s": _live(0.5, "Duration of the tare [s].", 0.1, 10.0),
+    "timeout_s": _live(0.1, "Age at which an input is too old [s].", 0.01, 2.0),
+    "patience_s": _live(1.0, "Time that a pull waits for a late input before it is aborted [s].", 0.0, 60.0),
+    "rate_hz": _live(250.0, "Rate of setpoints [Hz].", 10.0, 1000.0),
+    "horizon_s": _live(0.02, "Time to reach a trajectory's point [s].", 0.001, 1.0),
 }
 
-# May be changed while the node runs. Of the impedance_setpoint: with the next pull, those of the last row while it is
-# not configured.
-_LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
-    "board_detector": (BOARD_DETECTOR, ""),
-    "recorder": (RECORDER, "patience_s min_free_mb"),
-    "calibrator": (
-        CALIBRATOR,
-        "out effects seed clock_limit_s accept first_solve after_change max_stations silence_timeout_s",
-    ),
-    "corrector": (
-        CORRECTOR,
-        "target stream horizon_s timeout_s goal_timeout_s joint_speed_rad_s joint_speed_m_s tolerance_m tolerance_rad "
-        "switch_step_rad blend_s rate_hz",
-    ),
-    "articulation_estimator": (ARTICULATION_ESTIMATOR, "rate_hz model_hz timeout_s lookahead_m pull_n"),
-    "impedance_setpoint": (
-        IMPEDANCE_SETPOINT,
-        "mode direction goal goal_rad goal_m exploration_speed_m_s speed_m_s max_exploration_m mass damping "
-        "stiffness stack_stiffness blend_s slowdown_force_n slowdown_moment_nm stop_force_n stop_moment_nm "
-        "max_force_n max_moment_nm max_speed_m_s max_acceleration_m_s2 max_angular_speed_rad_s "
-        "max_angular_acceleration_rad_s2 max_displacement_m max_rotation_rad joint_speed_rad_s joint_speed_m_s "
-        "joint_acceleration_rad_s2 joint_acceleration_m_s2 min_gain gravity servo_lag_s contact_stiffness_n_m "
-        "arm_stiffness_n_m max_joint_lead_rad tare_s patience_s horizon_s base tip calibrated tool_mass tool_centre "
-        "wrench wrench_frame wrench_by_tool cutoff_hz timeout_s rate_hz",
-    ),
-    "acceleration_limits": (
-        ACCELERATION_LIMITS,
-        "payload_kg payload_centre_m payload_inertia method torque_share torque friction damping rotor gravity "
-        "timeout_s",
-    ),
-    "viewer": (VIEWER, "arrow_scale full_colour_m timeout_s"),
-    "simulated_cell": (
-        SIMULATED_CELL,
-        "payload_kg tool_bump_m tool_turn_rad tracker_move_m warm_up_link warm_up_m warm_up_s",
-    ),
-    "simulated_furniture": (SIMULATED_FURNITURE, ""),
-    "door_demo": (DOOR_DEMO, ""),
-    "trajectory_sender": (TRAJECTORY_SENDER, ""),
-    "station_runner": (
-        STATION_RUNNER,
-        "yes speed_rad_s settle_s readings patience_s timeout_s tracking_rad tolerance_rad",
-    ),
-}
 NODES = {
-    name: {key: replace(parameter, live=key in live.split()) for key, parameter in table.items()}
-    for name, (table, live) in _LIVE.items()
+    "board_detector": BOARD_DETECTOR,
+    "recorder": RECORDER,
+    "calibrator": CALIBRATOR,
+    "corrector": CORRECTOR,
+    "articulation_estimator": ARTICULATION_ESTIMATOR,
+    "impedance_setpoint": IMPEDANCE_SETPOINT,
+    "acceleration_limits": ACCELERATION_LIMITS,
+    "viewer": VIEWER,
+    "simulated_cell": SIMULATED_CELL,
+    "simulated_furniture": SIMULATED_FURNITURE,
+    "door_demo": DOOR_DEMO,
+    "trajectory_sender": TRAJECTORY_SENDER,
+    "station_runner": STATION_RUNNER,
 }
-RECORDER, CALIBRATOR, CORRECTOR = NODES["recorder"], NODES["calibrator"], NODES["corrector"]
-ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT = NODES["articulation_estimator"], NODES["impedance_setpoint"]
-ACCELERATION_LIMITS, VIEWER = NODES["acceleration_limits"], NODES["viewer"]
-SIMULATED_CELL, SIMULATED_FURNITURE = NODES["simulated_cell"], NODES["simulated_furniture"]
-DOOR_DEMO, TRAJECTORY_SENDER = NODES["door_demo"], NODES["trajectory_sender"]
-STATION_RUNNER = NODES["station_runner"]

@@ -419,17 +419,19 @@ def recorded(
     joints: list[tuple[float, Array]] = []
     readings: list[tuple[float, Array]] = []
     felt: dict[str, list[tuple[float, float]]] = {}
+
+    def moments(grid: Grid, stop: float, doing: str) -> Iterator[float]:
+        for i, t in enumerate(grid.take(stop)):
+            if i % _MANY == 0:
+                watch(doing, t / plant.end)
+            yield t
+
     for until, change in [*((when, (when, name, value)) for when, name, value in changes), (math.inf, None)]:
         stop = min(until, plant.end)
-        for i, t in enumerate(grids[0].take(stop)):
-            if i % _MANY == 0:
-                watch("moving the arm", t / plant.end)
+        for t in moments(grids[0], stop, "moving the arm"):
             q, v, effort = plant.joints(t)
             joints.append((t, np.r_[q, v, np.full_like(q, np.nan) if effort is None else effort]))
-        for i, t in enumerate(grids[1].take(stop)):
-            if i % _MANY == 0:
-                watch("reading the tracker", t / plant.end)
-            readings.append((t, plant.read(plant.tool(t))))
+        readings += [(t, plant.read(plant.tool(t))) for t in moments(grids[1], stop, "reading the tracker")]
         for t in grids[2].take(stop):
             if (warm := plant.temperature(t)) is not None:
                 felt.setdefault(warm[0], []).append((t, warm[1]))

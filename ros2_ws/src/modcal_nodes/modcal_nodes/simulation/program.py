@@ -23,7 +23,6 @@ from modcal_core.robots import (
     Mechanism,
     Payload,
     bias_torque,
-    is_serial_arm,
     passable,
     read_drives,
     read_inertias,
@@ -133,8 +132,7 @@ def legs(chain: Mechanism, trajectory: JointTrajectory, start: Array | None = No
     that are none, times that do not rise, points outside the limits, and ways on which a Delta's platform fits no more.
     """
     names = tuple(trajectory.joint_names)
-    own = chain.own if is_serial_arm(chain) else np.ones(chain.n, bool)
-    moved = [name for name, moves in zip(chain.names, own, strict=True) if moves]
+    moved = chain.own_names
     if sorted(names) not in (sorted(chain.names), sorted(moved)):
         raise BadCommand(f"joint_trajectory names {', '.join(names)}", f"this arm has {', '.join(moved)}", "name these")
     order = [names.index(name) for name in moved]
@@ -149,8 +147,8 @@ def legs(chain: Mechanism, trajectory: JointTrajectory, start: Array | None = No
         if after <= last:
             raise BadCommand(offender, "is not later than the one before", "make times increase from above zero")
         posture = np.zeros(chain.n)
-        posture[own] = q[order]
-        q = chain.followed(posture) if is_serial_arm(chain) else posture
+        posture[chain.own] = q[order]
+        q = chain.followed(posture)
         if (q < chain.lower).any() or (q > chain.upper).any():
             raise BadCommand(offender, "lies outside the joint limits", "stay within them")
         if start is not None and not passable(chain, start, q):

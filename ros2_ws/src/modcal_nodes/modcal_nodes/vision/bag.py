@@ -48,36 +48,23 @@ from modcal_msgs_py import (
     stamps_of,
     tag_topics,
 )
-from modcal_nodes.vision.detection import Detection, body_corners, detect, off_flat, sheet_corners, too_few
+from modcal_nodes.vision.detection import Detection, detect, implausible, marker_corners
 from modcal_nodes.vision.images import FoundTargets, ImageFolder, grey_of_file, in_eight_bits, is_mosaic, lens_from_data
 
-_COLOURS = {
-    "rgb8": cv2.COLOR_RGB2GRAY,
-    "bgr8": cv2.COLOR_BGR2GRAY,
-    "rgba8": cv2.COLOR_RGBA2GRAY,
-    "bgra8": cv2.COLOR_BGRA2GRAY,
-    "8UC3": cv2.COLOR_BGR2GRAY,
-    "8UC4": cv2.COLOR_BGRA2GRAY,
-}
-_BAYER = {  # as ROS names the first two pixels of the first two rows; OpenCV names the second ones
-    "bayer_rggb8": cv2.COLOR_BayerBG2GRAY,
-    "bayer_bggr8": cv2.COLOR_BayerRG2GRAY,
-    "bayer_gbrg8": cv2.COLOR_BayerGR2GRAY,
-    "bayer_grbg8": cv2.COLOR_BayerGB2GRAY,
-}
-_YUV = {
-    "yuv422": cv2.COLOR_YUV2GRAY_UYVY,
-    "uyvy": cv2.COLOR_YUV2GRAY_UYVY,
-    "yuv422_yuy2": cv2.COLOR_YUV2GRAY_YUY2,
-    "yuyv": cv2.COLOR_YUV2GRAY_YUY2,
-}
-_GREY = ("mono8", "8UC1")
-_DEEP = ("mono16", "16UC1")  # grey of 16 bits; a depth image is one too, and shows no target
-_CODES = {**_COLOURS, **_BAYER, **_YUV}
-_CHANNELS = {  # bytes a pixel
-    **dict.fromkeys((*_GREY, *_BAYER), 1),
-    **dict.fromkeys((*_YUV, *_DEEP), 2),
-    **{name: 4 if "a8" in name or name == "8UC4" else 3 for name in _COLOURS},
+_ENCODINGS: dict[str, tuple[int, int | None]] = {  # bytes a pixel, and how it becomes grey
+    **dict.fromkeys(("mono8", "8UC1"), (1, None)),
+    **dict.fromkeys(("mono16", "16UC1"), (2, None)),  # a depth image is one too, and shows no target
+    "rgb8": (3, cv2.COLOR_RGB2GRAY),
+    "rgba8": (4, cv2.COLOR_RGBA2GRAY),
+    **dict.fromkeys(("bgr8", "8UC3"), (3, cv2.COLOR_BGR2GRAY)),
+    **dict.fromkeys(("bgra8", "8UC4"), (4, cv2.COLOR_BGRA2GRAY)),
+    # ROS names the first two pixels of the first two rows of a Bayer pattern, OpenCV the second ones
+    "bayer_rggb8": (1, cv2.COLOR_BayerBG2GRAY),
+    "bayer_bggr8": (1, cv2.COLOR_BayerRG2GRAY),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGR2GRAY),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGB2GRAY),
+    **dict.fromkeys(("yuv422", "uyvy"), (2, cv2.COLOR_YUV2GRAY_UYVY)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), (2, cv2.COLOR_YUV2GRAY_YUY2)),
 }
 
 
@@ -85,21 +72,17 @@ def grey_of(image: RawImage) -> tuple[np.ndarray | None, str]:
     """(grey image (h, w) of 8 bits, what was done to it, or nothing) or (None, why not and what to do)."""
     if image.compressed:
         return _unpacked(image)
-    encoding = image.encoding
-    if encoding not in _DEEP and ("16" in encoding or "32" in encoding):
-        return None, f"is of encoding {encoding}, of which none but mono16 is read: publish mono8 or rgb8"
-    if encoding not in _CHANNELS:
-        return None, f"is of encoding {encoding[:30]}, which is not read: publish mono8 or rgb8"
-    channels = _CHANNELS[encoding]
+    if image.encoding not in _ENCODINGS:
+        return None, f"is of encoding {image.encoding[:30]}, which is not read: publish mono8, mono16 or rgb8"
+    channels, code = _ENCODINGS[image.encoding]
     if image.step < image.width * channels or len(image.data) < image.step * image.height:
         return None, "has fewer bytes than its size says: record it again"
     rows = image.data[: image.step * image.height].reshape(image.height, image.step)
     pixels = np.ascontiguousarray(rows[:, : image.width * channels])
-    if encoding in _CODES:
-        if channels > 1:
-            pixels = pixels.reshape(image.height, image.width, channels)
-        return np.asarray(cv2.cvtColor(pixels, _CODES[encoding])), ""
-    grey = pixels.view(">u2" if image.bigendian else "<u2").astype(np.uint16) if encoding in _DEEP else pixels
+    if code is not None:
+        pixels = pixels.reshape(image.height, image.width, channels) if channels > 1 else pixels
+        return np.asarray(cv2.cvtColor(pixels, code)), ""
+    grey = pixels.view(">u2" if image.bigendian else "<u2").astype(np.uint16) if channels > 1 else pixels
     if is_mosaic(grey):
         return None, "is a raw Bayer mosaic sent as grey: debayer it, or publish its encoding"
     return in_eight_bits(grey)
@@ -160,23 +143,13 @@ def read_bag_images(
     if not len(wanted):
         said = f"none of {len(stamps)} images has joint states around it"
         raise BadRecording(source, said, "record both on one clock")
-    targets, keep = FoundTargets(), set(wanted.tolist())
     if of_tags:
         looked_at = _messages(bag, topic, partial(_tags, target, size or (0, 0)))
     elif topic.type_name == CLOUD:
         looked_at = _messages(bag, topic, partial(_corners, target))
     else:
         looked_at = boards(bag, topic, target)
-    for stamp, look in looked_at:
-        if stamp not in keep:
-            continue
-        keep.discard(stamp)
-        progress("finding the target", 1.0 - len(keep) / len(wanted))
-        name = f"{stamp:.6f}"
-        found, own_size, note = look(name)
-        if found.view is not None:
-            found = replace(found, view=replace(found.view, stamp=stamp))
-        targets.take(found, name, own_size, note)
+    targets = found_targets(looked_at, wanted, partial(progress, "finding the target"))
     size, _ = targets.of_one_size(source, len(wanted))
     at = np.array([view.stamp for view in targets.views])
     q, velocity = log.at(at)
@@ -188,6 +161,24 @@ def read_bag_images(
         *(tuple(targets.views), q, velocity, size, targets.left_out, lens, lens_of, moments),
         notes=tuple(targets.notes),
     )
+
+
+def found_targets(
+    looked_at: Iterator[tuple[float, _Look]], wanted: Array, progress: Callable[[float], None] = lambda _: None
+) -> FoundTargets:
+    """What images with the wanted stamps show of a target. looked_at: (stamp, what looks for it) of each image."""
+    targets, keep = FoundTargets(), set(wanted.tolist())
+    for stamp, look in looked_at:
+        if stamp not in keep:
+            continue
+        keep.discard(stamp)
+        progress(1.0 - len(keep) / len(wanted))
+        name = f"{stamp:.6f}"
+        found, size, note = look(name)
+        if found.view is not None:
+            found = replace(found, view=replace(found.view, stamp=stamp))
+        targets.take(found, name, size, note)
+    return targets
 
 
 @dataclass(frozen=True)
@@ -286,9 +277,8 @@ def _corners(target: PrintedTarget | MarkerBundle, message: Any, name: str) -> _
     if view.ids.max() >= len(target.points):
         said = f"has corner {int(view.ids.max())}, the target has {len(target.points)}"
         return Detection(None, said, "give the target.yaml that board_detector had"), (0, 0), ""
-    if (few := too_few(target, view.ids)) is not None:
-        return few, (0, 0), ""
-    return Detection(replace(view, name=name)), size, ""
+    strange = implausible(target, view.ids, view.pixels)
+    return (strange or Detection(replace(view, name=name))), size, ""
 
 
 def _tags(target: PrintedTarget | MarkerBundle, size: tuple[int, int], message: Any, name: str) -> _Found:
@@ -323,22 +313,17 @@ def tag_view(message: Any, target: PrintedTarget | MarkerBundle, name: str) -> D
     own = np.array([not one or not family or one == family for one in families], dtype=bool)
     if len(own) and not own.any():
         return Detection(None, f"shows tags of family {min(families)[:20]}, the target has {family}", "check both")
-    if isinstance(target, MarkerBundle):
-        found = body_corners(target, numbers[own].tolist(), quads[own])
-        return found if isinstance(found, Detection) else _of_tags(name, *found)
-    # from a tag's lower left corner counter-clockwise, as its detector has it
-    corners = sheet_corners(target, numbers[own], quads[own, ::-1], either_way=True)
-    if corners is None:
-        return Detection(
-            None, "shows no tag of the target, or one twice", "check its numbers, and show one target only"
-        )
-    if len(corners[0]) == MARKER_CORNERS and target.kind != TAG:
+    # of a sheet, from a tag's lower left corner counter-clockwise, as its detector has it
+    corners = quads[own] if isinstance(target, MarkerBundle) else quads[own, ::-1]
+    found = marker_corners(target, numbers[own], corners, either_way=True)
+    if found is None:
+        said = "shows no tag of the target, or one twice"
+        return Detection(None, said, "check its numbers, and show one target only")
+    ids, pixels = found
+    if len(ids) == MARKER_CORNERS and isinstance(target, PrintedTarget) and target.kind != TAG:
         return Detection(None, "shows one tag of the grid", "show two or more: they tell which corner is which")
-    return too_few(target, corners[0]) or off_flat(target, *corners) or _of_tags(name, *corners)
-
-
-def _of_tags(name: str, ids: np.ndarray, pixels: Array) -> Detection:
-    return Detection(BoardView(name, ids, pixels, np.tile(_SIGMA_PX**2 * np.eye(2), (len(ids), 1, 1))))
+    cov = np.tile(_SIGMA_PX**2 * np.eye(2), (len(ids), 1, 1))
+    return implausible(target, ids, pixels) or Detection(BoardView(name, ids, pixels, cov))
 
 
 def _lens(bag: Path, recording: Recording, topic: Listed) -> tuple[Lens | None, str]:

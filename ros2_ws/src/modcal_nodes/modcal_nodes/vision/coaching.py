@@ -31,8 +31,7 @@ from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import Recording, spread_rows
 from modcal_msgs_py import chosen_topic, stamps_of
-from modcal_nodes.vision.bag import JointLog, boards, chosen_stamps
-from modcal_nodes.vision.images import FoundTargets
+from modcal_nodes.vision.bag import JointLog, boards, chosen_stamps, found_targets
 
 ENOUGH = 25  # views that a calibration wants
 _STILL_PX = 0.7  # motion between two images, in the median: less than a corner is blurred by
@@ -161,12 +160,7 @@ def images_worth(
         with suppress(ModcalError):
             wanted, _ = chosen_stamps(stamps, JointLog.of(recording, names))
     wanted = wanted[spread_rows(len(wanted), _LOOKED_AT)]
-    keep, targets = set(wanted.tolist()), FoundTargets()
-    for stamp, look in boards(bag, topic, target):
-        if stamp in keep:
-            keep.discard(stamp)
-            found, own_size, _ = look(f"{stamp:.6f}")
-            targets.take(found, f"{stamp:.6f}", own_size)
+    targets = found_targets(boards(bag, topic, target), wanted)
     views, reasons = targets.views, Counter(targets.left_out.values())
     size = targets.sizes[-1] if views else None
     looked_at = len(wanted)

@@ -92,9 +92,8 @@ _Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class _Row:
-    """A corner. line: of the file. point: of the target, None of a marker that is not on it."""
+    """A corner. point: of the target, None of a marker that is not on it. size: of the image [px], where known."""
 
-    line: int
     camera: str
     image: str
     point: int | None
@@ -131,10 +130,11 @@ def read_corner_tables(
     out = {}
     for camera in dict.fromkeys(row.camera for row in rows):
         own = [row for row in rows if row.camera == camera]
-        size: _Size | None = None
-        for row in own:
-            size = _same_size(source, row, size)
-        size = size or (sizes or {}).get(camera_key(camera), (sizes or {}).get(""))
+        stated = {row.size for row in own if row.size is not None}
+        if len(stated) > 1:
+            said = " and of ".join(f"{width} × {height}" for width, height in sorted(stated)[:2])
+            raise BadTable(source, f"has images of {said}", "give images of one size")
+        size = min(stated, default=None) or (sizes or {}).get(camera_key(camera), (sizes or {}).get(""))
         if size is None:
             whose, named = (f" of {camera}", f"{camera}=") if camera else ("", "")
             remedy = f"add columns width and height, or --camera-info {named}FILE"
@@ -195,14 +195,14 @@ def corners_of_text(text: str, target: PrintedTarget | MarkerBundle, source: str
         if len(row) != len(header):
             raise BadTable(where, f"has {len(row)} cells, the header {len(header)}", "correct the line")
         for one in long_rows(dict(zip(header, row, strict=True)), wide, number):
-            found = _read_row(one, target, where, number + 1)
+            found = _read_row(one, target, where)
             out += [] if found is None else [found]
     if not out:
         raise NotEnoughData(source, "holds no corner", "give a row for each corner that was found")
     return out
 
 
-def _read_row(one: Mapping[str, str], target: PrintedTarget | MarkerBundle, where: str, line: int) -> _Row | None:
+def _read_row(one: Mapping[str, str], target: PrintedTarget | MarkerBundle, where: str) -> _Row | None:
     """The corner that a row says, None for one that was not seen. Raises BadTable."""
     if one["u"].lower() in _NOT_SEEN and one["v"].lower() in _NOT_SEEN:
         return None
@@ -214,9 +214,11 @@ def _read_row(one: Mapping[str, str], target: PrintedTarget | MarkerBundle, wher
         raise BadTable(where, "holds a value that cannot be read", "give numbers") from error
     if not np.isfinite(values).all() or values[2] <= 0.0:
         raise BadTable(where, "holds a number that is not finite, or no size", "correct it")
+    if size is not None and not 0 < min(size) <= max(size) < _LARGEST_PX:
+        raise BadTable(where, f"has images of {size[0]} × {size[1]} pixels", "correct it")
     if values[0] == values[1] and values[0] in _NOWHERE:
         return None
-    return _Row(line, one.get("camera", ""), one["image"], point, values, size)
+    return _Row(one.get("camera", ""), one["image"], point, values, size)
 
 
 def _point(one: Mapping[str, str], target: PrintedTarget | MarkerBundle, where: str) -> int | None:
@@ -240,16 +242,3 @@ def _point(one: Mapping[str, str], target: PrintedTarget | MarkerBundle, where: 
         said = f"has corner {number}, the target has 0 to {len(target.points) - 1}"
         raise BadTable(where, said, "number the corners as docs/camera.md does")
     return number
-
-
-def _same_size(source: str, row: _Row, before: _Size | None) -> _Size | None:
-    """The images' size by this row, which must be that of the rows of this camera before."""
-    own = row.size
-    if own is None:
-        return before
-    if not (0 < own[0] < _LARGEST_PX and 0 < own[1] < _LARGEST_PX):
-        raise BadTable(f"{source}: line {row.line}", f"has images of {own[0]} × {own[1]} pixels", "correct it")
-    if before is not None and own != before:
-        said = f"is of an image of {own[0]} × {own[1]}, those before of {before[0]} × {before[1]}"
-        raise BadTable(f"{source}: line {row.line}", said, "give images of one size")
-    return own

@@ -98,6 +98,7 @@ _MAX_WINDOW, _MIN_WINDOW = 11, 2  # px, half side of the windows in which corner
 _ROUGH_PX = 0.1  # by how much a corner is off that looks like no crossing of two edges: half covered, or too small
 _SMALLEST_GREY = 12.0  # grey levels between black and white
 _FITS_PX, _FITS_SHARE = 4.0, 0.02  # how far corners of one flat sheet are from a homography: lenses bend, by its size
+_BOARDS = (CHARUCO, CHESSBOARD)  # of squares, whose corners are crossings of edges
 _MIN_QUADS = 4  # markers that the image shows, none of them of the target, before another board is suspected
 _ALTERNATES = 0.4  # of the contrast, of the image and of the board, that squares and those beyond its edge differ by
 _GAP = 6.0  # square sides between corners of one board and those of another
@@ -112,134 +113,112 @@ class Detection:
     remedy: str = ""
 
 
+_Corners = tuple[np.ndarray, Array, int]  # ids (m,), pixels (m, 2), half side of the windows of refinement [px]
+
+
 def detect(grey: np.ndarray, target: PrintedTarget | MarkerBundle, name: str) -> Detection:
     """The corners of the target in a grey image (h, w) of 8 bits. Raises BadTable where no one says which dictionary
     the markers of a body are of.
     """
-    found = _of_body(grey, target) if isinstance(target, MarkerBundle) else _of_sheet(grey, target)
-    if isinstance(found, Detection):
-        return found
+    if isinstance(target, MarkerBundle) and not target.dictionary:
+        remedy = "add dictionary: DICT_4X4_50, or whichever they are of, or give a CSV of corners"
+        raise BadTable(target.label, "has no dictionary of markers to look for in images", remedy)
+    found = _seen(grey, target)
+    if found is None:
+        return _why_not(grey, target)
     ids, pixels, half = found
+    if (strange := implausible(target, ids, pixels, grey)) is not None:
+        return strange
     width = edge_width(grey, pixels, half)
     if width > BLURRED_PX:
         return Detection(None, f"is blurred: edges are {width:.0f} px wide", "hold still, focus, or add light")
-    pixels, cov = _fitted(grey, target, ids, pixels, half)
+    fit = fit_board(grey, target, ids, pixels) if isinstance(target, PrintedTarget) and target.kind in _BOARDS else None
+    good = np.zeros(len(ids), bool) if fit is None else fit.good
+    cov = np.empty((len(ids), 2, 2))
+    if fit is not None:
+        pixels, cov = np.where(good[:, None], fit.pixels, pixels), fit.cov + _PRINT_PX**2 * np.eye(2)
+    if not good.all():
+        rough = _ROUGH_PX if fit is not None else 0.0
+        cov[~good] = corner_covariance(grey, pixels[~good], half, grey_noise(grey)) + rough**2 * np.eye(2)
     return Detection(BoardView(name, ids, pixels, cov, width))
 
 
-_Corners = tuple[np.ndarray, Array, int]  # ids (m,), pixels (m, 2), half side of the windows of refinement [px]
+def implausible(
+    target: PrintedTarget | MarkerBundle, ids: np.ndarray, pixels: Array, grey: np.ndarray | None = None
+) -> Detection | None:
+    """Why corners (m,) at pixels (m, 2) do not fix the pose of a sheet, or are of another; None where they may be its.
 
-
-def _of_sheet(grey: np.ndarray, target: PrintedTarget) -> _Corners | Detection:
-    """The corners of a sheet, or why there are none."""
-    if float(np.percentile(grey, 99) - np.percentile(grey, 1)) < _SMALLEST_GREY:
-        return Detection(None, "is of one grey, or nearly", "light the target, and check the exposure")
-    ids, pixels, half = _found(grey, target)
-    if len(ids) == 0:
-        return _why_not(grey, target)
-    strange = too_few(target, ids)
-    if strange is None and target.kind == CHESSBOARD:
-        strange = _no_such_board(grey, target, ids, pixels)
-    return strange or off_flat(target, ids, pixels) or (ids, pixels, half)
-
-
-def _of_body(grey: np.ndarray, body: MarkerBundle) -> _Corners | Detection:
-    """The corners of a body's markers, or why there are none."""
-    if not body.dictionary:
-        remedy = "add dictionary: DICT_4X4_50, or whichever they are of, or give a CSV of corners"
-        raise BadTable(body.label, "has no dictionary of markers to look for in images", remedy)
-    corners, ids, _ = marker_detector(body.dictionary).detectMarkers(grey)
-    numbers = [] if ids is None else [int(i) for i in np.asarray(ids).ravel()]
-    found = body_corners(body, numbers, [np.asarray(c, dtype=float).reshape(4, 2) for c in corners])
-    if isinstance(found, Detection):
-        return found
-    side = np.linalg.norm(np.diff(found[1].reshape(-1, 4, 2), axis=1), axis=2)
-    return (*found, window_of_side(float(np.median(side))))
-
-
-def _fitted(
-    grey: np.ndarray, target: PrintedTarget | MarkerBundle, ids: np.ndarray, pixels: Array, half: int
-) -> tuple[Array, Array]:
-    """(pixels (m, 2), covariance (m, 2, 2)) of corners: those of squares fitted to the grey values about them."""
-    if isinstance(target, MarkerBundle) or target.kind not in (CHARUCO, CHESSBOARD):
-        return pixels, corner_covariance(grey, pixels, half, grey_noise(grey))
-    fit = fit_board(grey, target, ids, pixels)
-    pixels, cov = np.where(fit.good[:, None], fit.pixels, pixels), fit.cov + _PRINT_PX**2 * np.eye(2)
-    if not fit.good.all():
-        rough = corner_covariance(grey, pixels[~fit.good], half, grey_noise(grey))
-        cov[~fit.good] = rough + _ROUGH_PX**2 * np.eye(2)
-    return pixels, cov
-
-
-def too_few(target: PrintedTarget, ids: np.ndarray) -> Detection | None:
-    """Why these corners (m,) do not fix the target's pose, None where they do."""
-    if enough_corners(target.points[ids]):
+    grey: the image, where it is known.
+    """
+    if isinstance(target, MarkerBundle):
         return None
-    said = f"shows {len(ids)} corners of the target, {MIN_CORNERS} not on one line are needed"
-    return Detection(None, said, "bring more of the target into view")
-
-
-def off_flat(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> Detection | None:
-    """Why corners (m,) at pixels (m, 2) are not those of a flat target of this form, None where they may be."""
+    if not enough_corners(target.points[ids]):
+        said = f"shows {len(ids)} corners of the target, {MIN_CORNERS} not on one line are needed"
+        return Detection(None, said, "bring more of the target into view")
+    other = None if grey is None or target.kind != CHESSBOARD else _no_such_board(grey, target, ids, pixels)
     miss = _misfit(target, ids, pixels)
-    extent = float(np.ptp(pixels, axis=0).max())
-    if miss <= max(_FITS_PX, _FITS_SHARE * extent):
-        return None
+    if other is not None or miss <= max(_FITS_PX, _FITS_SHARE * float(np.ptp(pixels, axis=0).max())):
+        return other
     said = f"shows corners that lie {miss:.0f} px off a flat {target.label}"
     return Detection(None, said, "check the target file, show one board only, and keep it flat")
 
 
-def _found(grey: np.ndarray, target: PrintedTarget) -> _Corners:
-    """The corners of a sheet, as its finder has them."""
-    none = np.empty(0, int), np.empty((0, 2)), _MIN_WINDOW
-    if target.kind == CHARUCO:
-        for legacy in (False, True):
-            corners, ids, _, _ = _charuco(target, legacy).detectBoard(grey)
-            if ids is not None and len(ids) >= MIN_CORNERS:
-                break
-        if ids is None or len(ids) == 0:
-            return none
-        order = np.argsort(np.asarray(ids).ravel())
-        ids, pixels = np.asarray(ids).ravel()[order], np.asarray(corners, dtype=float).reshape(-1, 2)[order]
-        return _refined(grey, target, ids, pixels)
+def _seen(grey: np.ndarray, target: PrintedTarget | MarkerBundle) -> _Corners | None:
+    """The corners of the target, as its finder has them; None without any."""
+    if isinstance(target, MarkerBundle) or target.kind not in _BOARDS:
+        found = marker_corners(target, *_markers(grey, target.dictionary))
+        if found is None:
+            return None
+        side = float(np.median(np.linalg.norm(np.diff(found[1].reshape(-1, 4, 2), axis=1), axis=2)))
+        return (*found, int(np.clip(0.1 * side, _MIN_WINDOW, _MAX_WINDOW)))
     if target.kind == CHESSBOARD:
         shape = (target.columns - 1, target.rows - 1)
         ok, corners = cv2.findChessboardCornersSB(grey, shape, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if not ok:
-            return none
+            return None
         pixels = _turned_right(grey, np.asarray(corners, dtype=float).reshape(-1, 2), shape)
         return _refined(grey, target, np.arange(len(pixels)), pixels)
-    return _markers(grey, target) or none
-
-
-def _markers(grey: np.ndarray, target: PrintedTarget) -> _Corners | None:
-    """Corners of the markers of a grid, or of one tag."""
-    corners, ids, _ = marker_detector(target.dictionary).detectMarkers(grey)
-    if ids is None:
+    for legacy in (False, True):
+        corners, ids, _, _ = _charuco(target, legacy).detectBoard(grey)
+        if ids is not None and len(ids) >= MIN_CORNERS:
+            break
+    if ids is None or len(ids) == 0:
         return None
-    quads = np.asarray(corners, dtype=float).reshape(-1, 4, 2)
-    found = sheet_corners(target, np.asarray(ids).ravel(), quads)
-    if found is None:
-        return None
-    side = float(np.median(np.linalg.norm(np.diff(found[1].reshape(-1, 4, 2), axis=1), axis=2)))
-    return (*found, window_of_side(side))
+    order = np.argsort(np.asarray(ids).ravel())
+    pixels = np.asarray(corners, dtype=float).reshape(-1, 2)[order]
+    return _refined(grey, target, np.asarray(ids).ravel()[order], pixels)
 
 
-def sheet_corners(
-    target: PrintedTarget, numbers: np.ndarray, quads: Array, either_way: bool = False
+def _markers(grey: np.ndarray, name: str) -> tuple[np.ndarray, Array]:
+    """(numbers (m,), corners (m, 4, 2)) of the markers of a dictionary that an image shows. Raises BadTable."""
+    corners, ids, _ = _marker_detector(name).detectMarkers(grey)
+    numbers = np.empty(0, int) if ids is None else np.asarray(ids).ravel()
+    return numbers, np.array(corners, dtype=float).reshape(-1, MARKER_CORNERS, 2)
+
+
+def marker_corners(
+    target: PrintedTarget | MarkerBundle, numbers: np.ndarray, quads: Array, either_way: bool = False
 ) -> tuple[np.ndarray, Array] | None:
     """(ids (4 k,), pixels (4 k, 2)) of those of m markers that are the target's, by their numbers (m,) and corners
-    clockwise (m, 4, 2), from whichever corner; None without a corner, or where a number stands twice, as of two boards.
+    clockwise (m, 4, 2), from whichever corner of a sheet's; None without any.
 
-    A marker's own first corner is a convention of its maker: a grid shows which it is. either_way: also the way round.
+    A number that stands twice is another's once: of a body nobody knows which, of a sheet there are two. A marker's own
+    first corner is a convention of its maker: a grid shows which it is. either_way: also the way round.
     """
+    good = np.isfinite(quads).all(axis=(1, 2))
+    if isinstance(target, MarkerBundle):
+        once = np.isin(numbers, [n for n, times in Counter(numbers.tolist()).items() if times == 1])
+        own = [[target.point(int(n), corner) for corner in range(MARKER_CORNERS)] for n in numbers]
+        kept = np.flatnonzero(good & once & np.array([None not in points for points in own], dtype=bool))
+        ids = np.array([own[k] for k in kept], dtype=int).ravel()
+        return (ids, quads[kept].reshape(-1, 2)) if len(ids) else None
     number = numbers - target.first_id
-    good = (number >= 0) & (number < target.columns * target.rows) & np.isfinite(quads).all(axis=(1, 2))
+    good &= (number >= 0) & (number < target.columns * target.rows)
     order = np.flatnonzero(good)[np.argsort(number[good])]
     number, quads = number[order], quads[order, ::-1] if target.kind == APRIL_GRID else quads[order]
     if len(order) == 0 or len(np.unique(number)) < len(order):
         return None
-    ids = (4 * number[:, None] + np.arange(4)).ravel()
+    ids = (MARKER_CORNERS * number[:, None] + np.arange(MARKER_CORNERS)).ravel()
     if target.kind == TAG or len(quads) == 1:
         return ids, quads.reshape(-1, 2)
     turns = [np.roll(q, k, axis=1) for q in ((quads, quads[:, ::-1]) if either_way else (quads,)) for k in range(4)]
@@ -247,12 +226,7 @@ def sheet_corners(
     return ids, best.reshape(-1, 2)
 
 
-def window_of_side(side: float) -> int:
-    """Half side of the window [px] in which a corner of a marker of this side [px] is looked at."""
-    return int(np.clip(0.1 * side, _MIN_WINDOW, _MAX_WINDOW))
-
-
-def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> _Corners:
+def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> _Corners | None:
     """The saddles of a board's corners to a fraction of a pixel, those at the image's edge left out."""
     half = _MIN_WINDOW
     if enough_corners(target.points[ids]):
@@ -267,12 +241,12 @@ def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: A
     inside = ((pixels >= half + 1) & (pixels <= np.array(grey.shape)[::-1] - half - 2)).all(axis=1)
     ids, pixels = ids[inside], pixels[inside]
     if len(ids) == 0:
-        return ids, pixels, half
+        return None
     end = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-4)
     start = np.ascontiguousarray(pixels, dtype=np.float32).reshape(-1, 1, 2)
     fine = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), end).reshape(-1, 2).astype(float)
     near = np.linalg.norm(fine - pixels, axis=1) < half
-    return ids[near], fine[near], half
+    return (ids[near], fine[near], half) if near.any() else None
 
 
 def _turned_right(grey: np.ndarray, pixels: Array, shape: tuple[int, int]) -> Array:
@@ -329,17 +303,19 @@ def _misfit(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> float:
     return float(np.linalg.norm(q[:, :2] / q[:, 2:] - pixels, axis=1).max())
 
 
-def _why_not(grey: np.ndarray, target: PrintedTarget) -> Detection:
+def _why_not(grey: np.ndarray, target: PrintedTarget | MarkerBundle) -> Detection:
     """Why no corner of the target was found."""
+    if isinstance(target, MarkerBundle):
+        return Detection(None, "shows no marker of the body", "check the target's numbers, and bring it into view")
+    if float(np.percentile(grey, 99) - np.percentile(grey, 1)) < _SMALLEST_GREY:
+        return Detection(None, "is of one grey, or nearly", "light the target, and check the exposure")
     if target.kind == CHESSBOARD:
         said = f"shows no whole {target.label}"
         return Detection(None, said, "count the squares, show the whole board, or use a ChArUco board")
-    mirrored = np.ascontiguousarray(grey[:, ::-1])
-    if len(_found(mirrored, target)[0]):
+    if _seen(np.ascontiguousarray(grey[:, ::-1]), target) is not None:
         return Detection(None, "is mirrored", "turn off mirroring in the camera's driver")
-    _, ids, _ = marker_detector(target.dictionary).detectMarkers(grey)
-    if ids is not None and len(ids):
-        seen = np.asarray(ids).ravel()
+    seen, _ = _markers(grey, target.dictionary)
+    if len(seen):
         if len(np.unique(seen)) < len(seen):
             return Detection(None, "shows two boards with the same markers", "show one board only")
         said = f"shows {len(seen)} markers of {target.dictionary}, numbers {seen.min()} to {seen.max()}"
@@ -347,9 +323,9 @@ def _why_not(grey: np.ndarray, target: PrintedTarget) -> Detection:
         return Detection(None, said, remedy)
     # one dictionary of each size of marker, the largest, whose words include those of the smaller, and AprilTags
     for other in (*(f"DICT_{n}X{n}_1000" for n in (4, 5, 6, 7)), "DICT_APRILTAG_36h11"):
-        found = marker_detector(other).detectMarkers(grey)[1]
-        if found is not None and len(found) >= _MIN_QUADS and other != target.dictionary:
-            said = f"shows {len(found)} markers of {other}, the target has {target.dictionary}"
+        found = len(_markers(grey, other)[0])
+        if found >= _MIN_QUADS and other != target.dictionary:
+            said = f"shows {found} markers of {other}, the target has {target.dictionary}"
             return Detection(None, said, "give the target file of this board")
     return Detection(None, "shows no target", "bring the target into view, sharp and lit")
 
@@ -367,7 +343,7 @@ def dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 @lru_cache(maxsize=16)
-def marker_detector(name: str) -> cv2.aruco.ArucoDetector:
+def _marker_detector(name: str) -> cv2.aruco.ArucoDetector:
     """What finds the markers of a dictionary of this name. Raises BadTable."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
@@ -390,25 +366,6 @@ def charuco_board(target: PrintedTarget, legacy: bool = False) -> cv2.aruco.Char
     board = cv2.aruco.CharucoBoard((target.columns, target.rows), target.square, target.marker, words, ids)
     board.setLegacyPattern(legacy)
     return board
-
-
-def body_corners(
-    body: MarkerBundle, numbers: Sequence[int], quads: Sequence[Array]
-) -> tuple[np.ndarray, Array] | Detection:
-    """(points of the body (4 m,), pixels (4 m, 2)) of markers with these numbers and corners (4, 2) each; why there are
-    none, where there are none. A number that stands twice is another's once, and nobody knows which.
-    """
-    count = Counter(numbers)
-    points: list[int] = []
-    pixels: list[Array] = []
-    for number, quad in zip(numbers, quads, strict=True):
-        own = [body.point(number, corner) for corner in range(MARKER_CORNERS)]
-        if count[number] == 1 and None not in own and np.isfinite(quad).all():
-            points += [p for p in own if p is not None]
-            pixels.append(quad)
-    if not points:
-        return Detection(None, "shows no marker of the body", "check the target's numbers, and bring it into view")
-    return np.array(points), np.concatenate(pixels)
 
 
 _TWIN = 9.0  # of the sum of squares: within three standard deviations the pose tilted the other way fits as well

@@ -84,30 +84,28 @@ def fit_saddles(grey: np.ndarray, pixels: Array, axes: Array, margin: float) -> 
     angles = np.arctan2(axes[:, 1], axes[:, 0]) + 0.5 * np.pi  # of the normals of the edges along x and y
     x = np.c_[pixels - window.origin, angles, np.full((len(pixels), 2), _BLUR_PX)]
     used = window.used(x[:, 4:].max(axis=1))
-    state = window.at(x, used)
+    H, b, cost = window.at(x, used)
     damping = np.full(len(x), 1e-3)
     for i in range(_STEPS):
-        step = state.step(damping)
+        damped = H + (np.einsum("mii->mi", H) * damping[:, None])[:, :, None] * np.eye(_UNKNOWNS)
+        step = np.linalg.solve(damped, b)[:, :_SHAPE, 0]
         tried = x + step
         tried[:, 4:] = np.clip(tried[:, 4:], _NARROW, _WIDE)
         new = window.at(tried, used)
-        better = new.cost <= state.cost
+        better = new[2] <= cost
         x = np.where(better[:, None], tried, x)
         damping = np.where(better, 0.1 * damping, 10.0 * damping)
         if i == 1:  # the blur is known now, and with it what a marker beside the corner spoils
             used = window.used(x[:, 4:].max(axis=1))
-            state = window.at(x, used)
-        else:
-            state = new if better.all() else window.at(x, used)
+        H, b, cost = new if better.all() and i != 1 else window.at(x, used)
         if i > 1 and float(np.abs(step[:, :2]).max(initial=0.0)) < _MET_PX:
             break
-    freedom = np.maximum(used.sum(axis=1) - _UNKNOWNS, 1)
-    sigma = np.sqrt(state.cost / freedom)
-    cov = state.inverse()[:, :2, :2] * (sigma**2)[:, None, None]
+    count = used.sum(axis=1)
+    sigma = np.sqrt(cost / np.maximum(count - _UNKNOWNS, 1))
+    cov = np.linalg.inv(H)[:, :2, :2] * (sigma**2)[:, None, None]
     moved = np.linalg.norm(window.origin + x[:, :2] - pixels, axis=1)
-    good = (np.abs(step[:, :2]).max(axis=1) < 0.1) & (moved < 0.5 * window.half) & (used.sum(axis=1) > 2 * _UNKNOWNS)
-    good &= np.isfinite(cov).all(axis=(1, 2))
-    return SaddleFit(window.origin + x[:, :2], cov, sigma, good)
+    good = (np.abs(step[:, :2]).max(axis=1) < 0.1) & (moved < 0.5 * window.half) & (count > 2 * _UNKNOWNS)
+    return SaddleFit(window.origin + x[:, :2], cov, sigma, good & np.isfinite(cov).all(axis=(1, 2)))
 
 
 class _CornerWindow:
@@ -133,8 +131,10 @@ class _CornerWindow:
         margin = np.maximum(self._margin - _CLEAR * blur, _MIN_MARGIN)
         return self._inside & (self._from_edges < margin[:, None])
 
-    def at(self, x: Array, used: np.ndarray) -> _State:
-        """The equations at q, angles and blur (m, 6), brightness and contrast being those that fit best."""
+    def at(self, x: Array, used: np.ndarray) -> tuple[Array, Array, Array]:
+        """Normal equations H (m, 10, 10) and b (m, 10, 1), and cost (m,), at q, angles and blur (m, 6), brightness and
+        contrast being those that fit best.
+        """
         p = self.offsets[None] - x[:, None, :2]
         cos, sin = np.cos(x[:, 2:4]), np.sin(x[:, 2:4])
         u = p[:, :, :1] * cos[:, None] + p[:, :, 1:] * sin[:, None]  # (m, K, 2), from either edge
@@ -159,25 +159,5 @@ class _CornerWindow:
         J[:, :, 2:4] = by * across
         J[:, :, 4:6] = -by * u / blur
         J *= weight[:, :, None]
-        return _State(
-            np.swapaxes(J, 1, 2) @ J, (np.swapaxes(J, 1, 2) @ residual[:, :, None]), (residual**2).sum(axis=1)
-        )
-
-
-@dataclass(frozen=True)
-class _State:
-    """Normal equations of m corners: H (m, 10, 10), b (m, 10, 1), cost (m,)."""
-
-    H: Array
-    b: Array
-    cost: Array
-
-    def step(self, damping: Array) -> Array:
-        """Steps of q, angles and blur, (m, 6)."""
-        diagonal = np.einsum("mii->mi", self.H) * damping[:, None] + 1e-9
-        H = self.H + diagonal[:, :, None] * np.eye(_UNKNOWNS)
-        return np.asarray(np.linalg.solve(H, self.b)[:, :_SHAPE, 0])
-
-    def inverse(self) -> Array:
-        """Covariance of the unknowns for grey noise of 1, (m, 10, 10)."""
-        return np.asarray(np.linalg.inv(self.H + 1e-9 * np.eye(_UNKNOWNS)))
+        by_each = np.swapaxes(J, 1, 2)
+        return by_each @ J + 1e-9 * np.eye(_UNKNOWNS), by_each @ residual[:, :, None], (residual**2).sum(axis=1)

@@ -37,16 +37,9 @@ CHANGE, ESTIMATE, POSE = "change", "estimate", "pose"
 
 
 @dataclass
-class _Part:
-    level: int
-    message: str
-    facts: dict[str, str]
-    at: float
-
-
-@dataclass
 class _Node:
-    parts: dict[str, _Part] = field(default_factory=dict)
+    parts: dict[str, dict[str, Any]] = field(default_factory=dict)  # as in a snapshot
+    heard: float = -math.inf
     values: dict[str, Any] = field(default_factory=dict)
     delays: deque[float] = field(default_factory=lambda: deque(maxlen=_DELAYS))
 
@@ -68,8 +61,9 @@ class Heard:
         """Take one status of /diagnostics; those of others are passed over."""
         node, _, part = name.partition(": ")
         if hardware == OURS and part and node.startswith(self._below):
-            said = _Part(min(max(level, 0), 2), message, dict(facts), at)
-            self._nodes.setdefault(node, _Node()).parts[part] = said
+            own, word = self._nodes.setdefault(node, _Node()), LEVELS[min(max(level, 0), 2)]
+            own.parts[part] = {"part": part, "level": word, "message": message, "facts": dict(facts)}
+            own.heard = max(own.heard, at)
 
     def value(self, node: str, what: str, value: Any) -> None:
         """Take what a node has published under its own name: a number of NUMBERS, a Change, or an Estimate."""
@@ -90,12 +84,8 @@ class Heard:
 
 
 def _node_data(name: str, node: _Node, now: float) -> dict[str, Any]:
-    age = now - max(part.at for part in node.parts.values())
-    level = LEVELS[max(part.level for part in node.parts.values())] if age < _SILENT else "silent"
-    parts = [
-        {"part": key, "level": LEVELS[part.level], "message": part.message, "facts": part.facts}
-        for key, part in node.parts.items()
-    ]
+    age, parts = now - node.heard, list(node.parts.values())
+    level = max((part["level"] for part in parts), key=LEVELS.index) if age < _SILENT else "silent"
     out: dict[str, Any] = {"name": name, "level": level, "heard_s_ago": round(max(age, 0.0), 2), "parts": parts}
     values = node.values
     for what in NUMBERS.values():

@@ -10,7 +10,8 @@
   const turning = new Map();
 
   const size = (v) => Math.hypot(v[0], v[1], v[2]);
-  const cloud = data.cloud || [], marks = data.marks || [], lines = data.lines || [], stages = data.stages;
+  const named = (key) => (pair) => ({ name: pair[0], [key]: pair[1] });
+  const cloud = data.cloud || [], marks = data.marks.map(named("at")), lines = data.lines.map(named("path")), stages = data.stages.map(named("arrows"));
   const chosenStage = () => (stage ? stage.selectedIndex : 0);
   // local: the frame's origin may be far away, so the grid lies below what is shown
   const points = [...(data.local ? [] : [[0, 0, 0]]), ...data.points, ...data.arms.flat(2), ...cloud, ...marks.map((m) => m.at), ...lines.flatMap((l) => l.path)];
@@ -22,7 +23,7 @@
   const round = (x) => { const p = 10 ** Math.floor(Math.log10(x)); return Math.max(1, [1, 2, 5, 10].filter((m) => m * p <= x).pop() * p); };
   // a tenth of the picture for what 19 of 20 stay below
   const fitting = (k) => {
-    const sizes = data.stages[k].arrows.map(size).sort((a, b) => a - b);
+    const sizes = stages[k].arrows.map(size).sort((a, b) => a - b);
     return round(0.3 * radius / Math.max(1e-9, 1e-3 * (sizes[Math.floor(0.95 * sizes.length)] || 0)));
   };
   const scale = () => stretch * (stages.length ? fitting(own.checked ? chosenStage() : 0) : 1);
@@ -90,8 +91,8 @@
   function tell() {
     if (!stages.length) { said.textContent = data.said[Number(posture.value)] || ""; draw(); return; }
     const k = data.shown[Number(posture.value)], now = stages[chosenStage()];
-    const miss = (s) => `${size(s.arrows[k]).toFixed(3)} mm`, more = now === data.stages[0] ? "" : `, ${miss(now)} with ${now.name} added`;
-    said.textContent = `Arrows are drawn ${scale()} times as long as they are. In this posture, ${data.names[k]}: ${miss(data.stages[0])} with the nominal model${more}.`;
+    const miss = (s) => `${size(s.arrows[k]).toFixed(3)} mm`, more = now === stages[0] ? "" : `, ${miss(now)} with ${now.name} added`;
+    said.textContent = `Arrows are drawn ${scale()} times as long as they are. In this posture, ${data.names[k]}: ${miss(stages[0])} with the nominal model${more}.`;
     draw();
   }
   const turn = (yaw, pitch) => { view.yaw += yaw; view.pitch = Math.max(-1.57, Math.min(1.57, view.pitch + pitch)); draw(); };
