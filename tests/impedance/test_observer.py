@@ -130,10 +130,12 @@ def test_a_sensor_that_freezes_before_a_jam_is_found_out_below_the_limit(
 @pytest.mark.parametrize("stiffer", [0.4, 1.0, 7.5])
 @pytest.mark.parametrize(("stack", "late"), [("joints", 0.0), ("joints", 0.02), ("axes", 0.0)])
 def test_a_sensor_that_follows_hides_nothing(stack: str, late: float, stiffer: float) -> None:
-    """Up to a force beyond what is stated, in a jam at full speed, with messages that come late at random."""
+    """Up to a force beyond what is stated, in a jam at full speed, with messages that come late at random: these slow
+    the pull down for a moment.
+    """
     force, hidden, why = pulled(Arm(stack, stiffer=stiffer), late=late, slows=False)
     assert force > 1.2 * MAX
-    assert hidden < (0.5 if late else 0.2) * MAX
+    assert hidden < (0.7 if late else 0.2) * MAX
     assert not why
 
 

@@ -142,7 +142,7 @@ class JointForce:
         self._friction, self._unsure, self._side = (np.zeros(0) for _ in range(3))  # each (n,)
         self._zero, self._hangs, self._gain = np.zeros(0), 0.0, np.ones(0)
         self._own, self._mass, self._shows = np.zeros(0), np.zeros((0, 0)), np.zeros((6, 0))
-        self._taken, self.stamp = 0, -math.inf
+        self._taken, self.stamp, self._spread = 0, -math.inf, np.zeros(0)
 
     def rest(self, joints: JointPositions) -> None:
         """Note a reading of an arm that stands and touches no more than it will hold."""
@@ -234,6 +234,11 @@ class JointForce:
         return len(self._error) > 0
 
     @property
+    def deviations(self) -> Array:
+        """Standard deviations (n + 6,) of the load of every joint, and of the wrench in the tool's axes."""
+        return np.concatenate([self._spread, np.sqrt(np.diag(self.covariance))])
+
+    @property
     def deviation(self) -> float:
         """Standard deviation of the force, in its direction [N]."""
         return self._size(slice(0, 3))[1]
@@ -273,7 +278,8 @@ class JointForce:
 
     def _look_up(self, J: Array) -> None:
         dry = _STANDING * ((1.0 - np.abs(self._side)) * self._friction) ** 2 + (self._side * self._unsure) ** 2
-        A = J.T / (spread := np.sqrt(self._error**2 + dry))[:, None]
+        self._spread = spread = np.sqrt(self._error**2 + dry)
+        A = J.T / spread[:, None]
         # a moment that stands out of what is usual is there: kept small, it would be taken for a force
         prior, moment = _PRIOR.copy(), self.wrench[3:]
         prior[3:, 3:] /= max(1.0, float(moment @ moment) * _PRIOR[5, 5])

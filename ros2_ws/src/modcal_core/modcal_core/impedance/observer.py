@@ -135,6 +135,7 @@ class Observer:
         # lead of the arm as it stood, wrench and load
         self._zero = np.zeros(len(least)), np.zeros(6), np.zeros(len(least))
         self._loads: deque[tuple[float, Array]] = deque()  # of the last lags
+        self._told_within = np.zeros(len(least) + 6)  # standard deviations of loads and wrench
         self._noted: _Moment | None = None
         self._waiting: deque[_Moment] = deque()
         self._way, self._suspected, self._evidence, self._looked = 0.0, -math.inf, 0.0, -math.inf
@@ -163,12 +164,13 @@ class Observer:
         """Take a reading of what tells the force, as it came."""
         self._repetition.hear(raw, stamp)
 
-    def take(self, joints: JointPositions, now: float, wrench: Array, J: Array, most: float, load: Array | None = None,
-             ) -> None:  # fmt: skip
+    def take(self, joints: JointPositions, now: float, wrench: Array, J: Array, most: float,
+             efforts: tuple[Array, Array] | None = None) -> None:  # fmt: skip
         """Look at joints now [s].
 
         wrench (6,): felt, on the tool in its axes. J (6, n): the tool's Jacobian in its axes. most: force that may
-        come [N]. load (n,): of the joints, where more is known than −Jᵀ of the wrench: their friction is in it.
+        come [N]. efforts: loads of the joints (n,), where more is known than −Jᵀ of the wrench, for their friction is
+        in it; with standard deviations (n + 6,), of these and of the wrench.
         """
         q, stamp = joints.q, joints.stamp
         self._late.append((now, max(now - stamp, now - self._heard - self._period, 0.0)))
@@ -178,7 +180,8 @@ class Observer:
         reference = self._reference(stamp)
         if reference is None or self._begun is None or (self._read and stamp <= self._read[-1][0]):
             return
-        lead, load = reference - q, -J.T @ wrench if load is None else load
+        lead, load = reference - q, -J.T @ wrench if efforts is None else efforts[0]
+        self._told_within = np.zeros(self._n + 6) if efforts is None else efforts[1]
         if np.abs(reference - self._begun).max() <= _SETTLES:
             self._zero = lead, wrench, load
         lead, wrench, load = (x - zero for x, zero in zip((lead, wrench, load), self._zero, strict=True))
@@ -214,7 +217,8 @@ class Observer:
         self._loads.append((at.stamp, at.rows[:, 1]))
         while self._loads[0][0] < at.stamp - _RECALL * self._task.servo_lag:
             self._loads.popleft()
-        spread, model = self.model.spread(at.rows[:, :3]), self.model
+        model = self.model
+        spread = np.hypot(model.spread(at.rows[:, :3]), (np.abs(model.x[:, 1]) + model.unsure) * self._told_within)
         left = self._unexplained(at, np.concatenate([by, at.J @ by]))
         joints, axes = (True, False) if self._judged else model.held if self._stiff else (False, True)
         held = [by_axes for by_axes, so in ((False, joints), (True, axes)) if so]

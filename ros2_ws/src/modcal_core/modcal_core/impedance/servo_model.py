@@ -102,7 +102,6 @@ class ServoModel:
         left, spread = left[rows], spread[rows]
         if (np.abs(left) <= _SURE * spread).all():
             return 0.0
-        left = np.sign(left) * np.maximum(np.abs(left) - spread, 0.0)
         stiff = 1.0 / (most * np.maximum((L[:3] ** 2).sum(axis=0), _LEVER**2))
         takes = np.maximum(self.x[rows, 1] - self.unsure[rows], stiff)
         A = -(takes / spread)[:, None] * L.T

@@ -117,8 +117,8 @@ class ToolForce:
         if (raw := joints.effort if self.by_efforts else sensor.raw) is not None:
             self.observer.hear(raw, heard)
         if heard >= joints.stamp - _TOGETHER:  # what was felt long before the joints were read tells nothing
-            load = self.efforts.load if self.efforts.tells else None
-            self.observer.take(joints, now, self.felt, sent.jacobian, self.limits.force, load)
+            efforts = (self.efforts.load, self.efforts.deviations) if self.efforts.tells else None
+            self.observer.take(joints, now, self.felt, sent.jacobian, self.limits.force, efforts)
         age = max(now - joints.stamp, now - heard, 0.0)
         lag = self.efforts.lag if self.by_efforts else sensor.lag
         self.delay = age + self.limits.period + lag + self._foresight.lag + task.servo_lag
