@@ -190,7 +190,7 @@ def test_a_small_clock_offset_is_corrected_and_said(tmp_path: Path, capfd: pytes
         ("--tolerance-mm", "0.2mm", "'0.2mm' is not a number: write 0.2."),
         ("--tolerance-mm", "small", "'small' is not a number."),
         ("--clock-limit", "nan", "'nan' is not a finite number."),
-        ("--block", "1.5", "'1.5' is not a whole number."),
+        ("--block", "1.5", "'1.5' is not a valid whole number."),
     ],
 )
 def test_what_is_no_number_is_said_in_plain_words(

@@ -160,7 +160,7 @@ def nothing_of_ours(folder: Path) -> Path:
 
 CASES = {
     "a table with a word for a number": (damaged, ["--to", "cpc"], "arm.csv: joints, entry 1: theta: 'ninety' is not a finite number"),
-    "neither calibration, URDF nor table": (nothing_of_ours, ["--to", "cpc"], "is neither a calibration, a URDF, nor a table"),
+    "neither calibration, URDF nor table": (nothing_of_ours, ["--to", "cpc"], "notes.yaml: kinematic table: has no key 'convention'"),
     "an offset that is no distance": (lambda _: URDF, ["--to", "dh", "--largest-offset", "-1"], "--largest-offset: -1 m is not a valid distance"),
 }  # fmt: skip
 

@@ -194,4 +194,4 @@ class Robot:
 
 
 def _data(table: Table) -> Mapping[str, Any]:
-    return table if isinstance(table, Mapping) else read_yaml(Path(table))
+    return read_yaml(Path(table)) if isinstance(table, str | Path) else table

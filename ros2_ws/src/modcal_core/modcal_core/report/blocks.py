@@ -296,7 +296,7 @@ class Page:
         self,
         data: Mapping[str, Any],
         files: Mapping[str, str],
-        tables: Sequence[Summary] = (),
+        tables: Sequence[TableBlock] = (),
         what: str = "Report",
         first: str = "report.html",
     ) -> VerbResult:
@@ -304,7 +304,8 @@ class Page:
         page = replace(self, blocks=[*self.blocks, files_section(files)])
         name = first if first.endswith(".html") else "report.html"
         lines = (SummaryLine(line) if isinstance(line, str) else line for line in self.lines)
-        said = [*tables, SummaryLine(self.said or self.answer, self.tone), *lines]
+        shown = [table for table in tables if filled(table)]
+        said: list[str | Summary] = [*shown, SummaryLine(self.said or self.answer, self.tone), *lines]
         return VerbResult(data, said, {**files, name: page.html()}, what, first)
 
     def html(self) -> str:
@@ -413,13 +414,13 @@ def scaled(unit: str) -> tuple[str, float]:
 
 def number(value: float, digits: int = 4) -> str:
     """A number with a few digits; large ones in full."""
+    text = f"{value:.{digits}g}"
     if 1.0 <= abs(value) < _GROUPED[0]:
-        rounded = float(f"{value:.{digits}g}")
-        behind = max(digits - 1 - int(np.floor(np.log10(abs(rounded)))), 0)
-        return f"{rounded:.{behind}f}".replace("-", "−")
-    if _GROUPED[0] <= abs(value) < _GROUPED[1]:
-        return f"{float(f'{value:.{digits}g}'):,.0f}".replace(",", "\u202f").replace("-", "−")
-    return f"{value:.{digits}g}".replace("-", "−")
+        rounded = float(text)
+        text = f"{rounded:.{max(digits - 1 - int(np.floor(np.log10(abs(rounded)))), 0)}f}"
+    elif _GROUPED[0] <= abs(value) < _GROUPED[1]:
+        text = f"{float(text):,.0f}".replace(",", "\u202f")
+    return text.replace("-", "−")
 
 
 def quantity_tables(quantities: Iterable[Quantity], what: str = "quantity") -> list[TableBlock]:

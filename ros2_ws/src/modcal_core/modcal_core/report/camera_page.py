@@ -15,7 +15,6 @@ import numpy as np
 
 from modcal_core.calibration import Model
 from modcal_core.camera import CameraFit, CameraSolution, ToolError, view_distances
-from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.outcome import Trace, counted
@@ -107,6 +106,10 @@ def _tool_errors(data: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]
     return [(words, sizes[place]) for place, words in _PLACES.items() if sizes.get(place)]
 
 
+_PIXELS = ("fx", "fy", "cx", "cy")
+_OF_LENS = {"In px": "Lens, px", "Numbers without a unit": "Distortion of the lens"}
+
+
 def _tables(data: Mapping[str, Any]) -> list[TableBlock]:
     """The error at the tool first, then effects, the lens, and the sheet; a table has one unit."""
     camera = data["camera"]
@@ -115,35 +118,30 @@ def _tables(data: Mapping[str, Any]) -> list[TableBlock]:
         for words, sizes in _tool_errors(data)
         for arm in ("nominal", "calibrated")
     ]
-    tables = [TableBlock("Error at the tool, mm", ("arm", "RMS, mm", "95 % interval, mm"), tuple(rows))]
-    if effects := data["effects"]:
-        found = tuple(
-            (
-                f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}",
-                e["driver"].replace(":", " of "),
-                f"{e['rms_mm_at_tool']:.3f}",
-                f"{e['p_value']:.1g}",
-            )
-            for e in effects
+    found = tuple(
+        (
+            *(f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}", e["driver"].replace(":", " of ")),
+            *(f"{e['rms_mm_at_tool']:.3f}", f"{e['p_value']:.1g}"),
         )
-        columns = ("effect", "driver", "moves the tool by, mm", "p")
-        below = "p is the chance that noise would look as good."
-        tables += [TableBlock("Unmodelled effects", columns, found, words=2, below=below), *size_tables(effects)]
-    worth = tuple((one["what"], f"{one['value']:.3f}") for one in camera.get("account_mm2", ()))
-    if worth:
-        below = "By how much the mean square error at the tool would fall, were this known exactly."
-        tables.append(TableBlock("What knowing more would be worth, mm²", ("known", "mm²"), worth, below=below))
-    if body := camera.get("body"):
-        off = tuple(
-            (f"{m['id']}", f"{np.linalg.norm(m['offset_mm']):.2f}", f"{m['std_mm']:.2f}") for m in body["markers"]
-        )
-        header = ("marker", "from its place on the drawing, mm", "± one standard deviation, mm")
-        tables.append(TableBlock("Markers on the body, mm", header, off))
-    pixels = ("fx", "fy", "cx", "cy")
-    lens = [(k, v["value"], v["std"], "px" if k in pixels else "1") for k, v in camera["lens"].items()]
-    titles = {"In px": "Lens, px"}
-    for table in quantity_tables(lens, "constant"):
-        tables.append(replace(table, title=titles.get(table.title, "Distortion of the lens")))
+        for e in data["effects"]
+    )
+    worth = tuple((one["what"], f"{one['value']:.3f}") for one in camera["account_mm2"])
+    body = camera["body"] or {"markers": ()}
+    markers = tuple(
+        (f"{m['id']}", f"{np.linalg.norm(m['offset_mm']):.2f}", f"{m['std_mm']:.2f}") for m in body["markers"]
+    )
+    chance = "p is the chance that noise would look as good."
+    falls = "By how much the mean square error at the tool would fall, were this known exactly."
+    off = ("marker", "from its place on the drawing, mm", "± one standard deviation, mm")
+    lens = [(k, v["value"], v["std"], "px" if k in _PIXELS else "1") for k, v in camera["lens"].items()]
+    tables = [
+        TableBlock("Error at the tool, mm", ("arm", "RMS, mm", "95 % interval, mm"), tuple(rows)),
+        TableBlock("Unmodelled effects", ("effect", "driver", "moves the tool by, mm", "p"), found, 2, chance),
+        *size_tables(data["effects"]),
+        TableBlock("What knowing more would be worth, mm²", ("known", "mm²"), worth, below=falls),
+        TableBlock("Markers on the body, mm", off, markers),
+        *(replace(t, title=_OF_LENS.get(t.title, t.title)) for t in quantity_tables(lens, "constant")),
+    ]
     return [replace(table, heading=True) for table in tables]
 
 
@@ -210,11 +208,9 @@ def camera_tolerance(solution: CameraSolution, tolerance_mm: float) -> Tolerance
 
 
 def camera_certificate(
-    solution: CameraSolution, robot: str, met: Tolerance | None, said: Particulars, hashes: Hashes, images: int
+    solution: CameraSolution, robot: str, met: Tolerance, said: Particulars, hashes: Hashes, images: int
 ) -> Certificate:
-    """The certificate. met: of :func:`camera_tolerance`. images: how many there were. Raises BadTable without met."""
-    if met is None:
-        raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 2")
+    """The certificate. met: of :func:`camera_tolerance`. images: how many there were."""
     fit, claim = solution.fit, solution.claim
     if met.result != "PASS":
         doubts = [said for said in claim.decision.because if said != met.because]

@@ -22,7 +22,7 @@ from modcal_core.report.blocks import (
     tone_of,
 )
 from modcal_core.report.charts import AFTER, BAD, BEFORE, SOFT, Axis, Chart, Panel
-from modcal_core.report.tables import csv_text, stations_table
+from modcal_core.report.tables import csv_text, percent, span, stations_table
 from modcal_core.sentinel import ArmVerdict
 
 _OF_STATUS: dict[str, tuple[str, Tone]] = {
@@ -49,11 +49,8 @@ def sentinel_report(found: ArmVerdict, robot: str) -> VerbResult:
     if found.untold:
         said = f"Not judged, outside the reference period or no torques: {', '.join(found.untold)}."
         lines.append(SummaryLine(said, "doubt"))
-    tables = []
-    if found.changes:
-        lines.append(_LINKS)
-        rows = tuple((*_row(c.label, s), c.since) for c in found.changes for s in c.sizes)
-        tables = [TableBlock("Changes", (*_SIZES, "since"), rows, 2)]
+    tables = [_changes(data["changes"])]
+    lines += [_LINKS] if found.changes else []
     blocks = [
         Section("changes", "What changed", tables, "Changes"),
         Section("trends", "Every recording by itself", [Figures(_trends(found))], "Trends"),
@@ -124,10 +121,16 @@ def _sized(sizes: Sequence[SizeFound]) -> dict[str, Any]:
     return {"sizes": [{**picked(s, "name", "value", "unit"), "ci95": [s.low, s.high]} for s in sizes]}
 
 
-def _row(label: str, s: SizeFound) -> tuple[str, ...]:
-    """The same for a table, under the name of the change."""
-    span = "" if s.low == s.high else f"{s.low:.4g} … {s.high:.4g}"
-    return label, s.name, f"{s.value:+.4g}", span, s.unit
+def _changes(changes: Sequence[Mapping[str, Any]]) -> TableBlock:
+    """The sizes of changes, as JSON has them, and where it says so since when."""
+    since = ("since",) if any("since" in c for c in changes) else ()
+    rows = []
+    for c in changes:
+        for s in c["sizes"]:
+            ends = "" if len(set(s["ci95"])) == 1 else span(s["ci95"])
+            rows.append((c["label"], s["name"], f"{s['value']:+.4g}", ends, s["unit"], *(c[name] for name in since)))
+    below = "Of a base: in the frame of the first joint. Of a tool: in its own."
+    return TableBlock("What changed", (*_SIZES, *since), tuple(rows), 2, below, heading=True)
 
 
 def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
@@ -163,17 +166,6 @@ def _change(c: NamedChange) -> dict[str, Any]:
     }
 
 
-def _errors(found: Checked) -> tuple[tuple[str, ...], ...]:
-    """The error by the frozen model, what is expected, and with what changed."""
-    stages = {"frozen model": found.before, "expected while nothing has changed": found.expected}
-    if found.changes:
-        stages["with what changed"] = found.after
-    return tuple(
-        (what, *("" if x is None else f"{x:.{digits}f}" for x, digits in zip(pair, (3, 4), strict=True)))
-        for what, pair in stages.items()
-    )
-
-
 def checkup_report(found: Checked, calibration: str, recording: str, others: Mapping[str, str]) -> VerbResult:
     """The check as a verb leaves it. calibration, recording: their names. others: files beside those of the check."""
     data = checkup_data(found, calibration)
@@ -197,7 +189,7 @@ def checkup_report(found: Checked, calibration: str, recording: str, others: Map
     if found.convention:
         lines.append(f"Readings were undone to be used: {found.convention}.")
     lines += [SummaryLine(note, "doubt") for note in found.notes]
-    seen = _seen(found)
+    seen = _seen(data)
     blocks = [Section("seen", "What was seen", [*seen, *_beside(found), *_station_errors(found)])]
     page = Page(f"{calibration}, checked by {recording}", found.sentence, blocks, heading, tone, lines=lines)
     return page.result(data, {**files, **others}, seen, "Check", "check.html")
@@ -207,32 +199,36 @@ def _rarely(chance: float) -> str:
     return f"one in {1.0 / max(chance, 1e-12):,.0f}".replace(",", " ") if chance > 1e-12 else "one in 10¹²"
 
 
-def _seen(found: Checked) -> list[TableBlock]:
-    """The errors, what changed, and what would have been noticed."""
-    title = f"Error at {found.stations} stations"
-    out = [TableBlock(title, ("model", "RMS mm", "RMS deg"), _errors(found), heading=True)]
-    if rows := tuple(_row(c.label, s) for c in found.changes for s in c.sizes):
-        below = "Of a base: in the frame of the first joint. Of a tool: in its own."
-        out.append(TableBlock("What changed", _SIZES, rows, 2, below, heading=True))
-    if noticed := tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm)):
-        below = "RMS at the tool over these stations, of the direction that shows least."
-        if unseen := ", ".join(label for n in found.noticed for label in n.unseen):
-            below += f" These stations do not show: {unseen}."
-        title = "Noticed in 95 of 100 such checks"
-        out.append(TableBlock(title, ("change", "RMS, mm"), noticed, below=below, heading=True))
-    return out
+def _seen(data: Mapping[str, Any]) -> list[TableBlock]:
+    """The errors, what changed, and what would have been noticed, from the data of check.json."""
+    stages = {"frozen": "frozen model", "expected": "expected while nothing has changed"}
+    stages |= {"with_changes": "with what changed"} if data["changes"] else {}
+    forms = {"error_mm": "{:.3f}", "error_deg": "{:.4f}"}
+    errors = tuple(
+        (words, *("" if (x := data[of][stage]) is None else form.format(x) for of, form in forms.items()))
+        for stage, words in stages.items()
+    )
+    noticed = tuple((n, f"{mm:.3f}") for n, mm in data["would_have_been_noticed_mm"].items() if mm is not None)
+    below = "RMS at the tool over these stations, of the direction that shows least."
+    if unseen := ", ".join(data["not_noticed"]):
+        below += f" These stations do not show: {unseen}."
+    title = "Noticed in 95 of 100 such checks"
+    return [
+        TableBlock(f"Error at {data['stations']} stations", ("model", "RMS mm", "RMS deg"), errors, heading=True),
+        _changes(data["changes"]),
+        TableBlock(title, ("change", "RMS, mm"), noticed, below=below, heading=True),
+    ]
 
 
 def _beside(found: Checked) -> list[TableBlock]:
     """What explains the stations as well, and stations to add."""
-    out, changes = [], found.changes
-    if changes:
-        rivals = tuple((c.label, ", ".join(c.same_as) or "none", c.alike, f"{c.probability:.1%}") for c in changes)
-        columns = ("named", "explains these stations as well", "the same at every posture", "probability")
-        out.append(TableBlock("What it may as well be", columns, rivals, 3, heading=True))
-    if len(found.advice.stations):
-        out.append(stations_table("Stations to add", found.joints, np.asarray(found.advice.stations)))
-    return out
+    changes = found.changes
+    rivals = tuple((c.label, ", ".join(c.same_as) or "none", c.alike, percent(c.probability, 1)) for c in changes)
+    columns = ("named", "explains these stations as well", "the same at every posture", "probability")
+    return [
+        TableBlock("What it may as well be", columns, rivals, 3, heading=True),
+        stations_table("Stations to add", found.joints, np.asarray(found.advice.stations)),
+    ]
 
 
 def _station_errors(found: Checked) -> list[Figures]:

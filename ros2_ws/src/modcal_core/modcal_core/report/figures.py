@@ -127,11 +127,11 @@ _MAX_REJECTED = 300
 _WIDE = 532.0  # points; of the stations over time
 
 
-def error_histogram(report: Outcome) -> Chart | None:
+def error_histogram(report: Outcome) -> list[Chart]:
     """How often the tool misses by how much on the held-out set, before and after, on a logarithmic axis."""
     norms = {stage: 1e3 * report.errors[stage].position_norm for stage in ("final", "nominal")}
     if not len(norms["final"]):
-        return None
+        return []
     smallest = max(min(float(np.percentile(n, 1)) for n in norms.values()), 1e-5)
     largest = max(float(n.max()) for n in norms.values())
     bins = np.geomspace(0.8 * smallest, max(1.2 * largest, 2.0 * smallest), 40)
@@ -145,14 +145,14 @@ def error_histogram(report: Outcome) -> Chart | None:
         panel.bars((bins[seen], bins[seen + 1]), (np.zeros(len(seen)), counts[stage][seen]), colour, full)
     alt = f"Histogram of held-out position errors. {'; '.join(said)}."
     words = "Held-out samples with an error of this size: outlined with the nominal model, solid with the final."
-    return panel.chart("histogram", alt, words)
+    return [panel.chart("histogram", alt, words)]
 
 
-def timeline(report: Outcome) -> Chart | None:
+def timeline(report: Outcome) -> list[Chart]:
     """The stations in the order of their time, what each was used for, and those that were left out."""
     samples = report.samples
     if not len(report.residuals) or not len(samples):
-        return None
+        return []
     wrong = report.wrong if len(report.wrong) == len(samples) else np.zeros(len(samples), bool)
     miss, time = 1e3 * np.maximum(report.residuals, 1e-9), (samples.stamps - samples.stamps.min()) / 60.0
     sizes = report.set_sizes()
@@ -174,7 +174,7 @@ def timeline(report: Outcome) -> Chart | None:
     over = f"{samples.stations} stations over {time.max():.1f} minutes"
     alt = f"Error of the final model at {over}; {counted(report.rejected_stations(), 'station')} rejected."
     words = "Circles fitted the model, squares chose the effects, triangles scored it; crosses were rejected."
-    return panel.chart("timeline", alt, words)
+    return [panel.chart("timeline", alt, words)]
 
 
 _MAX_TEMPERATURES = 4

@@ -169,17 +169,14 @@ class _Sections:
             "nearest. A joint that is not listed has an offset that is no other motion than one of base or tool."
         )
         out: list[Block] = [Paragraph(said, soft=True)]
-        for turning, unit, factor, title in (
-            (True, "°", np.degrees(1.0), "Joint offsets"),
-            (False, "mm", 1e3, "Offsets of sliding joints"),
-        ):
+        units = {True: ("Joint offsets", "°", np.degrees(1.0)), False: ("Offsets of sliding joints", "mm", 1e3)}
+        for turning, (title, unit, factor) in units.items():
             rows = []
-            for o in found.found:
-                ends = "not known" if o.ci95 is None else f"{factor * o.ci95[0]:+.4f} … {factor * o.ci95[1]:+.4f}"
-                rows += [(o.joint, f"{factor * o.value:+.4f}", ends)] if o.turning == turning else []
-            if rows:
-                header = ("joint", f"offset, {unit}", f"95 % interval, {unit}")
-                out.append(TableBlock(title, header, tuple(rows), strong=1))
+            for o in (o for o in found.found if o.turning == turning):
+                ends = span(o.ci95 and [factor * end for end in o.ci95], 4) or "not known"
+                rows.append((o.joint, f"{factor * o.value:+.4f}", ends))
+            header = ("joint", f"offset, {unit}", f"95 % interval, {unit}")
+            out.append(TableBlock(title, header, tuple(rows), strong=1))
         return Section("offsets", "Joint offsets", out, "Joint offsets")
 
     def error(self) -> Section:
@@ -199,8 +196,7 @@ class _Sections:
         more += [f"Not used: {dropped}."] if dropped else []
         out: list[Block] = [Paragraph(said, soft=True), *error_tables(self.report)]
         out.append(Paragraph(" ".join(filter(None, more)), soft=True))
-        if histogram := error_histogram(self.report):
-            out.append(Figures([histogram]))
+        out.append(Figures(error_histogram(self.report)))
         title = f"Error on {f'held-out {self._unit}' if split['train'] else 'scored station'}s"
         return Section("error", title, out, "Error")
 
@@ -231,9 +227,8 @@ class _Sections:
         if not effects:
             return None
         out: list[Block] = [effects_table(self.report)]
-        if sizes := size_tables(effects):
-            words = "Each ± one standard deviation; a table for each unit."
-            out += [Paragraph(words, "Their sizes.", soft=True), *sizes]
+        words = "Each ± one standard deviation; a table for each unit."
+        out += [Paragraph(words, "Their sizes.", soft=True), *size_tables(effects)]
         tied = [e for e in effects if e["same_as"]]
         rivals = [f"{e['family'].replace('_', ' ')} at {e['place']}: {'; '.join(e['same_as'])}." for e in tied]
         out += [Paragraph("", "Cannot be distinguished from others:"), Listing(rivals)] if rivals else []
@@ -245,8 +240,7 @@ class _Sections:
     def stations(self) -> Section:
         """The stations in time, and those that were left out, the farthest first."""
         report, rows = self.report, self.report.rejected_rows()
-        drawn = timeline(report)
-        out: list[Block] = [] if drawn is None else [Figures([drawn])]
+        out: list[Block] = [Figures(timeline(report))]
         if not len(rows):
             return Section("stations", "Stations", [*out, Paragraph("No station was rejected.")], "Stations")
         samples = report.samples

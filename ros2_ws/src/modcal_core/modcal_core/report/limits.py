@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -89,9 +89,8 @@ def limits_data(found: LimitsFound) -> dict[str, Any]:
         "joints": [_joint(found, equivalent, j) for j in range(len(names))],
     }
     if len(found.q) <= _MAX:
-        each = dict(
-            zip(("position", "velocity", "lower", "upper"), (found.q, found.velocity, *found.coupled), strict=True)
-        )
+        lower, upper = found.coupled
+        each = {"position": found.q, "velocity": found.velocity, "lower": lower, "upper": upper}
         data["at"] = [
             {what: dict(zip(names, rows[k].tolist(), strict=True)) for what, rows in each.items()}
             for k in range(len(found.q))
@@ -100,21 +99,16 @@ def limits_data(found: LimitsFound) -> dict[str, Any]:
 
 
 def _joint(found: LimitsFound, equivalent: tuple[Array, Array], j: int) -> dict[str, Any]:
-    drives, revolute = found.arm.drives, bool(found.arm.chain.revolute[j])
-    inertia = found.inertia[:, j]
-
-    def tightest(bounds: tuple[Array, Array]) -> dict[str, float]:
-        return {"lower": float(bounds[0][:, j].max()), "upper": float(bounds[1][:, j].min())}
-
+    inertia, lower, upper = found.inertia[:, j], found.constant[0], found.constant[1]
+    bounds = {"equivalent": equivalent, "coupled": found.coupled}
     return {
         "name": found.arm.chain.names[j],
-        "unit": "rad/s2" if revolute else "m/s2",
-        "torque": float(drives.torque[j]),
+        "unit": "rad/s2" if found.arm.chain.revolute[j] else "m/s2",
+        "torque": float(found.arm.drives.torque[j]),
         "inertia": {"least": float(inertia.min()), "most": float(inertia.max())},
         "load_share": float(found.load[:, j].max()),
-        "equivalent": tightest(equivalent),
-        "coupled": tightest(found.coupled),
-        "constant": {"lower": float(found.constant[0][j]), "upper": float(found.constant[1][j])},
+        **{of: {"lower": float(a[:, j].max()), "upper": float(b[:, j].min())} for of, (a, b) in bounds.items()},
+        "constant": {"lower": float(lower[j]), "upper": float(upper[j])},
     }
 
 
@@ -163,7 +157,7 @@ def limits_report(found: LimitsFound, title: str, notes: Sequence[str] = ()) -> 
     """The bounds as a verb leaves them. notes: sentences beside them."""
     data = {**limits_data(found), "notes": list(notes)}
     files = {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(found))}
-    tables, said = _tables(found), answer(found)
+    tables, said = _tables(data["joints"]), answer(found)
     if found.trajectory is not None:
         t, q, v = found.trajectory
         data["fastest_s"] = float(t[-1])
@@ -177,26 +171,22 @@ def limits_report(found: LimitsFound, title: str, notes: Sequence[str] = ()) -> 
     return page.result(data, files, tables, "Limits", "limits.json")
 
 
-def _tables(found: LimitsFound) -> tuple[TableBlock, ...]:
-    """Accelerations and holding torques, separate for revolute and prismatic joints."""
-    chain, drives = found.arm.chain, found.arm.drives
-    bounds = (found.window.equivalent(), found.coupled)
+def _tables(joints: Sequence[Mapping[str, Any]]) -> list[TableBlock]:
+    """Accelerations and holding torques of joints, as limits.json has them, turning and sliding ones apart."""
+    units = {"rad/s2": ("turning", "rad/s²", "N m", "kg m²"), "m/s2": ("sliding", "m/s²", "N", "kg")}
     out = []
-    units = {True: ("turning", "rad/s²", "N m", "kg m²"), False: ("sliding", "m/s²", "N", "kg")}
-    for turning, (kind, unit, torque, inertia) in units.items():
-        allowed, loads = [], []
-        for j in (int(j) for j in np.flatnonzero(chain.revolute == turning)):
-            tightest = (_span(lower[:, j].max(), upper[:, j].min()) for lower, upper in bounds)
-            allowed.append((chain.names[j], *tightest, _span(found.constant[0][j], found.constant[1][j])))
-            span = _span(found.inertia[:, j].min(), found.inertia[:, j].max())
-            loads.append((chain.names[j], f"{drives.torque[j]:.3g}", percent(found.load[:, j].max()), span))
+    for si, (kind, unit, torque, inertia) in units.items():
+        own = [joint for joint in joints if joint["unit"] == si]
+        bounds = ("equivalent", "coupled", "constant")
+        allowed = tuple((j["name"], *(_span(j[of]["lower"], j[of]["upper"]) for of in bounds)) for j in own)
+        loads = tuple(
+            (*(j["name"], f"{j['torque']:.3g}", percent(j["load_share"])), _span(*j["inertia"].values())) for j in own
+        )
+        names = ("joint", "alone", "together", "for all postures")
         header = ("joint", f"torque of the drive, {torque}", "of it needed to hold", f"inertia, {inertia}")
-        if allowed:
-            names = ("joint", "alone", "together", "for all postures")
-            title = f"Acceleration of {kind} joints, {unit}"
-            out.append(TableBlock(title, names, tuple(allowed), heading=True))
-            out.append(TableBlock(f"Load of {kind} joints", header, tuple(loads), heading=True))
-    return tuple(out)
+        out.append(TableBlock(f"Acceleration of {kind} joints, {unit}", names, allowed, heading=True))
+        out.append(TableBlock(f"Load of {kind} joints", header, loads, heading=True))
+    return out
 
 
 def _span(low: float, high: float) -> str:

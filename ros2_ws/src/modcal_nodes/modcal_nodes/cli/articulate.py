@@ -115,14 +115,12 @@ def _of_bag(recording: Recording, topic: str | None, options: ArticulateOptions)
     wanted = None if topic is None else "/" + topic.strip("/")
     shown = [r for kind in (POSE, POINT) for r in recording.readings if r.kind == kind and len(r.stamps)]
     of_arm = wanted is not None and any(track.topic == wanted for track in recording.joints)
-    if wanted is not None and not of_arm:
-        named = [r for r in shown if r.topic == wanted]
-        if not named:
-            had = sorted({r.topic for r in shown} | {t.topic for t in recording.joints})
-            raise BadRecording(f"topic {wanted}", "shows no poses, points or joint states", f"use {', '.join(had)}")
-        return _reading(named[0])
-    if shown and not of_arm and urdf is None and calibration is None:
-        return _reading(shown[0])
+    named = [r for r in shown if r.topic == wanted]
+    if wanted is not None and not (of_arm or named):
+        had = ", ".join(sorted({r.topic for r in shown} | {t.topic for t in recording.joints}))
+        raise BadRecording(f"topic {wanted}", "shows no poses, points or joint states", f"use {had}")
+    if not of_arm and (named or (shown and urdf is None and calibration is None)):
+        return _reading((named or shown)[0])
     if not recording.joints:
         raise BadRecording(recording.source, "shows no handle: no poses, points or joint states", "record one of them")
     if calibration is not None:

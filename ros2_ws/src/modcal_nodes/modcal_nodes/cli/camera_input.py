@@ -309,26 +309,22 @@ def by_camera(ctx: click.Context, bag: Path | None, camera: CameraOptions) -> bo
     """
     given = {name for name in ctx.params if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE}
     is_folder, wrong = camera.images is not None, ""
-    if not is_folder and camera.target is None:
-        if bag is None:
-            wrong = "Missing argument 'BAG'."
-        elif alone := given & set(_TOGETHER):
-            wrong = f"{_option(min(alone))} needs --images, or --target and a bag with images."
-    elif is_folder and (missing := [name for name in ("joints", "target", "urdf") if name not in given]):
+    of_images = is_folder or camera.target is not None
+    missing = [name for name in ("joints", "target", "urdf") if name not in given] if is_folder else []
+    allowed = {*_TOGETHER, *_ALSO} - ({"image_topic", "also_camera"} if is_folder else {"joints"})
+    if bag is None and not is_folder:
+        wrong = "--target needs a bag with images, or --images." if of_images else "Missing argument 'BAG'."
+    elif not of_images and (alone := given & set(_TOGETHER)):
+        wrong = f"{_option(min(alone))} needs --images, or --target and a bag with images."
+    elif missing:
         wrong = f"--images needs {_option(missing[0])}."
-    elif is_folder and (of_bag := given & {"image_topic", "also_camera"}):
-        wrong = f"{_option(min(of_bag))} is of a bag: leave out --images."
-    elif not is_folder and bag is None:
-        wrong = "--target needs a bag with images, or --images."
-    elif not is_folder and camera.joints is not None:
-        wrong = "--joints needs --images: a bag has joint states."
-    elif "cell_file" in given and "certificate" not in given:
+    elif of_images and "cell_file" in given and "certificate" not in given:
         wrong = "--cell states what is on a certificate where there are images: give --certificate."
-    elif other := given - set(_TOGETHER) - set(_ALSO):
-        wrong = f"{_option(min(other))} does not work with images."
+    elif of_images and (other := given - allowed):
+        wrong = f"{_option(min(other))} does not work with {'these ' if min(other) in _TOGETHER else ''}images."
     if wrong:
         raise click.UsageError(wrong, ctx)
-    return is_folder or camera.target is not None
+    return of_images
 
 
 def calibrate_images(
@@ -348,7 +344,7 @@ def calibrate_images(
         assert source is not None
         met = None if options.tolerance_mm is None else camera_tolerance(solution, options.tolerance_mm)
         report = camera_report(solution, robot, images, found.left_out, met)
-        if said is not None:
+        if said is not None and met is not None:
             watch("writing the certificate")
             calibration = report.files["calibration.yaml"]
             hashes = certified_hashes(options.urdf or robot.description, calibration, [source, camera.joints])

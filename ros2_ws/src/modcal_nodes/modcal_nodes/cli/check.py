@@ -9,7 +9,7 @@ import click
 
 from modcal_core.calibration import Calibration
 from modcal_core.checkup import Checked
-from modcal_core.errors import BadTable, ModcalError
+from modcal_core.errors import ModcalError, refusing
 from modcal_core.files import read_json
 from modcal_core.moves import pattern_of
 from modcal_core.public import check
@@ -41,12 +41,13 @@ def check_command(calibration: Path, bag: Path, urdf: Path | None, output: Outpu
     frozen = Calibration.load(calibration)
     cell = options.cell
     of_core = {name: getattr(options, name) for name in ("seed", "tolerance_mm", "tolerance_of")}
-    name = calibration_name(calibration)
+    name, beside = calibration_name(calibration), _folder(calibration) / "report.json"
+    pattern = _pattern(beside, str(beside)) if beside.is_file() else None
     with output.working() as watch:
         samples = frozen_samples(frozen, bag, options, watch)
         watch("checking")
         with of_cell(options.cell_file):
-            found = check(frozen, samples, cell=cell, pattern=_pattern(calibration), **of_core)
+            found = check(frozen, samples, cell=cell, pattern=pattern, **of_core)
         files = _files(found, calibration, urdf, samples.origin.description)
         described = files.get("calibrated.urdf", samples.origin.description)
         model: str | Path = files.get("calibration.yaml", calibration)
@@ -93,15 +94,9 @@ def _folder(calibration: Path) -> Path:
     return calibration if calibration.is_dir() else calibration.parent
 
 
-def _pattern(calibration: Path) -> float | None:
-    """The predictable share in the report beside a calibration; None where there is none, as in reports of cameras."""
-    beside = _folder(calibration) / "report.json"
-    if not beside.is_file():
-        return None
-    remedy = "remove it, or calibrate again"
-    report = read_json(beside, remedy)
-    try:
-        share = report.get("predictable") if report.get("camera") else report["predictable"]
-        return None if share is None else pattern_of(float(share["share"]))
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise BadTable(str(beside), "is not a report of modcal", remedy) from error
+@refusing
+def _pattern(report: Path, _: str) -> float | None:
+    """The predictable share in a report; None where it has none, as in those of cameras. Raises BadTable."""
+    data = read_json(report, "remove it, or calibrate again")
+    share = data.get("predictable") if data.get("camera") else data["predictable"]
+    return None if share is None else pattern_of(float(share["share"]))

@@ -12,7 +12,7 @@ import click
 import yaml
 
 from modcal_core.calibration import Calibration, from_data
-from modcal_core.errors import BadTable, about
+from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file
 from modcal_core.geometry import se3
 from modcal_core.report import kinematics_text
@@ -35,6 +35,7 @@ from modcal_core.robots import (
     xacro_origins,
 )
 from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.inputs import read_robot
 from modcal_nodes.cli.options import EXISTING, WRITTEN, given
 from modcal_nodes.io import ChainOptions, option, read_calibration
 
@@ -159,17 +160,6 @@ def told(out: Path, chain: Chain, off: float | None = None, left_out: Sequence[s
     return data, [*(f"left out: {note}" for note in left_out), line]
 
 
-def read_table(path: Path) -> dict[str, Any] | None:
-    """The kinematic table in a .csv file, or in YAML data that holds a convention or UR's; None for other data."""
-    if path.suffix.lower() == ".csv":
-        try:
-            return from_csv(path.read_text(encoding="utf-8"), path.name)
-        except UnicodeDecodeError as error:
-            raise BadTable(str(path), "is not UTF-8 text", "give a CSV table") from error
-    data = read_yaml(path)
-    return dict(data) if isinstance(data, Mapping) and {"convention", "kinematics"} & set(data) else None
-
-
 def _origins(source: Path, options: ExportOptions) -> _Export:
     """The origins of a URDF's joints between base and tip."""
     form, base, tip, factory = options.to, options.base, options.tip, options.factory_kinematics
@@ -180,10 +170,7 @@ def _origins(source: Path, options: ExportOptions) -> _Export:
         base, tip = base or whole.base, tip or whole.tip
         left_out = _of_calibration(calibration, "calibrated", False)[1][:-1]
         urdf = source / "calibrated.urdf"
-    try:
-        text = urdf.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise BadTable(str(urdf), "cannot be read", "give a URDF, or a folder of `modcal calibrate`") from error
+    text = urdf.read_text(encoding="utf-8", errors="replace")
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
         raise BadTable(str(source), f"is not a URDF, which {form} is made from", "give calibrated.urdf or its folder")
     chain, origins = read_chain(text, base, tip), joint_origins(text)
@@ -235,19 +222,11 @@ def _read(source: Path, options: ExportOptions) -> _Source:
     which, tool = options.which, options.tool
     if source.is_dir():
         return _of_calibration(read_calibration(source), which, tool)
-    if source.suffix.lower() != ".csv" and source.read_bytes().lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        with about(str(source)):
-            text = source.read_text(encoding="utf-8", errors="replace")
-            return read_chain(text, options.base, options.tip), ()
-    table = read_table(source)
-    if table is not None:
-        with about(str(source)):
-            return from_table(table), ()
-    data = read_yaml(source)
-    if not isinstance(data, Mapping) or "modcal_calibration" not in data:
-        said = "is neither a calibration, a URDF, nor a table that states its convention"
-        raise BadTable(str(source), said, "give one of these")
-    return _of_calibration(from_data(data, str(source)), which, tool)
+    if source.suffix in (".yaml", ".yml"):
+        data = read_yaml(source)
+        if isinstance(data, Mapping) and "modcal_calibration" in data:
+            return _of_calibration(from_data(data, str(source)), which, tool)
+    return read_robot(source, options.base, options.tip).chain, ()
 
 
 def _of_calibration(calibration: Calibration, which: str, tool: bool) -> _Source:

@@ -53,7 +53,7 @@ def read_history(folder: Path) -> tuple[History, ...]:
         raise BadTable(str(folder), said, "keep a robot's calibrations and checks as folders in one folder")
     shelves: dict[Path, list[_FolderContents]] = {}
     for part in parts:
-        shelves.setdefault(part.parent, []).append(_kept(part, folder))
+        shelves.setdefault(part.parent, []).append(_kept(part, folder, str(part)))
     histories = [h for shelf, kept in shelves.items() for h in _histories(shelf.relative_to(folder).as_posix(), kept)]
     if not histories:
         remedy = "keep the calibration that was checked there as well"
@@ -89,21 +89,22 @@ class _FolderContents:
     values: Values
 
 
-def _kept(part: Path, folder: Path) -> _FolderContents:
+@refusing
+def _kept(part: Path, folder: Path, _: str) -> _FolderContents:
+    """What a folder keeps. Raises BadTable, naming it, for what is no calibration, report or check."""
     check, report = _json(part / "check.json"), _json(part / "report.json")
-    calibration = Calibration.load(part) if (part / "calibration.yaml").is_file() else None
-    trace = (report or {}).get("trace") or {}
+    trace = report.get("trace") or {}
     # what a person wrote on the folder counts before the clock of a recording, which may be none
     dated = _DATED.match(part.name)
-    date = dated[1] if dated is not None else (check or {}).get("date") or trace.get("date")
-    said = str((check or report or {}).get("verdict") or "")
-    name = part.relative_to(folder).as_posix()
-    entry = HistoryEntry(name, "check" if check else "calibration", date, _seconds(date, part), said)
-    if calibration is None:
+    date = dated[1] if dated is not None else check.get("date") or trace.get("date")
+    at = None if date is None else datetime.fromisoformat(date)
+    time = None if at is None else (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
+    said, name = str((check or report).get("verdict") or ""), part.relative_to(folder).as_posix()
+    entry = HistoryEntry(name, "check" if check else "calibration", date, time, said)
+    if not (part / "calibration.yaml").is_file():
         return _FolderContents("", "", entry, {})
-    robot = fingerprint(calibration.nominal.chain)
-    values = values_of(calibration)
-    offsets = offsets_of(calibration)
+    calibration = Calibration.load(part)
+    robot, values, offsets = fingerprint(calibration.nominal.chain), values_of(calibration), offsets_of(calibration)
     for offset in () if offsets is None else offsets.found:
         if offset.std is not None:
             unit = "mrad" if offset.turning else "mm"
@@ -111,24 +112,8 @@ def _kept(part: Path, folder: Path) -> _FolderContents:
     return _FolderContents(robot, str(trace.get("robot") or robot), entry, values)
 
 
-def _seconds(date: str | None, part: Path) -> float | None:
-    if date is None:
-        return None
-    try:
-        at = datetime.fromisoformat(date)
-    except ValueError as error:
-        raise BadTable(f"{part}: date {date[:40]}", "is not a date", "remove the folder, or calibrate again") from error
-    return (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
-
-
-def _json(path: Path) -> dict[str, Any] | None:
-    if not path.is_file():
-        return None
-    remedy = "remove the folder, or run the verb again"
-    data = read_json(path, remedy)
-    if not isinstance(data, dict):
-        raise BadTable(str(path), "is no report", remedy)
-    return data
+def _json(path: Path) -> dict[str, Any]:
+    return dict(read_json(path, "remove the folder, or run the verb again")) if path.is_file() else {}
 
 
 @click.command("compare")

@@ -19,8 +19,8 @@ from modcal_core.robots import Chain, chain_urdf, from_table, from_ur_conf, pars
 from modcal_msgs_py import write_recording
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, json_schema, read_tables
 from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.export import read_table, told
-from modcal_nodes.cli.inputs import described
+from modcal_nodes.cli.export import told
+from modcal_nodes.cli.inputs import described, read_table
 from modcal_nodes.cli.options import EXISTING, WRITTEN, given
 from modcal_nodes.io import ChainOptions, option
 
@@ -163,14 +163,15 @@ def _of_conf(path: Path, urdf: Path | None) -> Chain:
         return from_ur_conf(path.read_text(encoding="utf-8", errors="replace"), Robot.from_urdf(urdf).chain)
 
 
-def _kinematic_table(path: Path) -> dict[str, Any] | None:
+def _kinematic_table(path: Path) -> Mapping[str, Any] | None:
     try:
-        return read_table(path)
+        data = read_table(path)
     except BadTable as error:
         if path.suffix.lower() in _YAML or is_kinematic(path):
             raise
         remedy = "give --urdf ROBOT, and a mapping is found out for a table of measurements"
         raise BadTable(error.offender, error.limit, f"{remedy}; or {error.remedy}") from error
+    return data if isinstance(data, Mapping) and {"convention", "kinematics"} & set(data) else None
 
 
 def _import(mapping: Path, options: ImportOptions, out: Path, output: Output) -> None:

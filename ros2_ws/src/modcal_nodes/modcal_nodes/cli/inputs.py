@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from modcal_core.files import read_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
-from modcal_core.robots import Mechanism
+from modcal_core.robots import Mechanism, from_csv
 
 _OTHERS = 3  # tips that are named
 
@@ -33,15 +34,22 @@ def arm_line(robot: Robot) -> str:
 
 
 def read_robot(path: Path, base: str | None = None, tip: str | None = None) -> Robot:
-    """The robot in a file: a kinematic table or a Delta where its name ends in .yaml or .yml, else a URDF's arm."""
+    """The robot in a file: a kinematic table or a Delta in YAML or CSV, by the end of its name, else a URDF's arm."""
     with about(str(path)):
-        if path.suffix not in (".yaml", ".yml"):
+        if path.suffix.lower() not in (".yaml", ".yml", ".csv"):
             return Robot.from_urdf(path, base, tip)
         if base is not None or tip is not None:
             raise BadRobot(str(path), "is a table, which describes one whole arm", "leave out --base and --tip")
-        data = read_yaml(path)
+        data = read_table(path)
         is_delta = isinstance(data, Mapping) and "modcal_delta" in data
         return Robot.from_delta(path) if is_delta else Robot.from_table(data)
+
+
+def read_table(path: Path) -> Any:
+    """The kinematic table in a .csv file, or whatever is in a YAML file. Raises BadTable."""
+    if path.suffix.lower() == ".csv":
+        return from_csv(path.read_text(encoding="utf-8", errors="replace"), path.name)
+    return read_yaml(path)
 
 
 def described(recording: Recording, delta: Path | None, urdf: Path | None, base: str | None, tip: str | None) -> Robot:
@@ -51,9 +59,8 @@ def described(recording: Recording, delta: Path | None, urdf: Path | None, base:
             raise BadRobot(f"--delta {delta}", "cannot be combined with --urdf, --base or --tip", "leave them out")
         return Robot.from_delta(delta)
     if urdf is None and recording.robot_description is None:
-        raise BadRobot(
-            recording.source, "holds no robot_description", "give --urdf or --delta FILE, or record the topic"
-        )
+        remedy = "give --urdf or --delta FILE, or record the topic"
+        raise BadRobot(recording.source, "holds no robot_description", remedy)
     recorded = frozenset(name for track in recording.joints for name in track.names)
     if urdf is None and base is None and tip is None and recording.arm is not None:
         base, tip = recording.arm

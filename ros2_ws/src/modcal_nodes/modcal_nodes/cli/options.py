@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-_BEGIN = re.compile(r"[+-]?\d+(\.\d+)?")  # of what somebody wrote with a comma or a unit
+_BEGIN = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")  # of what somebody wrote with a comma or a unit
 
 
 class _Named(click.Path):
@@ -38,9 +38,8 @@ class Decimal(click.FloatRange):
         try:
             number = float(value)
         except ValueError:
-            pointed = str(value).strip().replace(",", ".")
-            begin = _BEGIN.match(pointed)
-            meant = f": write {pointed if _reads(pointed) else begin[0]}" if begin else ""
+            begin = _BEGIN.match(str(value).strip().replace(",", "."))
+            meant = f": write {begin[0]}" if begin else ""
             self.fail(f"{value!r} is not a number{meant}.", param, ctx)
         if not isfinite(number):
             self.fail(f"{value!r} is not a finite number.", param, ctx)
@@ -51,21 +50,6 @@ class Whole(click.IntRange):
     """A whole number within a range."""
 
     name = "whole number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The number, or a refusal."""
-        try:
-            number = int(value)
-        except ValueError:
-            self.fail(f"{value!r} is not a whole number.", param, ctx)
-        return super().convert(number, param, ctx)
-
-
-def _reads(text: str) -> bool:
-    try:
-        return isfinite(float(text))
-    except ValueError:
-        return False
 
 
 EXISTING = click.Path(exists=True, path_type=Path)
