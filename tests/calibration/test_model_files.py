@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,7 +52,8 @@ def test_least_change_moves_the_tool_alike(chain: Chain) -> None:
 @pytest.mark.slow
 def test_calibration_survives_its_file() -> None:
     made = record(9, 100)
-    calibration = calibrate(made.samples, ur10(), np.random.default_rng(0)).calibration
+    made_elsewhere = calibrate(made.samples, ur10(), np.random.default_rng(0)).calibration
+    calibration = pickle.loads(pickle.dumps(made_elsewhere))  # as of a worker's process
     again = from_data(yaml.safe_load(to_yaml(to_data(calibration))))
     q = made.samples.q
     assert np.array_equal(again.calibrated.predict(q), calibration.calibrated.predict(q))

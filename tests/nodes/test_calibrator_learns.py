@@ -179,7 +179,7 @@ def test_a_bumped_tool_is_noticed_named_and_learned(tmp_path: Path) -> None:
         wait(lambda: report, 10.0)
         assert report[-1].effects == ["step at tool"]
         assert report[-1].residuals.rms_m == pytest.approx(after[-1])
-        (effect,) = calibration_data(models[-1])["effects"]
+        (effect,) = calibration_data(models[-1])["calibrated"]["effects"]
         assert np.linalg.norm(effect["values"][:3]) == pytest.approx(np.linalg.norm(bump[:3, 3]), rel=0.05)
 
 

@@ -187,7 +187,7 @@ def test_a_link_warms_up_while_running(tmp_path: Path) -> None:
             assert cell.stop() == 0
         assert calibrator.stop() == 0
 
-    found = {(e["family"], e["place"]): e for e in calibration_data(heard["calibration"][-1])["effects"]}
+    found = {(e["family"], e["place"]): e for e in calibration_data(heard["calibration"][-1])["calibrated"]["effects"]}
     before, after = heard["residual_before"][-1], heard["residual"][-1]
     suspected = [change for change in heard["change"] if change.changed][-1]
     # the link before this joint grows with what the thermometer says

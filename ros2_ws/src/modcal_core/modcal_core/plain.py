@@ -38,9 +38,11 @@ def to_plain(value: Any, own: Writers = _NO_WRITERS) -> Any:
 
 def _is_default(of: Field[Any], value: Any) -> bool:
     default = of.default if of.default_factory is MISSING else of.default_factory()
+    if default is MISSING or type(value) is not type(default):
+        return False
     if isinstance(default, np.ndarray):
-        return isinstance(value, np.ndarray) and np.array_equal(value, default)
-    return default is not MISSING and (value is default or (type(value) is type(default) and bool(value == default)))
+        return np.array_equal(value, default)
+    return bool(value == default) or (value != value and default != default)  # of numbers that are unknown
 
 
 @lru_cache
