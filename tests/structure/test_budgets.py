@@ -30,7 +30,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/diagnosis": (2990, 2060),
     "modcal_core/effects": (3010, 1950),
     "modcal_core/geometry": (590, 400),
-    "modcal_core/impedance": (2950, 2050),
+    "modcal_core/impedance": (3550, 2470),
     "modcal_core/measurements": (4150, 2760),
     "modcal_core/outcome": (1030, 630),
     "modcal_core/modules": (2890, 1820),
@@ -56,11 +56,11 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 130),
     "modcal_nodes/vision": (1840, 1320),
     "modcal_nodes/watching": (260, 200),
-    "tests": (47260, 32690),
+    "tests": (47390, 32790),
     "modcal_core/sentinel": (1070, 780),
 }
-SOURCE = (91400, 60000)
-TEXT = 185000  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (92000, 60400)
+TEXT = 185800  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 72
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

@@ -222,7 +222,7 @@ class Operation:
         self.tool_force.take(now, T, sensor, joints, self.setpoint_filter, self.governor.braking)
         refused = self.monitor.overload(self.tool_force.sure) or self.tool_force.overload()
         if refused is None and self.phase in _MOVING:
-            refused = self.tool_force.refused(joints)
+            refused = self.tool_force.refused(T, joints, self.setpoint_filter)
         lost = self.phase in _MOVING and self._watch.estimator_lost(state.silent, now, self.task.input_timeout_s)
         if (refused is not None or lost) and self.phase != "release":
             self._let_go(str(refused or lost), now)
@@ -258,7 +258,7 @@ class Operation:
     def _explore(self, h: float, T: Array, state: ObjectModel) -> None:
         pull, now = self._pull, self._last + h
         assert pull is not None
-        ds = self._go(self.task.exploration_speed, h, self.tool_force.speed(pull.progress(T), False))
+        ds = self._go(self.task.exploration_speed, h, self.tool_force.exploring_speed(pull.progress(T)))
         sent = self.setpoint_filter.pose if self.task.mode == "admittance" else None
         self.expected = pull.advance(ds, T, h, sent)
         self.impedance.align(self.expected[:3, :3].T @ pull.moved)
@@ -301,7 +301,8 @@ class Operation:
             self._at = course.configuration(T)
         at = self._at
         left = course.left(at)
-        wanted = self.tool_force.speed(course.way - left, state.trusted)
+        force = self.tool_force
+        wanted = (force.following_speed if state.trusted else force.exploring_speed)(course.way - left)
         wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.01)
         # the arm may be slower than the way: its joints set the pace then
         wanted *= min(1.0, max(0.0, 2.0 - self.setpoint_filter.lag(self._goal_now()) / 0.005))
