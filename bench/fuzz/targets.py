@@ -47,7 +47,7 @@ from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables
 from modcal_msgs_py.topics import Topics
-from modcal_nodes.calibrating.diagnostics import standing_of_json
+from modcal_nodes.calibrating.diagnostics import standing_of
 from modcal_nodes.io.inputs import read_cell, read_topics
 from modcal_nodes.vision import grey_of
 from modcal_nodes.vision.corner_table import corners_of
@@ -285,7 +285,7 @@ def report_target() -> Target:
             return json.dumps(data_case(base, ways, rng), default=str)
         return text_case(text, JSON_WORDS, rng)
 
-    return Target("report", make, standing_of_json, text)
+    return Target("report", make, standing_of, text)
 
 
 def csv(data: Any) -> str:
