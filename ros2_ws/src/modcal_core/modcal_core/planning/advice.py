@@ -96,7 +96,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class _Standing:
-    """What is known after a fit. view: what further stations are worth. floor: None where no posture was repeated."""
+    """What is known after a fit. view: what further stations are worth. floor: None unless a posture was repeated."""
 
     session: Session
     status: Advance

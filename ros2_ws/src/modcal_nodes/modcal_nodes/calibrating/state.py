@@ -42,7 +42,7 @@ class State:
 class StateFolder:
     """A folder that this process holds as long as it lives: two calibrators would overwrite each other's model.
 
-    path: of it, None where nothing is kept, or no longer. Each file is replaced as a whole, so that a kill leaves the
+    path: of it; None if nothing is kept, or no longer. Each file is replaced as a whole, so that a kill leaves the
     old or the new one.
     """
 

@@ -145,7 +145,7 @@ class Place:
 
     def way(self, number: int, start: Array, speed: float) -> TimedMotion | None:
         """How to go to a pending station from a posture (n,), no joint faster than the speed [rad/s, m/s], nor than the
-        description allows; None where no way is free. Raises BadRobot where the arm cannot begin: that is no fault of
+        description allows; None if no way is free. Raises BadRobot where the arm cannot begin: that is no fault of
         the station.
         """
         station = self.session.stations[number]
