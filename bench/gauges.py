@@ -1,10 +1,11 @@
-"""Wires whose zero shifts, anchors that move, joints that slip, and clocks that stamp arrivals: what is named?
+"""Wires whose zero shifts, joints that slip, clocks that stamp arrivals, what gives in motion: what is named?
 
     make bench NAME=gauges ARGS="--seeds 20 --only three"
 
 The arms are those of bench/claims, which share no code with modcal. Wires: 160 rows of three, or 300 of one; the zero
 of the first is off by 0.5 to 5 mm between two rows, or its anchor moves, or a joint slips. Clocks: 90 s in motion, a
-tracker at 50 Hz with exponential delays of 4 ms, 2 % of them 30 ms more, or bursts of 17. *Second* is the RMS error
+tracker at 50 Hz with exponential delays of 4 ms, 2 % of them 30 ms more, or bursts of 17; one joint that stays behind
+by 1 to 4 mrad per rad/s², or a target by 0.5 to 2 mm per m/s². *Second* is the RMS error
 over the noise on a second recording without wires' faults, with clocks'.
 """
 
@@ -28,10 +29,16 @@ from modcal_core.robots.urdf import read_chain
 
 ARMS = (("ur10", "tool0"), ("panda", "panda_link8"), ("iiwa14", "iiwa_link_ee"))
 WIRES = ("wire clean", "wire shifts", "wire anchor", "wire slips", "three clean", "three shifts")
-CLOCKS = ("clock clean", "clock arrivals", "clock lost", "clock bursts")
+CLOCKS = ("clock clean", "clock arrivals", "clock lost", "clock bursts", "motion winds", "motion swings")
 NOISE, REPEAT = 3e-5, 1e-5  # m, rad
 ANCHORS = np.array([[2.0, 0.5, 0.3], [-1.0, 2.0, 0.5], [0.2, -2.2, 1.0]])
-NAMED = {"shifts": "step frame wire_0", "anchor": "step base", "slips": "step joint"}
+NAMED = {
+    "winds": "compliance joint",
+    "swings": "compliance tool",
+    "shifts": "step frame wire_0",
+    "anchor": "step base",
+    "slips": "step joint",
+}
 
 
 def wires(kind: str, built: Serial, tool: Array, count: int, rng: np.random.Generator, fault: bool) -> Recording:
@@ -57,10 +64,13 @@ def wires(kind: str, built: Serial, tool: Array, count: int, rng: np.random.Gene
     return Recording((joints,), tuple(tracks), warnings=(ORDER_ONLY,))
 
 
-def clocks(kind: str, built: Serial, tool: Array, seconds: float, rng: np.random.Generator) -> Recording:
-    """Joint states at 100 Hz and points at 50 Hz of a motion of sums of sines."""
+def clocks(
+    kind: str, built: Serial, tool: Array, seconds: float, rng: np.random.Generator, gives: tuple[int, float]
+) -> Recording:
+    """Joint states at 100 Hz and points at 50 Hz of a motion of sums of sines. gives: which joint, and by how much."""
     middle, half = 0.5 * (built.low + built.high), 0.5 * (built.high - built.low)
-    turns, phase = (rng.uniform(*ends, (5, len(half))) for ends in ((0.08, 0.6), (0.0, 2.0 * np.pi)))
+    quick = (0.2, 1.5) if kind.startswith("motion") else (0.08, 0.6)  # rad/s
+    turns, phase = (rng.uniform(*ends, (5, len(half))) for ends in (quick, (0.0, 2.0 * np.pi)))
     share = 0.95 * half * rng.dirichlet(np.ones(5), len(half)).T
 
     def course(t: Array) -> Array:
@@ -78,7 +88,13 @@ def clocks(kind: str, built: Serial, tool: Array, seconds: float, rng: np.random
     elif kind.endswith("bursts"):
         last = np.minimum(k // 17 * 17 + 16, len(k) - 1)
         stamps = taken[last] + 0.004 + rng.exponential(0.003, len(k))[last] + 2e-4 * (k % 17)
-    p = (built.tips(course(taken)) @ tool)[:, :3, 3] + [0.3, 2.0, -0.4] + rng.normal(0.0, NOISE, (len(k), 3))
+    postures, seen = course(taken), course(np.arange(len(k) + 2) * 0.02 + 0.18)
+    if kind.endswith("winds"):
+        postures[:, gives[0]] -= gives[1] * np.diff(seen[:, gives[0]], 2) / 0.02**2
+    p = (built.tips(postures) @ tool)[:, :3, 3]
+    if kind.endswith("swings"):
+        p -= 0.5 * gives[1] * np.diff((built.tips(seen) @ tool)[:, :3, 3], 2, axis=0) / 0.02**2
+    p += [0.3, 2.0, -0.4] + rng.normal(0.0, NOISE, (len(k), 3))
     q, unknown = course(t) + rng.normal(0.0, REPEAT, (len(t), len(half))), np.full((len(t), len(half)), np.nan)
     begin = 1.7e9 + rng.uniform(0.0, 1e4)
     joints = JointTrack(built.names, begin + t, q, unknown, unknown, begin + t)
@@ -93,7 +109,9 @@ def one(task: harness.Task) -> harness.Result:
     built, tool = drawn.wrong("even", rng), pose(rng.normal(0.0, 0.05, 3) + [0.0, 0.0, 0.12], np.zeros(3))
     chain = read_chain((harness.ROOT / "examples" / "robots" / f"{name}.urdf").read_text(encoding="utf-8"), None, tip)
     if kind in CLOCKS:
-        first, second = (clocks(kind, built, tool, seconds, rng) for seconds in (90.0, 40.0))
+        draw = np.random.default_rng([56, task["seed"]])
+        gives = int(draw.integers(1, len(built.low) - 2)), float(draw.uniform(1e-3, 4e-3))
+        first, second = (clocks(kind, built, tool, seconds, rng, gives) for seconds in (90.0, 40.0))
     else:
         count = 160 if kind.startswith("three") else 300
         first, second = (wires(kind, built, tool, n, rng, fault) for n, fault in ((count, True), (100, False)))

@@ -20,7 +20,7 @@ from robots.test_kinematics import urdf
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
-from modcal_core.measurements.recording import SignalTrack
+from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording, SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.outcome.contents import Outcome
 from modcal_core.outcome.entries import Finding
@@ -387,3 +387,34 @@ def test_what_an_arm_does_not_repeat_is_a_floor_only_where_it_is_seen(repeatabil
         assert (
             0.6 * rms < data["noise_floor_mm"] < 1.6 * rms
         )  # of six returns, and of a fit that has an error of its own
+
+
+@pytest.mark.parametrize("place", [ELBOW, "tool"])
+def test_what_stays_behind_as_it_is_accelerated_is_named(place: str) -> None:
+    """An elbow that winds up by 3 mrad per rad/s², or a target that swings by 1 mm per m/s², without a stop."""
+    rng = np.random.default_rng(4)
+    rate, phase = rng.uniform(0.4, 1.4, (2, 3, 6))
+    t, taken = np.arange(0.0, 60.0, 0.01), np.arange(0.5, 59.5, 0.04)
+
+    def course(at: Array) -> Array:
+        return np.asarray(0.4 * np.sin(rate * at[:, None, None] + 6.0 * phase).sum(axis=1))
+
+    world, step = record(4, 1).world, 0.02
+    beside = [course(taken + k * step) for k in (-1, 0, 1)]
+    if place == ELBOW:
+        beside[1][:, 2] -= 3e-3 * (beside[0] - 2.0 * beside[1] + beside[2])[:, 2] / step**2
+    T = [world.tool_in_tracker(q) for q in beside]
+    position = T[1][:, :3, 3] + 3e-5 * rng.standard_normal((len(taken), 3))
+    if place == "tool":
+        position -= 1e-3 * (T[0] - 2.0 * T[1] + T[2])[:, :3, 3] / step**2
+    q = course(t) + 1e-5 * rng.standard_normal((len(t), 6))
+    joints = JointTrack(ur10().names, t, q, np.full_like(q, np.nan), np.full_like(q, np.nan), t)
+    recording = Recording((joints,), (ReadingTrack("point", "tracker", taken, position, taken),))
+    report = report_of(prepare(recording, ur10()).samples)
+    wanted = {f"acceleration:{ELBOW}"} if place == ELBOW else {f"tip_acceleration_{axis}" for axis in "xyz"}
+    assert set(named(report)) == {("compliance", place, driver) for driver in wanted}
+    for found in report.effects:
+        value, _, unit = found.parameters["wind_up"]
+        assert value == pytest.approx(3e-3 if place == ELBOW else 1e-3, rel=0.1)
+        assert unit == "s^2"
+        assert "stays behind as it is accelerated" in found.sentence

@@ -193,9 +193,10 @@ class _ArmOfFile:
     inertias: Inertias | None = None
     earlier: Carried | None = None
     centre: Array | None = None
+    tool: Array | None = None
 
     def of(self, chain: Mechanism) -> NominalArm:
-        return NominalArm(chain, self.inertias, None, self.earlier, self.centre)
+        return NominalArm(chain, self.inertias, None, self.earlier, self.centre, self.tool)
 
 
 def _with_models(calibration: Calibration, change: Callable[[Model], Model]) -> Calibration:
@@ -214,7 +215,7 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
         "modcal_calibration": FORMAT,
         "robot": calibration.robot,
         **to_plain(bare, {Delta: delta_to_data, Uncertainty: _packed}),
-        "arm": to_plain(_ArmOfFile(arm.inertias, arm.earlier, arm.centre)),
+        "arm": to_plain(_ArmOfFile(arm.inertias, arm.earlier, arm.centre, arm.tool)),
     }
 
 
@@ -307,6 +308,7 @@ def _require_consistent(read: Calibration) -> None:
             raise ValueError("bodies beside the chain hang on none of its joints")
         if (held := bodies.held) is not None and not 0 < held.joints < n:
             raise ValueError("the arm is held behind none of its joints")
+    wanted += [] if arm is None or arm.tool is None else [("tool", arm.tool, (3,))]
     if arm is not None and (before := arm.earlier) is not None:
         k = len(before.until)
         wanted += [("mass earlier", before.mass, (k,)), ("moment earlier", before.moment, (k, 3))]

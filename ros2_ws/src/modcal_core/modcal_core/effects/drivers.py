@@ -1,12 +1,13 @@
 """Drivers: what an error may depend on, as numbers beside every sample.
 
-A driver has the name that people and reports use: ``position:J``, ``load:J``, ``direction:J``, ``velocity``, ``time``,
-``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``; ``following:J`` is the commanded position less the
-measured one, ``path:J`` how far the joint is ahead of followers with play. Others are ways to know a load and are
-reported as ``load:J``: ``effort:J`` is the torque that the actuator itself reports, ``payload:J`` that of 1 kg at the
-tip, ``offset_x:J`` … what it changes by for each metre beside the tip, and ``moment:J``, ``weight:J`` or, of 1 kg at
-the tip, ``tip_weight:J`` the two components across the axis; ``clock`` is the time of what does not move the arm. A
-family may bring more.
+A driver has the name that people and reports use: ``position:J``, ``load:J``, ``direction:J``, ``velocity``,
+``acceleration:J``, ``time``, ``temperature:F``, ``signal:TOPIC``, ``reading``, ``constant``; ``following:J`` is the
+commanded position less the measured one, ``path:J`` how far the joint is ahead of followers with play,
+``tip_acceleration_x`` … what the target has along the tip's axes. Others are ways to know a load and are reported as
+``load:J``: ``effort:J`` is the torque that the actuator itself reports, ``payload:J`` that of 1 kg at the tip,
+``offset_x:J`` … what it changes by for each metre beside the tip, and ``moment:J``, ``weight:J`` or, of 1 kg at the
+tip, ``tip_weight:J`` the two components across the axis; ``clock`` is the time of what does not move the arm. A family
+may bring more.
 
 Time goes on for as long again as the recording lasted, for a session rarely ends with it; from there it returns to the
 recording's end, so that days later nothing is extrapolated. Temperatures go on for as far again as they were seen, for
@@ -33,6 +34,7 @@ from modcal_core.robots import (
     HeldBehind,
     Inertias,
     Mechanism,
+    forward,
     gravity_wrench,
     moved_centres,
     offset_wrench,
@@ -110,6 +112,7 @@ _MAX_POINTS = 20_000  # of a signal; a faster one is thinned
 _MAX_KEPT = 96e6  # bytes of drivers and shapes that are kept for one set of samples
 _OFTEN = 2  # times that something is asked for, before what is made for its sake is worth making
 _LAST, _LONGEST = 3, 20_000  # sets of samples whose drivers are remembered, and samples of a set
+_STEP = 0.01  # s between postures whose second differences are the tip's acceleration
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
 
@@ -118,7 +121,7 @@ class NominalArm:
     """The nominal arm that loads are computed from. inertias: None where the description states no mass. limits: where
     time, temperatures and signals stop, of a frozen model; None while it is fitted. earlier: what it carried before
     what its inertias contain; None where that did not change. centre: of the mass that a recorded number says is
-    carried, in the tip link (3,) [m]; None: at its origin.
+    carried, in the tip link (3,) [m]; None: at its origin. tool: about where the target is, in the tip link (3,) [m].
     """
 
     chain: Mechanism
@@ -126,6 +129,7 @@ class NominalArm:
     limits: DriverLimits | None = None
     earlier: Carried | None = None
     centre: Array | None = None
+    tool: Array | None = None
 
     @property
     def weighed(self) -> bool:
@@ -271,6 +275,15 @@ class Drivers:
         """What the latter changes by for each metre that the mass lies beside the tip, along x, y, z: (3, n, 6, N)."""
         return offset_wrench(self.arm.chain, self.samples.q, self._down, self._held)
 
+    @cached_property
+    def tip_acceleration(self) -> Array:
+        """Acceleration of the target on the nominal arm along the tip's axes, (3, N) [m/s²]."""
+        samples, at = self.samples, np.append(np.zeros(3) if self.arm.tool is None else self.arm.tool, 1.0)
+        v, a = np.nan_to_num(samples.velocity), samples.mean_acceleration
+        T = [forward(self.arm.chain, samples.q + s * v + 0.5 * s * s * a) for s in (-_STEP, 0.0, _STEP)]
+        before, here, after = ((pose @ at)[:, :3] for pose in T)
+        return np.asarray(np.einsum("nij,ni->jn", T[1][:, :3, :3], (before - 2.0 * here + after) / _STEP**2))
+
     def _signal(self, name: str, lag: float) -> Array:
         stamps = self.samples.stamps
         for track in self.samples.signals:
@@ -357,6 +370,10 @@ KINDS: Mapping[str, DriverKind] = {
     "clock": lambda at, _: at.samples.stamps,  # of the readings, whose course is no other recording's
     "velocity": lambda at, _: np.asarray(np.nan_to_num(at.samples.velocity.T)),  # of all joints, (n, N)
     "reading": lambda at, _: np.ones(len(at)),
+    "acceleration": lambda at, joint: at.samples.mean_acceleration[:, _column(at, joint)],
+    "tip_acceleration_x": lambda at, _: at.tip_acceleration[0],
+    "tip_acceleration_y": lambda at, _: at.tip_acceleration[1],
+    "tip_acceleration_z": lambda at, _: at.tip_acceleration[2],
     "position": lambda at, joint: at.samples.q[:, _column(at, joint)],
     "direction": lambda at, joint: at.samples.approach[:, _column(at, joint)],
     # of followers with play, at the least and at the most, as shares of their widths, (2 widths, N)

@@ -51,6 +51,7 @@ class TrackSamples:
     sigma_rotation: Array
     velocity: Array
     acceleration: Array
+    mean_acceleration: Array
     moving: bool
     spans: Array  # (N, 2) [s], over which it was averaged
 
@@ -63,6 +64,9 @@ _USUALLY = 90.0  # % of them; starts and stops are no smooth motion
 _INTERPOLATED = 1e-4  # rad or m; at a metre 0.1 mm, as good as a tracker in motion
 _MORE = 1.5  # usual steps that a gap between joint states may be: none is missing
 _ALIKE = 0.01  # s within which offsets are one: the jitter of a driver's loop at 100 Hz
+# s before and after, from which an acceleration is known: a step of an encoder of 18 bits then counts for 0.02 rad/s²,
+# and a motion of two turns a second is seen to a few per cent
+_BESIDE = 0.04
 
 
 def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> dict[str, Any]:
@@ -125,9 +129,8 @@ def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array
     if len(rows) and len(rows) >= _PAIRED * shared and (sparse or len(dwells) < _MIN_DWELLS):
         if sparse:
             # a course between stations far apart is not known; what the joints said of their speed is
-            return _as_is(track, read, q[rows], velocity[rows], np.zeros_like(q[rows]), False)
-        course, at = _course(t, q), t[rows] - t[0]
-        return _as_is(track, read, q[rows], course(at, 1), course(at, 2), moving=True)
+            return _as_is(track, read, q[rows], np.stack([velocity[rows], *np.zeros((2, *q[rows].shape))]), False)
+        return _as_is(track, read, q[rows], _motion(_course(t, q), t[rows] - t[0]), moving=True)
     if len(dwells) >= _MIN_DWELLS:
         return averaged(track, t, q, dwells)
     return _interpolated(track, t, q, rules)
@@ -142,19 +145,17 @@ def _values(track: ReadingTrack, rows: np.ndarray) -> tuple[Array, Array]:
     return values, np.tile(np.eye(3), (len(values), 1, 1))
 
 
-def _as_is(
-    track: ReadingTrack, rows: np.ndarray, q: Array, velocity: Array, acceleration: Array, moving: bool
-) -> TrackSamples:
+def _as_is(track: ReadingTrack, rows: np.ndarray, q: Array, motion: Array, moving: bool) -> TrackSamples:
     position, R = _values(track, rows)
     unknown = np.full(len(rows), np.nan)
     stamps = track.stamps[rows]
     once = np.stack([stamps, stamps], axis=1)
-    return TrackSamples(q, stamps, position, R, unknown, unknown, velocity, acceleration, moving, once)
+    return TrackSamples(q, stamps, position, R, unknown, unknown, motion[0], motion[1], motion[2], moving, once)
 
 
 def _nothing(track: ReadingTrack, joints: int) -> TrackSamples:
     none = np.empty((0, joints))
-    return _as_is(track, np.empty(0, int), none, none, none, moving=False)
+    return _as_is(track, np.empty(0, int), none, np.empty((3, 0, joints)), moving=False)
 
 
 def _course(t: Array, q: Array) -> CubicSpline:
@@ -168,16 +169,28 @@ def _course(t: Array, q: Array) -> CubicSpline:
     return CubicSpline(t[keep] - t[0], q[keep])
 
 
+def _motion(course: CubicSpline, at: Array) -> Array:
+    """Velocity, acceleration, and acceleration over a while, of a course at times (N,): (3, N, n).
+
+    The spline's own curvature follows every jerk, and the noise of encoders; second differences do neither.
+    """
+    first, last = float(course.x[0]), float(course.x[-1])
+    beside = min(_BESIDE, 0.5 * (last - first))
+    middle = np.clip(at, first + beside, last - beside)
+    second = course(middle - beside) - 2.0 * course(middle) + course(middle + beside)
+    return np.stack([course(at, 1), course(at, 2), second / beside**2])
+
+
 def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) -> TrackSamples:
     """Every reading that has joint states close by on both sides, with the posture interpolated to its stamp."""
     if len(np.unique(t)) < 4:
         return _nothing(track, q.shape[1])
     after = np.searchsorted(t, track.stamps)
-    rows = np.flatnonzero((after > 0) & (after < len(t)))
+    rows = np.flatnonzero((track.stamps >= t[0] + _BESIDE) & (track.stamps <= t[-1] - _BESIDE))
     rows = rows[t[after[rows]] - t[after[rows] - 1] <= _widest(t, q, rules)]
     rows = rows[spread_rows(len(rows), rules.most)]
     course, at = _course(t, q), track.stamps[rows] - t[0]
-    return _as_is(track, rows, course(at), course(at, 1), course(at, 2), moving=True)
+    return _as_is(track, rows, course(at), _motion(course, at), moving=True)
 
 
 def _widest(t: Array, q: Array, rules: StationRules) -> float:
@@ -223,7 +236,7 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSam
         return _nothing(track, q.shape[1])
     q_mean, stamp, p, R, deviation_p, deviation_r, spans = (np.array(c) for c in zip(*out, strict=True))
     still = np.zeros_like(q_mean)
-    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, moving=False, spans=spans)
+    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, still, False, spans)
 
 
 _LOOK_BACK = 64  # joint states; doubled until every joint has moved

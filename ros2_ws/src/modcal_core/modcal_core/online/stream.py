@@ -335,13 +335,14 @@ class SampleStream:
             return None
         scale = max(-u[0], u[-1])
         c = np.linalg.lstsq(np.vander(u / scale, 4, increasing=True), self._q[rows], rcond=None)[0]
-        motion = {"velocity": c[1] / scale, "acceleration": 2.0 * c[2] / scale**2, "approach": np.sign(c[1])}
+        motion = {"velocity": c[1] / scale, "approach": np.sign(c[1])}
+        motion |= dict.fromkeys(("acceleration", "mean_acceleration"), 2.0 * c[2] / scale**2)
         return {"q": c[0], "effort": self._effort[rows].mean(axis=0), "moving": True, **motion}
 
     def _emit(self, kind: str, frame: str, stamp: float, span: tuple[float, float], **fields: Any) -> None:
         """Make a sample of one row. span: that commands count of [s]. fields: of the samples, of one row each."""
         still = np.zeros(len(self.names))
-        usual: dict[str, Any] = {"velocity": still, "acceleration": still, "moving": False}
+        usual: dict[str, Any] = {"velocity": still, "acceleration": still, "mean_acceleration": still, "moving": False}
         usual |= {"stamps": stamp, "station": self._station, "frame": self.frames.index(frame)}
         usual |= {"approach": self._approach.direction, "path": self._approach.path_at(fields["q"])}
         usual |= {"following": self._commands.following(self._states.t, self._q, span)}

@@ -246,7 +246,7 @@ class PlaceDrivers:
     def _history(self) -> Iterator[Part]:
         """Joints, base and tool with the way joints arrived, how far they came, and how fast they move."""
         s, group = self.samples, "how the joints arrived and moved"
-        fast = [np.nan_to_num(s.velocity).T, np.nan_to_num(s.acceleration).T] if s.moving.any() else []
+        fast = [np.nan_to_num(s.velocity).T, np.nan_to_num(s.mean_acceleration).T] if s.moving.any() else []
         own = [self.came, self.step, *(_standard(x) for x in fast), *(np.sign(x) for x in fast[:1])]
         followed = paths(s).mean(axis=2)[:, :, _WIDTHS]
         near = [np.sign(self.step) * np.exp(-np.abs(last_moves(s).T) / width) for width in (0.2, 0.8)]
@@ -259,6 +259,8 @@ class PlaceDrivers:
             yield _part(group, "", "", [self.axes[j]], self.came)
         for who, body in self.ends:
             yield _part(group, who, "how the joints arrived", body, self.came)
+        if s.moving.any():
+            yield _part(group, "the tool", "how it is accelerated", self.tool, _standard(self.at.tip_acceleration))
         if not s.moving.any():
             driver = "the previous moment of the arm's weight on it (slip)"
             number = _standard(slipped(s, moments_on_base(self.at)))

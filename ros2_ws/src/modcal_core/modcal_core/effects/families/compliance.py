@@ -4,7 +4,7 @@ The deflection is the load times a compliance [rad/(N m), m/N], or that of a spr
 of gravity and, where the actuators report them, their torques; without masses a compliance is known per kilogram only.
 A recorded number may say how much is carried (``/payload_kg``): then the load at the tip is it times that of 1 kg.
 What the arm stands on (a table, a column, a cart) may turn and shift in any direction with the moment about either of
-its horizontal axes.
+its horizontal axes. In motion a joint winds up as it is accelerated, and a target that is held softly stays behind.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import ACROSS, ALL, AXIS, Effect
 from modcal_core.effects.family import Family, ReportEntry, complexity_of_joint, in_words
 from modcal_core.effects.registry import KILOGRAMS as KILOGRAMS
-from modcal_core.effects.registry import carried_signals, loads, varies
+from modcal_core.effects.registry import carried_signals, in_motion, loads, moving_joints, varies
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, unit_of, value
 from modcal_core.robots import Mechanism, is_serial_arm
@@ -48,6 +48,11 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
                 yield Effect(NAME, name, AXIS, f"{beside},{signal}", Shape("products"))
         if drivers.arm.weighed:  # a sliding joint's column is bent by the moment as a bearing is
             yield Effect(NAME, name, ACROSS, f"moment:{name}", Shape("linear"))
+    if drivers.samples.moving.any() and in_motion(drivers):
+        for _, name in moving_joints(drivers):
+            yield Effect(NAME, name, AXIS, f"acceleration:{name}", Shape("linear"))
+        for axis in "xyz" if is_serial_arm(drivers.arm.chain) else "":
+            yield Effect(NAME, "tool", axis, f"tip_acceleration_{axis}", Shape("linear"))
     on_base = f"{'weight' if drivers.arm.weighed else 'tip_weight'}:{drivers.arm.chain.names[0]}"
     if is_serial_arm(drivers.arm.chain) and any(map(varies, drivers.values(on_base))):
         yield Effect(NAME, BASE, ALL, on_base, Shape("several"))
@@ -82,6 +87,8 @@ def sizes(effect: Effect, chain: Mechanism) -> Sizes:
         turn, std = effect.values[6:].reshape(3, 2), float(effect.std[6:].max())
         unit, name = ("kg rad/(N m)", "_times_mass") if effect.driver.startswith("tip") else ("rad/(N m)", "")
         return {f"compliance{name}": (float(np.linalg.norm(turn, 2)), std, unit)}
+    if "acceleration" in effect.driver:
+        return {"wind_up": value(effect, 0, -1.0, "s^2")}
     unit = unit_of(effect, chain)
     load = "N m" if unit == "rad" else "N"
     # an actuator's torque is the opposite of the load that it holds
@@ -114,6 +121,11 @@ def sentence(entry: ReportEntry) -> str:
     """Stiffness, or compliance per newton that one kilogram exerts; and what no spring does."""
     if "compliance_times_offset_x" in entry.sizes:
         return f"{entry.place} deflects under a recorded payload whose centre lies beside the tip"
+    if "wind_up" in entry.sizes:
+        size, std, _ = entry.sizes["wind_up"]
+        per = "µm per m/s²" if entry.place == "tool" else "µrad per rad/s²"
+        way = "stays behind" if size > 0.0 else "runs ahead"
+        return f"{entry.place} {way} as it is accelerated, by {in_words((1e6 * abs(size), 1e6 * std, per))}"
     name = next(name for name in ("compliance_per_unit", "compliance_times_mass", "compliance") if name in entry.sizes)
     size, std, unit = entry.sizes[name]
     angle, per = ("µrad", "N m") if "rad" in unit else ("µm", "N")
