@@ -66,7 +66,7 @@ def page(rows: list[Row], reasons: dict[str, str], robots: Iterable[str] = ()) -
         *(_group(rows, title, of, track, methods) for title, of in GROUPS.items()),
         f"<h2>An arm</h2><iframe src='{_file(SHOWN)}' title='The arm of {SHOWN} in 3-D'></iframe>" * (SHOWN in robots),
         f"<h2>Where modcal is not first</h2>{_losses(rows, tasks, reasons)}",
-        f"<h2>What was claimed</h2>{_claims(rows, tasks, methods)}",
+        f"<h2>What was claimed</h2>{_claims(rows, tasks, methods, reasons)}",
         f"<h2>Published figures</h2>{_published(rows)}",
         *(_task(rows, task, task in robots) for task in tasks),
         f"<h2>Methods</h2>{_table(('method', 'what it is'), lines)}<h2>Not here</h2>{_table(('name', 'why'), missing)}",
@@ -131,6 +131,10 @@ def _matrix(rows: list[Row], tasks: list[str], methods: list[str]) -> str:
     return _table(("RMS, mm", *map(_e, methods)), ((_link(t), *(cell(t, m) for m in methods)) for t in tasks))
 
 
+def _why(reasons: dict[str, str], task: str) -> str:
+    return reasons.get(task.split("#")[0], "not known")
+
+
 def _losses(rows: list[Row], tasks: list[str], reasons: dict[str, str]) -> str:
     lost = [(task, *pair) for task in tasks if (pair := beaten(rows, task))]
     if not lost:
@@ -139,12 +143,12 @@ def _losses(rows: list[Row], tasks: list[str], reasons: dict[str, str]) -> str:
     lines = []
     for task, own, first in lost:
         ratio = f"{own['rms_mm'] / first['rms_mm']:.2f}"
-        why = "{text}" + _e(reasons.get(task.split("#")[0], "not known"))
+        why = "{text}" + _e(_why(reasons, task))
         lines.append((_link(task), _mm(own["rms_mm"]), _mm(first["rms_mm"]), _e(first["method"]), ratio, why))
     return _table(("task", "modcal", "first", "", "ratio", "{text}why, as far as known"), lines)
 
 
-def _claims(rows: list[Row], tasks: list[str], methods: list[str]) -> str:
+def _claims(rows: list[Row], tasks: list[str], methods: list[str], reasons: dict[str, str]) -> str:
     lines, silent = [], []
     for method in methods:
         own = [r for task in tasks for r in ran(rows, task) if r["method"] == method]
@@ -162,7 +166,9 @@ def _claims(rows: list[Row], tasks: list[str], methods: list[str]) -> str:
         ]
         lines.append((*cells, str(opened), str(sum(causes)) if causes else ""))
     heads = ("method", "tasks with a claim", "median coverage", "calm and wrong", "says open", "false causes")
-    return _table(heads, lines) + f"<p class='soft'>No claim at all: {_e(', '.join(silent))}.</p>"
+    calm = [task for task in tasks for r in ran(rows, task) if r["method"] == OURS and r["calm_and_wrong"]]
+    ours = "".join(f"<p>{OURS} in {_link(task)}: {_e(_why(reasons, task))}</p>" for task in calm)
+    return _table(heads, lines) + ours + f"<p class='soft'>No claim at all: {_e(', '.join(silent))}.</p>"
 
 
 def _task(rows: list[Row], task: str, drawn: bool) -> str:
