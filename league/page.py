@@ -25,9 +25,10 @@ SHOWN = "ur10_cubes"  # whose arm stands on the page itself
 CAMERA, DOORS = "from a camera", "doors"
 GROUPS = {"Arms": None, "Cameras": CAMERA, "Doors": DOORS}  # tables of tasks: all that is no track of the others'
 INTRO = """<p>{} methods on {} tasks. Errors are distances at the tool in mm on rows that no method was given, and
-<b>every</b> such row counts, also those that a method would call wrong; of doors, distances of the handle from where it
-was said to go. Intervals are of 95 %: blocks of rows that belong together are drawn again. Simulated tasks (sim_) are
-scored on what is true. A green cell is the first of its task, or its RMS lies within the first one's interval.</p>"""
+<b>every</b> such row counts, also those that a method would call wrong; of cameras, where the camera is in the board's
+frame; of doors, distances of the handle from where it was said to go. Intervals are of 95 %: blocks of rows that belong
+together are drawn again. Simulated tasks (sim_) are scored on what is true. A green cell is the first of its task, or
+its RMS lies within the first one's interval.</p>"""
 
 
 def read(folder: Path) -> list[Row]:
