@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from league.methods import METHODS
-from league.task import NotApplicable, Task
+from league.task import Task
 
 
 def main(name: str, file: str, out: str) -> None:
@@ -33,8 +33,7 @@ def main(name: str, file: str, out: str) -> None:
             arrays["radius95"] = answer.radius95
         said |= {"claim_p95_mm": None if answer.claim_p95 is None else 1e3 * answer.claim_p95, "open": answer.is_open}
         said |= {"named": answer.named, "parameters": answer.parameters, "remark": answer.remark[:400]}
-    except NotApplicable as reason:
-        said = {"status": "not applicable", "remark": str(reason)}
+        said["oriented"] = answer.oriented
     except Exception as error:  # a method that fails is a result
         said = {"status": "failed", "remark": f"{type(error).__name__}: {error}"[:400]}
     said["cpu_s"] = round(time.process_time() - begun, 2)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -25,7 +26,10 @@ ROUND = 8  # digits behind the point: nanometres and tens of nanoradians
 
 @dataclass(frozen=True)
 class Table:
-    """q (N, n), reading (N, 3), (N, 7) or (N, 0), block and frame (N,); urdf and tip of the arm."""
+    """q (N, n), reading (N, 3), (N, 7) or (N, 0), block and frame (N,); urdf and tip of the arm.
+
+    kinds: of tracks, the kind of each object where it is known.
+    """
 
     q: Array
     reading: Array
@@ -33,6 +37,7 @@ class Table:
     frame: Array
     urdf: str
     tip: str
+    kinds: tuple[str, ...] = ()
 
 
 def ur10(folder: Path, file: str, block: int, every: int = 1) -> Table:
@@ -73,6 +78,30 @@ def sockets(folder: Path, robot: str, urdf: str, block: int) -> Table:
     return replace(_table(q, np.empty((len(q), 0)), block, text, "ball_link"), block=numbers, frame=frame)
 
 
+def positioner(folder: Path) -> Table:
+    """A two-axis positioner before a camera: one pose an entry, two joints. Its drawing is that of its maintainers."""
+    text = (folder / "industrial_calibration" / "positioner_measurements.yaml").read_text()
+    q, poses = [], []
+    for entry in text.split("camera_joints")[1:]:
+        told = dict(re.findall(r"(q[xyzw]|[xyz]): (\S+)", entry))
+        poses.append([float(told[name]) for name in ("x", "y", "z", "qx", "qy", "qz", "qw")])
+        q.append([float(value) for value in re.findall(r"^  - (\S+)", entry, re.MULTILINE)])
+    return _table(np.array(q), np.array(poses), 10, (DATA / "positioner.urdf").read_text(), "tip")
+
+
+SLIDING = ("iros_drawer", "drawer_one")
+
+
+def doors(folder: Path, what: str) -> Table:
+    """Handles of furniture that people moved: positions by object and pull, or poses of which nobody told the kind."""
+    files = sorted((folder / "articulation" / what).rglob("*.log"))
+    parts = [np.loadtxt(file, ndmin=2) for file in files]
+    frame = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    kinds = tuple("prismatic" if file.parent.name in SLIDING else "revolute" for file in files)
+    made = _table(np.zeros((len(frame), 0)), np.concatenate(parts), 1, "", "")
+    return replace(made, block=frame, frame=frame, kinds=kinds if what == "position" else ())
+
+
 def _table(q: Array, reading: Array, block: int, urdf: str, tip: str) -> Table:
     zeros = np.zeros(len(q), int)
     return Table(np.round(q, ROUND), np.round(reading, ROUND), np.arange(len(q)) // block, zeros, urdf, tip)
@@ -86,6 +115,9 @@ SOURCES: dict[str, Callable[[Path], Table]] = {
     "ur10_grid": lambda folder: ur10(folder, "series_a_grid.csv", 20, every=10),
     "panda_3_sockets": lambda folder: sockets(folder, "panda_3", "panda.urdf", 5),
     "panda_4_sockets": lambda folder: sockets(folder, "panda_4", "panda.urdf", 5),
+    "positioner": positioner,
+    "door_points": lambda folder: doors(folder, "position"),
+    "door_poses": lambda folder: doors(folder, "pose"),
 }
 COMMITTED = tuple(SOURCES)[:4]
 

@@ -1,6 +1,6 @@
-"""The page of the league: one static HTML file without scripts, made of the results alone.
+"""The page of the league: one static HTML file without scripts, made of the results alone; beside it the arms in 3-D.
 
-python -m league.page league/results build/league
+python -m league.page league/results build/league [FOLDER]
 """
 
 from __future__ import annotations
@@ -13,16 +13,22 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from league import robot
 from league.methods import METHODS, MISSING
+from league.tasks import problem
 
 HERE = Path(__file__).resolve().parent
 Row = dict[str, Any]
 OURS = "modcal"
 WIDTH, LINE, LEFT, RIGHT = 720, 22, 170, 130  # px of a plot, its rows, and what stands beside the bars
+SHOWN = "ur10_cubes"  # whose arm stands on the page itself
+CAMERA, DOORS = "from a camera", "doors"
+GROUPS = {"Arms": None, "Cameras": CAMERA, "Doors": DOORS}  # tables of tasks: all that is no track of the others'
 INTRO = """<p>{} methods on {} tasks. Errors are distances at the tool in mm on rows that no method was given, and
-<b>every</b> such row counts, also those that a method would call wrong. Intervals are of 95 %: blocks of rows that
-belong together are drawn again. Simulated tasks (sim_) are scored on what is true. A green cell is the first of its
-task, or within the first one's interval. <i>Italic</i>: a figure of a paper on rows of its own, not run here.</p>"""
+<b>every</b> such row counts, also those that a method would call wrong; of cameras, where the camera is in the board's
+frame; of doors, distances of the handle from where it was said to go. Intervals are of 95 %: blocks of rows that belong
+together are drawn again. Simulated tasks (sim_) are scored on what is true. A green cell is the first of its task, or
+its RMS lies within the first one's interval.</p>"""
 
 
 def read(folder: Path) -> list[Row]:
@@ -44,9 +50,10 @@ def beaten(rows: list[Row], task: str, method: str = OURS) -> tuple[Row, Row] | 
     return None if own is None or own["rms_mm"] <= order[0]["rms_ci95"][1] else (own, order[0])
 
 
-def page(rows: list[Row], reasons: dict[str, str]) -> str:
-    """The whole page. reasons: by task, why modcal is not first there."""
-    tasks = list(dict.fromkeys(r["task"] for r in rows if r["status"] == "ran" and not r["published"]))
+def page(rows: list[Row], reasons: dict[str, str], robots: Iterable[str] = ()) -> str:
+    """The whole page. reasons: by task, why modcal is not first there. robots: tasks whose arm has a page."""
+    track = {r["task"]: r.get("track", "") for r in rows if r["status"] == "ran" and not r["published"]}
+    tasks, robots = list(track), list(robots)
     met = dict.fromkeys(r["method"] for r in rows if not r["published"])
     methods = [m for m in METHODS if m in met] + [m for m in met if m not in METHODS]
     versions = {r["method"]: r.get("version", "") for r in rows if r["status"] == "ran"}
@@ -57,10 +64,12 @@ def page(rows: list[Row], reasons: dict[str, str]) -> str:
         f"<title>The league</title><style>{(HERE / 'page.css').read_text()}</style>",
         "<h1>Every method, the same recordings</h1>",
         INTRO.format(len(methods), len(tasks)),
-        f"<h2>All tasks</h2>{_matrix(rows, tasks, methods)}",
+        *(_group(rows, title, of, track, methods) for title, of in GROUPS.items()),
+        f"<h2>An arm</h2><iframe src='{_file(SHOWN)}' title='The arm of {SHOWN} in 3-D'></iframe>" * (SHOWN in robots),
         f"<h2>Where modcal is not first</h2>{_losses(rows, tasks, reasons)}",
-        f"<h2>What was claimed</h2>{_claims(rows, tasks, methods)}",
-        *(_task(rows, task) for task in tasks),
+        f"<h2>What was claimed</h2>{_claims(rows, tasks, methods, reasons)}",
+        f"<h2>Published figures</h2>{_published(rows)}",
+        *(_task(rows, task, task in robots) for task in tasks),
         f"<h2>Methods</h2>{_table(('method', 'what it is'), lines)}<h2>Not here</h2>{_table(('name', 'why'), missing)}",
     ]
     return "\n".join(parts) + "\n"
@@ -76,33 +85,55 @@ def _mm(value: float) -> str:
 
 def _table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     """A table of cells that are HTML already; one that begins with a class in braces gets it."""
-    out = ["<div class='wide'><table><tr>", *(f"<th>{h}</th>" for h in heads), "</tr>"]
-    for row in rows:
+
+    def line(tag: str, row: Iterable[str]) -> str:
         cells = (cell.split("}", 1) if cell.startswith("{") else ("", cell) for cell in row)
-        out.append("<tr>" + "".join(f"<td class='{c[1:]}'>{text}</td>" for c, text in cells) + "</tr>")
-    return "".join(out) + "</table></div>"
+        return "<tr>" + "".join(f"<{tag} class='{c[1:]}'>{text}</{tag}>" for c, text in cells) + "</tr>"
+
+    return f"<div class='wide'><table>{line('th', heads)}{''.join(line('td', row) for row in rows)}</table></div>"
+
+
+def _file(task: str) -> str:
+    return f"arm_{task.replace('#', '_')}.html"
 
 
 def _link(task: str) -> str:
     return f"<a href='#{_e(task)}'>{_e(task)}</a>"
 
 
+def _group(rows: list[Row], title: str, of: str | None, track: dict[str, str], methods: list[str]) -> str:
+    """The table of one group of tasks and of the methods that do any of them; nothing where there are none."""
+    rest = {name for name in GROUPS.values() if name}
+    tasks = [task for task, own in track.items() if (own == of if of else own not in rest)]
+    ran_any = {r["method"] for r in rows if r["task"] in tasks and r["status"] == "ran"}
+    return f"<h2>{title}</h2>{_matrix(rows, tasks, [m for m in methods if m in ran_any])}" if tasks else ""
+
+
+def _published(rows: list[Row]) -> str:
+    """Peers' own figures, and the same by the same definition where their data is at hand."""
+    lines = []
+    for r in (r for r in rows if r["published"]):
+        here = r.get("here_mm")
+        got = "" if here is None else f"{_mm(here)} ({100.0 * (here / r['mean_mm'] - 1.0):+.1f} %)"
+        lines.append((_e(r["task"]), _e(r["method"]), _mm(r["mean_mm"]), got, "{text}" + _e(r["source"])))
+    return _table(("data", "method", "published mean", "here", "{text}what it is"), lines)
+
+
 def _matrix(rows: list[Row], tasks: list[str], methods: list[str]) -> str:
     by = {(r["task"], r["method"]): r for r in rows if not r["published"]}
 
     def cell(task: str, method: str) -> str:
-        r = by.get((task, method), {"status": ""})
+        r = by.get((task, method), {"status": "–"})
         if r["status"] != "ran":
             return "{soft}" + {"not applicable": "–"}.get(r["status"], r["status"])
         first = r["rms_mm"] <= ran(rows, task)[0]["rms_ci95"][1]
         return ("{best}" if first else "") + _mm(r["rms_mm"])
 
-    def published(task: str) -> str:
-        own = (r for r in rows if r["published"] and r["task"] == task)
-        return "; ".join(f"<i>{_mm(r['mean_mm'])} ({_e(r['method'])})</i>" for r in own)
+    return _table(("RMS, mm", *map(_e, methods)), ((_link(t), *(cell(t, m) for m in methods)) for t in tasks))
 
-    heads = ("RMS, mm", *map(_e, methods), "published (mean)")
-    return _table(heads, ((_link(t), *(cell(t, m) for m in methods), published(t)) for t in tasks))
+
+def _why(reasons: dict[str, str], task: str) -> str:
+    return reasons.get(task.split("#")[0], "not known")
 
 
 def _losses(rows: list[Row], tasks: list[str], reasons: dict[str, str]) -> str:
@@ -113,12 +144,12 @@ def _losses(rows: list[Row], tasks: list[str], reasons: dict[str, str]) -> str:
     lines = []
     for task, own, first in lost:
         ratio = f"{own['rms_mm'] / first['rms_mm']:.2f}"
-        why = "{text}" + _e(reasons.get(task.split("#")[0], "not known"))
+        why = "{text}" + _e(_why(reasons, task))
         lines.append((_link(task), _mm(own["rms_mm"]), _mm(first["rms_mm"]), _e(first["method"]), ratio, why))
-    return _table(("task", "modcal", "first", "", "ratio", "why, as far as known"), lines)
+    return _table(("task", "modcal", "first", "", "ratio", "{text}why, as far as known"), lines)
 
 
-def _claims(rows: list[Row], tasks: list[str], methods: list[str]) -> str:
+def _claims(rows: list[Row], tasks: list[str], methods: list[str], reasons: dict[str, str]) -> str:
     lines, silent = [], []
     for method in methods:
         own = [r for task in tasks for r in ran(rows, task) if r["method"] == method]
@@ -136,20 +167,24 @@ def _claims(rows: list[Row], tasks: list[str], methods: list[str]) -> str:
         ]
         lines.append((*cells, str(opened), str(sum(causes)) if causes else ""))
     heads = ("method", "tasks with a claim", "median coverage", "calm and wrong", "says open", "false causes")
-    return _table(heads, lines) + f"<p class='soft'>No claim at all: {_e(', '.join(silent))}.</p>"
+    calm = [task for task in tasks for r in ran(rows, task) if r["method"] == OURS and r["calm_and_wrong"]]
+    ours = "".join(f"<p>{OURS} in {_link(task)}: {_e(_why(reasons, task))}</p>" for task in calm)
+    return _table(heads, lines) + ours + f"<p class='soft'>No claim at all: {_e(', '.join(silent))}.</p>"
 
 
-def _task(rows: list[Row], task: str) -> str:
+def _task(rows: list[Row], task: str, drawn: bool) -> str:
     order = ran(rows, task)
     against = "what is true" if order[0]["truth"] else "readings"
     about = (
         f"{_e(order[0].get('about', ''))} ({_e(order[0]['track'])}); {order[0]['scored']} rows scored, on {against}."
     )
+    about += f" <a href='{_file(task)}'>The arm in 3-D</a>." * drawn
     lines = []
     for r in order:
         name = ("{ours}" if r["method"] == OURS else "") + _e(r["method"])
         claim = "" if r["claim_p95_mm"] is None else _mm(r["claim_p95_mm"]) + (" (open)" if r["open"] else "")
-        cells = [name, _mm(r["rms_mm"]), " – ".join(map(_mm, r["rms_ci95"])), _mm(r["p95_mm"]), _mm(r["max_mm"]), claim]
+        cells = [name, _mm(r["rms_mm"]), " – ".join(map(_mm, r["rms_ci95"])), _mm(r["p95_mm"]), _mm(r["max_mm"])]
+        cells += ["" if r.get("rms_deg") is None else f"{r['rms_deg']:.3f}°", claim]
         cells += ["" if r["coverage"] is None else f"{100 * r['coverage']:.0f} %"]
         cells += ["{bad}yes" if r["calm_and_wrong"] else "", f"{r['cpu_s']:.1f}", f"{r['memory_mb']:.0f}"]
         lines.append((*cells, "{text}" + _e(r["remark"][:200])))
@@ -159,6 +194,7 @@ def _task(rows: list[Row], task: str) -> str:
         "95 %",
         "p95",
         "max",
+        "turn, RMS",
         "claimed p95",
         "coverage",
         "calm and wrong",
@@ -182,7 +218,7 @@ def _plot(order: list[Row]) -> str:
         return LEFT + (WIDTH - LEFT - RIGHT) * (math.log10(max(value, 1e-4)) - low) / (high - low)
 
     height = LINE * len(order) + 26
-    out = [f"<svg viewBox='0 0 {WIDTH} {height}' role='img' aria-label='RMS by method, logarithmic'>"]
+    out = [f"<div class='wide'><svg viewBox='0 0 {WIDTH} {height}' role='img' aria-label='RMS by method, logarithmic'>"]
     steps = (1, 2, 5) if high - low < 1.5 else (1,)
     ticks = (m * 10.0**d for d in range(math.floor(low), math.ceil(high) + 1) for m in steps)
     for tick in (t for t in ticks if low <= math.log10(t) <= high):
@@ -195,16 +231,23 @@ def _plot(order: list[Row]) -> str:
         out.append(f"<rect x='{LEFT}' y='{y}' width='{max(end - LEFT, 1):.1f}' height='14' fill='{colour}'/>")
         out.append(f"<line x1='{a:.1f}' x2='{b:.1f}' y1='{y + 7}' y2='{y + 7}' stroke='var(--ink)' stroke-width='2'/>")
         out.append(f"<text x='{max(b, end) + 6:.1f}' y='{y + 12}'>{_mm(r['rms_mm'])} mm</text>")
-    return "".join(out) + "</svg>"
+    return "".join(out) + "</svg></div>"
 
 
-def write(results: Path, out: Path) -> Path:
-    """Write index.html into a folder and return its path."""
+def write(results: Path, out: Path, data: Path | None = None) -> Path:
+    """Write index.html and the arms' pages into a folder and return the path of the first. data: as tasks need it."""
     out.mkdir(parents=True, exist_ok=True)
-    file = out / "index.html"
-    file.write_text(page(read(results), json.loads((HERE / "reasons.json").read_text())), encoding="utf-8")
+    rows, robots = read(results), []
+    for task in dict.fromkeys(r["task"] for r in rows if r.get("shown_mm")):
+        try:
+            (out / _file(task)).write_text(robot.drawn(problem(task, data), ran(rows, task)), encoding="utf-8")
+        except FileNotFoundError:
+            continue  # the recording is not at hand
+        robots.append(task)
+    file, reasons = out / "index.html", json.loads((HERE / "reasons.json").read_text())
+    file.write_text(page(rows, reasons, robots), encoding="utf-8")
     return file
 
 
 if __name__ == "__main__":
-    print(write(Path(sys.argv[1]), Path(sys.argv[2])))
+    print(write(*map(Path, sys.argv[1:])))

@@ -1,8 +1,9 @@
 """Run methods on tasks, one process each, and write a JSON for each pair; then the page.
 
-    python -m league.run [--full] [--data FOLDER] [--only METHOD_OR_TASK …] [--again] [--out league/results]
+    python -m league.run [--full] [--data FOLDER] [--only METHOD_OR_TASK …] [--again] [--workers N] [--out FOLDER]
 
-A result that is there already for the same task and version is kept, unless --again.
+Pairs are spread over the cores by Dask. A result that is there already for the same task and version is kept, unless
+--again.
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ import os
 import subprocess
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import dask
 import numpy as np
 
 from league import page
@@ -28,7 +31,6 @@ ROOT = HERE.parent
 ENVIRONMENTS = ROOT / ".venv-league"
 PATIENCE = {False: 600.0, True: 3600.0}  # s of one method on one task, in the small and the full edition
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-SOURCES = [str(ROOT / "ros2_ws" / "src" / name) for name in ("modcal_core", "modcal_msgs_py", "modcal_nodes")]
 
 
 def answered(problem: Problem, method: str, patience: float) -> dict[str, Any]:
@@ -39,11 +41,7 @@ def answered(problem: Problem, method: str, patience: float) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="league_") as folder:
         told, out = Path(folder) / "task.npz", Path(folder) / "answer.npz"
         problem.task.write(told)
-        environment = {
-            **os.environ,
-            **dict.fromkeys(THREADS, "1"),
-            "PYTHONPATH": os.pathsep.join([str(ROOT), *SOURCES]),
-        }
+        environment = {**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": str(ROOT)}
         command = [str(python), "-m", "league.child", method, str(told), str(out)]
         try:
             done = subprocess.run(
@@ -61,6 +59,17 @@ def answered(problem: Problem, method: str, patience: float) -> dict[str, Any]:
     return result(problem, method, said, arrays)
 
 
+def kept(problem: Problem, method: str, patience: float, file: Path) -> bool:
+    """Run a method on a task, write its result, say it, and return whether it failed."""
+    found = answered(problem, method, patience)
+    assert not (wrong := problems_of(found)), wrong
+    lines = (f" {json.dumps(key)}: {json.dumps(value)}" for key, value in found.items())
+    file.write_text("{\n" + ",\n".join(lines) + "\n}\n")
+    size = f"{found['rms_mm']:.4f} mm RMS" if "rms_mm" in found else f"{found['status']}: {found['remark']}"
+    print(f"{found['task']} {method}: {size}, {found['cpu_s']} s", flush=True)
+    return found["status"] == "failed"
+
+
 def chosen(names: tuple[str, ...], only: list[str]) -> tuple[str, ...]:
     """The names that are asked for; all where none of them is."""
     return tuple(name for name in names if name in only) or names
@@ -73,29 +82,25 @@ def main() -> int:
     made.add_argument("--data", type=Path, help="folder with the recordings that are not in the repository")
     made.add_argument("--only", nargs="+", default=[])
     made.add_argument("--again", action="store_true")
+    made.add_argument("--workers", type=int, default=os.cpu_count(), help="methods that run at once")
     made.add_argument("--out", type=Path, default=HERE / "results")
     given = made.parse_args()
     known = FULL if given.full else SMALL + (FURTHER if given.data else ())
     tasks, methods = chosen(known, given.only), chosen(tuple(METHODS), given.only)
     given.out.mkdir(parents=True, exist_ok=True)
-    failed = 0
+    jobs = []
     for task in tasks:
         try:
             one = problem(task, given.data)
         except FileNotFoundError as missing:
             print(f"{task}: left out: {missing}", file=sys.stderr)
             continue
-        for method in methods:
+        for method in (m for m in methods if one.task.kind in METHODS[m]["kinds"].split()):
             file = given.out / f"{task}.{method}.json"
-            if not given.again and file.exists() and json.loads(file.read_text())["digest"] == one.task.digest:
-                continue
-            found = answered(one, method, PATIENCE[given.full])
-            assert not (wrong := problems_of(found)), wrong
-            file.write_text(json.dumps(found, indent=1) + "\n")
-            size = f"{found['rms_mm']:.4f} mm RMS" if "rms_mm" in found else f"{found['status']}: {found['remark']}"
-            print(f"{task} {method}: {size}, {found['cpu_s']} s", flush=True)
-            failed += found["status"] == "failed"
-    print(page.write(given.out, ROOT / "build" / "league"))
+            if given.again or not file.exists() or json.loads(file.read_text())["digest"] != one.task.digest:
+                jobs.append(dask.delayed(partial(kept, one, method, PATIENCE[given.full], file))())
+    failed = sum(dask.compute(*jobs, scheduler="threads", num_workers=given.workers))
+    print(page.write(given.out, ROOT / "build" / "league", given.data))
     return int(failed > 0)
 
 

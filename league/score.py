@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from league.arm import Array, align
+from league.arm import Array, align, rotation_vector
 from league.tasks import Problem
 
 DRAWS = 2000
+SHOWN = 40  # scored rows whose errors are kept, for the picture of the arm
 SCHEMA = json.loads((Path(__file__).resolve().parent / "schema.json").read_text())
 _KINDS: dict[str, tuple[type, ...]] = {
     "string": (str,), "number": (int, float), "integer": (int,), "boolean": (bool,), "null": (type(None),),
@@ -21,15 +22,32 @@ _KINDS: dict[str, tuple[type, ...]] = {
 
 def errors(problem: Problem, T: Array) -> Array:
     """Distances (S,) [m] between what is predicted and what was read, or is true, at every scored row."""
-    task, p = problem.task, T[:, :3, 3]
-    if task.kind == "socket":
-        centre = {f: p[task.train][task.frame[task.train] == f].mean(axis=0) for f in np.unique(task.frame)}
-        return np.linalg.norm(p[problem.scored] - np.array([centre[f] for f in task.frame[problem.scored]]), axis=1)
+    task, p = problem.task, T[..., :3, 3]
+    if task.kind == "track":
+        parts = zip(task.frame[problem.scored], problem.target, strict=True)
+        return np.array([_from_path(p[int(f)], seen) for f, seen in parts])
     if problem.refit is not None:
         rows, seen = problem.refit
         base, tool = align(T[rows], seen)
         p = (p + T[:, :3, :3] @ tool) @ base[:3, :3].T + base[:3, 3]
+    elif task.kind == "socket":
+        centre = {f: p[task.train][task.frame[task.train] == f].mean(axis=0) for f in np.unique(task.frame)}
+        return np.linalg.norm(p[problem.scored] - np.array([centre[f] for f in task.frame[problem.scored]]), axis=1)
     return np.linalg.norm(p[problem.scored] - problem.target, axis=1)
+
+
+def _from_path(path: Array, p: Array) -> float:
+    """Distance of a point (3,) from a polyline (K, 3) [m]."""
+    step, off = np.diff(path, axis=0), p - path[:-1]
+    along = np.sum(off * step, axis=1) / np.maximum(np.sum(step**2, axis=1), 1e-30)
+    return float(np.linalg.norm(off - np.clip(along, 0.0, 1.0)[:, None] * step, axis=1).min())
+
+
+def turned(problem: Problem, T: Array) -> Array:
+    """Angles (S,) [deg] between the rotations that are predicted and those that were read, or are true."""
+    assert problem.turns is not None
+    off = np.swapaxes(T[problem.scored, :3, :3], 1, 2) @ problem.turns
+    return np.degrees(np.linalg.norm(rotation_vector(off), axis=1))
 
 
 def interval(values: Array, unit: Array, of: Any) -> list[float]:
@@ -65,6 +83,12 @@ def result(problem: Problem, method: str, said: dict[str, Any], arrays: dict[str
     out |= {"scored": len(missed), **{f"{name}_mm": round(float(of(missed)), 5) for name, of in sizes.items()}}
     out |= {"rms_ci95": interval(missed, units, rms), "p95_ci95": interval(missed, units, p95)}
     out |= {"parameters": said["parameters"], "open": said["open"]}
+    if problem.turns is not None and said.get("oriented", True):
+        out["rms_deg"] = round(rms(turned(problem, arrays["T"])), 5)
+    if problem.task.kind in ("point", "pose") and problem.refit is None:
+        rows = np.linspace(0, len(missed) - 1, min(SHOWN, len(missed))).astype(int)
+        off = 1e3 * (arrays["T"][problem.scored[rows], :3, 3] - problem.target[rows])
+        out["shown_mm"] = np.round(off, 3).tolist()
     radius = arrays.get("radius95")
     radius = np.full(len(units), said["claim_p95_mm"] or np.nan) if radius is None else 1e3 * radius[problem.scored]
     out |= {"claim_p95_mm": None, "coverage": None, "calm_and_wrong": None}
@@ -77,7 +101,9 @@ def result(problem: Problem, method: str, said: dict[str, Any], arrays: dict[str
         out["named"] = [list(name) for name in said["named"]]
     if said["named"] is not None and problem.planted is not None:
         bent = [place for places in problem.planted.values() for place in places]
-        out["false_causes"] = sum(place not in bent for _, place in said["named"])
+        by_kind = problem.task.kind == "track"
+        right = ((place in (problem.planted.get(what, ()) if by_kind else bent)) for what, place in said["named"])
+        out["false_causes"] = len(said["named"]) - sum(right)
     return out
 
 

@@ -11,20 +11,20 @@ import numpy as np
 from league.arm import Arm, Array
 
 
-class NotApplicable(Exception):
-    """Raised by a method that cannot do a task, with the reason."""
-
-
 @dataclass(frozen=True)
 class Task:
-    """Postures of one recording, with readings of some of them.
+    """Postures of one recording, with readings of some of them; or tracks of handles.
 
-    - kind: ``point``, ``pose`` or ``socket`` (the tool's ball rests in sockets, and only joints are known).
+    - kind: ``point``, ``pose``, ``socket`` (the tool's ball rests in sockets, and only joints are known), ``corners``
+      (a camera sees a board) or ``track`` (a handle moves on what it is fixed to, and there is no arm).
     - urdf, tip: the arm as its maker describes it. tip names the link that base and tool are about.
     - q: joints (N, n) [rad] of every row, in the order in which they were measured. before: where each came from.
     - train: rows (M,) whose readings are known. reading: (M, 3) [m], or (M, 7) with x y z w of the quaternion; of
-      sockets NaN. frame: the socket of each row (N,), else zeros. pairs: sockets (P, 2), ``distance`` [m] apart.
+      sockets NaN; of corners (M, 2 C) [px], NaN where they are not seen. frame: the socket or the object of each row
+      (N,), else zeros. pairs: sockets (P, 2), ``distance`` [m] apart.
     - block: rows that belong together, for methods that split once more.
+    - board: corners (C, 3) [m], x right, y down, z into it; size: of the images [px]; on_tip: the arm carries the
+      camera and not the board.
     """
 
     name: str
@@ -39,6 +39,9 @@ class Task:
     pairs: Array = field(default_factory=lambda: np.empty((0, 2), int))
     distance: float = 0.0
     block: int = 1
+    board: Array = field(default_factory=lambda: np.empty((0, 3)))
+    size: Array = field(default_factory=lambda: np.empty(0, int))
+    on_tip: bool = False
 
     @property
     def arm(self) -> Arm:
@@ -63,15 +66,17 @@ class Task:
     @property
     def digest(self) -> str:
         """Twelve digits that change with anything a method is given."""
-        told = hashlib.sha256(self.urdf.encode() + self.tip.encode())
-        for values in (self.q, self.before, self.reading, self.frame, self.train, self.pairs):
+        told = hashlib.sha256(f"{self.urdf}{self.tip}{' camera on tip' * self.on_tip}".encode())
+        for values in (self.q, self.before, self.reading, self.frame, self.train, self.pairs, self.board, self.size):
             told.update(np.ascontiguousarray(np.round(np.asarray(values, dtype=float), 9)).tobytes())
         return told.hexdigest()[:12]
 
 
 @dataclass(frozen=True)
 class Answer:
-    """T: poses (N, 4, 4) of the tool at every row, in the instrument's frame; of sockets in the arm's base.
+    """T: poses (N, 4, 4) of the tool at every row, in the instrument's frame; of sockets in the arm's base; of corners
+    those of the camera in the board's frame, whichever stands; of tracks (objects, K, 4, 4), poses of
+    each handle all along the line or curve on which it moves. oriented: whether rotations were fitted.
 
     radius95: what 95 % of the errors stay below at each row (N,) [m], if the method says so. claim_p95: what it says of
     all of them together [m]. is_open: it says that something is left that it cannot explain, and claims nothing then.
@@ -85,3 +90,4 @@ class Answer:
     named: tuple[tuple[str, str], ...] | None = None
     parameters: int = 0
     remark: str = ""
+    oriented: bool = True

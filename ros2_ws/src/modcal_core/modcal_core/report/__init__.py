@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_core.report.articulation import URDF, Articulation, articulation_report
     from modcal_core.report.as_json import to_json_data
-    from modcal_core.report.blocks import Quantity, Summary, SummaryLine, TableBlock, Tone, VerbResult, explained
-    from modcal_core.report.blocks import quantity_tables
+    from modcal_core.report.blocks import Page, Quantity, Scene3D, Section, Summary, SummaryLine, TableBlock, Tone
+    from modcal_core.report.blocks import VerbResult, explained, quantity_tables
     from modcal_core.report.camera import camera_report
     from modcal_core.report.camera_page import camera_certificate, camera_tolerance
     from modcal_core.report.certificates import Hashes, certificate, certificate_html, is_made_from
