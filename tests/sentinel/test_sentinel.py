@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from sentinel.worlds import NONE, ArmWorld, Change
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.measurements import JointTrack, Recording
 from modcal_core.robots import read_inertias
-from modcal_core.sentinel import ArmVerdict, BagHistory, Cells, MonitoredArm, Normal, cells_of, judge_bags
+from modcal_core.sentinel import ArmJudge, ArmVerdict, BagHistory, Cells, MonitoredArm, Normal, cells_of
 from modcal_msgs_py import episodes_of, write_recording
 from modcal_nodes.cli.main import run
 
@@ -30,12 +31,16 @@ def cells(day: int, change: Change = NONE, task: int = 0) -> Cells:
 
 
 @pytest.fixture(scope="module")
-def normal() -> Normal:
-    return Normal.fit([cells(day) for day in range(DAYS)], ARM)
+def normal() -> ArmJudge:
+    return ArmJudge(Normal.fit([cells(day) for day in range(DAYS)], ARM))
 
 
-def judged(normal: Normal, change: Change = NONE, days: tuple[int, ...] = (20,), task: int = 0) -> ArmVerdict:
-    return judge_bags(normal, [cells(day, change, task) for day in days])
+def by(judge: ArmJudge, *bags: Cells, other_payload: bool = False) -> ArmVerdict:
+    return judge.judged([judge.hear(one, other_payload) for one in bags])
+
+
+def judged(normal: ArmJudge, change: Change = NONE, days: tuple[int, ...] = (20,), task: int = 0) -> ArmVerdict:
+    return by(normal, *(cells(day, change, task) for day in days))
 
 
 @pytest.mark.parametrize(
@@ -47,7 +52,7 @@ def judged(normal: Normal, change: Change = NONE, days: tuple[int, ...] = (20,),
         (Change("camera", -1, 0.005), "camera", None),
     ],
 )
-def test_a_change_is_named_with_its_size(normal: Normal, change: Change, label: str, size: float | None) -> None:
+def test_a_change_is_named_with_its_size(normal: ArmJudge, change: Change, label: str, size: float | None) -> None:
     found = judged(normal, change)
     assert found.status == "changed"
     named = found.changes[0]
@@ -56,32 +61,68 @@ def test_a_change_is_named_with_its_size(normal: Normal, change: Change, label: 
         assert abs(named.sizes[0].value - size) < 0.25 * size
 
 
-def test_nothing_is_named_where_nothing_changed(normal: Normal) -> None:
+def test_nothing_is_named_where_nothing_changed(normal: ArmJudge) -> None:
     found = judged(normal, days=(20, 21))
     assert (found.status, found.changes) == ("unchanged", ())
     assert f"zero of {ARM.names[0]}" not in found.noticed or found.noticed[f"zero of {ARM.names[0]}"][0] > 1.0
     assert found.noticed[f"zero of {ELBOW}"][0] < 35.0
 
 
-def test_other_work_and_a_declared_payload_are_no_alarms(normal: Normal) -> None:
+def test_other_work_and_a_declared_payload_are_no_alarms(normal: ArmJudge) -> None:
     assert judged(normal, days=(20,), task=5).status in ("unchanged", "cannot_tell")
     heavy = cells(20, Change("payload", -1, 2.0))
-    assert judge_bags(normal, [heavy]).status == "changed"
-    assert not judge_bags(normal, [heavy], [heavy.name]).changes
+    assert by(normal, heavy).status == "changed"
+    assert not by(normal, heavy, other_payload=True).changes
 
 
-def test_a_change_is_dated(normal: Normal) -> None:
+def test_a_change_is_dated(normal: ArmJudge) -> None:
     bags = [cells(20), cells(21), cells(22, Change("zero", 1, np.radians(1.0)))]
-    (change, *_) = judge_bags(normal, bags).changes
-    assert (change.kind, change.place, change.since) == ("joint_zero", ARM.names[1], "day 22")
+    (change, *_) = by(normal, *bags).changes
+    assert (change.kind, change.place, change.since) == ("joint_zero", ARM.names[1], "day 22 of 2001-10-01 01:46")
 
 
-def test_following_alone_shows_latency_and_says_what_it_does_not(normal: Normal) -> None:
+def test_the_last_recording_is_what_is_judged(normal: ArmJudge) -> None:
+    away = cells(21)
+    away = replace(away, columns={**away.columns, "q": away["q"] + 3.0, "tag_q": away["tag_q"] + 3.0})
+    assert by(normal, cells(20), away).status == "cannot_tell"
+
+
+def test_following_alone_shows_latency_and_says_what_it_does_not(normal: ArmJudge) -> None:
     arm = MonitoredArm(ARM.names)
-    plain = Normal.fit([cells(day) for day in range(4)], arm)
-    found = judge_bags(plain, [cells(20, Change("latency", -1, 0.02))])
+    plain = ArmJudge(Normal.fit([cells(day) for day in range(4)], arm))
+    found = by(plain, cells(20, Change("latency", -1, 0.02)))
     assert [c.label for c in found.changes][:1] == ["latency of all joints"]
     assert not any(label.startswith("zero of") for label in found.noticed)
+
+
+def test_a_payload_shows_in_what_joints_yield_by_where_efforts_are_not_reported() -> None:
+    def silent(one: Cells) -> Cells:
+        kept = {k: x for k, x in one.columns.items() if not k.startswith("tag")}
+        return replace(one, columns={**kept, "effort": np.full_like(one["effort"], np.nan)})
+
+    judge = ArmJudge(Normal.fit([silent(cells(day)) for day in range(DAYS)], ARM))
+    heavy = silent(cells(20, Change("payload", -1, 2.0)))
+    (change, *_) = by(judge, heavy).changes
+    assert change.label == "payload"
+    assert abs(change.sizes[0].value - 2.0) < 0.5
+    assert not by(judge, heavy, other_payload=True).changes
+    assert any("without efforts" not in name for name in by(judge, cells(20)).untold) is False
+    assert by(judge, cells(20)).status == "cannot_tell"  # efforts came: another signal
+
+
+def test_a_dock_shows_a_zero_without_any_efforts() -> None:
+    world = ArmWorld("ur10", 3, dock=True)
+
+    def docked(day: int, change: Change = NONE) -> Cells:
+        made = cells_of(world.record(day, 60.0, 0, change), ARM.names, f"day {day}")
+        kept = {k: x for k, x in made.columns.items() if not k.startswith("apart")}
+        return replace(made, columns={**kept, "effort": np.full_like(made["effort"], np.nan)})
+
+    judge = ArmJudge(Normal.fit([docked(day) for day in range(DAYS)], ARM))
+    assert by(judge, docked(20)).status == "unchanged"
+    found = by(judge, docked(20, Change("zero", 2, np.radians(1.0))))
+    assert found.changes[0].label == f"zero of {ELBOW}"
+    assert abs(found.changes[0].sizes[0].value - 17.45) < 1.5
 
 
 def test_a_history_keeps_what_it_has(tmp_path: Path) -> None:
@@ -112,6 +153,25 @@ def test_the_verb_reads_bags_and_goes_on_with_a_history(tmp_path: Path, capsys: 
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"sentinel.html", "sentinel.json", "stations.csv"}
     assert run(["sentinel", str(tmp_path / "day9")]) == 2
     assert "--reference" in capsys.readouterr().err
+
+
+def test_tables_are_read_by_a_mapping(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for day, late in [(0, 0.0), (1, 0.0), (2, 0.0), (3, 0.0), (20, 0.0), (21, 0.02)]:
+        made = WORLD.record(day, 30.0, 0, Change("latency", -1, late))
+        t, q, told = (made.joints[0].stamps % 86400.0, made.joints[0].position, made.commands[0].position)
+        names = [*(f"actual {k}" for k in range(6)), *(f"target {k}" for k in range(6))]
+        header = ",".join(["time", *names])
+        np.savetxt(tmp_path / f"run_{day}.csv", np.column_stack([t, q, told]), "%.7g", ",", header=header, comments="")
+    joints = {"unit": "rad", "columns": {n: f"actual {k}" for k, n in enumerate(ARM.names)}}
+    joints["commanded"] = {"columns": {n: f"target {k}" for k, n in enumerate(ARM.names)}}
+    mapping = {"tables": [{"files": "*.csv", "time": {"seconds": "time", "unit": "s"}, "joints": joints}]}
+    (tmp_path / "mapping.yaml").write_text(json.dumps(mapping))
+    words = [word for day in range(4) for word in ("--reference", str(tmp_path / f"run_{day}.csv"))]
+    words += ["--mapping", str(tmp_path / "mapping.yaml"), "--out", str(tmp_path / "out"), "--json"]
+    assert run(["sentinel", str(tmp_path / "run_20.csv"), *words]) == 0
+    capsys.readouterr()
+    assert run(["sentinel", str(tmp_path / "run_21.csv"), *words]) == 3
+    assert json.loads(capsys.readouterr().out)["changes"][0]["label"] == "latency of all joints"
 
 
 def test_too_little_is_refused() -> None:

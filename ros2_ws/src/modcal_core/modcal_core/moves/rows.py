@@ -49,7 +49,7 @@ class ChangeKind:
     """What holds of all rows of a kind. label, said: its name and its sentence, with the row's fields; {size}: of its
     first size, {moved}: of a shift and a turn. sizes: that people read. chance: beside other kinds, shared among its
     members; rare ones are looked for, not expected. outside: it is put back or measured otherwise, and no change of the
-    arm.
+    arm. grows: whether it only gets larger.
     """
 
     label: str
@@ -57,6 +57,7 @@ class ChangeKind:
     sizes: tuple[Quantity, ...] = ()
     chance: float = 1.0
     outside: bool = False
+    grows: bool = False
 
 
 _RARE = 0.25  # chance of what hardly ever changes in a cell, beside 1 for what is moved now and then
@@ -97,7 +98,7 @@ KINDS = {
     FRICTION: ChangeKind(
         "friction of {place}", "The friction of {place} has changed by {size}", (("friction", 100.0, "%"),)
     ),
-    SLACK: ChangeKind("play of {place}", "{place} has more play: {size}", (("play", 1e3, "mrad"),)),
+    SLACK: ChangeKind("play of {place}", "{place} has more play: {size}", (("play", 1e3, "mrad"),), _RARE, grows=True),
     LATENCY: ChangeKind(
         "latency of {place}", "Commands to {place} are followed later by {size}", (("delay", 1e3, "ms"),)
     ),

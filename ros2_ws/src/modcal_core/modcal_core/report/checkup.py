@@ -47,7 +47,7 @@ def sentinel_report(found: ArmVerdict, robot: str) -> VerbResult:
         SummaryLine(f"These signals do not show: {', '.join(found.unseen) or 'nothing of what was asked'}.", "doubt"),
     ]
     if found.untold:
-        said = f"Not judged, outside the reference period or no torques: {', '.join(found.untold)}."
+        said = f"Not judged (missing, outside the reference, or no torques): {', '.join(found.untold)}."
         lines.append(SummaryLine(said, "doubt"))
     tables = [_changes(data["changes"])]
     lines += [_LINKS] if found.changes else []

@@ -8,13 +8,14 @@ from one to the next. judging: which change explains later recordings. history: 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.sentinel.cells import Cells, MonitoredArm, cells_of
+    from modcal_core.sentinel.cells import LEAST_SECONDS, Cells, MonitoredArm, cells_of
     from modcal_core.sentinel.history import BagHistory
-    from modcal_core.sentinel.judging import ArmVerdict, ChangeEstimate, judge_bags
+    from modcal_core.sentinel.judging import ArmJudge, ArmVerdict, ChangeEstimate, HeardBag
     from modcal_core.sentinel.normal import Normal
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["ArmVerdict", "BagHistory", "Cells", "ChangeEstimate", "MonitoredArm", "Normal", "cells_of", "judge_bags"]
+__all__ = ["LEAST_SECONDS", "ArmJudge", "ArmVerdict", "BagHistory", "Cells", "ChangeEstimate", "HeardBag"]
+__all__ += ["MonitoredArm", "Normal", "cells_of"]

@@ -17,11 +17,12 @@ from scipy.signal import savgol_filter
 
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.geometry import Array
-from modcal_core.measurements import POSE, Recording, commanded_at, joints_by_time
+from modcal_core.measurements import POINT, POSE, Recording, commanded_at, joints_by_time
 from modcal_core.robots import Chain, Inertias
 
 CELL = 0.25  # s: longer than a servo's transient, shorter than a motion
-FEWEST = 40  # cells of a recording: ten seconds
+FEWEST = 40  # cells of a recording
+LEAST_SECONDS = FEWEST * CELL
 _WINDOW = 0.12  # s that a polynomial is fitted over
 _SLOWEST = 10.0  # Hz
 _GAP = 2.5  # times the usual period; what is missing longer is not interpolated
@@ -45,7 +46,7 @@ class Cells:
     columns: by name. t (N,) [s] from the beginning; q, v, a, side, effort (N, n): positions, speeds, accelerations, the
     sign of the speed, smooth about zero, efforts; ``apart:TOPIC`` (N, n): what was commanded on a topic, or what a
     leader's joints said, less what was measured; tag (N, 7), tag_q, tag_v (N, n): one pose of a fixed tag in the camera
-    on the hand, and the joints at that time.
+    on the hand, and the joints at that time; ``touch:FRAME`` (N, n): the joints while the tool rested in a socket.
     """
 
     name: str
@@ -59,10 +60,9 @@ class Cells:
     def __getitem__(self, name: str) -> Array:
         return self.columns[name]
 
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """Topics of commands or of a leader."""
-        return tuple(name.partition(":")[2] for name in self.columns if name.startswith("apart:"))
+    def of(self, kind: str) -> tuple[str, ...]:
+        """What there are columns of: topics of commands or of a leader ("apart"), frames of sockets ("touch")."""
+        return tuple(name.partition(":")[2] for name in self.columns if name.startswith(f"{kind}:"))
 
     def to_bytes(self) -> bytes:
         """The columns in single precision, compressed."""
@@ -93,8 +93,8 @@ def cells_of(recording: Recording, names: tuple[str, ...], name: str) -> Cells:
         raise BadRecording(f"{name}, joint_states", f"do not contain {', '.join(missing)}", "give another --tip")
     keep[1:] &= np.diff(t) > 0.0
     t, q, effort = t[keep], q[keep], effort[keep]
-    if len(t) < 2 or t[-1] - t[0] < FEWEST * CELL:
-        said = f"last {t[-1] - t[0] if len(t) else 0.0:.1f} s, {FEWEST * CELL:g} s are needed"
+    if len(t) < 2 or t[-1] - t[0] < LEAST_SECONDS:
+        said = f"last {t[-1] - t[0] if len(t) else 0.0:.1f} s, {LEAST_SECONDS:g} s are needed"
         raise NotEnoughData(f"{name}, joint_states", said, "record the arm at its work for a minute")
     period = float(np.median(np.diff(t)))
     if period > 1.0 / _SLOWEST:
@@ -122,22 +122,28 @@ def cells_of(recording: Recording, names: tuple[str, ...], name: str) -> Cells:
         told = [track for track in recording.commands if track.topic == topic]
         apart = commanded_at(told, names, grid) - at
         columns[f"apart:{topic}"] = mean(np.where(np.abs(apart) < _FARTHEST, apart, np.nan))
-    columns |= _tags(recording, grid[: count * per].reshape(count, per), grid, at, v)
+    moved = {"q": at, "v": v}
+    columns |= _seen(recording, grid[: count * per].reshape(count, per), grid, moved)
     whole = mean(known[:, None].astype(float))[:, 0] == 1.0
     return Cells(name, float(t[0]), float(t[-1] - t[0]), {key: x[whole] for key, x in columns.items()})
 
 
-def _tags(recording: Recording, cells: Array, grid: Array, q: Array, v: Array) -> dict[str, Array]:
-    """The middle pose of a tag in each cell, where there is one, of the frame that is seen most often."""
-    tracks = [track for track in recording.readings if track.kind == POSE and len(track.stamps)]
-    if not tracks:
-        return {}
-    track = max(tracks, key=lambda one: len(one.stamps))
-    order = np.argsort(track.stamps, kind="stable")
-    stamps, values = track.stamps[order], track.values[order]
-    first, last = np.searchsorted(stamps, cells[:, 0]), np.searchsorted(stamps, cells[:, -1], side="right")
-    seen, at = last > first, np.minimum((first + last) // 2, len(stamps) - 1)
-    out = {"tag": values[at]}
-    for key, x in (("tag_q", q), ("tag_v", v)):
-        out[key] = np.stack([np.interp(stamps[at], grid, column) for column in x.T], axis=1)
-    return {key: np.where(seen[:, None], x, np.nan) for key, x in out.items()}
+def _seen(recording: Recording, cells: Array, grid: Array, moved: Mapping[str, Array]) -> dict[str, Array]:
+    """The middle reading in each cell, where there is one, and the joints then: of the tag that is seen most often, and
+    of closed contacts, which are points that always read zero.
+    """
+    out: dict[str, Array] = {}
+    tracks = [track for track in recording.readings if len(track.stamps)]
+    tags = sorted((track for track in tracks if track.kind == POSE), key=lambda one: len(one.stamps))[-1:]
+    for track in [*tags, *(track for track in tracks if track.kind == POINT and not track.values.any())]:
+        order = np.argsort(track.stamps, kind="stable")
+        stamps, values = track.stamps[order], track.values[order]
+        first, last = np.searchsorted(stamps, cells[:, 0]), np.searchsorted(stamps, cells[:, -1], side="right")
+        seen, at = last > first, np.minimum((first + last) // 2, len(stamps) - 1)
+        then = {k: np.stack([np.interp(stamps[at], grid, column) for column in x.T], axis=1) for k, x in moved.items()}
+        if track.kind == POSE:
+            read = {"tag": values[at], "tag_q": then["q"], "tag_v": then["v"]}
+        else:
+            read = {f"touch:{track.frame}": then["q"]}
+        out |= {key: np.where(seen[:, None], x, np.nan) for key, x in read.items()}
+    return out

@@ -1,9 +1,10 @@
 """The signals of an arm at its work, each a linear model of its motion, and how changes of the arm show in them.
 
-Three channels. *Torque*: what a joint's drive gives, by the stated masses, dry and viscous friction, and inertia; of
+Four channels. *Torque*: what a joint's drive gives, by the stated masses, friction, and inertia; of
 cells in which the joint moves, for dry friction of one that stands may be anything between both sides. *Following*:
 commanded (or a leader's) less measured position, by the joint's effort and speed; where no efforts are reported, by
-friction and weight in their place. *Tag*: where a camera on the hand sees a fixed tag, six components.
+friction and weight in their place. *Tag*: where a camera on the hand sees a fixed tag, six components. *Contact*:
+where the joints put the tool while it rests in a socket, three.
 
 A changed zero of joint k, of δ, puts the arm at q + δ: torques change by ∂g/∂q_k δ, the tag by the joint's Jacobian.
 A ratio does so in proportion to q_k, play by half of itself to either side, as the joint is loaded. With an encoder on
@@ -12,7 +13,7 @@ the joint's side play shows in following instead: two shapes of one change.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,8 +28,12 @@ _MASSES, _CENTRES = 0.1, 0.03  # of a stated mass, and m: standard deviations of
 _GEOMETRY = 5e-3  # rad or m: standard deviation of a nominal arm's errors, each seen as a joint's zero
 _STEP = 1e-3  # rad or m of a difference quotient
 _SOFT = 0.05  # of a joint's largest load: below it play rests on neither side
-_NEAR = 0.2  # rad or m: a tag that is farther from where it should be is another one
-CARRIED = ("mass", "moment:0", "moment:1", "moment:2", "inertia")  # columns of a payload
+_SLOW = (0.05, 0.3)  # rad/s or m/s at which what dry friction is larger by when slow has fallen to a third
+RUBS = (1, 2, -3, -2, -1)  # columns of friction among those of torques
+_NEAR = 0.2  # rad or m: a tag or socket that is farther from where it should be is another one
+_SURE, _REACH = 1e-3, 0.3  # m: what a nominal arm misses by, and a tool's length
+CARRIED = ("mass", "moment:0", "moment:1", "moment:2", "inertia")  # columns of a payload in torques
+LIFTED = "lifted "  # begin of their names in what joints yield by
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,7 @@ class SignalRows:
     """One signal of one recording. y (N,). X (N, p): what it depends on. width (p,): standard deviations of the
     coefficients beforehand, inf where nothing is known. loose: how many of the first columns have coefficients that
     differ between recordings. columns: how it moves per unit of each change, (N,). t (N,) [s]. cells: how many there
-    could be.
+    could be. geometric: whether the columns are known beyond the motion that has been seen, too.
     """
 
     y: Array
@@ -46,6 +51,7 @@ class SignalRows:
     columns: Mapping[str, Array]
     t: Array
     cells: int
+    geometric: bool = False
 
     def rows(self, keep: np.ndarray) -> SignalRows:
         """These rows only."""
@@ -55,10 +61,13 @@ class SignalRows:
 
 @dataclass(frozen=True)
 class Placed:
-    """Where the tag and the camera are: T_tag_base, T_tip_camera (4, 4)."""
+    """Where things are that stay. tag: T_tag_base and T_tip_camera (4, 4). sockets: their places in the base, (3,), by
+    frame. ball (3,): what rests in them, in the tip.
+    """
 
-    T_tag_base: Array
-    T_tip_camera: Array
+    tag: tuple[Array, Array] | None
+    sockets: Mapping[str, Array]
+    ball: Array
 
 
 @dataclass(frozen=True)
@@ -75,9 +84,16 @@ class _Loads:
     carried: Array
     side: Array
 
+    @property
+    def moments(self) -> Array:
+        """Weight by 1 kg m at the tip, along each axis, (3, N, n)."""
+        return np.moveaxis(self.by_body[:, :, -3:], 2, 0)
 
-def signals_of(cells: Cells, arm: MonitoredArm, placed: Placed | None) -> dict[str, SignalRows]:
-    """The signals of a recording by name: ``torque JOINT``, ``following TOPIC JOINT``, ``tag 0`` … ``tag 5``."""
+
+def signals_of(cells: Cells, arm: MonitoredArm, placed: Placed) -> dict[str, SignalRows]:
+    """The signals of a recording by name: ``torque JOINT``, ``following TOPIC JOINT``, ``tag 0`` … ``tag 5``, ``contact
+    FRAME 0`` … ``contact FRAME 2``.
+    """
     loads = _loads(cells, arm)
     out = {}
     efforts = np.nan_to_num(cells["effort"])
@@ -85,11 +101,15 @@ def signals_of(cells: Cells, arm: MonitoredArm, placed: Placed | None) -> dict[s
     for j, name in enumerate(arm.names):
         if loads is not None and reported[j]:
             out[f"torque {name}"] = _torque(cells, arm, loads, j)
-        for topic in cells.topics:
+        for topic in cells.of("apart"):
             if np.isfinite(cells[f"apart:{topic}"][:, j]).any():
-                out[f"following {topic} {name}"] = _following(cells, arm, loads, (topic, j, reported[j]))
-    if placed is not None and arm.chain is not None and "tag" in cells.columns:
-        out |= _tag(cells, arm, loads, placed)
+                form = topic if reported[j] else f"{topic}, without efforts,"  # other columns, so another signal
+                out[f"following {form} {name}"] = _following(cells, arm, loads, (topic, j, reported[j]))
+    if placed.tag is not None and "tag" in cells.columns:
+        out |= _tag(cells, arm, loads, placed.tag)
+    for frame in placed.sockets:
+        if frame in cells.of("touch"):
+            out |= _contact(cells, arm, loads, placed, frame)
     return {name: rows for name, rows in out.items() if len(rows.y)}
 
 
@@ -123,14 +143,16 @@ def _torque(cells: Cells, arm: MonitoredArm, loads: _Loads, j: int) -> SignalRow
     assert arm.bodies is not None
     q, v, side, one = cells["q"], cells["v"][:, j], cells["side"][:, j], np.ones(len(cells))
     mass = arm.bodies.mass
-    X = [one, side, v, loads.weight[:, j], loads.motion[:, j], cells["a"][:, j], *loads.by_body[:, j].T]
-    width = np.r_[np.full(6, np.inf), (mass[:, None] * np.array([_MASSES, _CENTRES, _CENTRES, _CENTRES])).ravel()]
-    columns = {f"dry:{arm.names[j]}": side, f"viscous:{arm.names[j]}": v}
+    rubs = [*(side * np.exp(-np.abs(v) / slow) for slow in _SLOW), side * np.abs(loads.weight + loads.motion)[:, j]]
+    X = [one, side, v, loads.weight[:, j], loads.motion[:, j], cells["a"][:, j], *loads.by_body[:, j].T, *rubs]
+    masses = (mass[:, None] * np.array([_MASSES, _CENTRES, _CENTRES, _CENTRES])).ravel()
+    width = np.r_[np.full(6, np.inf), masses, np.full(3, np.inf)]
+    columns = {f"rubs {i}:{arm.names[j]}": X[k] for i, k in enumerate(RUBS)}
     columns |= {f"gain:{arm.names[j]}": loads.weight[:, j] + loads.motion[:, j], f"bias:{arm.names[j]}": one}
     for k, name in enumerate(arm.names):
         columns |= _of_position(name, loads.by_joint[:, j, k], q[:, k], loads.side[:, k])
     columns |= {"mass": loads.carried[0, :, j], "inertia": loads.carried[1, :, j]}
-    columns |= {f"moment:{i}": loads.by_body[:, j, i - 3] for i in range(3)}
+    columns |= {f"moment:{i}": x[:, j] for i, x in enumerate(loads.moments)}
     made = SignalRows(cells["effort"][:, j], np.stack(X, axis=1), width, 5, columns, cells["t"], 0)
     return _usable(made, np.abs(side) > _MOVES)
 
@@ -155,6 +177,7 @@ def _following(cells: Cells, arm: MonitoredArm, loads: _Loads | None, which: tup
     if loads is not None and not reported:
         X, loose = [*X, loads.weight[:, j], loads.motion[:, j]], 4
         columns[f"servo:{name}"] = loads.weight[:, j]
+        columns |= {f"{LIFTED}{i}:{name}": x[:, j] for i, x in enumerate((*loads.carried, *loads.moments))}
     X.append(cells["a"][:, j])
     wide = np.full(len(X), np.inf)
     return _usable(
@@ -162,7 +185,7 @@ def _following(cells: Cells, arm: MonitoredArm, loads: _Loads | None, which: tup
     )
 
 
-def _tag(cells: Cells, arm: MonitoredArm, loads: _Loads | None, placed: Placed) -> dict[str, SignalRows]:
+def _tag(cells: Cells, arm: MonitoredArm, loads: _Loads | None, placed: tuple[Array, Array]) -> dict[str, SignalRows]:
     """Where the camera is by the tag less where the joints put it, as twists in the camera's axes."""
     chain = arm.chain
     assert chain is not None
@@ -170,11 +193,12 @@ def _tag(cells: Cells, arm: MonitoredArm, loads: _Loads | None, placed: Placed) 
     if not seen.any():
         return {}
     q, v = cells["tag_q"][seen], cells["tag_v"][seen]
-    T_base_camera = robots.chain_forward(chain, q) @ placed.T_tip_camera
-    expected = placed.T_tag_base @ T_base_camera
+    T_tag_base, T_tip_camera = placed
+    T_base_camera = robots.chain_forward(chain, q) @ T_tip_camera
+    expected = T_tag_base @ T_base_camera
     apart = se3.log(se3.inverse(expected) @ se3.inverse(se3.from_pose(cells["tag"][seen])))
     near = np.abs(apart).max(axis=1) < _NEAR
-    J = se3.adjoint(se3.inverse(placed.T_tip_camera)) @ robots.body_jacobian(chain, q)
+    J = se3.adjoint(se3.inverse(T_tip_camera)) @ robots.body_jacobian(chain, q)
     turned = se3.adjoint(se3.inverse(T_base_camera))  # of the base before the tag
     late = np.einsum("nij,nj->ni", J, v)
     rests = np.sign(v) if loads is None else loads.side[seen]
@@ -186,8 +210,50 @@ def _tag(cells: Cells, arm: MonitoredArm, loads: _Loads | None, placed: Placed) 
         for k, name in enumerate(arm.names):
             columns |= _of_position(name, J[:, i, k], q[:, k], rests[:, k])
         width = np.r_[np.full(8, np.inf), np.full(n, _GEOMETRY)]
-        made = SignalRows(apart[:, i], X, width, 1, columns, cells["t"][seen], 0)
+        made = SignalRows(apart[:, i], X, width, 1, columns, cells["t"][seen], 0, geometric=True)
         out[f"tag {i}"] = _usable(made, near)
+    return out
+
+
+def ball_and_sockets(arm: MonitoredArm, touches: Mapping[str, Array]) -> Placed:
+    """Where sockets and what rests in them are, by the joints (N, n) at each. One that these miss by far is none."""
+    if arm.chain is None or not touches:
+        return Placed(None, {}, np.zeros(3))
+    T = robots.chain_forward(arm.chain, np.concatenate(list(touches.values())))
+    which = np.repeat(np.eye(len(touches)), [len(q) for q in touches.values()], axis=0)
+    A = np.concatenate([T[:, :3, :3], -np.einsum("nf,ij->nifj", which, np.eye(3)).reshape(len(T), 3, -1)], axis=2)
+    held = np.eye(3, A.shape[2]) * _SURE / _REACH  # of orientations that are alike nothing tells the ball's place
+    y = np.r_[-T[:, :3, 3].ravel(), np.zeros(3)]
+    found = np.linalg.lstsq(np.concatenate([A.reshape(-1, A.shape[2]), held]), y, rcond=None)[0]
+    missed = np.abs(A @ found + T[:, :3, 3]).max(axis=1)
+    sockets = dict(zip(touches, found[3:].reshape(-1, 3), strict=True))
+    near = [np.median(missed[of > 0.0]) < _NEAR for of in which.T]
+    return Placed(None, {f: at for (f, at), close in zip(sockets.items(), near, strict=True) if close}, found[:3])
+
+
+def _contact(
+    cells: Cells, arm: MonitoredArm, loads: _Loads | None, placed: Placed, frame: str
+) -> dict[str, SignalRows]:
+    """Where the socket is less where the joints put the ball, in the base's axes."""
+    chain, q = arm.chain, cells[f"touch:{frame}"]
+    assert chain is not None
+    seen = np.isfinite(q).all(axis=1)
+    q = q[seen]
+    T, J = robots.chain_forward(chain, q), robots.body_jacobian(chain, q)
+    R = T[:, :3, :3]
+    apart = placed.sockets[frame] - T[:, :3, 3] - R @ placed.ball
+    by = R @ (J[:, :3] + np.cross(J[:, 3:], placed.ball[:, None], axisa=1, axisb=0, axisc=1))
+    rests = np.zeros_like(q) if loads is None else loads.side[seen]
+    out = {}
+    for i in range(3):
+        columns = {f"socket {frame}:{k}": np.full(len(q), float(k == i)) for k in range(3)}
+        columns |= {f"ball:{k}": R[:, i, k] for k in range(3)}
+        for k, name in enumerate(arm.names):
+            columns |= _of_position(name, by[:, i, k], q[:, k], rests[:, k])
+        width = np.r_[np.full(4, np.inf), np.full(chain.n, _GEOMETRY)]
+        X = np.column_stack([np.ones(len(q)), R[:, i], by[:, i]])
+        made = SignalRows(apart[:, i], X, width, 1, columns, cells["t"][seen], 0, geometric=True)
+        out[f"contact {frame} {i}"] = _usable(made, np.abs(apart).max(axis=1) < _NEAR)
     return out
 
 
@@ -211,7 +277,7 @@ _OF_JOINTS |= {"late": moves.LATENCY, "servo": moves.SERVO, "beside": moves.OFFS
 
 
 def candidates(
-    arm: MonitoredArm, seen: Iterable[str], shares: Iterable[tuple[str, str, Mapping[str, float]]]
+    arm: MonitoredArm, seen: Collection[str], shares: Iterable[tuple[str, str, Mapping[str, float]]]
 ) -> list[ChangeColumns]:
     """The changes that signals with these columns can be asked about. shares: kind, joint and a sum of columns."""
 
@@ -224,4 +290,7 @@ def candidates(
     out += [row(moves.LATENCY, ALL_JOINTS, "late"), row(moves.LATENCY, "camera", "camera late")]
     out += [row(moves.MASS, "tool", "mass"), row(moves.MASS, "tool", *CARRIED)]
     out += [row(kind, kind, *(f"{kind}:{k}" for k in range(6))) for kind in (moves.CAMERA, moves.TAG)]
+    out.append(row(moves.TOOL, "tool", *(f"ball:{k}" for k in range(3))))
+    frames = sorted({name.rpartition(":")[0].removeprefix("socket ") for name in seen if name.startswith("socket ")})
+    out += [row(moves.FRAME, frame, *(f"socket {frame}:{k}" for k in range(3))) for frame in frames]
     return [one for one in out if all(column.keys() <= set(seen) for column in one.columns)]

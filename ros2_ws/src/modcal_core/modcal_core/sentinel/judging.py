@@ -8,24 +8,28 @@ chance (Markov). The limit aims at one false name in a hundred hours of recordin
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from modcal_core.geometry import Array
 from modcal_core.moves import AS_PROBABLE, KINDS, SIZES, JudgedChange, SizeFound, by_name, e_value, log_priors
 from modcal_core.sentinel.cells import Cells
 from modcal_core.sentinel.channels import ChangeColumns, candidates
-from modcal_core.sentinel.normal import Moments, Normal, Spoken, spoken
+from modcal_core.sentinel.normal import Moments, Normal, Spoken, spoken_since
 
 AN_HOUR = 0.01  # false alarms
 SHORTEST = 60.0  # s: a shorter recording counts as this long
+NEWEST = 50  # recordings that are judged together; a change that began before them is in all of them
 _SIZES = 4.0 * SIZES  # standard deviations of what all cells together say, from 2 to 4000
 _MOST = 2  # changes at once
 _STATIONS = 10  # as many as a check asks for
 _OCCAM = float(np.log(len(_SIZES)) + 0.5 * np.log1p(_SIZES[1] ** 2))  # nats for one size of which nothing is known
 _95 = 1.959964
+_DATES = 1e9  # s; a simulation's clock begins at zero
 _BENT = 0.01  # of a change's evidence: columns are linear, and a tenth of a large change's course is another one
 _OFTEN = 1.645  # standard deviations: in 95 of 100 cases
 _UNSEEN = 1e-9  # of the largest square: a sum of columns that nothing shows
@@ -34,8 +38,8 @@ _FARTHEST = {"mrad": 350.0, "ppm": 2e5}  # sizes beyond which it is not said tha
 
 @dataclass(frozen=True)
 class ChangeEstimate:
-    """A change. label, sentence: for people. since: name of the recording that it began with, or before. probability:
-    that it is this one of all. same_as: labels of what explains the recordings as well.
+    """A change. label, sentence: for people. since: the recording that it began with, or the first and the last that it
+    may have. probability: that it is this one of all. same_as: labels of what explains the recordings as well.
     """
 
     kind: str
@@ -86,7 +90,7 @@ class ArmVerdict:
     def sentence(self) -> str:
         """The answer."""
         if self.status == "cannot_tell":
-            return "Cannot tell: the recordings show nothing that the reference period covers."
+            return "Cannot tell: the last recording shows nothing that the reference period covers."
         if not self.changes:
             return f"Nothing has changed that {60.0 * self.hours:.0f} minutes of recordings would show."
         return " ".join(change.sentence for change in self.changes)
@@ -134,6 +138,8 @@ def _judged(candidate: ChangeColumns, A: Array, b: Array) -> JudgedChange:
     seen = np.where(kept & (np.diag(A) > 0.0), along**2 / np.where(kept, squares, 1.0), 0.0)
     spread = _SIZES[:, None] ** 2 / max(int(kept.sum()), 1) * kept
     each = 0.5 * (spread / (1.0 + spread) * seen - np.log1p(spread)).sum(axis=1)
+    if KINDS[candidate.change.kind].grows and len(b) == 1:  # half of the prior, and what is left of it behind zero
+        each += np.log(2.0) + log_ndtr(np.sqrt(spread[:, 0] / (1.0 + spread[:, 0]) * seen) * np.sign(b))
     factor = float(np.logaddexp.reduce(each)) - float(np.log(len(_SIZES)))
     return JudgedChange(candidate.change, factor, 0.5 * float(seen.sum()), float(_SIZES[int(np.argmax(each))]))
 
@@ -143,56 +149,91 @@ def tempered(normal: Normal) -> float:
     logs, every = [], range(len(normal.moments))
     for i in every:
         others = normal.solved([k for k in every if k != i])
-        said = spoken(others, [normal.moments[i]])
+        (said,) = spoken_since(others, [normal.moments[i]])
         asked = _Asked.of(others, said.names)
         logs.append(e_value(asked.judged(said), asked.log_prior))
     return min(1.0, float(np.log(len(logs))) / max(*logs, 1e-9))
 
 
-def judge_bags(normal: Normal, bags: Sequence[Cells], other_payload: Collection[str] = ()) -> ArmVerdict:
-    """What has changed since the reference period, by later recordings, in order of time.
+@dataclass(frozen=True)
+class HeardBag:
+    """What a later recording says, by itself in people's units too. signals: by name. postures (N, n): of its cells."""
 
-    other_payload: names of those that carry another payload than the reference recordings, as was declared.
-    """
-    bags = sorted(bags, key=lambda cells: cells.began)
-    heard = [normal.of(cells, cells.name in other_payload) for cells in bags]
-    weight = tempered(normal)
-    hours = max(bags[-1].seconds, SHORTEST) / 3600.0
-    asked_for = -float(np.log(AN_HOUR * hours))
-    said = [spoken(normal, heard[s:]) for s in range(len(bags))]
-    asked = _Asked.of(normal, said[0].names)
-    values = _values(normal, asked, bags, heard)
-    untold = normal.dropped + tuple(sorted(name for name in normal.signals if all(
-        name not in bag or not bag[name].share for bag in heard)))  # fmt: skip
-    told = len(untold) - len(normal.dropped) < len(normal.signals)
-    changes: list[ChangeEstimate] = []
-    log_e, since, rest, taken = -np.inf, 0, 0.0, list[int]()
-    while told and len(changes) < _MOST:
-        starts = range(since, since + 1) if taken else range(len(bags))
-        judged = [asked.judged(_without(said[s], [asked.sums[h] for h in taken])) for s in starts]
-        each = np.array([e_value(j, asked.log_prior, weight) for j in judged]) - rest
-        now = float(np.logaddexp.reduce(each) - np.log(len(each)))
-        log_e = log_e if taken else now
-        if now <= asked_for:
-            break
-        best = int(np.argmax(each))
-        since = starts[best]
-        h, estimate = _named(asked, judged[best], said[since], weight, bags[since].name, taken)
-        taken.append(h)
-        rest += weight * _BENT * judged[best][h].likelihood
-        changes.append(estimate)
-    noticed, unseen = _noticed(asked, said[-1], asked_for / max(weight, 1e-6))
-    status = "changed" if changes else "unchanged" if told else "cannot_tell"
-    total = sum(cells.seconds for cells in bags) / 3600.0
-    return ArmVerdict(
-        status, tuple(changes), values, log_e, asked_for, weight, noticed, unseen, untold, total,
-        _stations(bags), normal.arm.names
-    )  # fmt: skip
+    alone: BagValues
+    seconds: float
+    signals: Mapping[str, Moments]
+    postures: Array
+
+    @property
+    def spoken_of(self) -> str:
+        """Its name and, where its stamps are dates, its date (UTC)."""
+        name, began = self.alone.name, self.alone.began
+        return name + (datetime.fromtimestamp(began, UTC).strftime(" of %Y-%m-%d %H:%M") if began > _DATES else "")
 
 
-def _stations(bags: Sequence[Cells]) -> Array:
+class ArmJudge:
+    """Judges later recordings by what is normal. weight: the power to which evidence counts."""
+
+    def __init__(self, normal: Normal) -> None:
+        self.normal, self.weight = normal, tempered(normal)
+        self._asked = _Asked.of(normal, spoken_since(normal, [{}])[0].names)
+        bags = zip(normal.bags, normal.moments, strict=True)
+        self._reference = tuple(self._alone(*about, True, of) for about, of in bags)
+
+    def hear(self, cells: Cells, other_payload: bool = False) -> HeardBag:
+        """A later recording. other_payload: whether it is declared to carry another than the reference recordings."""
+        signals = self.normal.of(cells, other_payload)
+        return HeardBag(self._alone(cells.name, cells.began, False, signals), cells.seconds, signals, cells["q"])
+
+    def _alone(self, name: str, began: float, reference: bool, of: Mapping[str, Moments]) -> BagValues:
+        (said,), values = spoken_since(self.normal, [of]), {}
+        for h, label, factor, unit in _single(self._asked):
+            A, size = self._asked.alone(h, said)
+            if A > 0.0:
+                values[label] = (unit, factor * size, factor / float(np.sqrt(A)))
+        share = float(np.mean([of[s].share if s in of else 0.0 for s in self.normal.signals]))
+        return BagValues(name, began, reference, share, values)
+
+    def judged(self, bags: Sequence[HeardBag]) -> ArmVerdict:
+        """What has changed since the reference period, by later recordings; by the newest NEWEST of them."""
+        normal, asked, bags = self.normal, self._asked, sorted(bags, key=lambda bag: bag.alone.began)
+        newest = bags[-NEWEST:]
+        last = newest[-1]
+        asked_for = -float(np.log(AN_HOUR * max(last.seconds, SHORTEST) / 3600.0))
+        said = spoken_since(normal, [bag.signals for bag in newest])
+        silent = [n for n in normal.signals if n not in last.signals or not last.signals[n].share]
+        changes: list[ChangeEstimate] = []
+        log_e, since, rest, taken = -np.inf, 0, 0.0, list[int]()
+        while len(changes) < _MOST:
+            starts = range(since, since + 1) if taken else range(len(newest))
+            judged = [asked.judged(_without(said[s], [asked.sums[h] for h in taken])) for s in starts]
+            each = np.array([e_value(j, asked.log_prior, self.weight) for j in judged]) - rest
+            now = float(np.logaddexp.reduce(each) - np.log(len(each)))
+            log_e = log_e if taken else now
+            if now <= asked_for:
+                break
+            best = int(np.argmax(each))
+            since = starts[best]
+            likely = [newest[starts[k]].spoken_of for k in np.flatnonzero(each > each[best] - AS_PROBABLE)]
+            when = likely[0] if likely[0] == likely[-1] else f"{likely[0]}, or up to {likely[-1]}"
+            when += " or before" if len(bags) > len(newest) and likely[0] == newest[0].spoken_of else ""
+            h, estimate = _named(asked, judged[best], said[since], self.weight, when, taken)
+            taken.append(h)
+            rest += self.weight * _BENT * judged[best][h].likelihood
+            changes.append(estimate)
+        noticed, unseen = _noticed(asked, said[-1], asked_for / max(self.weight, 1e-6))
+        status = "changed" if changes else "unchanged" if len(silent) < len(normal.signals) else "cannot_tell"
+        every = self._reference + tuple(bag.alone for bag in bags)
+        hours = sum(bag.seconds for bag in newest) / 3600.0
+        return ArmVerdict(
+            status, tuple(changes), every, log_e, asked_for, self.weight, noticed, unseen,
+            normal.dropped + tuple(silent), hours, _stations(newest), normal.arm.names,
+        )  # fmt: skip
+
+
+def _stations(bags: Sequence[HeardBag]) -> Array:
     """Postures that are farthest apart, each of what was recorded, so that the arm can take it."""
-    q = np.concatenate([cells["q"] for cells in bags])
+    q = np.concatenate([bag.postures for bag in bags])
     chosen = [int(np.argmax(np.sum((q - q.mean(axis=0)) ** 2, axis=1)))]
     away = np.full(len(q), np.inf)
     while len(chosen) < _STATIONS:
@@ -249,24 +290,6 @@ def _single(asked: _Asked) -> list[tuple[int, str, float, str]]:
         if len(one.columns) == 1 and sizes:
             out.setdefault(one.change.label, (h, one.change.label, sizes[0][1], asked.unit(h, sizes[0][2])))
     return list(out.values())
-
-
-def _values(
-    normal: Normal, asked: _Asked, bags: Sequence[Cells], heard: Sequence[Mapping[str, Moments]]
-) -> tuple[BagValues, ...]:
-    """Every recording by itself, those of the reference first."""
-    every = [(name, began, True, of) for (name, began), of in zip(normal.bags, normal.moments, strict=True)]
-    every += [(cells.name, cells.began, False, of) for cells, of in zip(bags, heard, strict=True)]
-    out = []
-    for name, began, reference, of in every:
-        said, values = spoken(normal, [of]), {}
-        for h, label, factor, unit in _single(asked):
-            A, size = asked.alone(h, said)
-            if A > 0.0:
-                values[label] = (unit, factor * size, factor / float(np.sqrt(A)))
-        share = float(np.mean([of[s].share if s in of else 0.0 for s in normal.signals]))
-        out.append(BagValues(name, began, reference, share, values))
-    return tuple(out)
 
 
 def _noticed(asked: _Asked, said: Spoken, asked_for: float) -> tuple[dict[str, tuple[float, str]], tuple[str, ...]]:

@@ -18,9 +18,9 @@ import numpy as np
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3
 from modcal_core.hypotheses import HandEye, placed
-from modcal_core.moves import FRICTION, GEAR
+from modcal_core.moves import FRICTION, GEAR, MASS
 from modcal_core.sentinel.cells import Cells, MonitoredArm
-from modcal_core.sentinel.channels import CARRIED, Placed, SignalRows, signals_of
+from modcal_core.sentinel.channels import CARRIED, LIFTED, RUBS, Placed, SignalRows, ball_and_sockets, signals_of
 
 FEWEST_BAGS = 4  # recordings that show how much one differs from the next
 BLOCK = 5.0  # s whose cells have an error in common
@@ -73,14 +73,14 @@ class Moments:
 
 @dataclass(frozen=True)
 class Normal:
-    """What is normal for an arm. placed: of a tag. lowest, highest, fastest (n,): joints and speeds of the reference.
-    moments: of each reference recording, by signal. bags: their names, with their beginnings [s]. dropped:
+    """What is normal for an arm. placed: of a tag and sockets. lowest, highest, fastest (n,): joints and speeds of the
+    reference. moments: of each reference recording, by signal. bags: their names, with their beginnings [s]. dropped:
     signals that are not what they should be: efforts that are no torques.
     """
 
     arm: MonitoredArm
     signals: Mapping[str, SignalNormal]
-    placed: Placed | None
+    placed: Placed
     lowest: Array
     highest: Array
     fastest: Array
@@ -103,7 +103,7 @@ class Normal:
             if len(rows) >= FEWEST_BAGS:
                 signals[name] = _noise(rows)
         if not signals:
-            said = "shows neither efforts of an arm with masses, commands, nor a tag"
+            said = "shows neither efforts of an arm with masses, commands, a tag, nor sockets"
             raise NotEnoughData("reference", said, "record efforts and commands, and give --urdf with masses")
         q, v = (np.concatenate([cells[key] for cells in reference]) for key in ("q", "v"))
         moments = tuple({n: _moments(s[n], signals[n]) for n in signals if n in s} for s in every)
@@ -144,38 +144,43 @@ class Normal:
     @property
     def shares(self) -> list[tuple[str, str, dict[str, float]]]:
         """Changes in proportion to what was: kind, joint, and a sum of columns. Friction of each joint; a gear's ratio,
-        by which a servo on the motor's side yields less.
+        by which a servo on the motor's side yields less; a mass at the tip, as joints without efforts yield by weight.
         """
         friction: dict[str, dict[str, float]] = {}
-        out = []
+        out, lifted = [], dict[str, float]()
         for name, of in self.signals.items():
             channel, joint = name.split(" ", 1)[0], name.rpartition(" ")[2]
             if channel == "torque":
-                friction.setdefault(joint, {}).update({f"dry:{joint}": of.beta[1], f"viscous:{joint}": of.beta[2]})
+                friction.setdefault(joint, {}).update({f"rubs {i}:{joint}": of.beta[k] for i, k in enumerate(RUBS)})
             elif f"drag:{joint}" in of.names:
                 friction.setdefault(joint, {})[f"drag:{joint}"] = of.beta[2]
+                lifted |= {f"{LIFTED}0:{joint}": of.beta[3]} if f"{LIFTED}0:{joint}" in of.names else {}
             elif channel == "following":
                 out.append((GEAR, joint, {f"ratio:{joint}": 1.0, f"servo:{joint}": -of.beta[2]}))
         rubs = [(FRICTION, joint, of) for joint, of in friction.items() if any(w > 0.0 for w in of.values())]
-        return [*rubs, *out]
+        return [*rubs, *out, *([(MASS, "tool", lifted)] if lifted else [])]
 
 
-def _placed(reference: Sequence[Cells], arm: MonitoredArm) -> Placed | None:
-    """Where tag and camera are, by poses of the reference period; None where there are no such poses."""
+def _placed(reference: Sequence[Cells], arm: MonitoredArm) -> Placed:
+    """Where tag and camera, sockets and the ball in them are, by the reference period."""
+    touches = {frame: np.concatenate([c[f"touch:{frame}"] for c in reference if frame in c.of("touch")])
+               for frame in sorted({frame for cells in reference for frame in cells.of("touch")})}  # fmt: skip
+    known = {frame: q[np.isfinite(q).all(axis=1)] for frame, q in touches.items()}
+    out = ball_and_sockets(arm, {frame: q for frame, q in known.items() if len(q) >= _ROWS})
     with_tag = [cells for cells in reference if "tag" in cells.columns]
     if arm.chain is None or not with_tag:
-        return None
+        return out
     q, pose = (np.concatenate([cells[key] for cells in with_tag]) for key in ("tag_q", "tag"))
     rows = np.flatnonzero(np.isfinite(pose).all(axis=1))
     if len(rows) < _ROWS:
-        return None
+        return out
     rows = rows[np.linspace(0, len(rows) - 1, min(_TAG_POSES, len(rows))).astype(int)]
     T = se3.inverse(se3.from_pose(pose[rows]))  # the camera by the tag
     found = placed(HandEye.of_arrays(arm.chain, q[rows], T[:, :3, 3], T[:, :3, :3]))
     if not found.explains:
-        return None
+        return out
     at = found.placement
-    return Placed(se3.transform(at.Y, at.t), se3.transform(at.X, at.x))
+    return replace(out, tag=(se3.transform(at.Y, at.t), se3.transform(at.X, at.x)))
 
 
 def _finite_width(rows: Sequence[SignalRows]) -> Array:
@@ -244,7 +249,7 @@ def _noise(rows: Sequence[SignalRows]) -> SignalNormal:
     every = np.concatenate([one.X for one in kept])
     leverage = np.linalg.inv(every.T @ every + cell * np.diag(width**-2.0))
     of_own = float(np.median([np.std(left[keep]) for left, keep in own]))
-    limit = float(np.einsum("np,pq,nq->n", every, leverage, every).max())
+    limit = np.inf if rows[0].geometric else float(np.einsum("np,pq,nq->n", every, leverage, every).max())
     names, p = tuple(sorted(rows[0].columns)), len(width)
     empty = (np.zeros(p), np.zeros((p, p)), np.zeros(rows[0].loose))
     return SignalNormal(*empty, float(np.sqrt(cell)), float(np.sqrt(block)), of_own, leverage, limit, width, names)
@@ -263,7 +268,7 @@ def _moments(rows: SignalRows, of: SignalNormal, carries_other: bool = False) ->
     F = (F - (share[:, None] * mean)[at]) / (of.cell * louder)
     square = F.T @ F
     if carries_other:
-        held = len(of.beta) + np.flatnonzero(np.isin(of.names, CARRIED))
+        held = len(of.beta) + np.flatnonzero([name in CARRIED or name.startswith(LIFTED) for name in of.names])
         square = _freed(square, held, np.full(len(held), _HELD**2))
     return Moments(square, len(rows.y) / cells)
 
@@ -306,21 +311,23 @@ class Spoken:
     vector: Array
 
 
-def spoken(normal: Normal, bags: Sequence[Mapping[str, Moments]]) -> Spoken:
-    """What later recordings say of all changes, the reference period's coefficients being known as well as they are."""
+def spoken_since(normal: Normal, bags: Sequence[Mapping[str, Moments]]) -> list[Spoken]:
+    """What later recordings from each of them on say of all changes, the reference period's coefficients being known
+    as well as they are.
+    """
     names = tuple(sorted({name for of in normal.signals.values() for name in of.names}))
     at = {name: k for k, name in enumerate(names)}
-    A, b = np.zeros((len(names), len(names))), np.zeros(len(names))
+    A, b = np.zeros((len(bags), len(names), len(names))), np.zeros((len(bags), len(names)))
     for signal, of in normal.signals.items():
-        heard = [bag[signal].square for bag in bags if signal in bag and bag[signal].share > 0.0]
-        if not heard:
-            continue
-        p, z = len(of.beta), np.arange(len(of.spread))
-        S = np.sum([_freed(square, z, of.spread) for square in heard], axis=0)
-        D = np.arange(p, len(S) - 1)
-        left = S[:, -1] - S[:, :p] @ of.beta
-        gain = np.linalg.solve(of.precision + S[:p, :p], np.column_stack([S[:p, D], left[:p]]))
-        k = np.array([at[name] for name in of.names])
-        A[np.ix_(k, k)] += S[np.ix_(D, D)] - S[D, :p] @ gain[:, :-1]
-        b[k] += left[D] - S[D, :p] @ gain[:, -1]
-    return Spoken(names, A, b)
+        p, k = len(of.beta), np.array([at[name] for name in of.names])
+        size = p + len(k) + 1
+        S, before, D = np.zeros((size, size)), np.arange(p), np.arange(p, size - 1)
+        for i in reversed(range(len(bags))):
+            if signal in bags[i] and bags[i][signal].share > 0.0:
+                S = S + _freed(bags[i][signal].square, np.arange(len(of.spread)), of.spread)
+            left = S[:, -1] - S[:, :p] @ of.beta
+            known = np.column_stack([S[np.ix_(before, D)], left[:p]])
+            gain = np.linalg.solve(of.precision + S[:p, :p], known)
+            A[i][np.ix_(k, k)] += S[np.ix_(D, D)] - S[D, :p] @ gain[:, :-1]
+            b[i][k] += left[D] - S[D, :p] @ gain[:, -1]
+    return [Spoken(names, *pair) for pair in zip(A, b, strict=True)]

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from modcal_nodes.calibrating.diagnostics import Standing, collected, model_status, sample_status, standing_of
     from modcal_nodes.calibrating.intake import Buffer, CommandSubscription, Intake, KnownArm, lacking, listen, policy
     from modcal_nodes.calibrating.state import StateFolder
+    from modcal_nodes.calibrating.watching import SentinelWatch
     from modcal_nodes.calibrating.worker import CheckService, Publishers, SolveWorker, Solved, condense, solve
 else:
     from modcal_core.lazy import lazy_face

@@ -2,37 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from modcal_core.errors import BadTable, NotEnoughData, about
-from modcal_core.measurements import Recording
+from modcal_core.errors import NotEnoughData
 from modcal_core.report import sentinel_report
-from modcal_core.robots import read_inertias
-from modcal_core.sentinel import BagHistory, Cells, MonitoredArm, Normal, cells_of, judge_bags
-from modcal_msgs_py import episodes_of, is_lerobot, read_recording
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, saving
-from modcal_nodes.cli.inputs import described
 from modcal_nodes.cli.options import EXISTING, given
-from modcal_nodes.io import ChainOptions, TopicOptions, Watch, option, repeated
-
-
-@dataclass(frozen=True)
-class SentinelOptions(ChainOptions, TopicOptions):
-    """What is asked of a sentinel: the arm, and what is normal for it."""
-
-    reference: tuple[str, ...] = repeated("A recording of the reference period. Repeatable.", "BAG")
-    history: Path | None = option(
-        "Folder that keeps all recordings of this arm; --reference adds to its reference period.",
-        metavar="FOLDER", type=click.Path(file_okay=False, path_type=Path),
-    )  # fmt: skip
-    urdf: Path | None = option("Robot description with masses. Default: the one in the bag.")
-    other_payload: tuple[str, ...] = repeated(
-        "This recording carries another payload than the reference: no alarm. Repeatable.", "BAG"
-    )
+from modcal_nodes.io import SentinelOptions, judge_arm
 
 
 @click.command("sentinel")
@@ -41,7 +20,7 @@ class SentinelOptions(ChainOptions, TopicOptions):
 @saving("Folder of the results. Default: sentinel.")
 def sentinel_command(bags: tuple[Path, ...], output: Output, options: SentinelOptions) -> int:
     """Say whether an arm has changed, from ordinary recordings BAGS of its work: joint states with efforts, commands
-    (or a leader, --topic joint_commands=/leader/joint_states), a fixed tag seen by a camera on the hand.
+    (or a leader, --topic joint_commands=/leader/joint_states), a fixed tag seen by a camera on the hand, sockets.
 
     Recordings of a reference period (four at least, a minute each, of several days) show what is normal. Names joint
     zero, gear, play, friction, latency, servo, payload, camera; exit code 3 on a change. Data sets of LeRobot are read.
@@ -49,62 +28,6 @@ def sentinel_command(bags: tuple[Path, ...], output: Output, options: SentinelOp
     if not options.reference and options.history is None:
         raise NotEnoughData("sentinel", "knows of no reference period", "give --reference BAG …, or --history FOLDER")
     with output.working() as watch:
-        arm, name, reference = _read([Path(bag) for bag in options.reference], options, watch, None)
-        arm, name, later = _read(list(bags), options, watch, arm, name)
-        assert arm is not None
-        declared = {Path(bag).resolve().stem for bag in options.other_payload}
-        others = {cells.name for cells in later if cells.name in declared}
-        if others < declared:
-            said = "is not among the recordings that are judged"
-            raise BadTable(f"--other-payload {', '.join(options.other_payload)}", said, "name one of BAGS")
-        judged = later
-        if options.history is not None:
-            kept = BagHistory(options.history, arm)
-            kept.add(reference, "reference")
-            reference = [cells for cells, _ in kept.read("reference")]
-            now = {(cells.name, cells.began) for cells in later}
-            before = [pair for pair in kept.read("later") if (pair[0].name, pair[0].began) not in now]
-            others |= {cells.name for cells, other in before if other}
-            judged = [*(cells for cells, _ in before), *later]
-        watch("learning what is normal")
-        normal = Normal.fit(reference, arm)
-        watch("judging")
-        found = judge_bags(normal, judged, others)
-        if options.history is not None:
-            for cells in later:
-                kept.add([cells], "later", cells.name in others, found.sentence)
+        found, name = judge_arm(bags, options, watch)
     output.saved(sentinel_report(found, name), "sentinel")
     return 0 if found.status == "unchanged" else UNMET
-
-
-def _read(
-    bags: list[Path], options: SentinelOptions, watch: Watch, arm: MonitoredArm | None, name: str = ""
-) -> tuple[MonitoredArm | None, str, list[Cells]]:
-    """The arm, its name and the cells of these recordings."""
-    out = []
-    for bag in bags:
-        watch(f"reading {bag.name}")
-        with about(str(bag)):
-            for label, recording in _recordings(bag, options):
-                if arm is None:
-                    arm, name = _arm(recording, options)
-                out.append(cells_of(recording, arm.names, label))
-    return arm, name, out
-
-
-def _recordings(bag: Path, options: SentinelOptions) -> list[tuple[str, Recording]]:
-    if is_lerobot(bag):
-        return episodes_of(bag)
-    return [(bag.resolve().stem, read_recording(bag, topics=options.topics))]
-
-
-def _arm(recording: Recording, options: SentinelOptions) -> tuple[MonitoredArm, str]:
-    """The arm of a recording; without a description the joints that are recorded, which show no torques."""
-    if options.urdf is None and recording.robot_description is None:
-        track = max(recording.joints, key=lambda one: len(one.names), default=None)
-        if track is None:
-            raise NotEnoughData(recording.source, "holds no joint states", "record joint_states")
-        return MonitoredArm(track.names), recording.source
-    robot = described(recording, None, options.urdf, options.base, options.tip)
-    bodies = read_inertias(robot.description or "", robot.chain)
-    return MonitoredArm(robot.chain.names, robot.chain, bodies), robot.name

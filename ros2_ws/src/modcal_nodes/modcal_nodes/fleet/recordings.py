@@ -1,11 +1,14 @@
-"""A Dask map of ``modcal calibrate`` over recordings, and the table of what came out of each."""
+"""A Dask map of ``modcal calibrate`` over recordings, or of ``modcal sentinel`` over robots, and the table of what came
+out of each.
+"""
 
 from __future__ import annotations
 
 import glob
 import hashlib
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,16 +21,17 @@ from distributed import Client, KilledWorker, wait
 from modcal_core.errors import BadRecording, BadTable, ModcalError
 from modcal_core.files import replace_folder
 from modcal_core.public import Result
-from modcal_core.report import to_json_data
+from modcal_core.report import sentinel_report, to_json_data
 from modcal_msgs_py import SUFFIXES
-from modcal_nodes.io import Options, calibrate_bag
+from modcal_nodes.io import Options, SentinelOptions, calibrate_bag, judge_arm
 
 Row = dict[str, Any]
 Made = tuple[Row, dict[str, bytes]]
 DONE, REFUSED, FAILED = "done", "refused", "failed"
-NOT_CALIBRATED = "not_calibrated.txt"  # in the folder of a recording that was refused or failed: why
+# in the folder of a recording or robot that was refused or failed: why
+NOT_CALIBRATED, NOT_JUDGED = "not_calibrated.txt", "not_judged.txt"
 _ALONE_S = 60.0  # without any worker, after which none is waited for: one that died is there again in a few
-_MARKS = ("report.json", NOT_CALIBRATED)
+_MARKS = ("report.json", "sentinel.json", NOT_CALIBRATED, NOT_JUDGED)
 _TEXT, _NUMBER = pa.string(), pa.float64()
 _SIZES = tuple(f"{stage}_{size}_mm" for stage in ("nominal", "geometric", "final") for size in ("rms", "p95"))
 SCHEMA = pa.schema(
@@ -83,11 +87,15 @@ def names_of(bags: Iterable[Path], out: Path) -> dict[str, Path]:
     count = Counter(plain.values())
     digits = {bag: hashlib.sha256(str(bag).encode()).hexdigest()[:8] for bag in plain}
     named = {name if count[name] == 1 else f"{name}-{digits[bag]}": bag for bag, name in plain.items()}
-    for folder in (out / name for name in named):
-        ours = any((folder / mark).is_file() for mark in _MARKS) and folder.resolve() not in plain
+    _require_free([out / name for name in named], plain)
+    return named
+
+
+def _require_free(folders: Iterable[Path], bags: Iterable[Path]) -> None:
+    for folder in folders:
+        ours = any((folder / mark).is_file() for mark in _MARKS) and folder.resolve() not in bags
         if folder.exists() and not ours:
             raise BadTable(str(folder), "holds something other than results", "give --out another folder")
-    return named
 
 
 def calibrate_one(bag: Path, options: Options) -> Made:
@@ -99,6 +107,44 @@ def calibrate_one(bag: Path, options: Options) -> Made:
     return _row(done.result), {name: text.encode() for name, text in done.files.items()}
 
 
+@dataclass(frozen=True)
+class RobotBags:
+    """Recordings of one robot, and the folder of its history."""
+
+    bags: tuple[Path, ...]
+    history: Path
+
+    def __str__(self) -> str:
+        return ", ".join(map(str, self.bags))
+
+
+def watch_one(robot: RobotBags, options: SentinelOptions) -> Made:
+    """A row of the table, and what the sentinel says of a robot by its recordings, as files by name."""
+    try:
+        found, name = judge_arm(robot.bags, replace(options, history=str(robot.history)))
+    except ModcalError as error:
+        return {"state": REFUSED, "said": str(error)}, {}
+    later = [bag for bag in found.bags if not bag.reference][-len(robot.bags) :]
+    row = {"state": DONE, "robot": name, "started": _date(later[0].began), "status": found.status}
+    row |= {"effects": "; ".join(change.label for change in found.changes), "verdict": found.sentence}
+    return row, {name: text.encode() for name, text in sentinel_report(found, name).files.items()}
+
+
+def watch_all(
+    bags: Iterable[Path], out: Path, options: SentinelOptions, client: Client, heard: Callable[[Row], object]
+) -> list[Row]:
+    """Ask of each robot whether it has changed, as :func:`calibrate_all` calibrates; a robot's name is that of the
+    folder above its bags, and of the folder of its history in the one that the options name.
+    """
+    robots = defaultdict(list)
+    for bag in bags:
+        robots[bag.parent.name].append(bag)
+    _require_free([out / name for name in robots], bags)
+    histories = Path(options.history or "").resolve()
+    named = {name: RobotBags(tuple(of), histories / name) for name, of in robots.items()}
+    return _map(watch_one, named, out, options, client, heard)
+
+
 def calibrate_all(
     bags: Mapping[str, Path], out: Path, options: Options, client: Client, heard: Callable[[Row], object]
 ) -> list[Row]:
@@ -106,32 +152,44 @@ def calibrate_all(
 
     heard: of each row as it comes. A task that raises, or whose workers die as often as Dask allows, is a failed row.
     """
+    return _map(calibrate_one, bags, out, options, client, heard)
+
+
+def _map(
+    work: Callable[[Any, Any], Made],
+    bags: Mapping[str, Any],
+    out: Path,
+    options: Any,
+    client: Client,
+    heard: Callable[[Row], object],
+) -> list[Row]:
     rows: list[Row] = []
+    unmade = NOT_JUDGED if isinstance(options, SentinelOptions) else NOT_CALIBRATED
 
     def keep(name: str, fault: BaseException | None, made: Made | None) -> None:
         said = "" if fault is None else " ".join(f"{type(fault).__name__}: {fault}".split())
         row, files = made or ({"state": FAILED, "said": said}, {})
         rows.append({"name": name, "bag": str(bags[name]), **row})
-        replace_folder(out / name, files or {NOT_CALIBRATED: f"{row['state']}: {row['said']}\n".encode()})
+        replace_folder(out / name, files or {unmade: f"{row['state']}: {row['said']}\n".encode()})
         heard(rows[-1])
 
     # A worker that dies takes along what waits on it, so what was lost with one is tried once more by itself.
     lost = []
-    for name, fault, made in _outcomes(bags, options, client):
+    for name, fault, made in _outcomes(work, bags, options, client):
         if isinstance(fault, KilledWorker):
             lost.append(name)
         else:
             keep(name, fault, made)
     for name in lost:
-        keep(*next(_outcomes({name: bags[name]}, options, client)))
+        keep(*next(_outcomes(work, {name: bags[name]}, options, client)))
     return sorted(rows, key=lambda row: row["name"])
 
 
 def _outcomes(
-    bags: Mapping[str, Path], options: Options, client: Client
+    work: Callable[[Any, Any], Made], bags: Mapping[str, Any], options: Any, client: Client
 ) -> Iterator[tuple[str, BaseException | None, Made | None]]:
     """Name, fault and result of each bag as it is done; a fault of all that are left where no worker is."""
-    futures = {client.submit(calibrate_one, bag, options, pure=False): name for name, bag in bags.items()}
+    futures = {client.submit(work, bag, options, pure=False): name for name, bag in bags.items()}
     while futures:
         try:
             with client.as_current():
@@ -156,7 +214,7 @@ def _row(done: Result) -> Row:
     return {
         "state": DONE,
         "robot": done.robot.name,
-        "started": datetime.fromtimestamp(done.samples.origin.began or 0.0, UTC).isoformat(timespec="milliseconds"),
+        "started": _date(done.samples.origin.began or 0.0),
         **{name: data["recording"][name] for name in ("duration_s", "measurement", "stations", "rejected")},
         **{f"{stage}_{size}_mm": sizes[stage].get(size) for stage in sizes for size in ("rms", "p95")},
         "floor_mm": data["noise_floor_mm"],
@@ -165,6 +223,10 @@ def _row(done: Result) -> Row:
         "status": data["status"],
         "verdict": data["verdict"],
     }
+
+
+def _date(stamp: float) -> str:
+    return datetime.fromtimestamp(stamp, UTC).isoformat(timespec="milliseconds")
 
 
 def write_table(path: Path, rows: Iterable[Row]) -> None:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from modcal_nodes.io.inputs import read_topics, stated_from
     from modcal_nodes.io.options import ChainOptions, FrozenOptions, Options, SplitOptions, TopicOptions, Watch
     from modcal_nodes.io.options import option, repeated, silent
+    from modcal_nodes.io.watched import SentinelOptions, judge_arm
 else:
     from modcal_core.lazy import lazy_face
 

@@ -32,7 +32,7 @@ _NOTHING = "nothing solved yet"
 
 class Calibrator(ros.ManagedNode):
     """``~/solve`` calibrates, ``~/accept`` trusts the result, ``~/save`` keeps it on disk, ``~/reset`` forgets;
-    ``~/check`` says by a few stations what has changed since.
+    ``~/check`` says by a few stations what has changed since. As a sentinel it watches the arm at its work.
     """
 
     def __init__(self) -> None:
@@ -51,6 +51,10 @@ class Calibrator(ros.ManagedNode):
         self._buffer.samples = state.samples
         self._restored = state if state.calibration else None
         self._files = dict(state.files or {})
+        self._watch: calibrating.SentinelWatch | None = None
+        if chosen["sentinel"]:
+            every, warn = chosen["sentinel_every_s"], self.get_logger().warning
+            self._watch = calibrating.SentinelWatch(chosen["sentinel"], every, warn)
         self._candidate: calibrating.Solved | None = None
         creeping = tuple(place for place in chosen["process_noise_places"] if place)
         random_walk = RandomWalk(creeping, chosen["process_noise_m"], chosen["process_noise_rad"]) if creeping else None
@@ -250,6 +254,8 @@ class Calibrator(ros.ManagedNode):
                 self._answer(False, refusal)
         elif self._arm.chain is None:
             self._buffer.keep(1)  # nobody can say what these are good for; they must not grow without end
+        elif self._watch is not None and self._watch.begin(self._buffer, self._arm, self._worker):
+            pass  # the worker has it
         elif pieces := self._buffer.pieces:
             most = self._chosen["max_stations"]
             work = self._buffer.finished(), self._arm.chain, self._chosen["clock_limit_s"], most
@@ -377,6 +383,11 @@ class Calibrator(ros.ManagedNode):
 
     def _report(self) -> Iterable[ros.Status]:
         heard = ros.subscription_status(self._inputs)
+        if self._watch is not None:
+            yield from self._watch.status()
+            if self._standing is None and not any(s.count for s in self._inputs if "tracker/" in s.topic):
+                yield heard
+                return
         yield heard if self._camera is not None else ros.tracker_status(heard, self._inputs)
         if self._camera is not None:
             yield self._camera.intake.status()

@@ -58,6 +58,8 @@ CALIBRATOR = {
     "cell": Parameter("", "File of known distances and fixed parameters; empty: none."),
     "out": _live("", "Folder for the files of a solve; empty: none are written."),
     "state": Parameter("", "Folder where the trusted model and the stations survive restarts; empty: none."),
+    "sentinel": Parameter("", "Folder of the history by which the arm at its work is watched; empty: it is not."),
+    "sentinel_every_s": Parameter(3600.0, "Seconds from one piece (buffer_s) that is judged to the next.", 0.0, 1e6),
     "target": Parameter("", "File of a printed target whose corners are taken from the topic corners; empty: none."),
     "also_corners": Parameter([""], "Topics of corners of further cameras that see the same target; empty: none."),
     "effects": _live(True, "Whether a solve looks for effects beyond the geometry."),
