@@ -18,50 +18,50 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Package: lines and statements at most.
 CEILINGS: dict[str, tuple[int, int]] = {
-    "bench": (15770, 11410),
+    "bench": (15890, 11490),
     "launch": (80, 50),
     "modcal": (50, 30),
     "modcal_core": (2600, 1470),
     "modcal_core/articulation": (5120, 3500),
-    "modcal_core/calibration": (6630, 4230),
+    "modcal_core/calibration": (6640, 4240),
     "modcal_core/camera": (4510, 2900),
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (1230, 790),
     "modcal_core/diagnosis": (2990, 2060),
-    "modcal_core/effects": (3010, 1950),
+    "modcal_core/effects": (3040, 1970),
     "modcal_core/geometry": (590, 400),
     "modcal_core/impedance": (3550, 2470),
-    "modcal_core/measurements": (4150, 2760),
+    "modcal_core/measurements": (4160, 2770),
     "modcal_core/outcome": (1030, 630),
     "modcal_core/modules": (2890, 1820),
     "modcal_core/online": (1070, 730),
-    "modcal_core/planning": (3560, 2280),
+    "modcal_core/planning": (3500, 2240),
     "modcal_core/hypotheses": (3780, 2540),
     "modcal_core/moves": (2560, 1700),
-    "modcal_core/report": (4510, 2580),
+    "modcal_core/report": (4500, 2580),
     "modcal_core/robots": (4880, 3090),
-    "modcal_core/verdict": (4140, 2730),
+    "modcal_core/verdict": (4150, 2740),
     "modcal_msgs_py": (4930, 3380),
     "modcal_msgs_py/tables": (3650, 2600),
     "modcal_nodes": (80, 20),
-    "modcal_nodes/calibrating": (1600, 1150),
-    "modcal_nodes/cli": (4560, 2860),
-    "modcal_nodes/fleet": (190, 130),
-    "modcal_nodes/io": (500, 280),
+    "modcal_nodes/calibrating": (1670, 1210),
+    "modcal_nodes/cli": (4510, 2820),
+    "modcal_nodes/fleet": (260, 160),
+    "modcal_nodes/io": (590, 350),
     "modcal_nodes/measuring": (1140, 820),
-    "modcal_nodes/nodes": (3010, 2360),
-    "modcal_nodes/ros": (2500, 1500),
+    "modcal_nodes/nodes": (3020, 2370),
+    "modcal_nodes/ros": (2510, 1500),
     "modcal_nodes/setpoint": (390, 240),
     "modcal_nodes/simulation": (2050, 1360),
     "modcal_nodes/viewing": (200, 130),
     "modcal_nodes/vision": (1840, 1320),
     "modcal_nodes/watching": (260, 200),
-    "tests": (47390, 32790),
-    "modcal_core/sentinel": (1070, 780),
+    "tests": (47710, 33040),
+    "modcal_core/sentinel": (1190, 870),
 }
-SOURCE = (92000, 60400)
-TEXT = 185800  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
-FORMAT_SKIPS = 72
+SOURCE = (92300, 60700)
+TEXT = 188500  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+FORMAT_SKIPS = 71
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from modcal_core.planning.pool import CANDIDATES, ClosedChain, Pool, allowed, calibration_chain, dh_closed_chain
     from modcal_core.planning.pool import of_recording, of_robot, sizes_of, with_limits
     from modcal_core.planning.route import RETURNS, TimedMotion, free_way, from_side, timed, with_returns
-    from modcal_core.planning.sensitivity_study import ARMS, DESIGNS, NAMED, Measured, Studied, Study, design
+    from modcal_core.planning.sensitivity_study import DESIGNS, NAMED, Measured, Studied, Study, design
     from modcal_core.planning.sensitivity_study import orthogonal_array, sensitivity, study
     from modcal_core.planning.session import MAX_STATIONS, PROOF, SKIPPED, UNSEEN, Goal, Session, Station, from_data
     from modcal_core.planning.session import to_data

@@ -15,15 +15,6 @@ of it goes away when parameter k comes to be known exactly. Afterwards it counts
 parameter that is seen only together with another has no gain left when the two also act together. *Matters and is not
 seen* is a parameter that had a share worth naming, more than half of which is still there.
 
-Variance: S_k = V(E[Y | g_k]) / V(Y) is the share that g_k makes alone, S_Tk = 1 − V(E[Y | all but g_k]) / V(Y) the
-share that goes when all else is known. From samples A, B of arms, and A with the k-th error of B (Saltelli et al.
-2010),
-
-    V_k = mean f(B) (f(A_B^k) − f(A)),        V_Tk = ½ mean (f(A_B^k) − f(A))²            (Saltelli; Jansen)
-
-with variances of all components added up before they are divided (Lamboni, Monod & Makowski 2011). The error vector is
-linear in small errors, so its indices are shares of the mean square; the distance is not, and S_T − S shows it.
-
 An orthogonal array of strength 2 shows, in any two of its columns, every pair of levels equally often. For a prime
 number of levels s, runs are the vectors u of s^k, columns the vectors c whose first number that is not zero is 1, and
 entries u · c mod s (Bose & Bush 1952): (s^k − 1) / (s − 1) columns. s = 5 and k = 2 is Taguchi's L25(5^6).
@@ -35,7 +26,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.special import ndtri
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
@@ -258,60 +248,9 @@ def joint_use(G: Array, sizes: Array, J: Array, std: Array) -> JointGain:
     return JointGain(gains(G, before), gains(G, after), np.where(sizes > 0.0, seen, 0.0))
 
 
-# --- Variance-based (Sobol) indices of the position error
-
-ARMS = 128  # for time
-_REPEATS = 6  # independent estimates, from whose scatter the standard errors come
-
-
-@dataclass(frozen=True)
-class SobolIndices:
-    """first, total: (P,). std_first, std_total: their standard errors, (P,). variance: of the output [m²], mean."""
-
-    first: Array
-    total: Array
-    std_first: Array
-    std_total: Array
-    variance: float
-
-
-def of_vector(gain: Gain) -> SobolIndices:
-    """The indices of the error's components, which are linear in the parameters: their shares."""
-    zero = np.zeros_like(gain.share)
-    return SobolIndices(gain.share, gain.share, zero, zero, gain.mean_square)
-
-
-def of_distance(G: Array, sizes: Array, rng: np.random.Generator, arms: int = ARMS) -> SobolIndices:
-    """The indices of the error's length over postures with derivatives G (N, 3, P), from arms drawn at random.
-
-    sizes: standard deviations of the errors, which are Gaussian (P,). arms: in each of the samples A and B.
-    """
-    both = [_once(G * sizes, rng, arms) for _ in range(_REPEATS)]
-    first, total, variance = (np.array(part) for part in zip(*both, strict=True))
-    scatter = np.sqrt(_REPEATS)
-    std_first, std_total = (part.std(axis=0, ddof=1) / scatter for part in (first, total))
-    return SobolIndices(first.mean(axis=0), total.mean(axis=0), std_first, std_total, float(variance.mean()))
-
-
-def _once(G: Array, rng: np.random.Generator, arms: int) -> tuple[Array, Array, float]:
-    P = G.shape[2]
-    A, B = np.split(ndtri(sobol_points(arms, 2 * P, rng)), 2, axis=1)
-    moved, other = (np.einsum("ncp,sp->snc", G, errors) for errors in (A, B))
-    fA, fB = (np.linalg.norm(p, axis=2) for p in (moved, other))
-    variance = float(0.5 * (np.var(fA, axis=0).mean() + np.var(fB, axis=0).mean()))
-    fB = fB - 0.5 * (fA.mean(axis=0) + fB.mean(axis=0))  # the estimator does not change with it, its scatter does
-    first, total = np.empty(P), np.empty(P)
-    for k in range(P):
-        step = np.linalg.norm(moved + (B - A)[:, None, k, None] * G[..., k], axis=2) - fA
-        first[k] = np.mean(fB * step) / variance
-        total[k] = 0.5 * np.mean(step**2) / variance
-    return first, total, variance
-
-
-# --- The whole study of a closed chain: indices, variances, gains, and what measuring these stations would leave
+# --- The whole study of a closed chain: indices, gains, and what measuring these stations would leave
 
 _GAIN_POSTURES = 512  # where accuracy counts; derivatives are cheap
-_VARIANCE_POSTURES = 32  # each is computed for thousands of arms
 
 
 @dataclass(frozen=True)
@@ -327,8 +266,7 @@ class Measured:
 @dataclass(frozen=True)
 class Studied:
     """What is studied. design: name of the postures q (N, n). sizes: of the errors (P,) [m, rad]. base: name of the
-    base factor. measured: what is supposed to be measured. bins: intervals of the histograms. arms: that are drawn for
-    the shares of the variance, a power of two.
+    base factor. measured: what is supposed to be measured. bins: intervals of the histograms.
     """
 
     design: str
@@ -337,19 +275,17 @@ class Studied:
     base: str
     measured: Measured
     bins: int | None = None
-    arms: int = ARMS
 
 
 @dataclass(frozen=True)
 class Study:
-    """closed: the chain. of: what was studied. indices: over its postures. variance: by output, over postures spread
-    over the joints' ranges, as joint.
+    """closed: the chain. of: what was studied. indices: over its postures. joint: over postures spread over the joints'
+    ranges.
     """
 
     closed: ClosedChain
     of: Studied
     indices: Sensitivity
-    variance: dict[str, SobolIndices]
     joint: JointGain
 
 
@@ -362,6 +298,4 @@ def study(closed: ClosedChain, of: Studied, rng: np.random.Generator) -> Study:
     rows = 6 if measured.kind == "pose" else 3
     J = closed.jacobian(measured.q)[:, :rows].reshape(-1, len(sizes))
     std = np.tile(np.repeat([measured.std_m, measured.std_rad], 3)[:rows], len(measured.q))
-    joint = joint_use(G, sizes, J, std)
-    distance = of_distance(G[:_VARIANCE_POSTURES], sizes, rng, of.arms)
-    return Study(closed, of, indices, {"vector": of_vector(joint.before), "distance": distance}, joint)
+    return Study(closed, of, indices, joint_use(G, sizes, J, std))

@@ -156,8 +156,6 @@ COLUMNS = {
     "seen": "how much of this parameter's variance the stations remove; 100 % is determined",
     "gain mm": "by how much the RMS error falls once this parameter is known",
     "left mm": "the gain that these stations leave",
-    "S": "share of the variance that this parameter causes alone (Sobol, first order)",
-    "S_T": "share of the variance that goes when all others are known (Sobol, total)",
     "SFCDPE mm": "by how much an error of this parameter moves the point, weighted over the postures",
     "RSFCDPE": "the same, divided by that of the base factor",
 }
@@ -165,7 +163,6 @@ _SAME = 1e-6  # share of an index within which it is the same at every posture
 _SHOWN = 12  # parameters of the first table
 _ROW = 14.0  # points of a picture, a parameter
 _LEVELS = 12  # of the cells of a map
-_SOBOL = ("first", "std_first", "total", "std_total")
 _NAMED = 3  # of the strongest parameters, in a sentence
 
 
@@ -201,10 +198,6 @@ def sensitivity_data(study: Study) -> dict[str, Any]:
             {
                 **picked(factor, "name", "unit"),
                 **_row_of(k, columns),
-                **{
-                    f"sobol_{of}": {name: getattr(found, name)[k].item() for name in _SOBOL}
-                    for of, found in study.variance.items()
-                },
                 "measured": _row_of(k, measured),
             }
             for k, factor in enumerate(study.closed.factors)
@@ -274,12 +267,12 @@ def _about_lengths(study: Study, lengths: np.ndarray, constant: np.ndarray) -> s
 
 def _rows(study: Study) -> list[tuple[str, ...]]:
     """Every parameter under ``COLUMNS``, the strongest first."""
-    joint, at, vector = study.joint, study.indices, study.variance["vector"]
+    joint, at = study.joint, study.indices
     return [
         (
             *(at.names[k], f"{joint.before.share[k]:.1%}", f"{joint.seen[k]:.0%}"),
             *(f"{1e3 * gains[k]:.4f}" for gains in (joint.before.rms_gain, joint.after.rms_gain)),
-            *(f"{index[k]:.3f}" for index in (vector.first, vector.total, 1e3 * at.multi, at.relative_multi)),
+            *(f"{index[k]:.3f}" for index in (1e3 * at.multi, at.relative_multi)),
         )
         for k in np.argsort(-joint.before.share, kind="stable")
     ]

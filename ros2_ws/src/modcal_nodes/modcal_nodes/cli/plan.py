@@ -14,7 +14,6 @@ from modcal_core.files import read_yaml, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.planning import (
     ACCURACY,
-    ARMS,
     CANDIDATES,
     CRITERIA,
     DESIGNS,
@@ -65,8 +64,7 @@ class SensitivityOptions(ChainOptions):
         "Design of postures for the indices. Default: l25, or sobol for more than six joints.", choices=DESIGNS
     )
     levels: int = option("Levels of --design array; a prime.", default=5, low=2, high=31)
-    postures: int | None = option("Postures of --design sobol. Default: 64, with --thorough 512.", low=4, high=4096)
-    thorough: bool = option("Draw four times as many arms for the shares of the variance.", default=False)
+    postures: int | None = option("Postures of --design sobol. Default: 64.", low=4, high=4096)
     length_mm: float = option("Errors of lengths.", default=0.5, low=0.0)
     angle_mrad: float = option("Errors of angles.", default=1.0, low=0.0)
     sizes: Path | None = option("YAML of other sizes, {NAME or PATTERN: SI}.")
@@ -91,11 +89,11 @@ class SensitivityOptions(ChainOptions):
         chain = closed.chain
         sizes = sizes_of(closed, 1e-3 * self.length_mm, 1e-3 * self.angle_mrad, _tolerances(self.sizes))
         kind = self.design or ("l25" if chain.n <= 6 else "sobol")
-        q = design(chain, kind, rng, self.levels, self.postures or (512 if self.thorough else 64))
+        q = design(chain, kind, rng, self.levels, self.postures or 64)
         stations = read_stations(self.stations, chain) if self.stations else q
         measured = Measured(stations, self.reading, 1e-3 * self.noise_mm, 1e-3 * self.noise_mrad)
         factor = self.base_factor or next((f.name for f in closed.factors if f.is_length), closed.names[0])
-        return Studied(kind, q, sizes, factor, measured, self.bins, 4 * ARMS if self.thorough else ARMS)
+        return Studied(kind, q, sizes, factor, measured, self.bins)
 
 
 @click.command("sensitivity")
