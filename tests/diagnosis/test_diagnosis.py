@@ -415,6 +415,6 @@ def test_what_stays_behind_as_it_is_accelerated_is_named(place: str) -> None:
     assert set(named(report)) == {("compliance", place, driver) for driver in wanted}
     for found in report.effects:
         value, _, unit = found.parameters["wind_up"]
-        assert value == pytest.approx(3e-3 if place == ELBOW else 1e-3, rel=0.1)
+        assert value == pytest.approx(3e-3 if place == ELBOW else 1e-3, rel=0.05)
         assert unit == "s^2"
         assert "stays behind as it is accelerated" in found.sentence

@@ -64,9 +64,9 @@ _USUALLY = 90.0  # % of them; starts and stops are no smooth motion
 _INTERPOLATED = 1e-4  # rad or m; at a metre 0.1 mm, as good as a tracker in motion
 _MORE = 1.5  # usual steps that a gap between joint states may be: none is missing
 _ALIKE = 0.01  # s within which offsets are one: the jitter of a driver's loop at 100 Hz
-# s before and after, from which an acceleration is known: a step of an encoder of 18 bits then counts for 0.02 rad/s²,
-# and a motion of two turns a second is seen to a few per cent
-_BESIDE = 0.04
+# s before and after, from which an acceleration is known: a step of an encoder of 18 bits then counts for 0.01 rad/s²,
+# and a motion of a turn a second is seen to a hundredth
+_BESIDE = 0.06
 
 
 def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> dict[str, Any]:
