@@ -31,7 +31,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/effects": (3040, 1970),
     "modcal_core/geometry": (590, 400),
     "modcal_core/impedance": (3550, 2470),
-    "modcal_core/measurements": (4160, 2770),
+    "modcal_core/measurements": (4170, 2770),
     "modcal_core/outcome": (1030, 630),
     "modcal_core/modules": (2890, 1820),
     "modcal_core/online": (1070, 730),

@@ -175,10 +175,16 @@ def _motion(course: CubicSpline, at: Array) -> Array:
     The spline's own curvature follows every jerk, and the noise of encoders; second differences do neither.
     """
     first, last = float(course.x[0]), float(course.x[-1])
-    beside = min(_BESIDE, 0.5 * (last - first))
-    middle = np.clip(at, first + beside, last - beside)
-    second = course(middle - beside) - 2.0 * course(middle) + course(middle + beside)
-    return np.stack([course(at, 1), course(at, 2), second / beside**2])
+    beside = min(_BESIDE, 0.25 * (last - first))
+
+    def mean(middle: Array) -> Array:
+        return np.asarray((course(middle - beside) - 2.0 * course(middle) + course(middle + beside)) / beside**2)
+
+    inside = np.clip(at, first + beside, last - beside)
+    beyond = at - inside  # next to an end the course of the acceleration goes on
+    near = mean(inside)
+    near += np.abs(beyond / beside)[:, None] * (near - mean(inside - np.sign(beyond) * beside))
+    return np.stack([course(at, 1), course(at, 2), near])
 
 
 def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) -> TrackSamples:
@@ -186,7 +192,7 @@ def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) 
     if len(np.unique(t)) < 4:
         return _nothing(track, q.shape[1])
     after = np.searchsorted(t, track.stamps)
-    rows = np.flatnonzero((track.stamps >= t[0] + _BESIDE) & (track.stamps <= t[-1] - _BESIDE))
+    rows = np.flatnonzero((after > 0) & (after < len(t)))
     rows = rows[t[after[rows]] - t[after[rows] - 1] <= _widest(t, q, rules)]
     rows = rows[spread_rows(len(rows), rules.most)]
     course, at = _course(t, q), track.stamps[rows] - t[0]
