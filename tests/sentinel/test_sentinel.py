@@ -75,6 +75,11 @@ def test_other_work_and_a_declared_payload_are_no_alarms(normal: ArmJudge) -> No
     assert not by(normal, heavy, other_payload=True).changes
 
 
+def test_what_has_been_named_is_not_found_again(normal: ArmJudge) -> None:
+    found = judged(normal, Change("payload", -1, 2.0), days=(20, 21))
+    assert len({one.label for one in found.changes}) == len(found.changes) > 0
+
+
 def test_a_change_is_dated(normal: ArmJudge) -> None:
     bags = [cells(20), cells(21), cells(22, Change("zero", 1, np.radians(1.0)))]
     (change, *_) = by(normal, *bags).changes

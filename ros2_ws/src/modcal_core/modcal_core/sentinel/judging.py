@@ -123,19 +123,20 @@ class _Asked:
         A = (B.T @ said.information @ B).item()
         return A, (B.T @ said.vector).item() / max(A, 1e-300)
 
-    def judged(self, said: Spoken) -> list[JudgedChange]:
-        """The Bayes factor of each candidate."""
-        return [_judged(c, B.T @ said.information @ B, B.T @ said.vector) for c, B in zip(
-            self.candidates, self.sums, strict=True)]  # fmt: skip
+    def judged(self, said: Spoken, taken: Sequence[int] = ()) -> list[JudgedChange]:
+        """The Bayes factor of each candidate, beside those of these numbers of whatever size."""
+        left = _without(said, [self.sums[h] for h in taken])
+        each, information = zip(self.candidates, self.sums, strict=True), said.information
+        return [_judged(c, B.T @ left.information @ B, B.T @ information @ B, B.T @ left.vector) for c, B in each]
 
 
-def _judged(candidate: ChangeColumns, A: Array, b: Array) -> JudgedChange:
-    """Over all sizes. A (k, k), b (k,): information on the sizes, in units of each that is seen alike."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+def _judged(candidate: ChangeColumns, A: Array, whole: Array, b: Array) -> JudgedChange:
+    """Over all sizes. A (k, k), b (k,): information on them. whole: the same before other changes were taken out."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
     squares, vectors = np.linalg.eigh(scale[:, None] * A * scale)
-    kept = squares > _UNSEEN * max(float(squares.max(initial=0.0)), 1e-300)
+    kept = squares > _UNSEEN * len(b)
     along = vectors.T @ (scale * b)
-    seen = np.where(kept & (np.diag(A) > 0.0), along**2 / np.where(kept, squares, 1.0), 0.0)
+    seen = np.where(kept, along**2 / np.where(kept, squares, 1.0), 0.0)
     spread = _SIZES[:, None] ** 2 / max(int(kept.sum()), 1) * kept
     each = 0.5 * (spread / (1.0 + spread) * seen - np.log1p(spread)).sum(axis=1)
     if KINDS[candidate.change.kind].grows and len(b) == 1:  # half of the prior, and what is left of it behind zero
@@ -206,7 +207,7 @@ class ArmJudge:
         log_e, since, rest, taken = -np.inf, 0, 0.0, list[int]()
         while len(changes) < _MOST:
             starts = range(since, since + 1) if taken else range(len(newest))
-            judged = [asked.judged(_without(said[s], [asked.sums[h] for h in taken])) for s in starts]
+            judged = [asked.judged(said[s], taken) for s in starts]
             each = np.array([e_value(j, asked.log_prior, self.weight) for j in judged]) - rest
             now = float(np.logaddexp.reduce(each) - np.log(len(each)))
             log_e = log_e if taken else now
