@@ -5,8 +5,8 @@
 The arms are those of bench/claims, which share no code with modcal. Wires: 160 rows of three, or 300 of one; the zero
 of the first is off by 0.5 to 5 mm between two rows, or its anchor moves, or a joint slips. Clocks: 90 s in motion, a
 tracker at 50 Hz with exponential delays of 4 ms, 2 % of them 30 ms more, or bursts of 17; one joint that stays behind
-by 1 to 4 mrad per rad/s², or a target by 0.5 to 2 mm per m/s². *Second* is the RMS error
-over the noise on a second recording without wires' faults, with clocks'.
+by 1 to 4 mrad per rad/s², or a target by 0.5 to 2 mm per m/s², each as a mass on a spring and a damper. *Second* is
+the RMS error over the noise on a second recording without wires' faults, with clocks'.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(harness.BENCH / "claims"))
 from arm import Array, Serial, pose, serial
+from scipy.signal import lsim
 
 from modcal_core.evaluation import evaluate
 from modcal_core.loop import calibrate
@@ -31,6 +32,7 @@ ARMS = (("ur10", "tool0"), ("panda", "panda_link8"), ("iiwa14", "iiwa_link_ee"))
 WIRES = ("wire clean", "wire shifts", "wire anchor", "wire slips", "three clean", "three shifts")
 CLOCKS = ("clock clean", "clock arrivals", "clock lost", "clock bursts", "motion winds", "motion swings")
 NOISE, REPEAT = 3e-5, 1e-5  # m, rad
+DAMPED = 0.15  # of what would not swing
 ANCHORS = np.array([[2.0, 0.5, 0.3], [-1.0, 2.0, 0.5], [0.2, -2.2, 1.0]])
 NAMED = {
     "winds": "compliance joint",
@@ -64,6 +66,14 @@ def wires(kind: str, built: Serial, tool: Array, count: int, rng: np.random.Gene
     return Recording((joints,), tuple(tracks), warnings=(ORDER_ONLY,))
 
 
+def behind(t: Array, x: Array, gives: float) -> Array:
+    """By how much what hangs on x (N, …) by a spring and a damper stays behind it. gives: in the long run, per m/s²."""
+    stiff = 1.0 / gives
+    spring = ([1.0, 0.0, 0.0], [1.0, 2.0 * DAMPED * np.sqrt(stiff), stiff])
+    columns = [lsim(spring, one - one[0], t - t[0])[1] for one in x.reshape(len(t), -1).T]
+    return np.stack(columns, axis=1).reshape(x.shape)
+
+
 def clocks(
     kind: str, built: Serial, tool: Array, seconds: float, rng: np.random.Generator, gives: tuple[int, float]
 ) -> Recording:
@@ -88,12 +98,14 @@ def clocks(
     elif kind.endswith("bursts"):
         last = np.minimum(k // 17 * 17 + 16, len(k) - 1)
         stamps = taken[last] + 0.004 + rng.exponential(0.003, len(k))[last] + 2e-4 * (k % 17)
-    postures, seen = course(taken), course(np.arange(len(k) + 2) * 0.02 + 0.18)
+    before = np.arange(-3.0, seconds + 0.3, 0.002)  # a beginning that has died away when readings begin
+    at = np.round((taken + 3.0) / 0.002).astype(int)
+    postures, moved = course(taken), course(before) if kind.startswith("motion") else np.empty(0)
     if kind.endswith("winds"):
-        postures[:, gives[0]] -= gives[1] * np.diff(seen[:, gives[0]], 2) / 0.02**2
+        postures[:, gives[0]] -= behind(before, moved[:, gives[0]], gives[1])[at]
     p = (built.tips(postures) @ tool)[:, :3, 3]
     if kind.endswith("swings"):
-        p -= 0.5 * gives[1] * np.diff((built.tips(seen) @ tool)[:, :3, 3], 2, axis=0) / 0.02**2
+        p -= behind(before, (built.tips(moved) @ tool)[:, :3, 3], 0.5 * gives[1])[at]
     p += [0.3, 2.0, -0.4] + rng.normal(0.0, NOISE, (len(k), 3))
     q, unknown = course(t) + rng.normal(0.0, REPEAT, (len(t), len(half))), np.full((len(t), len(half)), np.nan)
     begin = 1.7e9 + rng.uniform(0.0, 1e4)

@@ -37,7 +37,7 @@ class Problem:
     scored: rows (S,). target: their positions (S, 3) [m], readings or, where ``truth``, what is true; of sockets NaN.
     unit: what is drawn again as a whole for intervals (S,). refit: rows, with positions, by which base and tool are put
     in place again before scoring. planted: joints of each fault that was put in, of tracks the objects of each kind;
-    None where nobody knows. turns: rotations that are read, or true (S, 3, 3).
+    None: unknown. turns: rotations that are read, or true (S, 3, 3).
     """
 
     task: Task
@@ -214,7 +214,7 @@ def digest(file: str = "generator") -> str:
 
 
 def seed(file: str = "generator") -> int:
-    """The seed that was drawn after a file was frozen."""
+    """The seed that was chosen after a file was frozen."""
     return int(json.loads((HERE / "seeds.json").read_text())[file]["seed"])
 
 

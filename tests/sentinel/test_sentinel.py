@@ -16,6 +16,7 @@ from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.measurements import JointTrack, Recording
 from modcal_core.robots import read_inertias
 from modcal_core.sentinel import ArmJudge, ArmVerdict, BagHistory, Cells, MonitoredArm, Normal, cells_of
+from modcal_core.sentinel.judging import _judged
 from modcal_msgs_py import episodes_of, write_recording
 from modcal_nodes.cli.main import run
 
@@ -75,9 +76,12 @@ def test_other_work_and_a_declared_payload_are_no_alarms(normal: ArmJudge) -> No
     assert not by(normal, heavy, other_payload=True).changes
 
 
-def test_what_has_been_named_is_not_found_again(normal: ArmJudge) -> None:
-    found = judged(normal, Change("payload", -1, 2.0), days=(20, 21))
-    assert len({one.label for one in found.changes}) == len(found.changes) > 0
+def test_what_another_change_explains_leaves_no_evidence_of_rounding(normal: ArmJudge) -> None:
+    """Of a square of 1e6 rounding is left, and of what it says a little more."""
+    one = next(c for c in normal._asked.candidates if len(c.columns) == 1)
+    found = _judged(one, np.array([[1e-9]]), np.array([[1e6]]), np.array([1e-3]))
+    assert found.likelihood == 0.0
+    assert found.log_factor <= 0.0
 
 
 def test_a_change_is_dated(normal: ArmJudge) -> None:

@@ -18,12 +18,12 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Package: lines and statements at most.
 CEILINGS: dict[str, tuple[int, int]] = {
-    "bench": (15890, 11490),
+    "bench": (15900, 11500),
     "launch": (80, 50),
     "modcal": (50, 30),
     "modcal_core": (2600, 1470),
     "modcal_core/articulation": (5120, 3500),
-    "modcal_core/calibration": (6640, 4240),
+    "modcal_core/calibration": (6630, 4240),
     "modcal_core/camera": (4510, 2900),
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (1230, 790),
@@ -56,12 +56,12 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 130),
     "modcal_nodes/vision": (1840, 1320),
     "modcal_nodes/watching": (260, 200),
-    "tests": (47710, 33040),
-    "modcal_core/sentinel": (1190, 870),
+    "tests": (47720, 33050),
+    "modcal_core/sentinel": (1200, 870),
 }
 SOURCE = (92300, 60700)
 TEXT = 188500  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
-FORMAT_SKIPS = 71
+FORMAT_SKIPS = 70
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
 

@@ -144,12 +144,9 @@ def refit_cell(model: Model, samples: Samples, cell: Cell, base: bool = True, to
         start = locate_base(unplaced, samples, cell.known, cell.own_target)
     else:
         start = with_frames(model, samples.frames)
-    arm = (
-        model.arm
-        if model.arm is None or model.arm.tool is not None
-        else replace(model.arm, tool=start.T_tip_tool[:3, 3])
-    )
-    start = replace(start, arm=arm)
+    start = replace(start, arm=model.arm)
+    if start.arm is not None and start.arm.tool is None:
+        start = replace(start, arm=replace(start.arm, tool=start.T_tip_tool[:3, 3]))
     choice = choose_parameters(
         start,
         views_of(samples),

@@ -246,8 +246,8 @@ class PlaceDrivers:
     def _history(self) -> Iterator[Part]:
         """Joints, base and tool with the way joints arrived, how far they came, and how fast they move."""
         s, group = self.samples, "how the joints arrived and moved"
-        fast = [np.nan_to_num(s.velocity).T, np.nan_to_num(s.mean_acceleration).T] if s.moving.any() else []
-        own = [self.came, self.step, *(_standard(x) for x in fast), *(np.sign(x) for x in fast[:1])]
+        speed = np.nan_to_num(s.velocity).T
+        own = [self.came, self.step, *([np.sign(speed)] if s.moving.any() else [])]
         followed = paths(s).mean(axis=2)[:, :, _WIDTHS]
         near = [np.sign(self.step) * np.exp(-np.abs(last_moves(s).T) / width) for width in (0.2, 0.8)]
         own += [x for x in (_standard(s.following.T), *near) if x.any()]
@@ -260,8 +260,12 @@ class PlaceDrivers:
         for who, body in self.ends:
             yield _part(group, who, "how the joints arrived", body, self.came)
         if s.moving.any():
+            fast = _standard(speed), _standard(s.mean_acceleration.T)
+            for j, name in enumerate(self.chain.names):
+                number = np.stack([x[j] for x in fast])
+                yield _part(group, f"joint {name}", f"how fast {name} moves (a lag, a spring)", [self.axes[j]], number)
             yield _part(group, "the tool", "how it is accelerated", self.tool, _standard(self.at.tip_acceleration))
-        if not s.moving.any():
+        else:
             driver = "the previous moment of the arm's weight on it (slip)"
             number = _standard(slipped(s, moments_on_base(self.at)))
             yield _part("the previous load on the base", "the base", driver, self.base, number)

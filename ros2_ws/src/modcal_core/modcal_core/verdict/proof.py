@@ -42,8 +42,8 @@ _OWN_SHARE = 0.5  # the same of one effect
 _LIKE = 0.5  # share of an effect's motion that a place and driver must be able to make to be asked in its place
 _HELD = 1e-3  # ridge in units of a column's square
 # drivers of effects, as drivers of parts are called
-_IN_WORDS = {kind: "arrived" for kind in ("direction", "path", "velocity", "acceleration")}
-_IN_WORDS |= {"time": "order", **{f"tip_acceleration_{axis}": "accelerated" for axis in "xyz"}}
+_IN_WORDS = {"direction": "arrived", "path": "arrived", "velocity": "fast", "acceleration": "fast", "time": "order"}
+_IN_WORDS |= {f"tip_acceleration_{axis}": "accelerated" for axis in "xyz"}
 
 
 class Proofs:

@@ -87,9 +87,9 @@ def sizes(effect: Effect, chain: Mechanism) -> Sizes:
         turn, std = effect.values[6:].reshape(3, 2), float(effect.std[6:].max())
         unit, name = ("kg rad/(N m)", "_times_mass") if effect.driver.startswith("tip") else ("rad/(N m)", "")
         return {f"compliance{name}": (float(np.linalg.norm(turn, 2)), std, unit)}
-    if "acceleration" in effect.driver:
-        return {"wind_up": value(effect, 0, -1.0, "s^2")}
     unit = unit_of(effect, chain)
+    if "acceleration" in effect.driver:
+        return {"wind_up": value(effect, 0, -1.0, f"{unit}/({unit}/s^2)")}
     load = "N m" if unit == "rad" else "N"
     # an actuator's torque is the opposite of the load that it holds
     sign = -1.0 if effect.driver.startswith("effort:") else 1.0
@@ -122,10 +122,12 @@ def sentence(entry: ReportEntry) -> str:
     if "compliance_times_offset_x" in entry.sizes:
         return f"{entry.place} deflects under a recorded payload whose centre lies beside the tip"
     if "wind_up" in entry.sizes:
-        size, std, _ = entry.sizes["wind_up"]
-        per = "µm per m/s²" if entry.place == "tool" else "µrad per rad/s²"
-        way = "stays behind" if size > 0.0 else "runs ahead"
-        return f"{entry.place} {way} as it is accelerated, by {in_words((1e6 * abs(size), 1e6 * std, per))}"
+        size, std, unit = entry.sizes["wind_up"]
+        per = "µrad per rad/s²" if "rad" in unit else "µm per m/s²"
+        amount = in_words((1e6 * abs(size), 1e6 * std, per))
+        if size > 0.0:
+            return f"{entry.place} stays behind as it is accelerated, by {amount}"
+        return f"{entry.place} runs ahead as it is accelerated, by {amount}; no spring does that: a controller may"
     name = next(name for name in ("compliance_per_unit", "compliance_times_mass", "compliance") if name in entry.sizes)
     size, std, unit = entry.sizes[name]
     angle, per = ("µrad", "N m") if "rad" in unit else ("µm", "N")
