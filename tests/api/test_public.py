@@ -27,7 +27,6 @@ from modcal_nodes.cli.main import run
 ROOT = Path(__file__).resolve().parents[2]
 BAG = ROOT / "bags" / "ur10_cell"
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
-CLASSES = [name for name in modcal.__all__ if inspect.isclass(getattr(modcal, name))]
 
 
 @pytest.fixture(scope="module")
@@ -54,18 +53,6 @@ def test_every_public_name_is_there_and_documented() -> None:
         if name != "__version__":
             assert inspect.getdoc(one), name
             assert getattr(modcal_core, name, one) is one
-
-
-@pytest.mark.parametrize("name", CLASSES)
-def test_every_public_method_is_documented(name: str) -> None:
-    for member, value in inspect.getmembers(getattr(modcal, name)):
-        own = callable(value) or isinstance(value, property)
-        if own and not member.startswith("_") and name not in ("Choice",) and "modcal" in str(_module(value)):
-            assert inspect.getdoc(value), f"{name}.{member}"
-
-
-def _module(value: object) -> str | None:
-    return getattr(value.fget if isinstance(value, property) else value, "__module__", None)
 
 
 def test_type_checkers_see_the_names_that_are_imported_late() -> None:
@@ -156,9 +143,7 @@ def test_public_values_are_frozen(made: modcal.Result) -> None:
 
 def test_the_report_prints_what_the_command_shows(made: modcal.Result) -> None:
     text = str(made.report)
-    size = made.report.size_mm("final")
-    assert size is not None
-    assert f"{size.rms:.3f}" in text
+    assert f"{made.report.size_mm('final').rms:.3f}" in text
     assert made.report.verdict in text
     assert "account of the squared error" in text
 
@@ -269,7 +254,6 @@ def test_tolerances_are_checked_before_anything_is_computed(made: modcal.Result)
     with pytest.raises(BadTable, match="p99"):
         modcal.calibrate(made.robot, made.samples, tolerance_mm=0.1, tolerance_of="p99")
     report = modcal.evaluate(made.calibration, made.samples, tolerance_mm=50.0)
-    assert report.tolerance is not None
     assert report.tolerance.result == "CANNOT TELL"  # these samples are what it was fitted to
 
 

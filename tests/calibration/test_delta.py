@@ -10,13 +10,10 @@ from finite_differences import assert_jacobian
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.delta_distances import (
     Pairs,
-    Schedule,
-    anneal_distances,
     distance_errors,
     distance_jacobian,
     fit_distances,
     max_deviations,
-    objective,
     visibility,
 )
 from modcal_core.calibration.linearisation import linearise
@@ -25,7 +22,7 @@ from modcal_core.calibration.store import from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ALL, AXIS, Effect
 from modcal_core.effects.shapes import Shape
-from modcal_core.errors import BadRecording, NotEnoughData, NotReachable
+from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.loop import calibrate
 from modcal_core.report.as_json import to_json_data
 from modcal_core.robots.delta import Delta
@@ -129,13 +126,6 @@ def test_parameters_of_the_arms_come_back() -> None:
     assert 0.5 < np.std(scores) < 1.6
 
 
-def test_joint_positions_that_no_platform_fits_are_refused() -> None:
-    cell = record_delta(10, 60)
-    short = Delta.build(cell.nominal.names, offset=0.15, proximal=0.3, distal=0.42)
-    with pytest.raises(NotReachable, match="no platform fits"):
-        calibrate(cell.samples, short, np.random.default_rng(0))
-
-
 def test_jacobian_of_distances_is_their_derivative() -> None:
     delta = nominal()
     q = postures(delta, 4)
@@ -195,23 +185,6 @@ def test_bounds_hold_and_are_named() -> None:
     found = fit_distances(cell.nominal, cell.samples.q, Pairs.of_points(cell.samples.reading), max_deviation)
     assert (np.abs(found.delta.vector - cell.nominal.vector) <= max_deviation * (1.0 + 1e-9)).all()
     assert set(found.at_bound) & {"arm_1/distal", "arm_2/distal", "arm_3/distal"}
-
-
-def test_annealing_gets_better_and_least_squares_gets_there() -> None:
-    cell = record_delta(6, 30)
-    pairs = Pairs.of_points(cell.samples.reading)
-    before = objective(cell.nominal, cell.samples.q, pairs)
-    plan = Schedule(trials=15, cooling=0.75)
-    annealed, went = anneal_distances(cell.nominal, cell.samples.q, pairs, np.random.default_rng(0), plan)
-    assert went.f == objective(annealed, cell.samples.q, pairs)
-    assert (np.diff(went.history) <= 0.0).all()
-    assert went.evaluations == 1 + 15 * len(went.history)
-    assert went.f < 0.9 * before
-    polished = fit_distances(cell.nominal, cell.samples.q, pairs, begin=annealed)
-    direct = fit_distances(cell.nominal, cell.samples.q, pairs)
-    assert direct.f < went.f
-    assert abs(polished.f - direct.f) < 1e-3 * direct.f
-    assert direct.evaluations < went.evaluations
 
 
 def test_postures_that_the_drawing_cannot_take_are_refused() -> None:

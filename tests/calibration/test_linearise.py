@@ -17,11 +17,10 @@ from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.distances import Distance, distance_rows
 from modcal_core.calibration.equations import PlainSystem, nonnegative
 from modcal_core.calibration.fit import Curvature, identify, inverse_of_triangle
-from modcal_core.calibration.initial import locate
 from modcal_core.calibration.kernels import serial
 from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
 from modcal_core.calibration.linearisation import linearise
-from modcal_core.calibration.model import Model, place_model
+from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ordered_candidates
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry import se3
@@ -96,14 +95,6 @@ def test_distances_between_frames() -> None:
     x = np.array([SHIFT if p.direction < 3 else TURN for p in parameters])
     rows = distance_rows(model, parameters, x, known)
     assert_jacobian(lambda v: -distance_rows(model, parameters, v, known).residual, rows.J.T, x)
-
-
-def test_what_is_located_meets_exact_readings() -> None:
-    for kind in ("pose", "point"):
-        made = record(5, 60, kind, length_std=0.0, angle_std=0.0)
-        found = locate(place_model(ur10(), ("tracker",)), made.exact)
-        gap = found.predict(made.samples.q)[:, :3, 3] - made.exact.reading
-        assert np.abs(gap).max() < 1e-5
 
 
 KINDS = [("pose",), ("point",), ("point", "point"), ("pose", "pose", "pose")]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
@@ -28,8 +28,3 @@ def flange_joints(T_base_tip: Array) -> Array:
     """Joints (N, 6) [m, rad] at which :func:`flange_arm` has its tip at these poses (N, 4, 4)."""
     rpy = so3.to_rpy(T_base_tip[:, :3, :3])
     return np.concatenate([T_base_tip[:, :3, 3], rpy[:, ::-1]], axis=1)
-
-
-def flange_poses(q: Array) -> Array:
-    """The inverse of :func:`flange_joints`."""
-    return se3.transform(so3.from_rpy(q[:, :2:-1]), q[:, :3])

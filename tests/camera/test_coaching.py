@@ -72,8 +72,8 @@ def test_coaching_asks_for_what_is_missing() -> None:
 
 @pytest.mark.slow
 def test_pose_and_its_covariance(rng: np.random.Generator) -> None:
-    """Standard scores of 200 poses are those of six normal numbers."""
-    T = facing(rng, 200)
+    """Standard scores of eighty poses are those of six normal numbers."""
+    T = facing(rng, 80)
     scores = []
     for one, seen in zip(T, views(rng, T), strict=True):
         found, cov = board_pose(seen, BOARD, LENS)

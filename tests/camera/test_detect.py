@@ -43,7 +43,6 @@ def test_corners_are_where_the_renderer_has_them(board: PrintedTarget) -> None:
     for i, T in enumerate(poses(4)):
         grey = render(T, SMALL, board, np.random.default_rng(i), rays=4)  # with two, edges wander by more than noise
         view = detect(grey, board, "a.png").view
-        assert view is not None
         assert len(view) >= 0.6 * len(board.points)
         gap = view.pixels - seen(T, board.points[view.ids], SMALL)
         gaps.append(gap)
@@ -61,7 +60,6 @@ def test_what_lies_beside_a_corner_does_not_draw_it() -> None:
     streak = np.zeros((7, 7))
     streak[3, 1:6] = 0.2
     found = detect(cv2.filter2D(grey, -1, streak), BOARD, "a").view
-    assert found is not None
     gap = found.pixels - seen(poses()[0], BOARD.points[found.ids], SMALL)
     assert np.sqrt((gap**2).mean()) < 0.03
     # across the motion the edges are as sharp as they were
@@ -73,7 +71,6 @@ def test_a_corner_half_covered_is_said_to_be_rough() -> None:
     at = seen(poses()[0], BOARD.points[[9]], SMALL)[0].astype(int)
     grey[at[1] - 1 : at[1] + 30, at[0] - 1 : at[0] + 30] = 128
     found = detect(grey, BOARD, "a").view
-    assert found is not None
     for id_, pixel, cov in zip(found.ids, found.pixels, found.cov, strict=True):
         gap = pixel - seen(poses()[0], BOARD.points[[id_]], SMALL)[0]
         assert np.sqrt(gap @ np.linalg.solve(cov, gap)) < 6.0, id_
@@ -86,7 +83,6 @@ def test_grids_of_markers() -> None:
     grey = cv2.GaussianBlur(cv2.copyMakeBorder(picture, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255), (0, 0), 0.8)
     opencv = PrintedTarget(ARUCO_GRID, 3, 2, 0.1, 0.03, "DICT_APRILTAG_36h11")
     found = detect(grey, opencv, "a").view
-    assert found is not None
     assert len(found) == 24
     scale = np.linalg.lstsq(np.c_[opencv.points[found.ids, :2], np.ones(24)], found.pixels, rcond=None)[0]
     assert (
@@ -98,7 +94,6 @@ def test_grids_of_markers() -> None:
     )
     kalibr = replace(opencv, kind=APRIL_GRID)
     view = detect(cv2.GaussianBlur(upwards, (0, 0), 0.8), kalibr, "a").view
-    assert view is not None
     assert len(view) == 24
     flat = np.c_[kalibr.points[view.ids, :2], np.ones(24)]
     fitted = np.linalg.lstsq(flat, view.pixels, rcond=None)[0]
@@ -293,6 +288,5 @@ def test_the_printed_board_is_the_one_that_is_found() -> None:
             a, b = (np.rint(4.0 * np.array([[x, y], [x + w, y + h]])) + 100).astype(int)
             page[a[1] : b[1], a[0] : b[0]] = 0
         view = detect(cv2.GaussianBlur(page, (0, 0), 1.0), board, "page").view
-        assert view is not None
         assert len(view) == len(board.points)
         assert view.pixels == pytest.approx(99.5 + 4000.0 * board.points[view.ids, :2], abs=0.6)

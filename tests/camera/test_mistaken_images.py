@@ -33,7 +33,6 @@ def test_a_kicked_tripod_is_named() -> None:
     later = views(np.random.default_rng(0), T, board=s.board)
     r = solved(replace(s, views=[*s.views[:half], *later]))
     assert r.claim.decision.word == DO_NOT_APPLY
-    assert r.evidence.moved is not None
     assert r.evidence.moved.since == half
     assert r.evidence.moved.what == "camera"
     assert any(said.startswith("The camera was moved before image") for said in r.claim.decision.because)
@@ -48,7 +47,6 @@ def test_a_focus_that_was_changed_is_no_move() -> None:
     later = views(np.random.default_rng(0), s.T, lens=other, board=s.board)[half:]
     r = solved(replace(s, views=[*s.views[:half], *later]), look_for_effects=False)
     assert r.claim.decision.word == DO_NOT_APPLY
-    assert r.evidence.moved is not None
     assert r.evidence.moved.since == half
     assert 100.0 * r.evidence.moved.focal == pytest.approx(100.0 * (zoom - 1.0), rel=0.3)
     assert any("another focal length from image" in said for said in r.claim.decision.because)
@@ -70,15 +68,6 @@ def test_a_focus_that_hunts_is_an_error_of_each_image(much: float) -> None:
 
 
 @pytest.mark.slow
-def test_an_image_of_another_posture_is_left_out() -> None:
-    s = images(True)
-    q = s.q.copy()
-    q[7] += 0.05
-    r = solved(replace(s, q=q))
-    assert list(r.camera.left_out) == [s.views[7].name]
-
-
-@pytest.mark.slow
 def test_a_lens_of_another_camera_is_named() -> None:
     """Focal length 2 % and centre of another resolution, both stated as exact: neither can be the arm's fault."""
     s = images(True)
@@ -97,16 +86,10 @@ def test_an_arm_worse_than_stated_is_named() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay_s", [0.03, 1.0])
-def test_images_of_another_moment_are_refused_or_named(delay_s: float) -> None:
-    """An arm that moves at 0.3 rad/s, taken as standing: the joints are those of 30 ms or 1 s before."""
+def test_images_of_another_moment_are_named() -> None:
+    """An arm that moves at 0.3 rad/s, taken as standing: the joints are those of 30 ms before."""
     velocity = 0.3 * np.random.default_rng(8).choice([-1.0, 1.0], (20, 7))
-    s = scene(6, True, count=20, board=MEASURED, velocity=velocity, delay_s=delay_s)
-    if delay_s == 1.0:
-        with pytest.raises(BadRecording, match="belong"):
-            solved(s)
-        return
-    r = solved(s)
+    r = solved(scene(6, True, count=20, board=MEASURED, velocity=velocity, delay_s=0.03))
     assert r.claim.decision.word == DO_NOT_APPLY
     assert any("of the same moment" in said for said in r.claim.decision.because)
 
@@ -165,14 +148,6 @@ def test_what_would_belong_together_is_named(joints: Callable[[Array], Array], m
     views = [replace(v, pixels=[0.0, 360.0 - 360.0 * mirror] + v.pixels * [1.0, mirror]) for v in s.views]
     with pytest.raises(BadRecording, match=said):
         prepare_images(s.chain, CameraImages(joints(s.q), views, s.board, s.lens.size))
-
-
-def test_joints_that_are_shuffled_are_explained_by_nothing(rng: np.random.Generator) -> None:
-    s = scene(77, True, count=14, board=MEASURED)
-    images = CameraImages(rng.permutation(s.q), s.views, s.board, s.lens.size)
-    with pytest.raises(BadRecording, match="joints") as refused:
-        prepare_images(s.chain, images)
-    assert refused.value.limit.endswith(("off)", "in the median"))
 
 
 ARM_M = 5e-4  # what is known of the arm

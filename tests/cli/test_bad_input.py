@@ -64,7 +64,7 @@ CASES: dict[str, tuple[Callable[[], Recording], list[str], str]] = {
     "no joint states": (lambda: replace(stations(), joints=()), ["--tip", "tool0"], "joint states: no message"),
     "tracker clock 2 s off (streams)": (lambda: streams(late=2.0), [], r"clock of /tracker/pose.*2\.00 s off.*limit"),
     "tracker clock 2 s off (paired stations)": (
-        lambda: with_reading(stations(), stamps=stations().readings[0].stamps + 2.0), [], "readings look .* by 1 station:"
+        lambda: with_reading(stations(40), stamps=stations(40).readings[0].stamps + 2.0), [], "readings look .* by 1 station:"
     ),
     "tracker clock 0.7 s off (paired stations)": (
         lambda: with_reading(stations(), stamps=stations().readings[0].stamps + 0.7), [], r"stamped \+0.700 s off"
@@ -73,7 +73,7 @@ CASES: dict[str, tuple[Callable[[], Recording], list[str], str]] = {
     "quaternion not of unit length": (lambda: with_values(lambda x: x * np.r_[[1.0] * 3, [1.5] * 4]), [], "a quaternion has length 1.500"),
     "link of --tip not in the URDF": (stations, ["--tip", "tool1"], "link 'tool1': is not in the robot .*tool0"),
     "--tip names the link before the last joint": (
-        stations, ["--tip", "wrist_2_link"], "wrist_3_joint moved as well and is not between base and tip"
+        lambda: stations(40), ["--tip", "wrist_2_link"], "wrist_3_joint moved as well and is not between base and tip"
     ),
     "two publishers of joint states": (
         lambda: between(streams(8)), [], r"/joint_states: the position of \w+: jumps to and fro.*two nodes publish"
@@ -81,7 +81,7 @@ CASES: dict[str, tuple[Callable[[], Recording], list[str], str]] = {
     "no robot description": (lambda: replace(stations(), robot_description=None), [], "holds no robot_description.*--urdf"),
     "robot description is no URDF": (lambda: replace(stations(), robot_description="<sdf/>"), [], "is <sdf>, not <robot>"),
     "another robot's URDF": (
-        lambda: replace(stations(), robot_description=URDF.read_text().replace('"-0.612 0 0"', '"-0.4 0 0"')), [],
+        lambda: replace(stations(40), robot_description=URDF.read_text().replace('"-0.612 0 0"', '"-0.4 0 0"')), [],
         "the origin of joint elbow_joint in the URDF looks wrong",
     ),
     "5 stations for 42 parameters": (lambda: part(stations(), slice(5)), [], "5 stations for 30 parameters: the 70% of them that fit give 24"),

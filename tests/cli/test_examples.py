@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from importlib.metadata import PackagePath, PathDistribution
 from pathlib import Path
 
@@ -59,17 +58,6 @@ def test_of_an_installation_only_what_was_shipped_is_copied(tmp_path: Path, monk
     assert run(["examples", str(tmp_path / "here")]) == 0
     assert len(listed) == 3
     assert [file.name for file in (tmp_path / "here").rglob("*") if file.is_file()] == ["a.py"]
-
-
-def test_every_folder_of_examples_is_stated() -> None:
-    """What is new in `examples` is not left out of the wheel."""
-    stated = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
-    folders = {
-        str(file.parent.relative_to(ROOT))
-        for file in (ROOT / "examples").rglob("*.*")
-        if file.is_file() and not {"__pycache__", "build"} & set(file.parts) and "egg-info" not in str(file)
-    }
-    assert folders == {place.removeprefix("share/modcal/") for place in stated if place.startswith("share/modcal/ex")}
 
 
 @pytest.mark.parametrize("name", ["requirements.txt", "requirements-test.txt"])

@@ -96,7 +96,6 @@ def test_joint_offsets_for_ros2_control(tmp_path: Path, capfd: pytest.CaptureFix
     out = tmp_path / "offsets.xml"
     assert run(["export", str(tmp_path / "cal"), "--to", "ros2_control", "--out", str(out)]) == 0
     known = offsets_of(made)
-    assert known is not None
     root = ET.fromstring(out.read_text())
     written = {j.get("name"): float(j.findtext("offset", "")) for j in root.iter("joint")}
     assert written == {one.joint: one.value for one in known.found}

@@ -17,7 +17,6 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 MODCAL = ROOT / ".venv" / "bin" / "modcal"
-URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 ROWS = 15000
 MAPPING = """
 tables:

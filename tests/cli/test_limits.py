@@ -175,7 +175,7 @@ def test_a_description_without_efforts_or_masses(tmp_path: Path, refused: Refuse
 
 
 ROBOTS = Path(__file__).resolve().parents[2] / "examples" / "robots"
-ARMS = ("ur10", "xarm7", "iiwa14")
+ARMS = ("ur10", "xarm7")
 
 
 def loaded(text: str, chain: Chain, mass: float, centre: Array) -> str:

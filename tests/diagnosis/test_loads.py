@@ -64,7 +64,6 @@ def calibrated(samples: Samples, cell: Cell | None = None) -> Solution:
 
 def left(done: Solution) -> float:
     size = done.report.size_mm("final")
-    assert size is not None
     return float(size.rms)
 
 
@@ -73,7 +72,6 @@ def test_an_arm_on_a_wall_shows_which_way_weight_pulls(rng: np.random.Generator)
     samples = recorded(rng, 110, WALL)
     done = calibrated(samples)
     loads = done.report.loads
-    assert loads is not None
     assert loads.down is not None
     off = float(np.arccos(np.clip(loads.down @ WALL, -1.0, 1.0)))
     assert off < 3.0 * loads.down_std < np.radians(3.0)
@@ -110,7 +108,6 @@ def test_each_recording_has_its_payload_and_a_joint_one_compliance(rng: np.rando
     samples, until = joined(*(recorded(rng, 60, carried=kg) for kg in (0.0, 6.0, 3.0)))
     done = calibrated(samples, Cell(between=until))
     loads = done.report.loads
-    assert loads is not None
     assert loads.down is None
     assert [p.mass for p in loads.payloads] == pytest.approx([0.0, 6.0, 3.0], abs=0.15)
     for found, kg in zip(loads.payloads, (0.0, 6.0, 3.0), strict=True):
@@ -156,7 +153,6 @@ def test_without_masses_recordings_share_a_compliance_per_kg(rng: np.random.Gene
     samples, until = joined(*(recorded_at_tip(rng, 70, kg) for kg in (2.0, 5.0)))
     done = calibrate(samples, CHAIN, np.random.default_rng(0), Cell(between=until))
     loads = done.report.loads
-    assert loads is not None
     assert loads.relative
     assert [p.mass for p in loads.payloads] == pytest.approx([0.4, 1.0], abs=0.03)
     sizes = {e.place: e.parameters for e in done.report.effects}
@@ -196,7 +192,6 @@ def test_what_a_topic_says_is_carried_has_one_centre_for_all_joints(rng: np.rand
     samples = replace(samples, R=samples.R @ so3.exp(turning * rng.standard_normal((len(samples), 3))))
     done = calibrated(samples, Cell(between=until))
     loads = done.report.loads
-    assert loads is not None
     assert not loads.payloads
     assert loads.centre is not None
     assert loads.centre_std is not None

@@ -48,16 +48,13 @@ def test_a_joint_that_was_adjusted_is_named() -> None:
     q[:, 2] += 5e-4
     report = scored(replace(second, q=q))
     assert report.status == "open"
-    assert report.left is not None
     assert (report.left.effect.place, report.left.effect.public_driver) == ("elbow_joint", "constant")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [50.0])
-def test_a_base_that_moved_is_named(size: float) -> None:
-    report = scored(moved(visited(3, 60), se3.exp(size * np.array([3e-4, -2e-4, 2e-4, 1e-4, 2e-4, -2e-4]))))
+def test_a_base_that_moved_is_named() -> None:
+    report = scored(moved(visited(3, 60), se3.exp(1e-2 * np.array([1.5, -1.0, 1.0, 0.5, 1.0, -1.0]))))
     assert report.status == "open"
-    assert report.left is not None
     assert report.left.effect.place == "base"
 
 
@@ -74,7 +71,6 @@ def test_geometry_alone_names_what_it_did_not_look_for() -> None:
     q[:, 1] += 4e-4 * np.sin(3.0 * q[:, 1])
     report = calibrate(replace(samples, q=q), ur10(), np.random.default_rng(0), look_for_effects=False).report
     assert report.status == "open"
-    assert report.left is not None
     assert report.left.effect.place == "shoulder_lift_joint"
 
 
@@ -86,13 +82,11 @@ def test_a_delta_whose_drive_was_adjusted_is_open_for_a_constant_error() -> None
     q[:, 1] += 1e-3
     report = evaluate(known, replace(told.samples, q=q), np.random.default_rng(0))
     assert report.status == "open"
-    assert report.left is not None
     assert report.left.effect.public_driver == "constant"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("again", [False, True])
-def test_an_effect_that_has_grown_is_named_beside_base_and_tool_that_are_found_again(again: bool) -> None:
+def test_an_effect_that_has_grown_is_named_beside_base_and_tool_that_are_found_again() -> None:
     """The columns of what the calibration knows hide nothing, and base and tool explain nothing that they took up."""
 
     def worn(size: float, seed: int) -> Samples:
@@ -103,9 +97,8 @@ def test_an_effect_that_has_grown_is_named_beside_base_and_tool_that_are_found_a
 
     known = calibrate(worn(4e-4, 4), ur10(), np.random.default_rng(0)).calibration
     assert any(effect.place == "shoulder_lift_joint" for effect in known.calibrated.effects)
-    report = evaluate(known, worn(8e-4, 4), np.random.default_rng(0), refit_base=again, refit_tool=again)
+    report = evaluate(known, worn(8e-4, 4), np.random.default_rng(0), refit_base=True, refit_tool=True)
     assert report.status == "open"
-    assert report.left is not None
     assert report.left.effect.place == "shoulder_lift_joint"
     assert "as an error of joint shoulder_lift_joint" in " ".join(report.open_because)
 
@@ -140,9 +133,7 @@ def test_a_payload_that_is_recorded_loads_the_joints(topic: str, factor: float, 
     (effect,) = report.effects
     assert (effect.family, effect.place, effect.driver) == ("compliance", "elbow_joint", "load:elbow_joint")
     assert effect.parameters[name][0] == pytest.approx(expected, rel=0.01)  # lengths are off by half a millimetre
-    size = report.size_mm("final")
-    assert size is not None
-    assert size.rms < 1.25 * 2e-2 * np.sqrt(3.0)
+    assert report.size_mm("final").rms < 1.25 * 2e-2 * np.sqrt(3.0)
     assert not any("no masses" in sentence for sentence in report.story)
 
 

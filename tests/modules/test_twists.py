@@ -33,7 +33,7 @@ from modcal_core.modules.targets import Catalogue, Target, TargetPostures, frame
 from modcal_core.modules.urdf import path, urdf_of
 from modcal_core.robots.bodies import chain_gravity_wrench, payload_wrench
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import body_jacobian, chain_forward
+from modcal_core.robots.kinematics import body_jacobian
 from modcal_core.robots.mechanism import random_postures
 from modcal_core.robots.urdf_inertias import read_inertias
 
@@ -66,15 +66,6 @@ def test_structure_by_the_printed_rules() -> None:
     assert broken(("JR", "LC"), ("JP", "LC")) == 0  # two straight links, but the second is the last
     assert broken(("JR", "LC"), ("JP", "LC"), ("JR", "LP")) == 1
     assert broken(("JR", "LC"), ("JR", "LC"), ("JR", "LC")) == 3
-
-
-def test_frames_are_those_of_the_assembly(rng: np.random.Generator) -> None:
-    assemblies, at = at_random(rng)
-    for i, assembly in enumerate(assemblies):
-        T = chain_forward(chain_of(assembly, LIBRARY), at.q[i].reshape(-1, 5)).reshape(2, 4, 4, 4)
-        assert np.abs(at.tip[i] - T).max() < 1e-13
-        modules = module_frames(assembly, LIBRARY, at.q[i, 0, 0])
-        assert np.abs(at.behind[i, 0, 0] - modules[1:-2:2]).max() < 1e-13
 
 
 def test_joint_range_as_printed(rng: np.random.Generator) -> None:

@@ -31,19 +31,6 @@ from modcal_msgs_py.messages import RecordingBuilder
 from modcal_msgs_py.recording_write import write_recording
 
 
-def test_a_recording_survives_its_bag(tmp_path: Path) -> None:
-    recording = stations(30)
-    write_recording(recording, tmp_path / "bag")
-    for path in (tmp_path / "bag", tmp_path / "bag" / "bag_0.mcap"):
-        again = read_recording(path)
-        assert np.array_equal(again.joints[0].position, recording.joints[0].position)
-        assert again.joints[0].names == recording.joints[0].names
-        assert np.array_equal(again.readings[0].values, recording.readings[0].values)
-        assert np.abs(again.readings[0].stamps - recording.readings[0].stamps).max() < 1e-6
-        assert again.robot_description == recording.robot_description
-        assert again.warnings == ()
-
-
 def test_an_independent_reader_finds_the_same(tmp_path: Path) -> None:
     recording = streams(4)
     write_recording(recording, tmp_path / "bag")
@@ -75,7 +62,6 @@ def test_layout_is_that_of_ros2_bag_record(tmp_path: Path) -> None:
         reader = make_reader(stream)
         assert reader.get_header().profile == "ros2"
         summary = reader.get_summary()
-        assert summary is not None
         for channel in summary.channels.values():
             assert channel.message_encoding == "cdr"
             assert channel.metadata["topic_type_hash"].startswith("RIHS01_")

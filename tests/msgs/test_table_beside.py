@@ -64,7 +64,6 @@ def test_commanded_joints_in_another_unit(tmp_path: Path, rng: np.random.Generat
     )
     assert entry["joints"]["commanded"]["unit"] == "deg"
     commanded = read_tables(dict(made.mapping), tmp_path, "m").commanded
-    assert commanded is not None
     assert np.abs(commanded.position - wanted).max() < 1e-6
 
 
@@ -104,7 +103,6 @@ def test_standard_deviations(
         "position": labels.split(), "unit": "mm", **({"coverage": coverage} if coverage else {})
     }  # fmt: skip
     stated = read(made, tmp_path).readings[0].stated
-    assert stated is not None
     assert np.allclose(stated[:, 0], np.linalg.norm(s, axis=1), rtol=1e-3)
 
 

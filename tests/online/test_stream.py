@@ -93,7 +93,7 @@ def test_encoder_noise_is_no_motion(rng: np.random.Generator) -> None:
 def test_memory_is_bounded() -> None:
     stream = SampleStream(NAMES)
     pose = se3.to_pose(np.eye(4))
-    for i in range(40_000):
+    for i in range(24_000):
         stream.joint_state(START + 1e-3 * i, np.full(6, 1e-3 * i))
         if i % 5 == 0:
             stream.reading("pose", "tracker", START + 1e-3 * i + 1e-4, pose)

@@ -148,7 +148,6 @@ def test_a_slow_creep_is_noticed() -> None:
     T = world.tool_in_tracker(q)
     T[:, :3, 3] += np.outer(np.linspace(0.0, 1e-3, 200), [0.6, 0.8, 0.0])
     alarm = after(watch_of(fit), readings(world, q, T, rng))
-    assert alarm is not None
     assert alarm[0] < 80
 
 

@@ -108,12 +108,6 @@ def test_arms_that_might_have_been_meant_as_well() -> None:
     assert Robot.from_urdf(urdf("panda")).other_tips == ()
 
 
-def test_an_arm_that_was_recorded_goes_first() -> None:
-    two = robot(links("l0"), serial("rrrrrrr", "a", "l0"), serial("rrrrrr", "b", "l0"))
-    assert read_chain(two).tip == "a7"
-    assert read_chain(two, recorded={f"bj{k}" for k in range(1, 7)}).tip == "b6"
-
-
 def test_a_joint_that_was_not_recorded_does_not_shorten_the_arm() -> None:
     recorded = set(chain_of("ur10").names) - {"wrist_3_joint"}
     assert read_chain(urdf("ur10"), recorded=recorded).n == 6

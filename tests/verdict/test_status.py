@@ -45,8 +45,7 @@ def test_a_check_waits_only_for_checks_before_it() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("kind", ["pose", "point"])
+@pytest.mark.parametrize(("seed", "kind"), [(0, "pose"), (1, "point")])
 def test_good_arms(seed: int, kind: str) -> None:
     """At the floor where postures were come back to, else it cannot be told; never open."""
     assert verdict_of(visited(20 + seed, 80, 8, kind, joint_rad=2e-5)).status == "at_floor"
@@ -222,8 +221,8 @@ def test_returns_are_exchangeable_by_chance_as_often_as_is_stated() -> None:
     samples = visited(3, 60, 14)
     rng = np.random.default_rng(2)
     visits = returns_of(samples)
-    count = sum(depends_on(rng.standard_normal((len(samples), 3)), visits, samples) != "" for _ in range(200))
-    assert count <= 7
+    count = sum(depends_on(rng.standard_normal((len(samples), 3)), visits, samples) != "" for _ in range(60))
+    assert count <= 3
 
 
 def test_returns_that_differ_by_more_than_arms_do_show_a_floor_only_where_it_was_stated() -> None:
