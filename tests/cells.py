@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
+from modcal_core.measurements.recording import JointTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism
@@ -55,6 +57,11 @@ class Recorded:
     samples: Samples
     exact: Samples
 
+    def reread(self, T: Array, kind: str = "pose") -> Samples:
+        """Poses T (N, 4, 4) that are read at the same postures, with the same noise of positions."""
+        seen = samples_of(self.world.nominal, self.samples.q, T, kind)
+        return replace(seen, reading=seen.reading + self.samples.reading - self.exact.reading)
+
 
 def record(
     seed: int,
@@ -75,10 +82,21 @@ def record(
     q = rng.uniform(np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi), (count, chain.n))
     T = world.tool_in_tracker(q)
     exact = samples_of(chain, q, T, kind)
-    noisy = T.copy()
-    noisy[:, :3, 3] += noise_m * rng.standard_normal((count, 3))
-    noisy[:, :3, :3] = T[:, :3, :3] @ so3.exp(noise_rad * rng.standard_normal((count, 3)))
-    return Recorded(world, samples_of(chain, q, noisy, kind), exact)
+    return Recorded(world, samples_of(chain, q, noisy(T, noise_m, noise_rad, rng), kind), exact)
+
+
+def noisy(T: Array, metres: float, radians: float, rng: np.random.Generator) -> Array:
+    """Poses (N, 4, 4) with white noise of these deviations along and about every axis."""
+    out = T.copy()
+    out[:, :3, 3] += metres * rng.standard_normal((len(T), 3))
+    out[:, :3, :3] = out[:, :3, :3] @ so3.exp(radians * rng.standard_normal((len(T), 3)))
+    return out
+
+
+def joint_track(names: Sequence[str], stamps: Array, q: Array) -> JointTrack:
+    """Joint states that report positions alone, received when they are stamped."""
+    unknown = np.full_like(q, np.nan)
+    return JointTrack(tuple(names), stamps, q, unknown, unknown, stamps)
 
 
 def samples_of(chain: Mechanism, q: Array, T: Array, kind: str = "pose", frame: str = "tracker") -> Samples:

@@ -16,7 +16,7 @@ from modcal_core.calibration import noise as distributions
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.distances import Distance, distance_rows
 from modcal_core.calibration.equations import PlainSystem, nonnegative
-from modcal_core.calibration.fit import Curvature, identify, inverse_of_triangle
+from modcal_core.calibration.fit import Curvature, identify
 from modcal_core.calibration.kernels import serial
 from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
 from modcal_core.calibration.linearisation import linearise
@@ -214,16 +214,6 @@ def test_solution_and_inverse_at_units_far_apart() -> None:
     np.testing.assert_allclose(curvature.solve(g), expected, rtol=1e-9)
     np.testing.assert_allclose((H @ curvature.inverse()) * size / size[:, None], np.eye(12), atol=1e-9)
     np.testing.assert_array_equal(curvature.inverse(), curvature.inverse().T)
-
-
-@pytest.mark.parametrize("rows", [0, 1, 63, 64, 65, 200])
-def test_it_is_the_inverse_and_reads_nothing_above_the_diagonal(rows: int) -> None:
-    rng = np.random.default_rng(rows)
-    lower = np.tril(rng.normal(size=(rows, rows))) + 2.0 * np.sqrt(rows) * np.eye(rows)
-    written_above = np.asfortranarray(lower + np.triu(np.full((rows, rows), np.nan), 1))
-    inverse = inverse_of_triangle(written_above)
-    np.testing.assert_allclose(inverse @ lower, np.eye(rows), atol=1e-12)
-    np.testing.assert_array_equal(np.triu(inverse, 1), 0.0)
 
 
 def test_what_is_singular_has_a_solution() -> None:

@@ -183,35 +183,6 @@ def test_one_error_of_the_arm_a_stop_is_what_a_fit_of_every_stops_own_would_leav
     assert np.isclose(found.spread, noise + np.linalg.slogdet(inner)[1])
 
 
-def test_a_change_of_images_is_a_parameter_of_its_own() -> None:
-    """Against normal equations with the change's two numbers beside the parameters; one camera saw a stop twice."""
-    rng = np.random.default_rng(5)
-    cameras = [camera(rng, [0, 1, 1, 2], 4, np.arange(10)), camera(rng, [2, 0], 3, np.r_[0, 1, -1, 4 + np.arange(6)])]
-    changes = {k: rng.normal(size=(len(seen), seen.shape[2] - 1, 2)) for k, (seen, _) in enumerate(cameras)}
-    for k, (_, eq) in enumerate(cameras):
-        changes[k][eq.stop == 0] = 0.0  # before it
-    size, m = 10 + 2 + 1, JOINTS + 3
-    rows = []
-    for k, (seen, eq) in enumerate(cameras):
-        for i, own in enumerate(seen / SIZES.noise):
-            row = np.zeros((ROWS, 3 * m + size))
-            of_stop = eq.own[i] * SIZES.off(eq.own.shape[2])
-            row[:, m * eq.stop[i] + np.arange(m)] = own[:, :POSE] @ of_stop
-            by = np.concatenate([own[:, :POSE] @ eq.moved[i], own[:, POSE:-1]], axis=1)
-            row[:, 3 * m + eq.columns[eq.columns >= 0]] = by[:, eq.columns >= 0]
-            row[:, -3:] = np.c_[own[:, :-1] @ changes[k][i], own[:, -1]]
-            rows.append(row)
-    A = np.concatenate(rows)
-    H = A.T @ A
-    H[: 3 * m, : 3 * m] += np.eye(3 * m)
-    expected = H[3 * m :, 3 * m :] - H[3 * m :, : 3 * m] @ np.linalg.solve(H[: 3 * m, : 3 * m], H[: 3 * m, 3 * m :])
-    every = Equations(tuple(eq for _, eq in cameras), np.zeros(10), np.eye(10), np.ones(10, bool), np.empty(0, int))
-    own, cross = every.by_change(SIZES, changes)
-    assert np.allclose(own.sum(axis=0), expected[-3:-1, -3:-1])
-    assert np.allclose(cross.sum(axis=0), np.c_[expected[-3:-1, :-3], expected[-3:-1, -1:]])
-    assert np.allclose(own[0], 0.0)
-
-
 def test_images_of_one_stop_by_name_by_joints_or_by_time() -> None:
     q = np.array([[0.0, 1.0], [0.5, 1.0], [0.0, 1.0], [2.0, 0.0]])
     unknown = [np.empty(0), np.empty(0)]

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from cells import NOISE_M, NOISE_RAD, Recorded, ur10
+from cells import NOISE_M, NOISE_RAD, Recorded, noisy, ur10
 
 from modcal_core.calibration.store import Calibration
 from modcal_core.checkup import Checked
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.samples import Samples
@@ -28,9 +28,7 @@ def readings(
     q: Array, T: Array, rng: np.random.Generator, noise: float = 1.0, kind: str = "pose", frame: str = "tracker"
 ) -> Samples:
     """Poses (N, 4, 4) with the instrument's noise, or their points."""
-    T = T.copy()
-    T[:, :3, 3] += noise * NOISE_M * rng.standard_normal((len(q), 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(noise * NOISE_RAD * rng.standard_normal((len(q), 3)))
+    T = noisy(T, noise * NOISE_M, noise * NOISE_RAD, rng)
     made = Samples.from_arrays(q, poses=T, names=ur10().names, stamps=1e6 + 5.0 * np.arange(len(q)), frame=frame)
     return replace(made, kind=np.full(len(q), kind, dtype=KIND_NAMES))
 

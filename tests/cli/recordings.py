@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cells import record, ur10
+from cells import joint_track, record, ur10
 
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import ReadingTrack, Recording
 from modcal_nodes.simulation.mjcf import World
 from modcal_nodes.simulation.program import Program, tour
 
@@ -47,9 +47,8 @@ def streams(count: int = 40, seed: int = 1, late: float = 0.0, dwell: float = 1.
 
 def recorded(t: Array, q: Array, s: Array, poses: Array, received: Array | None = None) -> Recording:
     """Joint states (n, 6) at t, and poses of the tool (m, 7) at s [s]."""
-    unknown = np.full_like(q, np.nan)
     return Recording(
-        joints=(JointTrack(ur10().names, t, q, unknown, unknown, t),),
+        joints=(joint_track(ur10().names, t, q),),
         readings=(ReadingTrack("pose", "tracker", s, poses, s if received is None else received),),
         robot_description=URDF.read_text(),
         source="made",

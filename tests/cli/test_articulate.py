@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from articulation.objects import Seen, ideal, noisy
+from cells import joint_track
 from cli.conftest import Refused
 from cli.recordings import URDF
 
 from modcal_core.articulation.urdf import frames, read
 from modcal_core.geometry import se3, so3
-from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import ReadingTrack, Recording
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.mechanism import inverse
 from modcal_core.robots.urdf import read_chain
@@ -131,8 +132,8 @@ def test_an_arm_alone_and_a_tracker_see_the_same_object(tmp_path: Path) -> None:
     camera = se3.transform(so3.exp([0.4, -1.1, 2.0]), np.array([0.3, 1.2, 0.8]))  # the base in the camera
     seen = camera @ held
     seen[:, :3, 3] += rng.normal(0.0, 3e-4, (60, 3))
-    t, none = 1.7e9 + 0.05 * np.arange(60), np.full((60, chain.n), np.nan)
-    joints = (JointTrack(chain.names, t, np.array(path), none, none, t),)
+    t = 1.7e9 + 0.05 * np.arange(60)
+    joints = (joint_track(chain.names, t, np.array(path)),)
     readings = (ReadingTrack("pose", "camera", t, se3.to_pose(seen), t),)
     write_recording(Recording(joints=joints, readings=readings, robot_description=text), tmp_path / "bag")
     found = {}

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from cells import joint_track
 from cli.conftest import Refused
 from modules.arms import LIBRARY, five_joints
 from modules.workshop import Arm, Made, shelf_of
 
 from modcal_core.geometry import se3
-from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import ReadingTrack, Recording
 from modcal_core.modules.coding import assembly_to_data
 from modcal_core.modules.errors import twists_from_data
 from modcal_core.modules.library import Assembly, chain_of, published_text
@@ -87,11 +88,10 @@ def bag(folder: Path, assembly: Assembly, arm: Arm, rng: np.random.Generator, st
     """A recording of these many stations, read by the tracker."""
     q = rng.uniform(-2.0, 2.0, (stations, assembly.n))
     t = 1.7e9 + 2.0 * np.arange(len(q))
-    unknown = np.full_like(q, np.nan)
     readings = ReadingTrack("point", "tracker", t, arm.readings(q, rng), t)
     write_recording(
         Recording(
-            (JointTrack(assembly.joint_names, t, q, unknown, unknown, t),),
+            (joint_track(assembly.joint_names, t, q),),
             (readings,),
             robot_description=None,
             source="made",

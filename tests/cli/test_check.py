@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 from camera.scenes import PANDA, CameraScene, scene
-from cells import NOISE_M, record
+from cells import NOISE_M, joint_track, noisy, record
 from cli.conftest import Refused
 from cli.recordings import START, recorded, with_joints
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.store import Calibration
 from modcal_core.claim.claim import claim_at_tool
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import ReadingTrack, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.recording_write import write_recording
@@ -131,13 +131,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[CameraScene, Path]:
 def checked(made: tuple[CameraScene, Path], folder: Path, q: Array, T: Array, frame: str, kind: str) -> dict[str, Any]:
     """What a check says of readings T (N, 4, 4) in this frame, with a good tracker's noise."""
     rng = np.random.default_rng(1)
-    T = T.copy()
-    T[:, :3, 3] += 2e-5 * rng.standard_normal((len(T), 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(2e-5 * rng.standard_normal((len(T), 3)))
-    t, unknown = 1.7e9 + 2.0 * np.arange(len(q)), np.full_like(q, np.nan)
+    T = noisy(T, 2e-5, 2e-5, rng)
+    t = 1.7e9 + 2.0 * np.arange(len(q))
     values = se3.to_pose(T) if kind == "pose" else T[:, :3, 3]
     recording = Recording(
-        joints=(JointTrack(made[0].chain.names, t, q, unknown, unknown, t),),
+        joints=(joint_track(made[0].chain.names, t, q),),
         readings=(ReadingTrack(kind, frame, t, values, t),),
         robot_description=PANDA.read_text(),
         source="made",

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cells import joint_track
 from cli.conftest import Refused
 from deltas import FILE, LINEAR, NOISE_M, RecordedDelta, record_delta
 
 from modcal_core.calibration import Pairs, objective
-from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import ReadingTrack, Recording
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_delta
@@ -20,8 +21,7 @@ from modcal_nodes.io.inputs import read_delta
 def write(cell: RecordedDelta, bag: Path) -> None:
     """A bag of joint_states and tracker/point, a finished station each."""
     s = cell.samples
-    unknown = np.full_like(s.q, np.nan)
-    joints = JointTrack(s.names, s.stamps, s.q, unknown, unknown, s.stamps)
+    joints = joint_track(s.names, s.stamps, s.q)
     points = ReadingTrack("point", "tracker", s.stamps, s.reading, s.stamps)
     write_recording(Recording((joints,), (points,), source="made"), bag)
 

@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
-from cells import record, samples_of, ur10
+from cells import noisy, record, samples_of, ur10
 from cli.recordings import URDF, streams
 from robots.test_kinematics import urdf
 from scipy.signal import lsim
 
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording, SignalTrack
@@ -48,8 +48,7 @@ def recorded(seed: int, error: Error, kind: str = "pose", tool: Array | None = N
     T = made.world.tool_in_tracker(q + error(q) + REPEATABILITY * rng.standard_normal(q.shape))
     if tool is not None:
         T = T @ se3.exp(tool)
-    T[:, :3, 3] += 2e-5 * rng.standard_normal((count, 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(3e-5 * rng.standard_normal((count, 3)))
+    T = noisy(T, 2e-5, 3e-5, rng)
     came = np.sign(np.diff(q, axis=0, prepend=np.zeros((1, 6))))
     return replace(samples_of(ur10(), q, T, kind), approach=came)
 
@@ -327,8 +326,8 @@ def test_an_effect_is_not_drowned_by_readings_whose_own_scatter_is_all_there_is(
     T = world.tool_in_tracker(q)
     forearm = np.linalg.norm(chain.origins[3, :3, 3])
     along = np.stack([_forearm(world, posture) for posture in q])
-    T[:, :3, 3] += growth[:, None] * along + 5e-6 * rng.standard_normal((len(t), 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(1.2e-5 * rng.standard_normal((len(t), 3)))
+    T[:, :3, 3] += growth[:, None] * along
+    T = noisy(T, 5e-6, 1.2e-5, rng)
     clock = np.arange(t[0], t[-1], 1.0)
     warm = 20.0 + np.interp(clock, t, growth) / (23e-6 * forearm) + 0.05 * rng.standard_normal(len(clock))
     samples = replace(

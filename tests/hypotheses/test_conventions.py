@@ -18,7 +18,9 @@ from modcal_core.evaluation import evaluate
 from modcal_core.files import read_yaml
 from modcal_core.geometry import se3, so3
 from modcal_core.hypotheses.computed_part import computed_in_part
+from modcal_core.hypotheses.hand_eye import HandEye
 from modcal_core.hypotheses.meant import INVERTED, proved
+from modcal_core.hypotheses.search import explain
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples, cut_stations
 from modcal_core.robots.chain import Chain
@@ -181,6 +183,22 @@ def test_real_grid(shared_data: Path) -> None:
     assert proved(samples, chain)[1] is None
     with pytest.raises(BadRecording, match="w x y z"):
         proved(quaternions(samples, [3, 0, 1, 2]), chain)
+
+
+@pytest.mark.slow
+def test_what_is_wrong_in_one_half_of_real_cubes_is_not_said_of_a_joint(shared_data: Path) -> None:
+    """Their target is near the last axis: reversed, that joint leaves positions as they are, and fits the other half."""
+    every, chain = real(shared_data, "d")
+    part = every.select(np.flatnonzero(np.arange(len(every)) // 10 % 3 == 0))
+    seen = Samples.from_arrays(part.q, poses=se3.transform(part.R, part.reading), names=part.names)
+    later = np.arange(len(seen)) >= len(seen) // 2
+    half = replace(seen, R=np.where(later[:, None, None], quaternions(seen, [3, 0, 1, 2]).R, seen.R))
+    said = "quaternions look like w x y z read as x y z w at stations 106 to 211, and not at the others"
+    for samples, words in (
+        (half, said), (replace(seen, q=seen.q * [1, 1, -1, 1, 1, 1]), "joint elbow_joint looks reversed"),
+    ):  # fmt: skip
+        case = HandEye.of(samples, chain)
+        assert explain(case).what == words
 
 
 BASE = se3.exp([1.0, 0.4, 0.2, 0.1, -0.3, 2.0])

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from cells import ur10
+from cells import joint_track, ur10
 from cli.recordings import URDF
 from instruments import worlds
 
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import ReadingTrack, Recording
 from modcal_msgs_py.recording_write import write_recording
 
 NOISE = 5e-5  # m, of a reading
@@ -99,8 +99,7 @@ class Gripper:
         noise = se3.exp(5e-5 * self.rng.standard_normal((count, 6)))
         tracks = [ReadingTrack("pose", "tracker", t, se3.to_pose(T_TRACKER_BASE @ poses @ noise), t)]
         tracks += [_track(n, t[k], d[k]) for n, d in zip(NAMES, lengths.T, strict=True) for k in [np.isfinite(d)]]
-        unknown = np.full_like(q, np.nan)
-        joints = JointTrack(ur10().names, t, q, unknown, unknown, t)
+        joints = joint_track(ur10().names, t, q)
         write_recording(Recording((joints,), tuple(tracks), robot_description=URDF.read_text(), source="made"), path)
 
     def hold(self, lean: float = 0.15) -> Held:

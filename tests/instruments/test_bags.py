@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cells import ur10
+from cells import joint_track, ur10
 from cli.recordings import URDF
 from instruments import worlds
 from instruments.test_recovery import CELLS, LASER, Device, postures
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import ReadingTrack, Recording
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
@@ -28,9 +28,8 @@ def recording(devices: list[Device], count: int = 100, seed: int = 1) -> Recordi
     q = postures(w, devices, count, rng)
     poses = w.tool_in_base(q)
     t = 1.7e9 + 2.0 * np.arange(count)
-    unknown = np.full_like(q, np.nan)
     return Recording(
-        joints=(JointTrack(ur10().names, t, q, unknown, unknown, t),),
+        joints=(joint_track(ur10().names, t, q),),
         readings=tuple(_track(d, t, poses, rng) for d in devices),
         robot_description=URDF.read_text(),
         source="made",

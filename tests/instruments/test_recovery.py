@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cells import ur10
+from cells import joint_track, ur10
 from finite_differences import assert_jacobian
 from instruments import worlds
 from instruments.worlds import Reading
@@ -33,7 +33,7 @@ from modcal_core.measurements.dropouts import READINGS as READINGS_LOST
 from modcal_core.measurements.dropouts import cleaned
 from modcal_core.measurements.kinds.kind import frame_on_plane
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import ReadingTrack, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import chain_forward
 from modcal_nodes.simulation.mjcf import World
@@ -122,10 +122,9 @@ def test_too_few_readings_are_refused(kind: str) -> None:
 
 def recorded(kind: str, spoil: Callable[[Array], Array]) -> Recording:
     samples = exact(kind, 30)
-    nothing = np.full_like(samples.q, np.nan)
     values = spoil(samples.reading[:, : kinds()[kind].width].copy())
     return Recording(
-        joints=(JointTrack(ur10().names, samples.stamps, samples.q, nothing, nothing, samples.stamps),),
+        joints=(joint_track(ur10().names, samples.stamps, samples.q),),
         readings=(ReadingTrack(kind, kind, samples.stamps, values, samples.stamps, f"/{kinds()[kind].topic}"),),
     )
 

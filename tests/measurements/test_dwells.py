@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cells import ur10
+from cells import joint_track, ur10
 from cli.recordings import streams, with_joints, with_reading
 
 from modcal_core.errors import BadRecording
@@ -21,7 +21,7 @@ from modcal_core.measurements.dwells import (
     find_dwells,
     spread_rows,
 )
-from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import ReadingTrack, Recording
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
@@ -168,10 +168,7 @@ def cell(chain: Chain, seed: int, late: float = 0.0, count: int = 20, noise: flo
     T = chain_forward(chain, np.array([program.at(x) for x in s])) @ se3.transform(p=TOOL)
     points = T[:, :3, 3] + noise * rng.standard_normal((len(s), 3))
     q = np.array([program.at(x) for x in t])
-    unknown = np.full_like(q, np.nan)
-    return Recording(
-        (JointTrack(chain.names, t, q, unknown, unknown, t),), (ReadingTrack("point", "tracker", s + late, points, s),)
-    )
+    return Recording((joint_track(chain.names, t, q),), (ReadingTrack("point", "tracker", s + late, points, s),))
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from finite_differences import assert_jacobian
 from modules.arms import LIBRARY, random_assembly
 
 from modcal_core.errors import BadTable, NotReachable
@@ -71,18 +70,6 @@ def test_a_tool_upside_down_is_no_solution() -> None:
 
 
 # inverse kinematics
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("mask", MASKS)
-def test_derivatives_of_the_rows(mask: list[int], rng: np.random.Generator) -> None:
-    goal = Target.build(so3.exp(rng.normal(size=3)), rng.normal(size=3), mask)
-    for _ in range(3):
-        arms = Catalogue(CODING).arms(CODING.genome(random_assembly(rng, 4))[None])
-        fleet = reaching._Fleet.of(arms, np.zeros(1, int))
-        q = rng.uniform(arms.lower[0], arms.upper[0])
-        J = reaching._rows(fleet, goal, q[:, None])[1][..., 0].T
-        assert_jacobian(lambda x, fleet=fleet: reaching._rows(fleet, goal, x[:, None])[0][:, 0], J, q)
 
 
 @pytest.mark.slow

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cells import record, samples_of
-from numpy.random import Generator
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.fit import Fit, identify, priors
@@ -18,7 +17,7 @@ from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.estimator import Estimator, Information, RandomWalk
+from modcal_core.online.estimator import Estimator, RandomWalk
 
 
 def batch(samples: Samples, chain: object, effects: tuple[Effect, ...] = ()) -> Fit:
@@ -39,17 +38,6 @@ def feed(estimator: Estimator, samples: Samples) -> None:
         estimator.update(samples.select(np.array([i])))
     for _ in range(5):
         estimator.linearise_again()
-
-
-def test_information_is_the_batch_solution(rng: Generator) -> None:
-    A, x = rng.normal(size=(200, 7)), rng.normal(size=7)
-    b = A @ x + rng.normal(size=200)
-    known = Information.of_prior(np.zeros(7), 100.0 * np.eye(7))
-    for i in range(0, 200, 5):
-        known = known.with_rows(np.c_[A[i : i + 5], b[i : i + 5]])
-    H = A.T @ A + 0.01 * np.eye(7)
-    assert np.abs(known.mean - np.linalg.solve(H, A.T @ b)).max() < 1e-12
-    assert np.abs(known.root @ known.root.T - np.linalg.inv(H)).max() < 1e-12
 
 
 @pytest.mark.slow

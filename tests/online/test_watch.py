@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from cells import record, samples_of, ur10
+from cells import noisy, record, samples_of, ur10
 from cli.recordings import URDF
 from numpy.random import Generator
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.fit import Fit, identify
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.supervisor import ChangeDetector, find_change
@@ -34,9 +34,7 @@ def watch_of(fit: Fit) -> ChangeDetector:
 
 
 def readings(world: World, q: Array, T: Array, rng: Generator, kind: str = "pose") -> Samples:
-    T = T.copy()
-    T[:, :3, 3] += NOISE_M * rng.standard_normal((len(q), 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(NOISE_RAD * rng.standard_normal((len(q), 3)))
+    T = noisy(T, NOISE_M, NOISE_RAD, rng)
     return samples_of(world.nominal, q, T, kind)
 
 

@@ -85,31 +85,6 @@ def test_jacobians_are_derivatives(linear: bool) -> None:
 
 
 @both
-def test_twists_anywhere_move_the_tool_as_their_columns_say(linear: bool) -> None:
-    """Of every place, arms included, against differences of the whole mechanism with the twist put in."""
-    delta = odd(linear=linear)
-    q = postures(delta, 3)
-
-    def moved(place: int, twist: Array) -> Array:
-        return frames(delta, q, {place: np.tile(twist[:, None], (1, len(q)))}, delta.T_tip_tool).p[-1].T.ravel()
-
-    f = frames(delta, q, T_tip_tool=delta.T_tip_tool)
-    for place in range(delta.tool_place + 1):
-        axes = f.axes[place]
-        columns = []
-        for d in range(6):
-            shift, turn = (axes[d], np.zeros(3)) if d < 3 else (np.zeros(3), axes[d - 3])
-            if place in f.loops:
-                motion, _ = f.loops[place].moved(shift, turn)
-            else:
-                motion = np.broadcast_to(shift.reshape(3, -1), f.p[-1].shape) + np.cross(
-                    np.broadcast_to(turn.reshape(3, -1), f.p[-1].shape), f.p[-1] - f.p[place], axis=0
-                )
-            columns.append(motion.T.ravel())
-        assert_jacobian(lambda x: moved(place, x), np.stack(columns, axis=1), np.zeros(6))  # noqa: B023
-
-
-@both
 def test_weight_on_the_platform_is_what_mujoco_holds(linear: bool) -> None:
     delta = odd(linear=linear)
     q = postures(delta, 20)

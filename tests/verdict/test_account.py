@@ -6,20 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import ur10
+from cells import noisy, ur10
 from verdict.visits import tour, visited
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.covariance import without
 from modcal_core.calibration.noise import errors
 from modcal_core.calibration.stated import Stated
-from modcal_core.geometry import so3
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.account import DRAWS, contributions_of, left_without, resampled
 from modcal_core.verdict.case import fitted_case
-from modcal_core.verdict.crossfit import Baseline, Layout, Sparse, principal
-from modcal_core.verdict.drivers import Waves
 
 
 def geared(seed: int = 5, stations: int = 120) -> Samples:
@@ -30,8 +27,7 @@ def geared(seed: int = 5, stations: int = 120) -> Samples:
     sent[:, 2] += 5e-4 * np.sin(17.0 * q[:, 2] + 0.3)
     sent[:, 1] += 2e-4 * np.sin(23.0 * q[:, 1])
     T = made.world.tool_in_tracker(sent)
-    T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(3e-5 * rng.standard_normal((len(q), 3)))
+    T = noisy(T, 2e-5, 3e-5, rng)
     return replace(visited(seed, stations, 8), reading=T[:, :3, 3], R=T[:, :3, :3])
 
 
@@ -113,8 +109,7 @@ def test_estimation_is_what_the_parameters_cost() -> None:
     squares, said = [], []
     for _ in range(6):
         T = made.world.tool_in_tracker(q)
-        T[:, :3, 3] += 5e-5 * rng.standard_normal((60, 3))
-        T[:, :3, :3] = T[:, :3, :3] @ so3.exp(5e-5 * rng.standard_normal((60, 3)))
+        T = noisy(T, 5e-5, 5e-5, rng)
         samples = replace(made.samples, reading=T[:, :3, 3], R=T[:, :3, :3])
         result = calibrate(samples, ur10(), rng, look_for_effects=False)
         gap = result.scored.model.predict(probe)[:, :3, 3] - exact
@@ -146,37 +141,3 @@ def test_intervals_are_those_of_stations_that_are_drawn_again() -> None:
     draws = np.random.default_rng(0).integers(len(stations), size=(DRAWS, len(stations)))
     means = [np.mean(np.concatenate([square[station == stations[k]] for k in draw])) for draw in draws]
     assert np.allclose([mean, low, high], [square.mean(), *np.percentile(means, [2.5, 97.5])], rtol=1e-12)
-
-
-N = 30
-SINGLE = 1e-6  # of columns of unit length, in single precision
-
-
-@pytest.mark.parametrize("parameters", [0, 4])
-def test_contracted_products_are_those_of_the_columns_in_full(parameters: int) -> None:
-    rng = np.random.default_rng(0)
-    waves = Waves(
-        "", (rng.normal(size=(1, 6, N)), rng.normal(size=(3, 6, N))), (rng.normal(size=(7, N)), rng.normal(size=(5, N)))
-    )
-    seen = np.ones((6, N), bool)
-    seen[3:, ::3] = False  # some readings without orientation
-    layout = Layout.of(rng.permutation(N) % 5, seen)
-    own = 10.0 * rng.normal(size=(parameters, 6, N)) * seen
-    baseline, U = Baseline(*principal(own), layout), layout.flat(own)
-    full = layout.flat(waves.written(np.arange(22)) * seen)
-    seen_only = Waves("", tuple(u * seen for u in waves.motions), waves.numbers)
-    few = Sparse(seen_only, baseline)
-    np.testing.assert_allclose(seen_only.squares(), np.sum(full**2, axis=1), rtol=1e-12)
-
-    # ridge regression on parameters of unit variance, taken out of the columns, which are then of unit length
-    left = full - full @ U.T @ np.linalg.solve(U @ U.T + np.eye(parameters), U)
-    left /= np.linalg.norm(left, axis=1, keepdims=True)
-    np.testing.assert_allclose(few.written(np.arange(22)), left, atol=SINGLE)
-    r = rng.normal(size=(left.shape[1], 3))
-    trials = baseline.trials(r)
-    for k, (a, b) in enumerate(layout.spans):
-        rest = np.r_[0:a, b : left.shape[1]]
-        train = r[rest] - U[:, rest].T @ np.linalg.solve(
-            U[:, rest] @ U[:, rest].T + np.eye(parameters), U[:, rest] @ r[rest]
-        )
-        np.testing.assert_allclose(few.trained(trials)[k], left[:, rest] @ train, atol=10.0 * SINGLE)

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from cells import ur10
+from cells import noisy, ur10
 from verdict.visits import moved_by, tour, visited
 
 from modcal_core.evaluation import evaluate
@@ -39,8 +39,7 @@ def with_noise(case: Case, rng: np.random.Generator, kind: str) -> Case:
         q = case.samples.q + 3e-5 * rng.standard_normal(case.samples.q.shape)
         T = case.model.predict_samples(replace(case.samples, q=q))
         size = np.full(N, 0.1)
-    T[:, :3, 3] += 2e-5 * size[:, None] * rng.standard_normal((N, 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(3e-5 * size[:, None] * rng.standard_normal((N, 3)))
+    T = noisy(T, 2e-5 * size[:, None], 3e-5 * size[:, None], rng)
     R = T[:, :3, :3] if case.samples.is_pose.all() else case.samples.R
     return replace(case, samples=replace(case.samples, reading=T[:, :3, 3], R=R))
 
@@ -120,8 +119,7 @@ def faulty(fault: str, seed: int = 5, stations: int = 120) -> Samples:
         turn = so3.exp(tilt)
         T[:, :3, :3] = turn @ T[:, :3, :3]
         T[:, :3, 3] = base + (turn @ (T[:, :3, 3] - base)[..., None])[..., 0]
-    T[:, :3, 3] += 2e-5 / np.sqrt(3.0) * rng.standard_normal((len(q), 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(2e-5 * rng.standard_normal((len(q), 3)))
+    T = noisy(T, 2e-5 / np.sqrt(3.0), 2e-5, rng)
     return replace(made.samples, reading=T[:, :3, 3], R=T[:, :3, :3], signals=signals)
 
 
@@ -156,8 +154,7 @@ def test_a_frozen_model_is_not_open_for_its_own_error() -> None:
     rng = np.random.default_rng(8)
     q = rng.uniform(-np.pi, np.pi, (300, 6))
     T = made.world.tool_in_tracker(q)
-    T[:, :3, 3] += 2e-5 * rng.standard_normal((300, 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(3e-5 * rng.standard_normal((300, 3)))
+    T = noisy(T, 2e-5, 3e-5, rng)
     again = replace(
         few.select(np.zeros(300, int)),
         q=q,

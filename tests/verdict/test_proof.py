@@ -66,15 +66,6 @@ def test_a_draw_decides_which_stations_score_and_no_word() -> None:
     assert other.size_mm("final").rms < 0.5 * other.size_mm("geometric").rms
 
 
-def test_a_rest_with_its_effects_put_back_is_what_the_model_leaves_without_them() -> None:
-    """Else an effect is asked beside twice what it left, and whatever is false in it speaks for it."""
-    _, case = calibrated("the elbow's play")
-    (play,) = case.model.effects
-    bare = replace(case, model=case.model.with_effects((play.with_values(np.zeros(1)),)))
-    whole, left = (Proofs(each, CALM)._everything._whole for each in (case, bare))
-    assert np.linalg.norm(whole - left) < 1e-3 * np.linalg.norm(left)
-
-
 def test_a_single_joint_is_not_named_for_what_all_of_them_do() -> None:
     report, case = calibrated("all joints stop short")
     assert not report.effects

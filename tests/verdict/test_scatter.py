@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import Recorded, samples_of, ur10
+from cells import Recorded, noisy, samples_of, ur10
 from verdict.visits import judged, said
 
 from modcal_core.calibration.cell import Cell
@@ -33,9 +33,8 @@ def moved(made: Recorded, twists: Array, tool: bool) -> Samples:
         at = np.eye(4)
         at[:3, 3] = T[:, :3, 3].mean(axis=0) - [0.0, 0.0, 0.5]
         T = at @ se3.exp(twists) @ se3.inverse(at) @ T
-    out = samples_of(ur10(), made.samples.q, T)
-    R = out.R @ so3.exp(2e-5 * np.random.default_rng(8).normal(size=(len(T), 3)))
-    return replace(out, reading=out.reading + made.samples.reading - made.exact.reading, R=R)
+    out = made.reread(T)
+    return replace(out, R=out.R @ so3.exp(2e-5 * np.random.default_rng(8).normal(size=(len(T), 3))))
 
 
 def twists(turn: float, lever: Array | None = None) -> Array:
@@ -82,8 +81,7 @@ def test_what_returns_repeat_is_no_scatter(made: Recorded, repeats: bool) -> Non
     off = 8e-4 * rng.standard_normal(130)
     actual[:, 3] += off[visits] if repeats else off
     T = made.world.tool_in_tracker(actual)
-    T[:, :3, 3] += 2e-5 * rng.standard_normal((130, 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(2e-5 * rng.standard_normal((130, 3)))
+    T = noisy(T, 2e-5, 2e-5, rng)
     text = said(samples_of(ur10(), q, T))
     assert ("wrist_1_joint scatters by" in text) != repeats, text
     assert ("the motion of joint wrist_1_joint" in text) or not repeats, text
@@ -92,9 +90,7 @@ def test_what_returns_repeat_is_no_scatter(made: Recorded, repeats: bool) -> Non
 def scattered(made: Recorded, sizes: list[float], kind: str = "pose") -> Samples:
     """Readings of joints that stand elsewhere than reported by these deviations [rad], another time another way."""
     q = made.samples.q + np.array(sizes) * np.random.default_rng(4).normal(size=made.samples.q.shape)
-    moved = samples_of(ur10(), made.samples.q, made.world.tool_in_tracker(q), kind)
-    noise = made.samples.reading - made.exact.reading
-    return replace(moved, reading=moved.reading + noise)
+    return made.reread(made.world.tool_in_tracker(q), kind)
 
 
 @pytest.mark.slow
@@ -117,8 +113,7 @@ def test_a_loose_encoder_is_named_beside_what_is_predictable(made: Recorded) -> 
         sizes[joint] = size
         off = sizes * np.random.default_rng(4).normal(size=made.samples.q.shape)
         off[:, 0] += wave
-        moved = samples_of(ur10(), made.samples.q, made.world.tool_in_tracker(made.samples.q + off))
-        text = said(replace(moved, reading=moved.reading + made.samples.reading - made.exact.reading))
+        text = said(made.reread(made.world.tool_in_tracker(made.samples.q + off)))
         assert "can be predicted" in text
         assert (f"Joint {names[joint]} scatters by 1." in text) == (size > 1e-3), text
         assert text.count(" scatters by ") == (size > 1e-3), text
@@ -130,8 +125,7 @@ def test_a_scatter_whose_largest_readings_were_rejected_is_told_apart(made: Reco
     """Where none of them had to be rejected, what scatters may meet a tolerance."""
     rng, q = np.random.default_rng(4), made.samples.q.copy()
     q[:, 2] += rng.uniform(-7e-4, 7e-4, len(q)) if bounded else 3e-4 * rng.standard_t(3, len(q))
-    moved = samples_of(ur10(), made.samples.q, made.world.tool_in_tracker(q))
-    verdict = judged(replace(moved, reading=moved.reading + made.samples.reading - made.exact.reading))
+    verdict = judged(made.reread(made.world.tool_in_tracker(q)))
     kinds = [r.kind for r in verdict.reasons if "scatters by" in r.sentence]
     assert kinds == ["predictable" if bounded else "cut_off"]
 
@@ -179,9 +173,7 @@ def test_stamps_that_are_off_at_random_in_motion(made: Recorded, late: float, op
     rng = np.random.default_rng(8)
     velocity = rng.normal(0.0, 0.2, made.samples.q.shape)
     then = made.samples.q + velocity * rng.uniform(-late, late, 140)[:, None]
-    exact = samples_of(ur10(), made.samples.q, made.world.tool_in_tracker(then))
-    noise = made.samples.reading - made.exact.reading
-    samples = replace(exact, reading=exact.reading + noise, velocity=velocity, moving=np.ones(140, bool))
+    samples = replace(made.reread(made.world.tool_in_tracker(then)), velocity=velocity, moving=np.ones(140, bool))
     assert ("lies along the direction of motion" in said(samples)) == open_
     known = Cell(stated=Stated(repeatability_mm=2.0, repeatability_deg=0.1, instrument_mm=0.09, instrument_deg=0.005))
     assert "direction of motion" not in said(samples, known)

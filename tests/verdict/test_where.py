@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cells import NOISE_M, NOISE_RAD, Recorded, record, samples_of, ur10
+from cells import NOISE_M, NOISE_RAD, Recorded, noisy, record, samples_of, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.noise import NoiseModel
@@ -43,9 +43,7 @@ def with_error(made: Recorded, j: int, off: Array) -> Samples:
     """Readings of an arm whose joint stands elsewhere than reported by so much (N,)."""
     q = made.samples.q.copy()
     q[:, j] += off
-    noise = made.samples.reading - made.exact.reading
-    moved = samples_of(CHAIN, made.samples.q, made.world.tool_in_tracker(q))
-    return replace(moved, reading=moved.reading + noise)
+    return made.reread(made.world.tool_in_tracker(q))
 
 
 def test_no_driver_holds_what_was_read(made: Recorded) -> None:
@@ -110,9 +108,7 @@ def test_a_base_whose_bolts_hold_by_friction(made: Recorded) -> None:
         held = np.clip(held, moment - 0.7 * reach.std(axis=0), moment + 0.7 * reach.std(axis=0))
         turn[k] = [-1.5e-3 * (moment - held)[1], 1.5e-3 * (moment - held)[0], 0.0]
     T = base @ se3.transform(so3.exp(turn), np.zeros((120, 3))) @ np.linalg.inv(base)
-    moved = samples_of(CHAIN, made.samples.q, T @ made.world.tool_in_tracker(made.samples.q))
-    noise = made.samples.reading - made.exact.reading
-    text = said(replace(moved, reading=moved.reading + noise))
+    text = said(made.reread(T @ made.world.tool_in_tracker(made.samples.q)))
     assert "(slip), as an error of the base" in text
 
 
@@ -153,10 +149,7 @@ def groups_in(samples: Samples) -> str:
 def bent(made: Recorded, q: Array, tool: Array | None = None) -> Samples:
     """What is read of an arm that stands at q and reports other positions, its tool moved by twists (N, 6)."""
     T = made.world.tool_in_tracker(q)
-    T = T if tool is None else T @ se3.exp(tool)
-    noise = made.samples.reading - made.exact.reading
-    seen = samples_of(CHAIN, made.samples.q, T)
-    return replace(seen, reading=seen.reading + noise)
+    return made.reread(T if tool is None else T @ se3.exp(tool))
 
 
 @pytest.mark.slow
@@ -237,8 +230,7 @@ def test_a_joint_that_was_mastered_again_is_not_two_trackers(made: Recorded) -> 
     q[:, 0] += rng.choice([-1.5, 1.5], 120)
     q[:, 3:] += rng.uniform(-1.5, 1.5, (120, 3))
     T = made.world.tool_in_tracker(q + 4e-3 * (np.arange(6) == 1))
-    T[:, :3, 3] += NOISE_M * rng.standard_normal((120, 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(NOISE_RAD * rng.standard_normal((120, 3)))
+    T = noisy(T, NOISE_M, NOISE_RAD, rng)
     judged = evaluate(calibration, samples_of(CHAIN, q, T), np.random.default_rng(0)).judged
     assert judged.status == "open"
     assert not any("two groups" in s for s in judged.open_because)

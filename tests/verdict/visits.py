@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from cells import Recorded, record, samples_of, ur10
+from cells import Recorded, noisy, record, samples_of, ur10
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.geometry import so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.verdict import Verdict
@@ -42,8 +41,7 @@ def visited(
     made, q, _ = tour(seed, stations, returns, kind)
     rng = np.random.default_rng(seed + 500)
     T = made.world.tool_in_tracker(q + joint_rad * rng.standard_normal(q.shape))
-    T[:, :3, 3] += noise_m * rng.standard_normal((len(q), 3))
-    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(noise_rad * rng.standard_normal((len(q), 3)))
+    T = noisy(T, noise_m, noise_rad, rng)
     return samples_of(ur10(), q, T, kind)
 
 
