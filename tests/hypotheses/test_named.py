@@ -214,12 +214,6 @@ def turned_origin() -> Array:
     return np.asarray(CHAIN.origins[3] @ se3.transform(OTHER, np.zeros(3)))
 
 
-def shorter() -> Array:
-    out = CHAIN.origins[2].copy()
-    out[:3, 3] *= 0.7
-    return out
-
-
 def two_links() -> Chain:
     origins = with_origin(1, other_module(1)).origins.copy()
     origins[4, :3, 3] += [0.2, 0.1, 0.0]
@@ -227,7 +221,6 @@ def two_links() -> Chain:
 
 
 DESCRIPTIONS: dict[str, tuple[Callable[[], Chain], tuple[str, ...]]] = {
-    "length": (lambda: with_origin(2, shorter()), (f"origin of joint {NAMES[2]} in the URDF looks wrong by",)),
     "turn": (lambda: with_origin(3, turned_origin()), (f"joint {NAMES[3]} in the URDF",)),
     "axis": (
         lambda: replace(CHAIN, axes=np.where(ORDER[:6, None] == 2, [1.0, 0.0, 0.0], CHAIN.axes)),
@@ -260,11 +253,10 @@ def test_readings_that_look_filtered_and_are_not_are_searched_on() -> None:
 def test_nothing_is_said_of_what_is_clean_and_of_nonsense() -> None:
     rng = np.random.default_rng(0)
     nonsense = spoiled(rng.uniform(-1.0, 1.0, (N, 3)), Rotation.random(N, random_state=0).as_matrix())
-    shuffled = reordered(rng.permutation(N), "point")
     noisy = spoiled(P + 0.02 * rng.normal(size=(N, 3)))  # no joint may be blamed for it
     slightly = spoiled(R=Rotation.from_rotvec([0.01, 0.0, 0.0]).as_matrix() @ R)  # what a displaced arm may do
     one_posture, few = CLEAN.select(np.zeros(N, int)), CLEAN.select(np.arange(15))
-    for samples in (CLEAN, nonsense, shuffled, noisy, slightly, one_posture, few):
+    for samples in (CLEAN, nonsense, noisy, slightly, one_posture, few):
         assert disagreement(samples, CHAIN) is None
 
 
