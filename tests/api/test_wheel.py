@@ -224,7 +224,6 @@ def test_there_is_a_check_for_each() -> None:
     assert [path.stem for path in EXAMPLES] == list(FOUND)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs_and_finds_what_it_planted(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -256,7 +255,6 @@ def test_an_example_is_short_and_needs_public_names_only(path: Path) -> None:
     assert not [module for module in modules if module.startswith("modcal.")]
 
 
-@pytest.mark.slow
 def test_the_notebook_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = json.loads(TOUR.read_text())
     assert data["nbformat"] == 4

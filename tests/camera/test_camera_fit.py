@@ -28,6 +28,8 @@ from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import chain_forward
 
+pytestmark = pytest.mark.slow
+
 
 def test_images_that_cannot_tell_are_refused() -> None:
     s = images(True)
@@ -54,7 +56,6 @@ def test_turning_about_one_axis_is_said() -> None:
     assert found.one_axis
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("on_tip", [True, False])
 def test_motion_of_the_target_in_the_images(on_tip: bool) -> None:
     """Every derivative of the target's pose as the camera sees it, and of the joints' own."""
@@ -127,7 +128,6 @@ def test_likelihood_is_that_of_the_whole_normal_distribution() -> None:
     assert gap == pytest.approx(density(one) - density(two), rel=1e-4)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("on_tip", [True, False])
 def test_an_arm_that_is_centimetres_off(on_tip: bool) -> None:
     """Below 1.5 mm at the tool from 20 images, inside the stated interval, and said to be worth applying."""
@@ -162,7 +162,6 @@ def test_an_arm_that_is_centimetres_off(on_tip: bool) -> None:
     assert r.claim.held_out_px[1] < 0.1 * r.claim.held_out_px[0]
 
 
-@pytest.mark.slow
 def test_a_perfect_arm_is_not_made_worse() -> None:
     """Nor is the base held where it was found first: the arm's prior is narrow here, and may not be the base's."""
     s = scene(3, True, count=15, length_std=0.0, angle_std=0.0, board=MEASURED)
@@ -172,7 +171,6 @@ def test_a_perfect_arm_is_not_made_worse() -> None:
     assert true_error(s, r.fit, q) < r.claim.in_view.interval[2]
 
 
-@pytest.mark.slow
 def test_an_arm_behind_a_fisheye() -> None:
     """Up to 60° to its side; nothing stated of it but that it is one."""
     wide = Lens(np.array([340.0, 341.0, 645.0, 355.0, 0.03, -0.012, 0.004, -0.001, 0.0]), LENS.size, FISHEYE)
@@ -219,7 +217,6 @@ def errors(s: CameraScene, r: CameraSolution) -> tuple[float, float]:
     return true_error(s, r.fit, q), r.claim.in_view.interval[2]
 
 
-@pytest.mark.slow
 def test_a_few_tracker_points_give_the_length_that_images_lack() -> None:
     """A sheet that nobody measured, 0.8 % too large: cannot tell; with fifteen points of a ball the arm is better by
     several times, said so, and the sheet's size is found.
@@ -236,7 +233,6 @@ def test_a_few_tracker_points_give_the_length_that_images_lack() -> None:
     assert mixed.fit.sizes.other == pytest.approx(5e-5, rel=1.0)
 
 
-@pytest.mark.slow
 def test_wrong_readings_beside_images_are_left_out() -> None:
     s = scene(12, True, count=15, board=MEASURED)
     good = tracked(s)
@@ -253,7 +249,6 @@ def test_too_few_readings_beside_images_are_refused() -> None:
         tracked(s, count=2)
 
 
-@pytest.mark.slow
 def test_derivatives_of_rows_beside_images() -> None:
     s = scene(12, True, count=8)
     table, arm = start(s)
@@ -289,7 +284,6 @@ def with_motion(s: CameraScene, true_q: Array) -> CameraScene:
     return replace(s, q=s.q[keep], T=T[keep], views=[seen[i] for i in keep])
 
 
-@pytest.mark.slow
 def test_a_gear_is_found_from_corners_alone() -> None:
     """Seven waves a turn of 2 mrad in joint 3: named with its period and size, and the arm is better for it."""
     s = scene(41, False, count=30, length_std=2e-3, angle_std=3e-3, board=MEASURED)
@@ -305,7 +299,6 @@ def test_a_gear_is_found_from_corners_alone() -> None:
     assert r.claim.decision.word == APPLY
 
 
-@pytest.mark.slow
 def test_a_ratio_and_backlash_are_found_from_corners() -> None:
     """0.2 % in joint 4; and 1 mrad of play in joint 1, whose side the way it came tells."""
     s = scene(41, True, count=30, length_std=2e-3, angle_std=3e-3, board=MEASURED)
@@ -321,7 +314,6 @@ def test_a_ratio_and_backlash_are_found_from_corners() -> None:
     assert np.abs(play.values) == pytest.approx(1e-3, rel=0.2)
 
 
-@pytest.mark.slow
 def test_a_clean_arm_has_no_effects() -> None:
     s = scene(61, True, count=25, length_std=3e-3, angle_std=4e-3, board=MEASURED)
     r = solved(s)

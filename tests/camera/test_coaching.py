@@ -25,6 +25,8 @@ from modcal_msgs_py.layout import message_class
 from modcal_nodes.vision.coaching import ENOUGH, Coach
 from modcal_nodes.vision.detection import annotated, board_pose
 
+pytestmark = pytest.mark.slow
+
 CENTRE = np.r_[0.5 * np.array(BOARD.size), 0.0]
 
 
@@ -44,7 +46,6 @@ def shown(coach: Coach, T: Array) -> str:
     return coach.image(view(T, 2))
 
 
-@pytest.mark.slow
 def test_coaching_asks_for_what_is_missing() -> None:
     coach = Coach(BOARD, SIZE, LENS)
     assert coach.image(None, "shows no target: bring it into view").startswith("no corners: the image shows no target")
@@ -70,7 +71,6 @@ def test_coaching_asks_for_what_is_missing() -> None:
     assert "enough, calibrate" in said
 
 
-@pytest.mark.slow
 def test_pose_and_its_covariance(rng: np.random.Generator) -> None:
     """Standard scores of eighty poses are those of six normal numbers."""
     T = facing(rng, 80)
@@ -162,7 +162,6 @@ SMALL = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("on_tip", "what", "size"),
     [(True, "world", "shift"), (False, "tip", "turn")],
@@ -180,7 +179,6 @@ def test_a_small_move_is_named_within_five_images(on_tip: bool, what: str, size:
         assert found[-1].shift_m == pytest.approx(2e-3, rel=0.5)
 
 
-@pytest.mark.slow
 def test_a_joint_that_slipped_is_the_arm() -> None:
     """0.2° in joint 3, which neither half can look like for long."""
     before, after = later(True, 3), later(True, 4, zero=(2, np.radians(0.2)))
@@ -190,14 +188,12 @@ def test_a_joint_that_slipped_is_the_arm() -> None:
     assert found[-1].turn_rad == pytest.approx(np.radians(0.2), rel=0.3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("on_tip", [True, False])
 def test_nothing_is_said_of_a_cell_that_stands(on_tip: bool) -> None:
     parts = [later(on_tip, seed) for seed in range(10, 20)]
     assert watched(on_tip, *parts) == [None] * sum(map(len, parts))
 
 
-@pytest.mark.slow
 def test_one_misread_image_is_no_move() -> None:
     before, wrong, after = later(True, 5), later(True, 6, world=10.0 * SMALL["shift"])[:1], later(True, 7)
     said = watched(True, before, wrong, after)
@@ -212,7 +208,6 @@ def of_two() -> tuple[CameraScene, CameraImages, CameraSolution]:
     return s, second, solved_by(s, second)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("what", ["", "/second/image", "target"])
 def test_of_two_cameras_the_one_that_was_kicked_is_named(what: str) -> None:
     """5 mm of either tripod, or of the board, which both see; the other camera stands as it did."""

@@ -236,7 +236,6 @@ def test_a_repaired_calibration_is_read_back_and_checks_clean(cell: Cell) -> Non
 FIRST, LAST = "shoulder_pan_joint", "wrist_3_joint"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "place", "other", "name"), [(0, "base", "tracker", FIRST), (5, "tool", "target", LAST)]
 )
@@ -249,7 +248,6 @@ def test_a_turn_about_an_outer_axis_is_put_back(cell: Cell, joint: int, place: s
     assert f"The {place} or the {other} has moved" in found.sentence
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("count", [8, 20])
 def test_points_turn_no_flange(cell: Cell, count: int) -> None:
     """A target that was mounted a millimetre further round the last axis: the arm would be turned by degrees."""
@@ -330,7 +328,6 @@ def calibration() -> Calibration:
     ))  # fmt: skip
 
 
-@pytest.mark.slow
 def test_the_verb_reads_a_folder(calibration: Calibration, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     begin = datetime(2026, 3, 1, tzinfo=UTC)
     (wave,) = calibration.calibrated.effects

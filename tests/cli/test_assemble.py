@@ -25,10 +25,11 @@ from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_assembly
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "modules"
 
 
-@pytest.mark.slow
 def test_a_list_of_modules_and_its_matrix_give_the_same_robot(tmp_path: Path) -> None:
     for name in ("five_joints", "five_joints_aim"):
         assert run(["assemble", str(EXAMPLES / f"{name}.yaml"), "--out", str(tmp_path / name)]) == 0
@@ -54,7 +55,6 @@ def test_the_published_code_is_an_arm_and_comes_back(tmp_path: Path, capfd: pyte
     assert "modules and code differ from module 12 on" in capfd.readouterr().err
 
 
-@pytest.mark.slow
 def test_a_library_of_ones_own(tmp_path: Path) -> None:
     mine = yaml.safe_load(published_text())
     mine["modules"]["G"]["output"]["xyz"] = [0, 0, 0.2]
@@ -101,7 +101,6 @@ def bag(folder: Path, assembly: Assembly, arm: Arm, rng: np.random.Generator, st
     return folder
 
 
-@pytest.mark.slow
 def test_from_recordings_to_a_better_start(
     tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,7 +160,6 @@ def test_from_recordings_to_a_better_start(
     assert store.read_text() == before
 
 
-@pytest.mark.slow
 def test_other_verbs_take_the_robot(tmp_path: Path, rng: np.random.Generator) -> None:
     """Assembled, recorded, calibrated: the corrected URDF is the assembled one with other origins."""
     assembly, _ = read_assembly(EXAMPLES / "five_joints.yaml")
@@ -200,7 +198,6 @@ def written(folder: Path, **changes: Any) -> Path:
     return path
 
 
-@pytest.mark.slow
 def test_from_a_task_to_a_robot(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     library = tmp_path / "mine.yaml"
     library.write_text(published_text().replace("name: published", "name: mine"))

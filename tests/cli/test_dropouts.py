@@ -27,6 +27,8 @@ from modcal_msgs_py.mcap_read import read_pieces, read_recording
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
+pytestmark = pytest.mark.slow
+
 OBJECT = "<robot name='cup'><link name='cup'/></robot>"
 GEOMETRY = ["--geometry-only"]
 
@@ -45,7 +47,6 @@ def plain(c: Cell) -> list[Message]:
     return [*forms.joints(c), *forms.described(c), *forms.readings(c)]
 
 
-@pytest.mark.slow
 def test_everything_that_happens_in_a_cell_at_once(c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Dropped, counted and said, and the result is that of the same bag without these messages."""
     q, poses = c.q.copy(), c.poses.copy()
@@ -82,7 +83,6 @@ def test_too_little_left_is_refused_with_how_much(c: Cell, tmp_path: Path, refus
     refused(["calibrate", str(bag), "--geometry-only", "--out", str(tmp_path / "out")], said)
 
 
-@pytest.mark.slow
 def test_roles_are_stated_by_option_or_cell_file(c: Cell, tmp_path: Path) -> None:
     """Two candidates: no choice is made; stated, both ways give the same."""
     moved = se3.exp([0.3, 0.0, 0.1, 0.0, 0.2, 0.0])
@@ -101,7 +101,6 @@ def test_roles_are_stated_by_option_or_cell_file(c: Cell, tmp_path: Path) -> Non
     assert run(arguments) == 0
 
 
-@pytest.mark.slow
 def test_a_pose_that_was_computed_is_never_taken_by_its_type(c: Cell, tmp_path: Path, refused: Refused) -> None:
     """A name that tells nothing, and a frame that is no link: it is told by how well the model reproduces it."""
     from cells import ur10
@@ -120,7 +119,6 @@ def test_a_pose_that_was_computed_is_never_taken_by_its_type(c: Cell, tmp_path: 
     assert stated["status"] == "open"
 
 
-@pytest.mark.slow
 def test_an_instrument_on_the_tool_is_found_to_be_inverse(c: Cell, tmp_path: Path) -> None:
     seen = forms.readings(c, "/camera/target", forms.TRANSFORM, se3.inverse)
     report = calibrated(forms.write(tmp_path / "bag", [*forms.joints(c), *forms.described(c), *seen]))
@@ -128,7 +126,6 @@ def test_an_instrument_on_the_tool_is_found_to_be_inverse(c: Cell, tmp_path: Pat
     assert report["error_mm"]["final"]["rms"] < 0.5
 
 
-@pytest.mark.slow
 def test_the_makers_hash_is_kept_or_asked_for(c: Cell, tmp_path: Path) -> None:
     bag = forms.write(tmp_path / "bag", plain(c))
     calibrated(bag)
@@ -214,7 +211,6 @@ def prepared_in(bag: Path, most: int | None) -> tuple[Prepared, int]:
     return prepare_pieces(pieces, ur10()), len(pieces)
 
 
-@pytest.mark.slow
 def test_pieces_give_the_stations_of_the_whole(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = prepare(read_recording(bag), ur10()).samples
     joint_states = len(read_recording(bag).joints[0].stamps)
@@ -243,7 +239,6 @@ def test_nothing_is_cut_where_a_clock_was_set_back() -> None:
     assert mcap_read._border(back) is None
 
 
-@pytest.mark.slow
 def test_a_piece_without_a_station_is_passed_over(bag: Path) -> None:
     (whole,) = read_pieces(bag, None)
     blind = replace(whole, recording=replace(whole.recording, readings=()))

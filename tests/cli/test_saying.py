@@ -180,7 +180,6 @@ def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
         assert said in " ".join(listed.split())
 
 
-@pytest.mark.slow
 def test_a_shell_completes_verbs_options_and_choices(monkeypatch: pytest.MonkeyPatch) -> None:
     """As Click's script for bash asks for it: of a process, and of the command in this one."""
     asked = {"COMP_WORDS": "modcal cali", "COMP_CWORD": "1", "_MODCAL_COMPLETE": "bash_complete"}

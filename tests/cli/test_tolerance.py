@@ -120,7 +120,6 @@ def calibrated(bag: Path, out: Path, *more: str) -> dict[str, Any]:
     return report(out)
 
 
-@pytest.mark.slow
 def test_two_recordings_are_one_calibration(tmp_path: Path) -> None:
     whole = stations(100)
     for name, recording in (("all", whole), ("one", part(whole, slice(60))), ("two", part(whole, slice(60, 100)))):
@@ -131,7 +130,6 @@ def test_two_recordings_are_one_calibration(tmp_path: Path) -> None:
     assert together["error_mm"] == once["error_mm"]
 
 
-@pytest.mark.slow
 def test_geometry_only_looks_no_further(tmp_path: Path) -> None:
     """The elbow has a gear error, which every calibration of effects finds."""
     whole = stations(100)

@@ -21,6 +21,8 @@ from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 
+pytestmark = pytest.mark.slow
+
 ELBOW = 2
 SHARE = 0.8
 LATE, AHEAD = 12e-3, 30e-3  # s; the log behind the arm, and the commands before it
@@ -77,7 +79,6 @@ def found() -> Solution:
     return calibrate(late(1, 120, SHARE), ur10(), np.random.default_rng(0))
 
 
-@pytest.mark.slow
 def test_it_is_named_at_its_joint_with_its_share(found: Solution) -> None:
     (effect,) = found.report.effects
     assert (effect.family, effect.place, effect.driver) == ("joint_lag", "elbow_joint", "following:elbow_joint")
@@ -89,7 +90,6 @@ def test_it_is_named_at_its_joint_with_its_share(found: Solution) -> None:
     assert found.report.size_mm("final").rms < 1.03 * truth.size_mm("final").rms  # as with a log that is right
 
 
-@pytest.mark.slow
 def test_it_is_kept_in_the_file_and_its_lack_has_a_cost(found: Solution) -> None:
     calibration = from_data(to_data(found.calibration))
     samples = late(1, 120, SHARE)
@@ -103,7 +103,6 @@ def test_it_is_kept_in_the_file_and_its_lack_has_a_cost(found: Solution) -> None
     assert item.cost_mm2 > 0.1
 
 
-@pytest.mark.slow
 def test_a_log_that_is_right_stays_clean() -> None:
     """Joints are away from their commands, and say so."""
     samples = late(2, 120, 0.0)
@@ -111,7 +110,6 @@ def test_a_log_that_is_right_stays_clean() -> None:
     assert report.effects == ()
 
 
-@pytest.mark.slow
 def test_a_joint_that_is_farther_from_its_command_than_it_says_is_not_called_late() -> None:
     """A spring under the torque that makes up the following error: the same driver, the other sign."""
     samples = late(3, 120, -0.8)
@@ -121,7 +119,6 @@ def test_a_joint_that_is_farther_from_its_command_than_it_says_is_not_called_lat
     assert {effect.driver for effect in report.effects} == {"following:elbow_joint"}
 
 
-@pytest.mark.slow
 def test_a_delay_in_motion_is_a_time_and_no_gear_ratio_stands_beside_it() -> None:
     """A share of commanded − measured is nearly a delay; what it leaves follows the acceleration, and so the position."""
     (effect,) = calibrate(in_motion(4, 600, by_share=False), ur10(), np.random.default_rng(0)).report.effects
@@ -131,7 +128,6 @@ def test_a_delay_in_motion_is_a_time_and_no_gear_ratio_stands_beside_it() -> Non
     assert unit == "s"
 
 
-@pytest.mark.slow
 def test_a_share_in_motion_stays_a_share() -> None:
     """Where the command goes its own way, a time is not what the log is late by."""
     (effect,) = calibrate(in_motion(5, 600, by_share=True), ur10(), np.random.default_rng(0)).report.effects
@@ -164,7 +160,6 @@ def misleading(count: int) -> Samples:
     return replace(samples, signals=tuple(SignalTrack(f"signal:{n}", t, x[:, None], n) for n, x in signals.items()))
 
 
-@pytest.mark.slow
 def test_a_choice_that_does_not_predict_does_not_end_the_search() -> None:
     report = calibrate(misleading(620), ur10(), np.random.default_rng(0)).report
     found = [(e.family, e.place) for e in report.effects if e.family != "outliers"]
@@ -189,7 +184,6 @@ def swaying(seed: int, count: int = 900) -> Samples:
     return replace(samples_of(ur10(), q, T), stamps=t, moving=np.ones(count, bool))
 
 
-@pytest.mark.slow
 def test_of_what_remains_in_motion_nothing_is_named_that_does_not_stand_out() -> None:
     """Curves of joints predict neighbours in time, whose errors they share."""
     found = calibrate(swaying(2), ur10(), np.random.default_rng(0)).report.effects

@@ -23,6 +23,8 @@ from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 
+pytestmark = pytest.mark.slow
+
 URDF = (Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf").read_text(encoding="utf-8")
 CHAIN = read_chain(URDF, tip="tool0")
 COMPLIANCE = np.array([0.0, 6e-6, 9e-6, 3e-5, 0.0, 0.0])  # rad/(N m)
@@ -67,7 +69,6 @@ def left(done: Solution) -> float:
     return float(size.rms)
 
 
-@pytest.mark.slow
 def test_an_arm_on_a_wall_shows_which_way_weight_pulls(rng: np.random.Generator) -> None:
     samples = recorded(rng, 110, WALL)
     done = calibrated(samples)
@@ -103,7 +104,6 @@ def joined(*parts: Samples) -> tuple[Samples, tuple[float, ...]]:
     return samples, tuple(until)
 
 
-@pytest.mark.slow
 def test_each_recording_has_its_payload_and_a_joint_one_compliance(rng: np.random.Generator) -> None:
     samples, until = joined(*(recorded(rng, 60, carried=kg) for kg in (0.0, 6.0, 3.0)))
     done = calibrated(samples, Cell(between=until))
@@ -131,7 +131,6 @@ def test_a_stated_way_of_weight_is_kept(rng: np.random.Generator) -> None:
     assert left(done) < 1.25 * np.sqrt(3.0) * 0.02
 
 
-@pytest.mark.slow
 def test_stated_payloads_are_loads(rng: np.random.Generator) -> None:
     samples, until = joined(*(recorded(rng, 60, carried=kg) for kg in (0.0, 6.0)))
     place = (0.0, 0.02, 0.06)
@@ -147,7 +146,6 @@ def test_stated_payloads_are_loads(rng: np.random.Generator) -> None:
         calibrated(samples, replace(cell, payloads=(StatedPayload(1.0),) * 3))
 
 
-@pytest.mark.slow
 def test_without_masses_recordings_share_a_compliance_per_kg(rng: np.random.Generator) -> None:
     """Loads at the tip alone, in the second recording 2.5 times those of the first: nothing tells the kilograms."""
     samples, until = joined(*(recorded_at_tip(rng, 70, kg) for kg in (2.0, 5.0)))
@@ -171,7 +169,6 @@ def recorded_at_tip(rng: np.random.Generator, count: int, kg: float, own: bool =
     return samples_of(CHAIN, q, T)
 
 
-@pytest.mark.slow
 def test_a_topic_that_says_what_is_carried_is_the_load(rng: np.random.Generator) -> None:
     """Nothing is found in its place, so that another recording is predicted by its own topic."""
     masses = (0.0, 6.0)
@@ -184,7 +181,6 @@ def test_a_topic_that_says_what_is_carried_is_the_load(rng: np.random.Generator)
     assert 1e3 * float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) < 1.4 * np.sqrt(3.0) * 0.02
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("turning", [2e-5, 0.0])
 def test_what_a_topic_says_is_carried_has_one_centre_for_all_joints(rng: np.random.Generator, turning: float) -> None:
     """It shows in what geometry leaves; beside orientations that are exact only once joints are known to be elastic."""

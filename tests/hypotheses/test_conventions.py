@@ -28,6 +28,8 @@ from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.tables import import_tables
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = ur10()
 
@@ -63,7 +65,6 @@ MISTAKES: dict[str, tuple[Callable[[Samples], Samples], str]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_refused_and_named(mistake: str) -> None:
     spoil, said = MISTAKES[mistake]
@@ -71,7 +72,6 @@ def test_a_mistake_is_refused_and_named(mistake: str) -> None:
         proved(spoil(record(1, 60).samples), CHAIN)
 
 
-@pytest.mark.slow
 def test_an_inverse_pose_is_undone() -> None:
     samples = record(2, 60).samples
     undone, convention = proved(inverted(samples), CHAIN)
@@ -94,7 +94,6 @@ def test_three_postures_prove_nothing_however_often_they_are_read() -> None:
     assert proved(inverted(many), CHAIN)[1] == INVERTED
 
 
-@pytest.mark.slow
 def test_stated_places_that_are_wrong_are_named_and_no_joint() -> None:
     """A tracker that is stated to stand a metre from where it stands once got a joint called coupled."""
     made = record(4, 60)
@@ -107,7 +106,6 @@ def test_stated_places_that_are_wrong_are_named_and_no_joint() -> None:
         calibrate(made.samples, CHAIN, np.random.default_rng(0), wrong, look_for_effects=False)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("size", [1.0, 20.0])
 def test_a_wrong_arm_is_not_a_wrong_convention(size: float) -> None:
     """A robot as far off its drawing as none is built: 10 mm and 20 mrad at every link."""
@@ -121,7 +119,6 @@ def retooled(samples: Samples, first: int, last: int, twist: np.ndarray) -> Samp
     return replace(samples, R=T[:, :3, :3], reading=T[:, :3, 3])
 
 
-@pytest.mark.slow
 def test_another_tool_is_not_a_wrong_convention() -> None:
     samples = record(4, 120).samples
     for first, last, turn in ((60, 120, 0.1), (0, 15, 2.0), (50, 90, 2.0)):
@@ -132,7 +129,6 @@ def test_another_tool_is_not_a_wrong_convention() -> None:
         proved(changed, CHAIN)
 
 
-@pytest.mark.slow
 def test_readings_that_fit_nothing_are_given_no_name() -> None:
     """Neither nonsense in the orientations, nor readings of other postures, look like a convention."""
     rng = np.random.default_rng(0)
@@ -141,7 +137,6 @@ def test_readings_that_fit_nothing_are_given_no_name() -> None:
     assert proved(replace(samples, q=rng.permutation(samples.q)), CHAIN)[1] is None
 
 
-@pytest.mark.slow
 def test_calibrate_undoes_an_inverse_pose_and_evaluate_refuses_quaternions() -> None:
     made = record(6, 80)
     result = calibrate(inverted(made.samples), CHAIN, np.random.default_rng(0), look_for_effects=False)
@@ -164,7 +159,6 @@ def real(shared_data: Path, series: str, **change: object) -> tuple[Samples, Cha
     return cut_stations(recording, chain.names), chain
 
 
-@pytest.mark.slow
 def test_real_cubes(shared_data: Path) -> None:
     """UR10 whose target hardly turns: orientations alone tell little, together with positions they do."""
     samples, chain = real(shared_data, "d")
@@ -177,7 +171,6 @@ def test_real_cubes(shared_data: Path) -> None:
     assert proved(real(shared_data, "d", inverse=True)[0], chain)[1] == INVERTED
 
 
-@pytest.mark.slow
 def test_real_grid(shared_data: Path) -> None:
     samples, chain = real(shared_data, "a")
     assert proved(samples, chain)[1] is None
@@ -185,7 +178,6 @@ def test_real_grid(shared_data: Path) -> None:
         proved(quaternions(samples, [3, 0, 1, 2]), chain)
 
 
-@pytest.mark.slow
 def test_what_is_wrong_in_one_half_of_real_cubes_is_not_said_of_a_joint(shared_data: Path) -> None:
     """Their target is near the last axis: reversed, that joint leaves positions as they are, and fits the other half."""
     every, chain = real(shared_data, "d")

@@ -22,6 +22,8 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames
 
+pytestmark = pytest.mark.slow
+
 CHAIN = ur10()
 NAMES = CHAIN.names
 N = 70
@@ -187,7 +189,6 @@ RECORDINGS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("how", RECORDINGS)
 def test_what_was_written_down_wrongly_is_named(how: str) -> None:
     made, words = RECORDINGS[how]
@@ -232,7 +233,6 @@ DESCRIPTIONS: dict[str, tuple[Callable[[], Chain], tuple[str, ...]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("how", DESCRIPTIONS)
 def test_what_is_wrong_in_the_description_is_named(how: str) -> None:
     made, words = DESCRIPTIONS[how]
@@ -241,7 +241,6 @@ def test_what_is_wrong_in_the_description_is_named(how: str) -> None:
         assert word in found.what
 
 
-@pytest.mark.slow
 def test_readings_that_look_filtered_and_are_not_are_searched_on() -> None:
     """Every fourth reading is the last one of before: no filter explains it, and what is left is asked all the same."""
     held = P[4 * (ORDER // 4)]
@@ -249,7 +248,6 @@ def test_readings_that_look_filtered_and_are_not_are_searched_on() -> None:
     assert found is None or "filtered" not in found.what
 
 
-@pytest.mark.slow
 def test_nothing_is_said_of_what_is_clean_and_of_nonsense() -> None:
     rng = np.random.default_rng(0)
     nonsense = spoiled(rng.uniform(-1.0, 1.0, (N, 3)), Rotation.random(N, random_state=0).as_matrix())
@@ -274,7 +272,6 @@ def refused(samples: Samples) -> str:
     return str(found.value)
 
 
-@pytest.mark.slow
 def test_a_calibration_is_refused_by_what_is_named() -> None:
     reading = WORLD.world.tool_in_tracker(Q * [1, 1, -1, 1, 1, 1])[:, :3, 3]
     assert "elbow_joint" not in refused(spoiled(reading))  # orientations agree with it as it is

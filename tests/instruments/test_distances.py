@@ -30,6 +30,8 @@ from modcal_core.outcome.contents import Outcome
 from modcal_core.report.as_json import to_json_data
 from modcal_nodes.simulation.mjcf import World
 
+pytestmark = pytest.mark.slow
+
 
 def blocks(seed: int) -> tuple[worlds.World, worlds.Samples, tuple[StationDistance, ...]]:
     """Two theodolites, and three distances between stations as MuJoCo has them."""
@@ -46,7 +48,6 @@ def blocks(seed: int) -> tuple[worlds.World, worlds.Samples, tuple[StationDistan
     return w, samples, known
 
 
-@pytest.mark.slow
 def test_derivatives() -> None:
     _, samples, known = blocks(1)
     met = [d.met(samples) for d in known]
@@ -57,7 +58,6 @@ def test_derivatives() -> None:
     assert_jacobian(lambda v: -distance_rows(start, parameters, v, met).residual, J.T, x)
 
 
-@pytest.mark.slow
 def test_a_few_known_lengths_give_bearings_their_scale() -> None:
     scores = []
     for seed in range(2):
@@ -139,7 +139,6 @@ def apart(a: Array, b: Array) -> tuple[float, float]:
     return growth, float(np.sqrt(np.mean(np.sum((b - growth * a @ (U @ Vt).T) ** 2, axis=1))))
 
 
-@pytest.mark.slow
 def test_contact_alone_shows_the_shape_of_the_arm() -> None:
     w = worlds.world(1)
     samples = recorded(w, np.random.default_rng(1))
@@ -156,7 +155,6 @@ def test_contact_alone_shows_the_shape_of_the_arm() -> None:
     assert (seen.parameters - seen.rank, len(seen.unobservable)) == (1, 1)
 
 
-@pytest.mark.slow
 def test_positions_are_followed_and_the_rest_is_passed_over() -> None:
     rng = np.random.default_rng(2)
     w = worlds.world(2)
@@ -210,7 +208,6 @@ def report_of(name: str, seed: int, planted: bool) -> Outcome:
     return calibrate(samples, ur10(), np.random.default_rng(0), cell).report
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["three wires", "tracker, wire of its own hook, theodolite"])
 def test_a_clean_recording_comes_out_clean(name: str) -> None:
     report = report_of(name, 3, planted=False)
@@ -220,7 +217,6 @@ def test_a_clean_recording_comes_out_clean(name: str) -> None:
     assert final.rms < 0.2 * nominal.rms
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["three wires", "two theodolites"])
 def test_a_planted_gear_is_found(name: str) -> None:
     report = report_of(name, 3, planted=True)
@@ -232,7 +228,6 @@ def test_a_planted_gear_is_found(name: str) -> None:
     assert report.left is None
 
 
-@pytest.mark.slow
 def test_bearings_come_out_clean_and_the_report_says_what_they_cannot_see() -> None:
     report = report_of("two theodolites", 3, planted=False)
     assert report.effects == ()

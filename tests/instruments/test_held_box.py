@@ -23,6 +23,8 @@ from modcal_msgs_py.readings import set_seconds
 from modcal_nodes.cli.main import run
 from modcal_nodes.ros.actions import interface
 
+pytestmark = pytest.mark.slow
+
 SIZE = np.array([0.12, 0.08, 0.05])
 STACK = [0.7, -0.3, 0.1, 0.02, 0.01, 0.5, 0.8658]
 
@@ -113,7 +115,6 @@ def off(held: Held, found: Any) -> Array:
     return np.r_[gap[:3, 3], so3.log(gap[:3, :3]), np.array(found["size_m"]) - held.size]
 
 
-@pytest.mark.slow
 def test_boxes_of_mujoco_lie_within_three_sigma_and_land_on_the_stack(
     gripper: tuple[Gripper, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -148,7 +149,6 @@ def test_boxes_of_mujoco_lie_within_three_sigma_and_land_on_the_stack(
         assert 1e-3 < np.sqrt(put["covariance"][0][0]) < 1.1e-3
 
 
-@pytest.mark.slow
 def test_a_table_of_ranges_becomes_a_bag_and_what_missed_the_box_is_named(
     gripper: tuple[Gripper, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,7 +173,6 @@ def test_a_table_of_ranges_becomes_a_bag_and_what_missed_the_box_is_named(
 
 
 @pytest.mark.dds
-@pytest.mark.slow
 def test_the_corrector_measures_what_is_held(gripper: tuple[Gripper, Path]) -> None:
     made, folder = gripper
     held = made.hold()

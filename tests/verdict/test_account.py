@@ -18,6 +18,8 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.account import DRAWS, contributions_of, left_without, resampled
 from modcal_core.verdict.case import fitted_case
 
+pytestmark = pytest.mark.slow
+
 
 def geared(seed: int = 5, stations: int = 120) -> Samples:
     """Two joints with gear errors of 0.3 and 0.15 mm."""
@@ -37,7 +39,6 @@ def found() -> tuple[Samples, Solution]:
     return samples, calibrate(samples, ur10(), np.random.default_rng(0))
 
 
-@pytest.mark.slow
 def test_rows_sum_to_the_nominal_square(found: tuple[Samples, Solution]) -> None:
     report = found[1].report
     for account, norm in (
@@ -53,7 +54,6 @@ def test_rows_sum_to_the_nominal_square(found: tuple[Samples, Solution]) -> None
         assert [n for n in names[1:] if not n.startswith("effect:")] == order
 
 
-@pytest.mark.slow
 def test_removal_costs_what_a_fit_without_the_effect_costs(found: tuple[Samples, Solution]) -> None:
     """The cheap refit against a whole one."""
     from modcal_core.calibration.fit import identify
@@ -76,7 +76,6 @@ def test_removal_costs_what_a_fit_without_the_effect_costs(found: tuple[Samples,
         assert part.ci95_mm2[0] < part.mm2 < part.ci95_mm2[1]
 
 
-@pytest.mark.slow
 def test_a_model_without_an_effect_is_never_worse_than_geometry_alone(found: tuple[Samples, Solution]) -> None:
     """Values so large that one step of the others ends far outside where it holds."""
     samples, result = found
@@ -99,7 +98,6 @@ def test_what_is_left_is_what_does_not_repeat(found: tuple[Samples, Solution]) -
     assert judged.status == "at_floor", judged.open_because
 
 
-@pytest.mark.slow
 def test_estimation_is_what_the_parameters_cost() -> None:
     """Arms of the same errors, with other noise: the variance of their fits at the postures held out."""
     made, q, _ = tour(9, 60, 0)
@@ -118,7 +116,6 @@ def test_estimation_is_what_the_parameters_cost() -> None:
     assert np.mean(said) == pytest.approx(np.mean(squares), rel=0.3)
 
 
-@pytest.mark.slow
 def test_a_stated_floor_stands_in_the_account() -> None:
     stated = Stated(repeatability_mm=0.03, instrument_mm=0.02, repeatability_deg=0.002, instrument_deg=0.002)
     judged = calibrate(

@@ -19,6 +19,8 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, fitted_case
 from modcal_core.verdict.predictable import MAX_PREDICTABLE, predictable
 
+pytestmark = pytest.mark.slow
+
 
 @cache
 def fitted(kind: str, stations: int) -> Case:
@@ -44,7 +46,6 @@ def with_noise(case: Case, rng: np.random.Generator, kind: str) -> Case:
     return replace(case, samples=replace(case.samples, reading=T[:, :3, 3], R=R))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "draws", "noise"), [("point", 12, "heavy tails"), ("point", 12, "joints"), ("pose", 6, "normal")]
 )
@@ -123,7 +124,6 @@ def faulty(fault: str, seed: int = 5, stations: int = 120) -> Samples:
     return replace(made.samples, reading=T[:, :3, 3], R=T[:, :3, :3], signals=signals)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "named"),
     [
@@ -145,7 +145,6 @@ def test_faults_that_the_model_lacks_are_open(fault: str, named: str) -> None:
     assert judged.predictable.share > 0.5
 
 
-@pytest.mark.slow
 def test_a_frozen_model_is_not_open_for_its_own_error() -> None:
     """A calibration from 40 stations misses 300 others by what its parameters do not know, and by nothing else."""
     few = visited(6, 40, 0)

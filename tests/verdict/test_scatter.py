@@ -21,6 +21,8 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.predictable import MAX_PREDICTABLE
 from modcal_nodes.simulation.mjcf import World
 
+pytestmark = pytest.mark.slow
+
 STAND, SEAT = "scatter of the base", "scatter of the tool"
 
 
@@ -46,7 +48,6 @@ def twists(turn: float, lever: Array | None = None) -> Array:
     return np.concatenate([np.cross(one, lever), one], axis=1)
 
 
-@pytest.mark.slow
 def test_a_stand_that_wobbles(made: Recorded) -> None:
     samples = moved(made, twists(5e-4), tool=False)
     text = said(samples)
@@ -55,13 +56,11 @@ def test_a_stand_that_wobbles(made: Recorded) -> None:
     assert STAND not in said(samples, known)
 
 
-@pytest.mark.slow
 def test_a_target_that_is_loose_in_its_seat(made: Recorded) -> None:
     text = said(moved(made, twists(3e-3, np.array([0.0, 0.15, 0.05])), tool=True))
     assert SEAT in text, text
 
 
-@pytest.mark.slow
 def test_a_while_in_which_something_shook(made: Recorded) -> None:
     shaken = (np.arange(140) >= 60) & (np.arange(140) < 85)
     off = np.where(shaken, 4.0, 0.0)[:, None] * (made.samples.reading - made.exact.reading)
@@ -71,7 +70,6 @@ def test_a_while_in_which_something_shook(made: Recorded) -> None:
     assert abs(last - 84) < 4
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("repeats", [True, False])
 def test_what_returns_repeat_is_no_scatter(made: Recorded, repeats: bool) -> None:
     """A wrist that errs by 0.8 mrad at random, the same at every visit of a posture, or another."""
@@ -93,7 +91,6 @@ def scattered(made: Recorded, sizes: list[float], kind: str = "pose") -> Samples
     return made.reread(made.world.tool_in_tracker(q), kind)
 
 
-@pytest.mark.slow
 def test_a_loose_encoder_is_named(made: Recorded) -> None:
     samples = scattered(made, [1e-5, 1e-5, 4e-4, 1e-5, 1e-5, 1e-5])
     text = said(samples)
@@ -104,7 +101,6 @@ def test_a_loose_encoder_is_named(made: Recorded) -> None:
     assert "scatters" not in said(samples, known)
 
 
-@pytest.mark.slow
 def test_a_loose_encoder_is_named_beside_what_is_predictable(made: Recorded) -> None:
     names = ur10().names
     wave = 7e-4 * np.sin(4.0 * made.samples.q[:, 0])
@@ -119,7 +115,6 @@ def test_a_loose_encoder_is_named_beside_what_is_predictable(made: Recorded) -> 
         assert text.count(" scatters by ") == (size > 1e-3), text
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("bounded", [False, True])
 def test_a_scatter_whose_largest_readings_were_rejected_is_told_apart(made: Recorded, bounded: bool) -> None:
     """Where none of them had to be rejected, what scatters may meet a tolerance."""
@@ -130,13 +125,11 @@ def test_a_scatter_whose_largest_readings_were_rejected_is_told_apart(made: Reco
     assert kinds == ["predictable" if bounded else "cut_off"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "sizes"), [("pose", [3e-4, 1e-4, 1e-4, 1e-4, 2e-4, 1e-4]), ("point", [1e-5] * 6)])
 def test_joints_that_are_alike_are_not(made: Recorded, kind: str, sizes: list[float]) -> None:
     assert "scatter" not in said(scattered(made, sizes, kind))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("how", ["across", "by angles"])
 def test_a_tracker_that_scatters_is_no_joint_and_no_body(made: Recorded, how: str) -> None:
     """By its angle about one axis, much as the first joint of an arm on one side, and by all its angles."""
@@ -156,7 +149,6 @@ def wires(made: Recorded, off: Array) -> Samples:
     return Samples.from_arrays(made.samples.q, ranges=ranges, names=ur10().names)
 
 
-@pytest.mark.slow
 def test_the_wire_that_is_off_is_named_and_a_good_one_is_not(made: Recorded) -> None:
     straight = np.zeros(140)
     assert "instrument" not in said(wires(made, straight))
@@ -167,7 +159,6 @@ def test_the_wire_that_is_off_is_named_and_a_good_one_is_not(made: Recorded) -> 
     assert re.search("correlates with (its own length|where it points), as an error of 'wire_2'", text), text
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("late", "open_"), [(0.0, False), (4e-3, True)])
 def test_stamps_that_are_off_at_random_in_motion(made: Recorded, late: float, open_: bool) -> None:
     rng = np.random.default_rng(8)
@@ -179,7 +170,6 @@ def test_stamps_that_are_off_at_random_in_motion(made: Recorded, late: float, op
     assert "direction of motion" not in said(samples, known)
 
 
-@pytest.mark.slow
 def test_two_stated_distances_that_stand_for_each_other(made: Recorded) -> None:
     """Readings in four frames, whose origins are known to be 0.4 and 1.2 m apart, stated the other way round."""
     origin = {"a": [0.0, 0.0, 0.0], "b": [0.4, 0.0, 0.0], "c": [0.0, 0.0, 0.1], "d": [0.0, 1.2, 0.1]}
