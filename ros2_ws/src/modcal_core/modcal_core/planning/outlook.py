@@ -48,7 +48,7 @@ from modcal_core.hypotheses import proved
 from modcal_core.measurements import POSE, Samples
 from modcal_core.measurements.kinds import dimensions
 from modcal_core.moves import find_regimes
-from modcal_core.planning.exchange import ACCURACY, Search, information
+from modcal_core.planning.chooser import information
 from modcal_core.planning.pool import Pool, readings_at
 from modcal_core.planning.site import Noise
 from modcal_core.robots import Inertias, Mechanism, weightless
@@ -197,13 +197,10 @@ class Outlook:
         """The same once stations with these rows (N, c, K) have been read."""
         return replace(self, H=self.H + information(rows))
 
-    def search(self, rows: Array, which: str = ACCURACY) -> Search:
-        """Candidates with these rows (N, c, K), by a criterion: accuracy counts all values, others the fit's own."""
-        if which == ACCURACY:
-            return Search.of(rows, self.H, self.gamma)
+    def own_rows(self, q: Array) -> Array:
+        """The rows of those values alone that a fit has, (N, c, P), in units of the geometry's priors."""
         units = np.array([p.prior_std for p in self.about.parameters])[self.own] / self.about.std[self.own]
-        H = (self.H - np.eye(len(self.H)))[np.ix_(self.own, self.own)] * np.outer(units, units)
-        return Search.of(rows[..., self.own] * units, H + np.eye(len(units)))
+        return np.asarray(self.rows(q)[..., self.own] * units)
 
     def _samples(self, q: Array, approach: Array | None, kind: str) -> Samples:
         """Readings as the geometry makes them; time and signals as they were at the end of the samples so far."""
@@ -221,15 +218,14 @@ class Outlook:
         return J.reshape(len(J), -1, len(samples)).transpose(2, 1, 0) * about.std
 
 
-def nominal_outlook(pool: Pool, q: Array, kind: str, fixed: Sequence[str] = ()) -> Outlook:
-    """The outlook before anything is measured. q: postures of the pool to choose from (N, n). fixed: parameters that
-    are as the drawing has them, by name, place or pattern.
+def nominal_outlook(pool: Pool, kind: str, fixed: Sequence[str] = ()) -> Outlook:
+    """The outlook before anything is measured. fixed: parameters that are as the drawing has them, by name, place or
+    pattern.
 
     Functions for what nobody named are as wide as the claim expects them: were they wider, most stations would look for
     what most arms do not have.
     """
-    assert pool.ground is not None
-    model, noise = pool.ground.model, pool.ground.site.noise
+    model, noise, q = pool.at.model, pool.at.site.noise, pool.q[pool.offered]
     fitted = choose_parameters(model, (View(kind, 0),), fixed).parameters
     joints = unrepeated(model, q, noise)
     scatter = np.sqrt(np.repeat([np.mean(joints[:, :3] ** 2), np.mean(joints[:, 3:] ** 2)], 3) * joints.shape[2])

@@ -34,19 +34,18 @@ _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
 def to_plan_data(plan: Plan) -> dict[str, Any]:
     """The plan as nested dictionaries: stations in order, what is expected of them, and against what."""
-    expected, ground = plan.expected, plan.ground
+    expected, ground = plan.expected, plan.pool.at
     return {
         "modcal_plan": 1,
         "joints": list(ground.model.chain.names),
         "reading": plan.request.reading,
-        "criterion": plan.request.criterion,
         "parameters": list(plan.parameters),
         **claim_data(expected.claim),
         "left_rms_mm": {"planned": 1e3 * expected.left, "random": 1e3 * expected.at_random},
         "not_repeated_rms_mm": 1e3 * expected.repeat,
         "ratio_to_random": expected.ratios,
-        "observability": vars(expected.indices),
-        "tried": [{"stations": n, "at_most_mm": c.mm["p95"].ci95[1]} for n, c in plan.curve],
+        "rank": expected.rank,
+        "tried": [{"stations": n, "at_most_mm": c.mm["p95"].ci95[1]} for n, c in plan.tried.items()],
         "postures": {
             "candidates": len(plan.pool.q),
             "share_free": plan.pool.shares[0],
@@ -83,12 +82,12 @@ def plan_sentences(plan: Plan) -> list[str]:
     )
     free, seen = plan.pool.shares
     said = f"{percent(free)} of the postures within the limits touch nothing"
-    out.append(said + ("." if plan.ground.site.tracker is None else f"; of these the tracker sees {percent(seen)}."))
-    if plan.ground.site.floor is None:
+    out.append(said + ("." if plan.pool.at.site.tracker is None else f"; of these the tracker sees {percent(seen)}."))
+    if plan.pool.at.site.floor is None:
         out.append("No floor is given: stations may lie below the base.")
     P = len(plan.parameters)
-    if expected.indices.rank < P:
-        out.append(f"These stations show {expected.indices.rank} of {P} parameters: the others stay nominal.")
+    if expected.rank < P:
+        out.append(f"These stations show {expected.rank} of {P} parameters: the others stay nominal.")
     if plan.route.blocked:
         ways = ", ".join(f"{i + 1} to {i + 2}" for i in plan.route.blocked)
         out.append(f"No free path was found from station {ways}: use a motion planner or move the arm by hand there.")
@@ -101,7 +100,7 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
     speed: largest of any joint [rad/s, m/s]. dwell: [s] at each station. It ends before the first blocked way.
     """
     points: list[dict[str, Any]] = []
-    chain = plan.ground.model.chain
+    chain = plan.pool.at.model.chain
     own = chain.own  # no controller takes a joint that follows
     now = 0.0
 
@@ -129,10 +128,10 @@ def plan_report(plan: Plan, title: str, speed: float, dwell: float) -> VerbResul
     sentences, data = plan_sentences(plan), to_plan_data(plan)
     files = {
         "plan.yaml": to_yaml(data),
-        "stations.csv": csv_text(plan.ground.model.chain.names, plan.q),
+        "stations.csv": csv_text(plan.pool.at.model.chain.names, plan.q),
         "trajectory.yaml": to_yaml(to_trajectory_data(plan, speed, dwell)),
     }
-    table = stations_table("Stations in their order", plan.ground.model.chain.names, plan.q)
+    table = stations_table("Stations in their order", plan.pool.at.model.chain.names, plan.q)
     blocks = [_stations_shown(plan), Section("stations", "Stations", [table])]
     page = Page(f"{title}: stations to measure", sentences[0], blocks, lines=sentences[1:])
     return page.result(data, files, (), "Stations", "plan.yaml")
@@ -140,10 +139,10 @@ def plan_report(plan: Plan, title: str, speed: float, dwell: float) -> VerbResul
 
 def _stations_shown(plan: Plan) -> Section:
     """The arm at the stations in their order, among the places that could be chosen."""
-    pool, tracker = plan.pool, plan.ground.site.tracker
-    shown = ShownPostures(plan.ground.model.chain, plan.q, "Station", plan.ground.model.T_tip_tool)
+    pool, tracker = plan.pool, plan.pool.at.site.tracker
+    shown = ShownPostures(plan.pool.at.model.chain, plan.q, "Station", plan.pool.at.model.T_tip_tool)
     some = pool.q[spread_rows(len(pool.q), MAX_POINTS)]
-    way, could = (arm_lines(shown.chain, plan.ground.model.T_tip_tool, q)[-1][:, -1] for q in (plan.q, some))
+    way, could = (arm_lines(shown.chain, plan.pool.at.model.T_tip_tool, q)[-1][:, -1] for q in (plan.q, some))
     alt = f"The arm at {len(plan.q)} stations, in order, among the places that could be chosen."
     marks = () if tracker is None else (("tracker", tracker.position),)
     others: dict[str, Any] = {"points": way, "shown": shown.rows, "route": True, "cloud": could, "marks": marks}
@@ -185,7 +184,7 @@ def sensitivity_data(study: Study) -> dict[str, Any]:
     return {
         "modcal_sensitivity": 1,
         "joints": list(study.closed.chain.names),
-        "design": {"name": study.of.design, "postures": len(study.of.q)},
+        "postures": len(study.of.q),
         "base_factor": at.names[at.base],
         "rms_mm": {"as_built": 1e3 * joint.before.rms, "after_measuring": 1e3 * joint.after.rms},
         "measured": {
@@ -316,7 +315,7 @@ def _by_pose(study: Study) -> Chart:
     """Relative single-point indices as a map, parameters down and postures across."""
     relative = study.indices.relative_single.T
     count = relative.shape[1]
-    x = Axis(f"posture of the design {study.of.design}", -0.5, count - 0.5)
+    x = Axis("posture", -0.5, count - 0.5)
     high = 60.0 + _ROW * len(study.indices.names)
     panel = Panel(x, Axis.rows(study.indices.names), 150.0 + min(12.0 * count, 380.0), high)
     level = np.ceil(_LEVELS * relative / max(float(relative.max()), 1e-300))

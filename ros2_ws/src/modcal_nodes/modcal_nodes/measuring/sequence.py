@@ -27,25 +27,20 @@ from modcal_core.planning import (
     Advisor,
     Goal,
     Method,
-    Pool,
     Session,
     Site,
-    Spheres,
-    Station,
     TimedMotion,
-    clearance,
     free_way,
     from_side,
-    of_robot,
     site_from_data,
-    spheres_of,
+    survey,
     timed,
     with_limits,
 )
 from modcal_core.robot import Robot
 from modcal_core.robots import Mechanism, collision_shapes, forward, read_drives
 from modcal_nodes.measuring.collision import CollisionModel
-from modcal_nodes.measuring.folder import Folder, StoredSession
+from modcal_nodes.measuring.folder import Measurement
 from modcal_nodes.measuring.runner import (
     HELD,
     IDLE,
@@ -85,53 +80,25 @@ class Place:
                 "has no collision shapes, so that the arm could not be kept from itself",
                 "give one that has, or set no_self_collision: spheres along the links are then all that is checked",
             )
-        self._spheres: Spheres = spheres_of(limits, self.site)
-        kind = chosen["measurement"]
+        kind, seed, minutes = chosen["measurement"], chosen["seed"], chosen["minutes"]
         if kind not in (POINT, POSE):
             raise BadTable(f"measurement '{kind}'", "is not read", "set pose or point")
-        goal_mm, minutes = chosen["goal_mm"], chosen["minutes"]
-        self.goal = Goal(
-            1e-3 * goal_mm if goal_mm else None, chosen["statistic"], chosen["stations"],
-            60.0 * minutes if minutes else None,
-        )  # fmt: skip
-        if self.goal.statistic not in ("rms", "p95"):
-            raise BadTable(f"statistic '{self.goal.statistic}'", "is not known", "set rms or p95")
-        self.pool: Pool = of_robot(self.robot.mechanism, self.site, kind, np.random.default_rng(chosen["seed"]))
+        if chosen["statistic"] not in ("rms", "p95"):
+            raise BadTable(f"statistic '{chosen['statistic']}'", "is not known", "set rms or p95")
         if not chosen["out"]:
             raise BadTable("out", "names no folder", "set it: the session is kept there")
-        self.folder = Folder(Path(chosen["out"]), self.robot)
-        self.kept = self.folder.begin(
-            StoredSession(
-                Session(self.robot.names, kind, carried=self.site.carried), self.goal, chosen["seed"], time.time()
-            )
-        )
-        method = Method(chosen["seed"], effects=not chosen["geometry_only"])
-        self._advisor = Advisor(self.robot.mechanism, self.pool, self.goal, method, None, self.robot.inertias)
+        accuracy, seconds = 1e-3 * chosen["goal_mm"] or None, 60.0 * minutes or None
+        goal = Goal(accuracy, chosen["statistic"], chosen["stations"], seconds)
+        robot, method = self.robot, Method(seed, effects=not chosen["geometry_only"])
+        self.pool = survey(robot.mechanism, self.site, np.random.default_rng(seed), kind, drawn=True)
+        advisor = Advisor(robot.mechanism, self.pool, goal, method, None, robot.inertias)
+        session = Session(robot.names, kind, carried=self.site.carried)
+        self.kept = Measurement(Path(chosen["out"]), robot, advisor, session, seed, time.time())
 
     @property
     def session(self) -> Session:
         """What has been measured so far."""
         return self.kept.session
-
-    def advise(self) -> Advice:
-        """What is next; the session with it is kept."""
-        elapsed = time.time() - (self.kept.began or time.time())
-        advice = self._advisor.advise(self.session, elapsed)
-        self._keep(advice.session)
-        return advice
-
-    def note(self, number: int, station: Station) -> None:
-        """Keep what became of a station."""
-        self._keep(self.session.with_station(number, station))
-
-    def finish(self, advice: Advice) -> None:
-        """Write what came of it."""
-        self.folder.write_tables(advice.session)
-        self.folder.finish(advice, self.goal)
-
-    def _keep(self, session: Session) -> None:
-        self.kept = replace(self.kept, session=session)
-        self.folder.save(self.kept)
 
     def free(self, q: Array) -> np.ndarray:
         """True for postures (N, n) that are within limits and touch nothing, (N,)."""
@@ -140,7 +107,7 @@ class Place:
         if self.shapes is not None:
             out[inside] = self.shapes.free(q[inside])
         else:
-            out[inside] = clearance(self._spheres, self.site, q[inside]) >= 0.0
+            out[inside] = self.pool.at.free(q[inside])
         return out
 
     def way(self, number: int, start: Array, speed: float) -> TimedMotion | None:
@@ -352,7 +319,7 @@ class StationSequence:
         if self._advice is None or (not place.session.pending and self._advice.outcome is None):
             if self._advice is None or self._running:
                 self._tell(OK, "fitting and choosing")
-                self._worker.begin(place.advise, self._advised)
+                self._worker.begin(place.kept.advise, self._advised)
             return
         if self._advice.outcome is not None:
             return
@@ -373,7 +340,7 @@ class StationSequence:
             self._tell(OK, advice.outcome.sentence)
             assert self._place is not None
             place = self._place
-            self._worker.begin(lambda: place.finish(advice), lambda _: None)
+            self._worker.begin(lambda: place.kept.finish(advice), lambda _: None)
         else:
             self._tell(OK, f"{advice.why}: {counted(len(advice.session.pending), 'station')}")
 
@@ -388,7 +355,7 @@ class StationSequence:
         station = place.session.stations[number]
         if motion is None:
             self._tell(WARN, f"station {number + 1} is skipped: no free way to it was found")
-            place.note(number, replace(station, state=SKIPPED))
+            place.kept.note(number, replace(station, state=SKIPPED))
             return
         here = self._now()
         if not self._running or runner.phase != IDLE or here is None:
@@ -401,7 +368,7 @@ class StationSequence:
 
     def _noted(self, done: Done) -> None:
         assert self._place is not None
-        self._place.note(done.number, done.station)
+        self._place.kept.note(done.number, done.station)
         unseen = done.station.state == UNSEEN
         self._blind = self._blind + 1 if unseen else 0
         if unseen:
