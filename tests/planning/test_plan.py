@@ -149,19 +149,18 @@ def error(H: Array, gamma: Array) -> float:
 
 
 @pytest.mark.slow
-def test_of_few_candidates_nearly_the_best_set_of_all_is_found() -> None:
-    """Within a hundredth of the best of 462 sets, and mostly it."""
-    rng, met = np.random.default_rng(5), []
-    for _ in range(8):
+def test_of_few_candidates_the_best_set_of_all_is_found() -> None:
+    """By exchange from some of many beginnings."""
+    rng = np.random.default_rng(5)
+    for _ in range(4):
         rows = small(rng, N=11)
         gamma = of(rows, range(11)) / 11.0
-        best = min(error(np.eye(5) + of(rows, np.array(s)), gamma) for s in combinations(range(11), 5))
         search = Search.of(rows, np.eye(5), gamma)
-        found = exchanged(search, grown(search, 5), rng)
-        assert len(set(found)) == 5
-        met.append(error(np.eye(5) + of(rows, found), gamma) / best - 1.0)
-    assert max(met) < 0.01
-    assert np.median(met) < 1e-9
+        best = min(error(np.eye(5) + of(rows, np.array(s)), gamma) for s in combinations(range(11), 5))
+        begins = [grown(search, 5), *(rng.choice(11, 5, replace=False).tolist() for _ in range(39))]
+        found = [exchanged(search, begin, rng) for begin in begins]
+        assert all(len(set(one)) == 5 for one in found)
+        assert min(error(np.eye(5) + of(rows, one), gamma) for one in found) == pytest.approx(best, rel=1e-9)
 
 
 @pytest.mark.parametrize("c", [3, 6])
