@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from modcal_core.planning.pool import CANDIDATES, Pool, of_recording, survey, with_limits
     from modcal_core.planning.rivals import DecidingStations, pool_near, separations
     from modcal_core.planning.route import RETURNS, TimedMotion, free_way, from_side, timed, with_returns
-    from modcal_core.planning.sensitivity_study import LEVELS, NAMED, ClosedChain, Measured, Studied, Study
+    from modcal_core.planning.sensitivity_study import LEVELS, NAMED, ClosedChain, Measured, Study
     from modcal_core.planning.sensitivity_study import array_postures, calibration_chain, dh_closed_chain
     from modcal_core.planning.sensitivity_study import orthogonal_array, sensitivity, sizes_of, study
     from modcal_core.planning.session import MAX_STATIONS, PROOF, SKIPPED, UNSEEN, Goal, Session, Station, from_data

@@ -193,8 +193,9 @@ class Chooser:
         if self.rounds:
             numbers = exchanged(search, numbers, rng, chance, self.rounds)
         found = Chosen(q[numbers], ways[numbers], search.J[numbers], np.array(numbers, dtype=int))
-        for size in () if self.ground is None else self.moves:
-            found = self._moved(found, len(q) if first is None else first, size, rng)
+        first = count if first is None else first
+        for size in self.moves if self.ground is not None and first else ():
+            found = self._moved(found, first, size, rng)
         return found
 
     def _offered(self, q: Array, ways: Array) -> tuple[Search, Array | None]:

@@ -27,7 +27,8 @@ from modcal_core.calibration import (
 from modcal_core.effects import Drivers, Effect, columns, prior_stds
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
-from modcal_core.planning.chooser import Chooser, information
+from modcal_core.measurements import Samples
+from modcal_core.planning.chooser import Search, grown, information
 from modcal_core.planning.pool import Pool, readings_at, survey
 from modcal_core.planning.site import Site
 
@@ -76,44 +77,6 @@ class DecidingStations:
         return int(np.ceil(len(self.q) * (DECIDES / max(self.separation, 1e-3)) ** 2))
 
 
-@dataclass(frozen=True)
-class _Rivalry:
-    """What stations are worth that are to tell the truth from its imitation. geometry: parameters that help to imitate.
-    noise, kind: of readings. H: information (K, K) about the size of the truth, first, and all that imitates it.
-    """
-
-    imitation: Model
-    truth: Effect
-    geometry: Sequence[ModelParameter]
-    noise: NoiseModel
-    kind: str
-    H: Array
-
-    @property
-    def gamma(self) -> Array:
-        """The size of the truth alone counts, (K, K)."""
-        return np.diag(np.eye(len(self.H))[0])
-
-    def rows(self, q: Array, approach: Array | None = None) -> Array:
-        """In standard deviations of the readings the motion that the truth makes, first, and behind it derivatives of
-        all that imitates it per prior deviation: of the geometry, then of effects, (N, c, K).
-        """
-        model, geometry = self.imitation, self.geometry
-        samples = replace(readings_at(model.with_effects(()), q, self.kind), effort=np.full(q.shape, np.nan))
-        samples = samples if approach is None else replace(samples, approach=approach)
-        at = Drivers(samples, model.arm or model.drivers(samples).arm)
-        values = np.concatenate([np.zeros(len(geometry)), *(e.values for e in model.effects)])
-        view = RowView.of(model.with_effects(()), samples, at)
-        terms = zip(self.truth.amplitudes, columns(self.truth, at), strict=True)
-        moved = np.sum([amplitude * view.moved_by(term) for amplitude, term in terms], axis=0)
-        prior = np.concatenate([[p.prior_std for p in geometry], *(prior_stds(e, at) for e in model.effects)])
-        J = np.vstack([moved, linearise(model, geometry, values, samples, drivers=at).J * prior[:, None]])
-        N = len(samples)
-        J[:, : 3 * N] /= np.maximum(self.noise.of(samples), FINEST).max()
-        J[:, 3 * N :] /= max(self.noise.rotation, FINEST)
-        return np.asarray(J.reshape(len(J), -1, N).transpose(2, 1, 0))
-
-
 def pool_near(calibration: Calibration, site: Site, rng: np.random.Generator) -> Pool:
     """Postures in and around the recorded range that are allowed and seen at a site. Raises NotPlannable."""
     chain, (low, high) = calibration.nominal.chain, _around(calibration)
@@ -142,21 +105,42 @@ def propose(
             f"{count} stations", f"only {len(q)} postures are allowed", "ask for fewer, or widen the site"
         )
     geometry = choose_parameters(model, [View(calibration.kind, 0)]).parameters
-    rest = [e for i, e in enumerate(model.effects) if i != effect]
-    K = 1 + len(geometry) + sum(len(e.values) for e in (*rest, other))
-    imitation = model.with_effects((*rest, other))
-    rivalry = _Rivalry(imitation, truth, geometry, calibration.noise, calibration.kind, np.eye(K))
-    recorded = rivalry.rows(calibration.postures, rng.choice([-1.0, 1.0], calibration.postures.shape))
-    rivalry = replace(rivalry, H=rivalry.H + information(recorded))
+    imitation = model.with_effects((*(e for i, e in enumerate(model.effects) if i != effect), other))
+    recorded = len(calibration.postures)
+    q = np.concatenate([calibration.postures, q])
     ways = rng.choice([-1.0, 1.0], q.shape)
-    found = Chooser(rivalry).best(q, count, rng, ways)
-    told = _told(rivalry.H + information(found.rows)) - _told(rivalry.H)
-    whole, bare = rivalry.H + information(rivalry.rows(q, ways)), 1 + len(geometry)
+    exact = readings_at(model.with_effects(()), q, calibration.kind)
+    samples = replace(exact, approach=ways, effort=np.full(q.shape, np.nan))
+    rows = _rows(imitation, truth, geometry, samples, calibration.noise)
+    K, bare = rows.shape[2], 1 + len(geometry)
+    known = np.eye(K) + information(rows[:recorded])
+    only_truth = np.diag(np.eye(K)[0])  # of all values its size alone counts
+    chosen = recorded + np.array(grown(Search.of(rows[recorded:], known, only_truth), count))
+    told, whole = _told(known + information(rows[chosen])) - _told(known), np.eye(K) + information(rows)
     directed = [e.place for e in (truth, other) if e.driver.startswith("direction:")]
-    approach = np.where(np.isin(model.chain.names, directed), found.ways, 0.0)
+    approach = np.where(np.isin(model.chain.names, directed), ways[chosen], 0.0)
     distinct = _told(whole) / max(_told(whole[:bare, :bare]), 1e-300)
     by_effort = any(part.startswith("effort:") for e in (truth, other) for part in e.driver.split(","))
-    return DecidingStations(truth, other, found.q, approach, float(np.sqrt(told)), distinct, by_effort)
+    return DecidingStations(truth, other, q[chosen], approach, float(np.sqrt(told)), distinct, by_effort)
+
+
+def _rows(
+    imitation: Model, truth: Effect, geometry: Sequence[ModelParameter], samples: Samples, noise: NoiseModel
+) -> Array:
+    """In standard deviations of the readings the motion that the truth makes, first, and behind it derivatives of all
+    that imitates it per prior deviation: of the geometry, then of effects, (N, c, K).
+    """
+    at = Drivers(samples, imitation.arm or imitation.drivers(samples).arm)
+    values = np.concatenate([np.zeros(len(geometry)), *(e.values for e in imitation.effects)])
+    view = RowView.of(imitation.with_effects(()), samples, at)
+    terms = zip(truth.amplitudes, columns(truth, at), strict=True)
+    moved = np.sum([amplitude * view.moved_by(term) for amplitude, term in terms], axis=0)
+    prior = np.concatenate([[p.prior_std for p in geometry], *(prior_stds(e, at) for e in imitation.effects)])
+    J = np.vstack([moved, linearise(imitation, geometry, values, samples, drivers=at).J * prior[:, None]])
+    N = len(samples)
+    J[:, : 3 * N] /= np.maximum(noise.of(samples), FINEST).max()
+    J[:, 3 * N :] /= max(noise.rotation, FINEST)
+    return np.asarray(J.reshape(len(J), -1, N).transpose(2, 1, 0))
 
 
 def _told(H: Array) -> float:
@@ -214,7 +198,7 @@ def deciding(
 
 def _one_motion(found: DecidingStations) -> str:
     """What would tell explanations that are one motion: another payload changes two loads alike."""
-    loads = sum(e.driver.startswith(("load:", "payload:")) for e in (found.effect, found.rival))
+    loads = sum(" by load:" in e.label or " by payload:" in e.label for e in (found.effect, found.rival))
     payload = "another payload, or " if loads == 1 else ""
     return (
         "cannot tell: they are one motion of the tool, which no posture separates and either corrects; "

@@ -374,37 +374,24 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Studied:
-    """What is studied. q: postures (N, n). sizes: of the errors (P,) [m, rad]. base: name of the base factor. measured:
-    what is supposed to be measured. bins: intervals of the histograms.
-    """
-
-    q: Array
-    sizes: Array
-    base: str
-    measured: Measured
-    bins: int | None = None
-
-
-@dataclass(frozen=True)
 class Study:
-    """closed: the chain. of: what was studied. indices: over its postures. joint: over postures spread over the joints'
-    ranges.
-    """
+    """closed: the chain. q: postures (N, n) of the indices. joint: over random postures, by what is measured."""
 
     closed: ClosedChain
-    of: Studied
+    q: Array
     indices: Sensitivity
     joint: JointGain
+    measured: Measured
 
 
-def study(closed: ClosedChain, of: Studied, rng: np.random.Generator) -> Study:
-    """Everything there is to say of the sensitivity of a closed chain."""
-    sizes, measured = of.sizes, of.measured
-    indices = sensitivity(closed, of.q, sizes, of.base, of.bins)
-    workspace = random_postures(closed.chain, _GAIN_POSTURES, rng)
+def study(closed: ClosedChain, q: Array, sizes: Array, base: str, measured: Measured) -> Study:
+    """Everything there is to say of the sensitivity of a closed chain at postures q (N, n), with errors of these sizes
+    (P,) [m, rad] beside that of the base factor. Raises BadTable for a base factor as :func:`sensitivity`.
+    """
+    indices = sensitivity(closed, q, sizes, base)
+    workspace = random_postures(closed.chain, _GAIN_POSTURES, np.random.default_rng(0))  # the same each time
     G = closed.jacobian(workspace)[:, :3]
     rows = 6 if measured.kind == "pose" else 3
     J = closed.jacobian(measured.q)[:, :rows].reshape(-1, len(sizes))
     std = np.tile(np.repeat([measured.std_m, measured.std_rad], 3)[:rows], len(measured.q))
-    return Study(closed, of, indices, joint_use(G, sizes, J, std))
+    return Study(closed, q, indices, joint_use(G, sizes, J, std), measured)

@@ -243,14 +243,9 @@ def view_postures(chain: Chain, site: Site, count: int, rng: np.random.Generator
     to_target = _within(view.axis, room, rng)
     facing = target.facing or _AROUND
     to_eye = _within(facing.axis, np.full(len(distance), facing.half_angle), rng)
-    T = np.tile(np.eye(4), (len(distance), 1, 1))
-    if tracker.carried:
-        R = _turned(to_target, -to_eye, rng)
-        T[:, :3, 3] = target.position + distance[:, None] * to_eye - R @ tracker.position
-    else:
-        R = _turned(to_eye, -to_target, rng)
-        T[:, :3, 3] = tracker.position + distance[:, None] * to_target - R @ target.position
-    T[:, :3, :3] = R
+    out, back = (to_target, to_eye) if tracker.carried else (to_eye, to_target)  # of what moves, and of what stands
+    R = _turned(out, -back, rng)
+    T = se3.transform(R, site.still + distance[:, None] * back - R @ site.moving)
     near = np.linalg.norm(T[:, :3, 3], axis=1) <= reach
     reached = inverse_batch(chain, T[near], start[near])
     return np.asarray(reached.q[reached.met])
@@ -413,30 +408,22 @@ def visible(spheres: Spheres, site: Site, q: Array) -> np.ndarray:
     if tracker is None:
         return np.ones(len(q), dtype=bool)
     f = _frames(spheres.chain, q)
-    turned = f.axes[-1]
-
-    def moved(v: Array) -> Array:
-        return np.asarray(np.einsum("dcn,d->nc", turned, v))
-
-    def still(v: Array) -> Array:
-        return np.tile(v, (len(q), 1))
-
-    of_eye, of_target = (moved, still) if tracker.carried else (still, moved)
-    tip, zero = f.p[-1].T, np.zeros(3)
-    eye = of_eye(tracker.position) + (tip if tracker.carried else zero)
-    p = of_target(target.position) + (zero if tracker.carried else tip)
-    way = p - eye
-    distance = np.linalg.norm(way, axis=1)
-    ray = way / np.maximum(distance, 1e-9)[:, None]
+    moving = f.p[-1].T + np.einsum("dcn,d->nc", f.axes[-1], site.moving)
+    away = site.still - moving
+    distance = np.linalg.norm(away, axis=1)
+    ray = away / np.maximum(distance, 1e-9)[:, None]
+    # each as the one that looks has it: in the tip where the arm moves it, else in the base
+    outwards, back = np.einsum("dcn,nc->nd", f.axes[-1], ray), -ray
+    to_target, to_eye = (outwards, back) if tracker.carried else (back, outwards)
     seen = (distance >= tracker.nearest) & (distance <= tracker.farthest) & (distance > target.radius)
     if tracker.view is not None:
-        aside = np.arccos(np.clip(np.sum(of_eye(tracker.view.axis) * ray, axis=1), -1.0, 1.0))
+        aside = np.arccos(np.clip(to_target @ tracker.view.axis, -1.0, 1.0))
         wide = np.arcsin(np.minimum(target.radius / np.maximum(distance, 1e-9), 1.0))
         seen &= aside + wide <= tracker.view.half_angle
     if target.facing is not None:
-        seen &= np.sum(of_target(target.facing.axis) * -ray, axis=1) >= np.cos(target.facing.half_angle)
+        seen &= to_eye @ target.facing.axis >= np.cos(target.facing.half_angle)
     rows = np.flatnonzero(seen)
-    seen[rows] &= ~_hidden(spheres, site, eye[rows], f, p, rows)
+    seen[rows] &= ~_hidden(spheres, site, f, moving, rows)
     return seen
 
 
@@ -445,18 +432,20 @@ def _frames(chain: Mechanism, q: Array) -> Frames:
     return frames(chain, q) if is_serial_arm(chain) else tool_frames(chain, np.eye(4), q)
 
 
-def _hidden(spheres: Spheres, site: Site, eye: Array, f: Frames, p: Array, rows: np.ndarray) -> np.ndarray:
-    """True where a sphere stands between eye (m, 3) and target, (m,); those next to the tool do not count."""
+def _hidden(spheres: Spheres, site: Site, f: Frames, moving: Array, rows: np.ndarray) -> np.ndarray:
+    """True where a sphere stands between what stands still and what moves (N, 3), of these rows (m,); spheres next to
+    the tool do not count.
+    """
     at = spheres.at(Frames(f.axes[..., rows], f.p[..., rows]))
     end = float(spheres.along.max(initial=0.0))
     blocking = end - spheres.along > _NEIGHBOURS * spheres.radius
-    centres = [*at[blocking], *(np.repeat(b.centre[:, None], len(rows), axis=1) for b in site.obstacles)]
+    centres = [*at[blocking], *(b.centre[:, None] for b in site.obstacles)]
     radii = [*spheres.radius[blocking], *(b.radius for b in site.obstacles)]
-    way = p[rows].T - eye.T
+    begin = site.still[:, None]
+    way = moving[rows].T - begin
     square = np.maximum(np.sum(way**2, axis=0), 1e-12)
     out = np.zeros(len(rows), dtype=bool)
     for centre, radius in zip(centres, radii, strict=True):
-        to = centre - eye.T
-        share = np.clip(np.sum(to * way, axis=0) / square, 0.0, 1.0)
-        out |= np.linalg.norm(to - share * way, axis=0) < radius
+        share = np.clip(np.sum((centre - begin) * way, axis=0) / square, 0.0, 1.0)
+        out |= np.linalg.norm(centre - begin - share * way, axis=0) < radius
     return out

@@ -184,14 +184,14 @@ def sensitivity_data(study: Study) -> dict[str, Any]:
     return {
         "modcal_sensitivity": 1,
         "joints": list(study.closed.chain.names),
-        "postures": len(study.of.q),
+        "postures": len(study.q),
         "base_factor": at.names[at.base],
         "rms_mm": {"as_built": 1e3 * joint.before.rms, "after_measuring": 1e3 * joint.after.rms},
         "measured": {
-            "stations": len(study.of.measured.q),
-            "kind": study.of.measured.kind,
-            "std_mm": 1e3 * study.of.measured.std_m,
-            "std_mrad": 1e3 * study.of.measured.std_rad,
+            "stations": len(study.measured.q),
+            "kind": study.measured.kind,
+            "std_mm": 1e3 * study.measured.std_m,
+            "std_mrad": 1e3 * study.measured.std_rad,
         },
         "parameters": [
             {
@@ -217,7 +217,7 @@ def _constant(study: Study) -> np.ndarray:
 
 def sensitivity_sentences(study: Study) -> list[str]:
     """What a person should know first."""
-    joint, names, measured = study.joint, study.closed.names, study.of.measured
+    joint, names, measured = study.joint, study.closed.names, study.measured
     lengths = np.array([f.is_length for f in study.closed.factors])
     constant = _constant(study)
     order = np.argsort(-joint.before.share)
@@ -280,7 +280,7 @@ def _rows(study: Study) -> list[tuple[str, ...]]:
 def sensitivity_report(study: Study, title: str) -> VerbResult:
     """The study as a verb leaves it: the answer, the strongest parameters, the robot, and pictures."""
     sentences, rows, data = sensitivity_sentences(study), _rows(study), sensitivity_data(study)
-    single = np.c_[study.of.q, 1e3 * study.indices.single]
+    single = np.c_[study.q, 1e3 * study.indices.single]
     files = {
         "sensitivity.json": to_json(data),
         "single_point.csv": csv_text([*study.closed.chain.names, *study.indices.names], single, ".9g"),
@@ -303,7 +303,7 @@ def _robot(study: Study) -> Scene3D:
         float(sum(share[k] for k, name in enumerate(study.closed.names) if name.partition("/")[0] == joint))
         for joint in chain.names
     ]
-    shown = ShownPostures(chain, study.of.q)
+    shown = ShownPostures(chain, study.q)
     more = ["Discs: share of the squared error that each joint's parameters have."] * len(shown.rows)
     alt = "The arm; a disc at each joint shows the share of the error that its parameters have: " + ", ".join(
         f"{name} {percent(value)}" for name, value in zip(chain.names, of_joint, strict=True)

@@ -21,7 +21,6 @@ from modcal_core.planning import (
     Measured,
     PlanRequest,
     Site,
-    Studied,
     array_postures,
     calibration_chain,
     dh_closed_chain,
@@ -66,7 +65,6 @@ class SensitivityOptions(ChainOptions):
         "Study only parameters of this name or pattern, e.g. '*/theta'; the others are known. Repeatable.", "NAME"
     )
     base_factor: str | None = option("Parameter that the others are compared with. Default: base/x.", metavar="NAME")
-    bins: int | None = option("Intervals of the multi-point weights.", low=1, high=1000)
     stations: Path | None = option(
         "plan.yaml of modcal plan, or a CSV of joint positions: do they observe the important parameters? "
         "Default: the array's.",
@@ -76,17 +74,6 @@ class SensitivityOptions(ChainOptions):
     reading: str = option(default="point", choices=("point", "pose"))
     noise_mm: float = option("Noise of positions, per axis.", default=0.05, low=1e-6)
     noise_mrad: float = option("Noise of orientations, per axis.", default=0.05, low=1e-6)
-    seed: int = option(default=0, low=0)
-
-    def studied(self, closed: ClosedChain) -> Studied:
-        """The study of this chain, as the core has it. Raises BadTable."""
-        chain = closed.chain
-        sizes = sizes_of(closed, 1e-3 * self.length_mm, 1e-3 * self.angle_mrad, _tolerances(self.sizes))
-        q = array_postures(chain, self.levels)
-        stations = read_stations(self.stations, chain) if self.stations else q
-        measured = Measured(stations, self.reading, 1e-3 * self.noise_mm, 1e-3 * self.noise_mrad)
-        factor = self.base_factor or next((f.name for f in closed.factors if f.is_length), closed.names[0])
-        return Studied(q, sizes, factor, measured, self.bins)
 
 
 @click.command("sensitivity")
@@ -97,10 +84,14 @@ def sensitivity_command(robot: Path, output: Output, options: SensitivityOptions
     """Report which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
     arm = read_robot(robot, options.base, options.tip)
     closed = _closed_chain(arm.mechanism, options.parameters, options.tool, options.reading).only(options.only)
-    studied = options.studied(closed)
+    sizes = sizes_of(closed, 1e-3 * options.length_mm, 1e-3 * options.angle_mrad, _tolerances(options.sizes))
+    q = array_postures(closed.chain, options.levels)
+    stations = read_stations(options.stations, closed.chain) if options.stations else q
+    measured = Measured(stations, options.reading, 1e-3 * options.noise_mm, 1e-3 * options.noise_mrad)
+    base = options.base_factor or next((f.name for f in closed.factors if f.is_length), closed.names[0])
     with output.working() as watch:
         watch("moving each parameter")
-        result = study(closed, studied, np.random.default_rng(options.seed))
+        result = study(closed, q, sizes, base, measured)
         watch("writing the report")
         report = sensitivity_report(result, robot.stem)
     output.saved(report, f"{robot.stem}_sensitivity", arm_line(arm))
