@@ -30,7 +30,7 @@ DOOR = str(ROOT / "examples" / "tables" / "door.txt")
 BODY = ROOT / "examples" / "body"
 VERBS: dict[str, list[str]] = {
     "plan": ["plan", ROBOT, "--stations", "26", "--candidates", "60"],
-    "sensitivity": ["sensitivity", ROBOT, "--postures", "8"],
+    "sensitivity": ["sensitivity", ROBOT],
     "limits": ["limits", ROBOT, "--payload", "2", "--workspace", "20"],
     "articulate": ["articulate", DOOR],
     "camera": [
