@@ -16,7 +16,8 @@ from modcal_core.calibration.equations import normal_equations
 from modcal_core.errors import BadTable, NotEnoughData, NotPlannable
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
-from modcal_core.planning.chooser import Chooser, Search, exchanged, grown, information
+from modcal_core.planning.chooser import Chooser, Search, exchanged, grown
+from modcal_core.planning.outlook import information
 from modcal_core.planning.planner import PlanRequest, min_stations, plan
 from modcal_core.planning.site import clearance, site_from_data, visible
 

@@ -279,12 +279,8 @@ class Advisor:
             return [], 0
         size = self._batch(at, at.status.fitted // _GROWING)
         stations, rows = self._best(at, _AHEAD * size, size, rng)
-        view = at.view
-        for k in range(size, len(rows) + 1, size):
-            view = view.beside(rows[k - size : k])
-            if at.bound * view.error() / at.view.error() <= self.goal.accuracy:
-                return stations[:size], k
-        return [], 0
+        needed = at.view.reaching(self.goal.accuracy / at.bound, rows, size)
+        return ([], 0) if needed is None else (stations[:size], needed)
 
     def _hopeful(self, at: _Standing, searching: bool, rng: np.random.Generator) -> list[Station]:
         """The next batch where no proof is in reach: half of the stations of a long search are drawn at random, since

@@ -18,11 +18,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from modcal_core.geometry import Array
+from modcal_core.planning.outlook import Outlook, information
 from modcal_core.planning.pool import Ground
 
 _BETTER = 1e-9  # of the error, that counts as better
@@ -30,25 +30,6 @@ _AFRESH = 4  # stations added, after which all is computed again: from the prior
 _ONE_BY_ONE = 40  # stations that are taken one by one; of more some at once, for time
 ROUNDS = 8  # iterations of an exchange
 _MOVED, _EACH = 800, 60  # postures tried about all stations that are moved, and about each at most, for time
-
-
-def information(J: Array) -> Array:
-    """JᵀJ of stations with rows J (N, c, K), in units of the prior, (K, K)."""
-    flat = J.reshape(-1, J.shape[2])
-    return np.asarray(flat.T @ flat)
-
-
-class Worth(Protocol):
-    """What stations are worth: H (K, K) is known, with the priors, and tr(H⁻¹ Γ) is to become small, Γ = gamma."""
-
-    @property
-    def H(self) -> Array: ...  # noqa: D102
-
-    @property
-    def gamma(self) -> Array: ...  # noqa: D102
-
-    def rows(self, q: Array, approach: Array | None = None) -> Array:
-        """Derivatives (N, c, K) of readings at postures q (N, n), weighed. approach: how joints come (N, n)."""
 
 
 @dataclass(frozen=True)
@@ -109,15 +90,13 @@ def _times(J: Array, A: Array) -> Array:
     return (J.reshape(-1, J.shape[2]) @ A).reshape(*J.shape[:2], A.shape[1])
 
 
-def grown(base: Search, count: int, chance: Array | None = None) -> list[int]:
+def grown(base: Search, count: int, chance: Array | float = 1.0) -> list[int]:
     """Numbers of the ``count`` candidates that lower the error most, each beside those before it.
 
     chance: of each to be measured, (N,), by which its worth counts; 0 leaves it out.
     """
-    chance = np.ones(len(base.J)) if chance is None else chance
-    free = chance > 0.0
-    search = base
-    chosen: list[int] = []
+    chance = chance * np.ones(len(base.J))
+    free, search, chosen = chance > 0.0, base, list[int]()
     count = min(count, int(free.sum()))
     while len(chosen) < count:
         gains = search.gains(free)
@@ -134,11 +113,10 @@ def grown(base: Search, count: int, chance: Array | None = None) -> list[int]:
 
 
 def exchanged(
-    base: Search, chosen: Sequence[int], rng: np.random.Generator, chance: Array | None = None, rounds: int = ROUNDS
+    base: Search, chosen: Sequence[int], rng: np.random.Generator, chance: Array | float = 1.0, rounds: int = ROUNDS
 ) -> list[int]:
     """Numbers of candidates that are better together than the chosen ones, in their places; chance: see grown."""
     kept, free = list(chosen), np.ones(len(base.J), dtype=bool)
-    chance = np.ones(len(base.J)) if chance is None else chance
     free[kept] = False
     search = base.beside(kept)
     for _ in range(rounds):
@@ -160,59 +138,46 @@ def exchanged(
 
 @dataclass(frozen=True)
 class Chosen:
-    """Chosen stations; where they were grown only, the most useful first. q: (k, n). ways: in which joints come to
-    them (k, n). rows: (k, c, K). numbers: of the postures offered that they are, or were before they were moved, (k,).
+    """Chosen stations; where they were grown only, the most useful first. q: (k, n). rows: (k, c, K). numbers: of the
+    postures offered that they are, or were before they were moved, (k,).
     """
 
     q: Array
-    ways: Array
     rows: Array
     numbers: np.ndarray
 
 
 @dataclass(frozen=True)
 class Chooser:
-    """worth: of stations. ground: at which chosen ones are moved about, by these sizes [rad, m], one after the other.
-    rounds: of the exchange, without which they are grown only. chance: says of postures (N, n) how likely they are
-    seen, (N,).
+    """view: what stations are worth. ground: where chosen ones are moved about, by these sizes [rad, m] in turn.
+    rounds: of the exchange, without which they are grown only. chance: of postures (N, n) to be seen, (N,).
     """
 
-    worth: Worth
+    view: Outlook
     ground: Ground | None = None
     moves: tuple[float, ...] = ()
     rounds: int = 0
-    chance: Callable[[Array], Array] | None = None
+    chance: Callable[[Array], Array] = lambda q: np.ones(len(q))
 
     def best(
         self, q: Array, count: int, rng: np.random.Generator, ways: Array | None = None, first: int | None = None
     ) -> Chosen:
-        """The ``count`` of these postures (N, n) from which most is gained. first: only so many of them are moved."""
+        """The ``count`` of these postures (N, n) from which most is gained. ways: in which joints come to them (N, n).
+        first: so many of them are moved; None: all.
+        """
         ways = np.zeros(q.shape) if ways is None else ways
-        search, chance = self._offered(q, ways)
+        search, chance = self._search(q, ways), self.chance(q)
         numbers = grown(search, count, chance)
         if self.rounds:
             numbers = exchanged(search, numbers, rng, chance, self.rounds)
-        found = Chosen(q[numbers], ways[numbers], search.J[numbers], np.array(numbers, dtype=int))
-        first = count if first is None else first
-        for size in self.moves if self.ground is not None and first else ():
-            found = self._moved(found, first, size, rng)
-        return found
+        q, ways = q[numbers], ways[numbers]
+        k = len(q) if first is None else min(first, len(q))
+        for size in self.moves if self.ground is not None and k else ():
+            near, of = self.ground.around(q[:k], size, min(_EACH, _MOVED // k), rng)
+            around, sides = np.concatenate([q[:k], near]), np.concatenate([ways[:k], ways[of]])
+            kept = exchanged(self._search(around, sides), range(k), rng, self.chance(around))
+            q[:k], ways[:k] = around[kept], sides[kept]
+        return Chosen(q, self.view.rows(q, ways), np.array(numbers, dtype=int))
 
-    def _offered(self, q: Array, ways: Array) -> tuple[Search, Array | None]:
-        search = Search.of(self.worth.rows(q, ways), self.worth.H, self.worth.gamma)
-        return search, None if self.chance is None else self.chance(q)
-
-    def _moved(self, found: Chosen, first: int, size: float, rng: np.random.Generator) -> Chosen:
-        assert self.ground is not None
-        here = np.arange(min(first, len(found.q)))
-        near, of = self.ground.around(found.q[here], size, max(min(_EACH, _MOVED // max(len(here), 1)), 1), rng)
-        q, ways = np.concatenate([found.q[here], near]), found.ways[np.r_[here, of]]
-        search, chance = self._offered(q, ways)
-        kept = exchanged(search, here.tolist(), rng, chance)
-        k = len(here)
-        return Chosen(
-            np.concatenate([q[kept], found.q[k:]]),
-            np.concatenate([ways[kept], found.ways[k:]]),
-            np.concatenate([search.J[kept], found.rows[k:]]),
-            found.numbers,
-        )
+    def _search(self, q: Array, ways: Array) -> Search:
+        return Search.of(self.view.rows(q, ways), self.view.H, self.view.gamma)

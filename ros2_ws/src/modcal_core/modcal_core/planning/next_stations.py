@@ -7,7 +7,7 @@ import numpy as np
 from modcal_core.geometry import Array
 from modcal_core.measurements import LEFT, TRAVEL
 from modcal_core.planning.chooser import Chooser
-from modcal_core.planning.outlook import Outlook, Refit, chance_seen, nominal_outlook
+from modcal_core.planning.outlook import Outlook, Refit, nominal_outlook
 from modcal_core.planning.pool import Pool
 from modcal_core.planning.rivals import DecidingStations
 from modcal_core.planning.session import DECIDE, FIT, MEASURED, PROOF, RETURN, UNSEEN, Session, Station
@@ -15,6 +15,8 @@ from modcal_core.planning.session import DECIDE, FIT, MEASURED, PROOF, RETURN, U
 _OFFERED = 800  # postures that are compared at once, for time
 _MOVES = (0.3, 0.1)  # rad or m by which a station is moved in search of a better one
 _ROUNDS = 2  # of the exchange that chooses the first stations; later ones take what it missed
+_NEAR, _FACING = 0.3, 0.7  # m, rad: places and directions that a tracker sees alike
+_SEEN_FIRST = 0.95  # chance that a posture is seen where nothing near was tried; weighs as much as one station
 _SAME = 1e-9  # rad or m; postures of a pool are asked for as they are
 
 
@@ -80,14 +82,17 @@ def best_stations(
 
 
 def _chances(refitted: Refit, session: Session, q: Array) -> Array:
-    """Chance of each posture (N, n) to be seen, by what has and what has not been seen so far."""
+    """Chance of each posture (N, n) to be seen: a kernel estimate over where the tool was and was not seen before."""
     tried = [s for s in session.stations if s.state in (MEASURED, UNSEEN)]
     seen = np.array([s.state == MEASURED for s in tried])
     if seen.all():
         return np.ones(len(q))
     model = refitted.calibration.calibrated
-    T, known = model.predict(q), model.predict(np.array([s.asked for s in tried]))
-    return chance_seen(T[:, :3, 3], T[:, :3, 2], known[:, :3, 3], known[:, :3, 2], seen)
+    T, known = model.predict(q)[:, None], model.predict(np.array([s.asked for s in tried]))
+    apart = np.sum((T[..., :3, 3] - known[:, :3, 3]) ** 2, axis=2) / _NEAR**2
+    turned = np.sum((T[..., :3, 2] - known[:, :3, 2]) ** 2, axis=2) / _FACING**2
+    weight = np.exp(-0.5 * (apart + turned))
+    return np.asarray((weight @ seen + _SEEN_FIRST) / (weight.sum(axis=1) + 1.0))
 
 
 def return_stations(session: Session, count: int) -> list[Station]:

@@ -8,6 +8,7 @@ The noise is that of the site. What accuracy counts is the claim to be expected 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,7 @@ from modcal_core.calibration import EQUATIONS_PER_PARAMETER, SHARES, Calibration
 from modcal_core.claim import Claim, expected_claim
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
-from modcal_core.planning.chooser import ROUNDS, Chooser, Search, grown, information
+from modcal_core.planning.chooser import ROUNDS, Chooser, Search, grown
 from modcal_core.planning.outlook import nominal_outlook, unrepeated
 from modcal_core.planning.pool import CANDIDATES, Pool, readings_at, survey
 from modcal_core.planning.route import RETURNS, Route, route
@@ -28,7 +29,7 @@ _MOVES = (0.3, 0.1, 0.03)  # rad or m by which stations are moved, round by roun
 _MAX = 400  # stations
 _USUAL = 2.0  # times the fewest stations, where neither a number nor an accuracy is asked for: effects need some, too
 _CLAIMED = 200  # postures that a claim is made over, for time
-_SEEN = 1e-14  # of the largest eigenvalue of the information: below, a direction is not seen
+_SEEN = 1e-7  # of the largest singular value of the fit's rows: below, a direction is not seen
 _RANDOM = 20  # random sets that a plan is compared with
 
 
@@ -143,24 +144,22 @@ class Planner:
         q = self.pool.q[grown(search, min(_MAX, len(self.pool.q)))]  # the first so many are a good set of so many
         tried: dict[int, Claim] = {}
 
-        def claimed(count: int) -> float:
+        def met(count: int) -> bool:
             if count not in tried:
                 tried[count] = self.claim(q[:count])
-            return self._upper(tried[count])
+            return self._upper(tried[count]) <= wanted
 
-        low, high = least, least
-        while claimed(high) > wanted:
-            if high >= len(q):
-                said = f"{high} stations leave {1e3 * claimed(high):.3g} mm"
+        high = least
+        while not met(high):
+            if high == len(q):
+                said = f"{high} stations leave {1e3 * self._upper(tried[high]):.3g} mm"
                 raise NotPlannable(self._asked, said, "ask for less, use a better tracker, or measure poses")
-            low, high = high, min(2 * high, len(q))
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (low, middle) if claimed(middle) <= wanted else (middle, high)
-        best = self.best(high)
+            high = min(2 * high, len(q))
+        count = bisect_left(range(high), True, max(least, high // 2), key=met)
+        best = self.best(count)
         claim = self.claim(best)
         if self._upper(claim) > wanted:  # what is better by the expected error may be claimed no better
-            best, claim = q[:high], tried[high]
+            best, claim = q[:count], tried[count]
         return best, claim, dict(sorted(tried.items()))
 
     def _upper(self, claim: Claim) -> float:
@@ -199,8 +198,9 @@ def plan(chain: Mechanism, site: Site, request: PlanRequest, rng: np.random.Gene
         best = planner.best(count)
         claim = planner.claim(best)
     way = route(best, pool.at.free, pool.roadmap, 0.5 * (best.min(axis=0) + best.max(axis=0)), request.returns)
-    told = np.linalg.eigvalsh(information(outlook.own_rows(planner.every(best))))
-    rank = int(np.sum(told > _SEEN * told[-1]))
+    own = outlook.rows(planner.every(best))[..., outlook.own]
+    told = np.linalg.svd(own.reshape(-1, own.shape[2]), compute_uv=False)
+    rank = int(np.sum(told > _SEEN * told[0]))
     expected = Expected(claim, planner.left(outlook.rows(best)), planner.random(len(best)), repeat, rank)
     return Plan(request, pool, best[way.order], way, names, expected, tried)
 

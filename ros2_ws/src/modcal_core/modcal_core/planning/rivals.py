@@ -28,7 +28,8 @@ from modcal_core.effects import Drivers, Effect, columns, prior_stds
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
-from modcal_core.planning.chooser import Search, grown, information
+from modcal_core.planning.chooser import Search, grown
+from modcal_core.planning.outlook import information
 from modcal_core.planning.pool import Pool, readings_at, survey
 from modcal_core.planning.site import Site
 
