@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable, refusing
-from modcal_core.geometry import Array, se3
+from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots import (
     Chain,
     Frames,
@@ -262,11 +262,8 @@ def _within(axis: Array, angle: Array, rng: np.random.Generator) -> Array:
 
 def _turned(a: Array, b: Array, rng: np.random.Generator) -> Array:
     """Rotations (N, 3, 3) that take directions a (N, 3) to b (N, 3), turned about b at random."""
-    angle = rng.uniform(0.0, 2.0 * np.pi, len(a))
-    roll = np.tile(np.eye(3), (len(a), 1, 1))
-    roll[:, 0, 0] = roll[:, 1, 1] = np.cos(angle)
-    roll[:, 1, 0], roll[:, 0, 1] = np.sin(angle), -np.sin(angle)
-    return np.asarray(_basis(b) @ roll @ _basis(a).transpose(0, 2, 1))
+    roll = so3.exp(rng.uniform(0.0, 2.0 * np.pi, (len(a), 1)) * b)
+    return np.asarray(roll @ _basis(b) @ _basis(a).transpose(0, 2, 1))
 
 
 def _basis(z: Array) -> Array:
@@ -385,15 +382,14 @@ def _clearance(spheres: Spheres, site: Site, q: Array) -> Array:
         others = spheres.pairs[spheres.pairs[:, 0] == i, 1]
         gap = np.linalg.norm(at[others] - at[i], axis=1) - (spheres.radius[others] + spheres.radius[i])[:, None]
         out = np.minimum(out, gap.min(axis=0))
-    moving = spheres.link > 0
+    own, radius = at[spheres.link > 0], spheres.radius[spheres.link > 0, None]
     for ball in site.obstacles:
-        gap = np.linalg.norm(at[moving] - ball.centre[:, None], axis=1) - spheres.radius[moving, None] - ball.radius
+        gap = np.linalg.norm(own - ball.centre[:, None], axis=1) - radius - ball.radius
         out = np.minimum(out, gap.min(axis=0, initial=np.inf))
     for box in site.boxes:
-        low, high = box[0][:, None], box[1][:, None]
-        outside = np.linalg.norm(np.maximum(np.maximum(low - at[moving], at[moving] - high), 0.0), axis=1)
-        inside = np.minimum(np.max(np.maximum(low - at[moving], at[moving] - high), axis=1), 0.0)
-        out = np.minimum(out, (outside + inside - spheres.radius[moving, None]).min(axis=0, initial=np.inf))
+        beyond = np.maximum(box[0][:, None] - own, own - box[1][:, None])
+        gap = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0) - radius
+        out = np.minimum(out, gap.min(axis=0, initial=np.inf))
     if site.floor is not None:
         # what the first joint carries stands on the floor
         high = spheres.link > 1

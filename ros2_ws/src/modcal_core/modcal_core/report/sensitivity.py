@@ -160,8 +160,6 @@ COLUMNS = {
 }
 _SAME = 1e-6  # share of an index within which it is the same at every posture
 _SHOWN = 12  # parameters of the first table
-_ROW = 14.0  # points of a picture, a parameter
-_LEVELS = 12  # of the cells of a map
 _NAMED = 3  # of the strongest parameters, in a sentence
 
 
@@ -290,7 +288,7 @@ def sensitivity_report(study: Study, title: str) -> VerbResult:
     blocks: list[Block] = [
         Section("strongest", "Parameters that matter most", [strongest, Figures([_gain(study)])]),
         Section("robot", "Robot", [_robot(study)]),
-        Fold("Expert: all parameters; by pose", [every, Figures([_by_pose(study)])], "expert"),
+        Fold("Expert: all parameters", [every], "expert"),
     ]
     page = Page(f"{title}: sensitivity", sentences[0], blocks, lines=sentences[1:])
     return page.result(data, files, [strongest])
@@ -309,25 +307,6 @@ def _robot(study: Study) -> Scene3D:
         f"{name} {percent(value)}" for name, value in zip(chain.names, of_joint, strict=True)
     )
     return shown.scene(alt, more, weights=() if chain.closed else of_joint)  # a Delta's line skips joints
-
-
-def _by_pose(study: Study) -> Chart:
-    """Relative single-point indices as a map, parameters down and postures across."""
-    relative = study.indices.relative_single.T
-    count = relative.shape[1]
-    x = Axis("posture", -0.5, count - 0.5)
-    high = 60.0 + _ROW * len(study.indices.names)
-    panel = Panel(x, Axis.rows(study.indices.names), 150.0 + min(12.0 * count, 380.0), high)
-    level = np.ceil(_LEVELS * relative / max(float(relative.max()), 1e-300))
-    for k in range(1, _LEVELS + 1):
-        down, across = (axis.astype(float) for axis in np.nonzero(level == k))
-        panel.bars((across - 0.5, across + 0.5), (down - 0.5, down + 0.5), AFTER, k / _LEVELS)
-    base = study.indices.names[study.indices.base]
-    words = (
-        "Relative single-point indices RSFDPE: the influence of a parameter (down) at one posture (across), as a "
-        f"multiple of the base factor's ({base}); the fullest cell is {relative.max():.3g}."
-    )
-    return panel.chart("by_pose", words, words)
 
 
 def _gain(study: Study) -> Chart:
