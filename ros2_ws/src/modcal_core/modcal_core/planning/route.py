@@ -235,13 +235,11 @@ def route(q: Array, free: Free, between: Array, start: Array | None = None, retu
 
 def nearest_order(q: Array, begin: Array) -> np.ndarray:
     """Numbers of postures q (k, n), each the nearest to the one before it, the first to a posture ``begin`` (n,)."""
-    left, order, here = set(range(len(q))), [], begin
-    while left:
-        rest = np.array(sorted(left))
-        order.append(int(rest[np.argmin(np.abs(q[rest] - here).max(axis=1))]))
-        left.discard(order[-1])
-        here = q[order[-1]]
-    return np.array(order)
+    left, order, here = np.zeros(len(q)), list[int](), begin
+    for _ in q:
+        order.append(int(np.argmin(np.abs(q - here).max(axis=1) + left)))
+        left[order[-1]], here = np.inf, q[order[-1]]
+    return np.array(order, dtype=int)
 
 
 def _shortened(q: Array, order: np.ndarray) -> np.ndarray:

@@ -124,13 +124,10 @@ def dh_closed_chain(
         before = [T] * 3 + [T @ base] * 3  # the frame in front of each parameter's motion
         T = T @ base @ rows.T_base
         for k in range(chain.n):
-            for pair in (_DH[:2], _DH[2:]):  # a turn about and a shift along one axis commute
-                before += [T, T]
+            for key, d in _DH:
                 xi = np.zeros((len(q), 6))
-                for key, d in pair:
-                    xi[:, d] = columns[key][k]
-                if pair == _DH[:2]:
-                    xi[:, 5 if chain.revolute[k] else 2] += q[:, k]
+                xi[:, d] = columns[key][k] + (q[:, k] if key == ("theta" if chain.revolute[k] else "d") else 0.0)
+                before.append(T)
                 T = T @ se3.exp(xi)
         T = T @ rows.T_tool @ se3.transform(p=point)
         J = np.zeros((len(q), 6, len(named)))
