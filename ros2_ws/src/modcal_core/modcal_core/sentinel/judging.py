@@ -99,8 +99,8 @@ class ArmVerdict:
 
 @dataclass(frozen=True)
 class _Asked:
-    """Candidates with their columns as sums (K, k) of named ones, of which a reference recording says about one each,
-    the units (k,) of these, log priors (H,), and joints that slide.
+    """Candidates with their columns as sums (K, k) of named ones, units (k,) that make the information of a reference
+    recording about 1, log priors (H,), and joints that slide.
     """
 
     candidates: Sequence[ChangeColumns]
@@ -253,7 +253,9 @@ class ArmJudge:
         *others, last = asked.beside(h, [*reference, said])
         return _judged(asked.candidates[g], Scatter.of(asked.sums[g], others).number(last), bent)
 
-    def _estimate(self, h: int, named: Probabilities, found: tuple[list[float], list[float]], since: str) -> ChangeEstimate:
+    def _estimate(
+        self, h: int, named: Probabilities, found: tuple[list[float], list[float]], since: str
+    ) -> ChangeEstimate:
         """A candidate as it is told."""
         asked, change = self._asked, self._asked.candidates[h].change
         end = float(stdtrit(max(self._scatter[h].freedom, 1), _WITHIN))

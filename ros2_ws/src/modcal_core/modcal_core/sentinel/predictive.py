@@ -97,8 +97,8 @@ class Number:
 
 @dataclass(frozen=True)
 class Scatter:
-    """How far from nothing the reference recordings are in what they say of a change. sums (K, k): its columns, of which
-    a reference recording says about one each. root (k, k): from the model's standard deviations to those of the
+    """How far from nothing reference recordings are in what they say of a change. sums (K, k): its columns, in units in
+    which the information of one recording is about 1. root (k, k): from the model's standard deviations to those of the
     recordings. freedom: degrees; 0 where too few of them show it.
     """
 
