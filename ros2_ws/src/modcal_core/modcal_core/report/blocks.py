@@ -10,7 +10,8 @@ import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal
+from string import Formatter
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 
@@ -45,6 +46,22 @@ class SummaryLine:
         return self.text
 
 
+class _Cells(Formatter):
+    """How entries of records are written: None as nothing, an interval by both ends, names as people say them."""
+
+    def format_field(self, value: Any, form: str) -> str:
+        if value is None:
+            return ""
+        if form in ("words", "driver"):
+            return str(value).replace("_", " ") if form == "words" else str(value).replace(":", " of ")
+        if isinstance(value, list | tuple):
+            return " … ".join(format(end, form) for end in value)
+        return format(value, form)
+
+
+_written = _Cells().format
+
+
 @dataclass(frozen=True)
 class TableBlock:
     """A table. words: how many columns, from the left, hold words; the others hold numbers. below: words under it.
@@ -58,6 +75,12 @@ class TableBlock:
     below: str = ""
     strong: int = -1
     heading: bool = False
+
+    @classmethod
+    def of(cls, title: str, columns: Mapping[str, str], records: Iterable[Mapping[str, Any]], **look: Any) -> Self:
+        """A row for each record. columns: headings, and how the cells below are written from a record's entries."""
+        rows = tuple(tuple(_written(cell, **record) for cell in columns.values()) for record in records)
+        return cls(title, tuple(columns), rows, **look)
 
     @property
     def top(self) -> tuple[str, ...]:

@@ -1,5 +1,8 @@
 """The certificate: one page that says what was measured, on which arm, with which result, and what it may not say.
 
+That of a calibration by camera is judged by the error at the tool with the target in view, with a body by that of the
+arm alone. It always has reservations: it is the figure of a fit, with no station that the fit has not seen.
+
 The result is that of the tolerance, which the claim at the tool decides, never another. A PASS is stated without
 reservations only where the verdict leaves no doubt: at the floor, the instrument's accuracy stated, nothing left out
 of the score.
@@ -7,7 +10,9 @@ of the score.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,7 +36,11 @@ from modcal_core.report.blocks import (
 from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
 from modcal_core.report.particulars import Particulars
 from modcal_core.report.tables import STATISTICS, error_tables, floor_words, rejected_words
-from modcal_core.verdict import PoseTest, Tolerance, Verdict, pose_test
+from modcal_core.robots import chain_forward
+from modcal_core.verdict import Asked, AtTool, PoseTest, Tolerance, Verdict, assess, pose_test
+
+if TYPE_CHECKING:
+    from modcal_core.camera import CameraSolution
 
 MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
@@ -178,14 +187,14 @@ def _facts(report: Outcome, stated: Stated, said: Particulars, made_from: bool) 
         held = "all of them fitted before" if made_from else f"{sizes['held_out']} of them scored"
     date = trace.date if report.samples.clock else None
     return (
-        ("Robot", said.robot or trace.robot or None),
-        ("Serial number", said.serial or None),
+        ("Robot", said.robot or trace.robot),
+        ("Serial number", said.serial),
         ("Date of the recording", None if date is None else f"{date[:10]} {date[11:16]} UTC"),
         ("Stations", f"{counts} ({report.measurement.replace('_', ' ')}), {held}"),
         ("Instrument", said.instrument or trace.instrument),
         ("Its accuracy", _accuracy(stated)),
         ("Volume", _volume(report)),
-        ("Conditions", "; ".join(filter(None, (said.conditions, _temperatures(report)))) or None),
+        ("Conditions", "; ".join(filter(None, (said.conditions, _temperatures(report))))),
         ("Program", f"modcal {trace.version}"),
     )
 
@@ -284,6 +293,78 @@ def _silent_on(report: Outcome, stated: Stated, tests: PoseTest) -> tuple[str, .
     if tests.missing:
         out.append("Results of a test by ISO 9283.")
     return tuple(out)
+
+
+_CAMERA_IS_SILENT_ON = (
+    "Postures at which the camera does not see the target: report.json has the error anywhere within the joint limits.",
+    "Other loads and temperatures than those at the images, paths between postures, and single postures: the RMS is "
+    "judged, and one of them may be off by more.",
+    "What lasts: modcal evaluate judges a later recording of another instrument. calibrated.urdf and kinematics.yaml "
+    "hold the geometry alone.",
+    "Results of a test by ISO 9283.",
+)
+
+
+def camera_tolerance(solution: CameraSolution, tolerance_mm: float) -> Tolerance:
+    """Whether the calibrated arm stays within a tolerance, RMS. What contradicts the fit bars a PASS, and so does a
+    doubtful statement, or that nothing has a length that was measured or stated.
+    """
+    middle, low, high = (1e3 * end for end in solution.judged.interval)
+    claim, over = solution.claim, "postures of the images"
+    no_length = [] if claim.metric else ["Nothing in these images has a length that somebody measured."]
+    against = (*claim.decision.problems, *no_length, *claim.decision.doubtful, "")
+    over += ", the arm by itself" if solution.judged is claim.alone else ""
+    at_tool = AtTool(middle, (low, high), over, 0.0, "More and better images would tell.")
+    return assess(at_tool, Asked(tolerance_mm, "rms"), Verdict("cannot_tell", unproven=against[0]))
+
+
+def camera_certificate(
+    solution: CameraSolution, data: Mapping[str, Any], met: Tolerance, said: Particulars, hashes: Hashes
+) -> Certificate:
+    """The certificate of a calibration by camera. data: of ``report.json``. met: of :func:`camera_tolerance`."""
+    fit, camera, seen = solution.fit, data["camera"], data["camera"]["images"]
+    doubts, out = camera["because"], seen["given"] - seen["used"]
+    if met.result == "PASS":
+        fitted = "The figure is that of a fit to these images, with the interval that they leave: the floor of arm and "
+        left_out = [f"{out} of {seen['given']} images were left out."] * (out > 0)
+        doubts = [f"{fitted}camera is not known.", *doubts[1:], *left_out]
+    where, judged = ("by itself", "arm_alone") if fit.table.places else ("in view", "in_view")
+    size = {
+        (place, arm): "{rms:.2f} mm RMS (95 %: {low95:.2f} … {high95:.2f})".format(
+            **camera["tool_error_mm"][place][arm]
+        )
+        for place in (judged, "anywhere")
+        for arm in ("nominal", "calibrated")
+    }
+    flange = chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)
+    used = f"{seen['used']} of {seen['given']}, {camera['corners']['used']} corners, {camera['rms_px']:.2f} px RMS"
+    facts = (
+        ("Robot", said.robot or data["trace"]["robot"]),
+        ("Serial number", said.serial),
+        ("Date of the recording", None),
+        ("Images", used),
+        ("Instrument", said.instrument or f"camera of {fit.state.lens.size[0]} × {fit.state.lens.size[1]} pixels"),
+        ("Target", f"{camera['target']}; {solution.camera.mounting.label}"),
+        ("Its lengths by", "; ".join(camera["metric"]) or "nothing"),
+        (f"Nominal arm, {where}", size[judged, "nominal"]),
+        (f"Calibrated arm, {where}", size[judged, "calibrated"]),
+        ("Anywhere", size["anywhere", "calibrated"]),
+        ("Advice", camera["decision"]),
+        ("Volume", box_in_words(flange[:, :3, 3])),
+        ("Conditions", said.conditions),
+        ("Program", f"modcal {data['trace']['version']}"),
+    )
+    return Certificate(
+        title="Accuracy certificate: calibration by camera",
+        met=met,
+        reservations=tuple(doubts[:MAX_REASONS]),
+        before=camera["tool_error_mm"][judged]["nominal"]["rms"],
+        facts=facts,
+        silent_on=_CAMERA_IS_SILENT_ON,
+        hashes=hashes,
+        said=said,
+        recorded="images and joints",
+    )
 
 
 def certificate_html(one: Certificate) -> str:

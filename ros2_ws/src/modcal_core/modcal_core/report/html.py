@@ -141,14 +141,13 @@ class _Sections:
         if not mm or self.report.claim is None:
             return None
         rows = [
-            (what, *(span(part[name]["ci95"], 3) + unit for name in STATISTICS))
+            {"what": what, "unit": unit, **part}
             for what, part, unit in (("position", mm, " mm"), ("orientation", deg, "°"))
             if part
         ]
-        out: list[Block] = [
-            Paragraph(self.report.claim.sentence),
-            TableBlock("The claim", (f"over the {mm['over']}", *STATISTICS.values()), tuple(rows)),
-        ]
+        columns = {said: f"{{{name}[ci95]:.3f}}{{unit}}" for name, said in STATISTICS.items()}
+        table = TableBlock.of("The claim", {f"over the {mm['over']}": "{what}", **columns}, rows)
+        out: list[Block] = [Paragraph(self.report.claim.sentence), table]
         if mm["open"]:
             shown, held = f"{mm['shown_mm']:.3f} mm", f"{mm['unshown_mm']:.3f} mm"
             names = ("95 %, shown by the readings", f"95 %, held by what arms are like: {mm['open']}")
@@ -171,10 +170,11 @@ class _Sections:
         out: list[Block] = [Paragraph(said, soft=True)]
         units = {True: ("Joint offsets", "°", np.degrees(1.0)), False: ("Offsets of sliding joints", "mm", 1e3)}
         for turning, (title, unit, factor) in units.items():
-            rows = []
-            for o in (o for o in found.found if o.turning == turning):
-                ends = span(o.ci95 and [factor * end for end in o.ci95], 4) or "not known"
-                rows.append((o.joint, f"{factor * o.value:+.4f}", ends))
+            rows = [
+                (o.joint, f"{factor * o.value:+.4f}", span(o.ci95 and factor * np.array(o.ci95), 4) or "not known")
+                for o in found.found
+                if o.turning == turning
+            ]
             header = ("joint", f"offset, {unit}", f"95 % interval, {unit}")
             out.append(TableBlock(title, header, tuple(rows), strong=1))
         return Section("offsets", "Joint offsets", out, "Joint offsets")
@@ -226,7 +226,7 @@ class _Sections:
         effects = self.data["effects"]
         if not effects:
             return None
-        out: list[Block] = [effects_table(self.report)]
+        out: list[Block] = [effects_table(effects)]
         words = "Each ± one standard deviation; a table for each unit."
         out += [Paragraph(words, "Their sizes.", soft=True), *size_tables(effects)]
         tied = [e for e in effects if e["same_as"]]
@@ -239,30 +239,24 @@ class _Sections:
 
     def stations(self) -> Section:
         """The stations in time, and those that were left out, the farthest first."""
-        report, rows = self.report, self.report.rejected_rows()
+        report, rejected = self.report, self.data["rejected"]
         out: list[Block] = [Figures(timeline(report))]
-        if not len(rows):
+        if not rejected:
             return Section("stations", "Stations", [*out, Paragraph("No station was rejected.")], "Stations")
-        samples = report.samples
         usual = 1e3 * float(np.median(report.residuals[~report.wrong])) if (~report.wrong).any() else 0.0
-        start = float(samples.stamps.min())
-        listed = []
-        for row in rows[:_MAX_LISTED]:
-            miss, time = 1e3 * float(report.residuals[row]), float(samples.stamps[row]) - start
-            times = f"{miss / max(usual, 1e-9):.0f}"
-            listed.append((str(int(samples.station[row])), f"{time:.1f}", f"{miss:.3f}", times))
+        start, shown = float(report.samples.stamps.min()), rejected[:_MAX_LISTED]
+        rows = [{**row, "time": row["stamp"] - start, "times": row["miss_mm"] / max(usual, 1e-9)} for row in shown]
+        columns = {"station": "{station}", "time, s": "{time:.1f}", "error, mm": "{miss_mm:.3f}"}
         said = f"Rejected, because their residuals are too large for the spread of the model; usual are {usual:.3f} mm."
-        more = len(rows) - len(listed)
+        more = len(rejected) - len(rows)
         below = f"And {more} more; all are in report.json." if more else ""
-        header = ("station", "time, s", "error, mm", "times the usual")
-        out += [Paragraph(said, soft=True), TableBlock("Rejected stations", header, tuple(listed), below=below)]
-        return Section("stations", "Stations", out, "Stations")
+        table = TableBlock.of("Rejected stations", {**columns, "times the usual": "{times:.0f}"}, rows, below=below)
+        return Section("stations", "Stations", [*out, Paragraph(said, soft=True), table], "Stations")
 
     def grounds(self) -> Section:
         """What else the verdict stands on."""
-        data, lines = self.data, []
-        if data["convention"]:
-            lines.append(f"Corrected convention: {data['convention']}.")
+        data = self.data
+        lines = [f"Corrected convention: {data['convention']}."] if data["convention"] else []
         for r in data["regimes"]:
             what = "a base and a tool" if r["what"] == "both" else f"a {r['what']}"
             lines.append(f"Stations {r['from_station']} … {r['to_station']} have {what} of their own.")
@@ -294,8 +288,8 @@ class _Sections:
 
     def steps(self) -> Section:
         """What each step took away."""
-        rows = [(step["added"].replace(":", " of "), f"{step['rms_mm']:.3f}") for step in self.data["steps"]]
-        table = TableBlock("Steps", ("added", "RMS of what is left, mm"), tuple(rows))
+        columns = {"added": "{added:driver}", "RMS of what is left, mm": "{rms_mm:.3f}"}
+        table = TableBlock.of("Steps", columns, self.data["steps"])
         return Section("steps", "What each step leaves", [table] if self.data["error_mm"]["nominal"] else [])
 
     def evidence(self) -> Section | None:
@@ -330,15 +324,14 @@ class _Sections:
 
     def distances(self) -> Section:
         """Known distances, as stated and as found; what distances alone make of a Delta."""
-        rows = [
-            (
-                *(d["name"], f"{d['stated_mm']:.3f} ± {d['stated_std_mm']:.3f}", f"{d['misfit_mm']:+.3f}"),
-                f"{d['found_mm']:.3f} ± {d['found_std_mm']:.3f}" + (", contradicted" if d["contradicted"] else ""),
-            )
-            for d in self.data["known_distances"]
-        ]
-        header = ("between", "stated, mm", "misfit of the fit, mm", "by the readings alone, mm")
-        known: list[Block] = [TableBlock("Known distances", header, tuple(rows))]
+        columns = {
+            "between": "{name}",
+            "stated, mm": "{stated_mm:.3f} ± {stated_std_mm:.3f}",
+            "misfit of the fit, mm": "{misfit_mm:+.3f}",
+            "by the readings alone, mm": "{found_mm:.3f} ± {found_std_mm:.3f}{but}",
+        }
+        stated = [{**d, "but": ", contradicted" if d["contradicted"] else ""} for d in self.data["known_distances"]]
+        known: list[Block] = [TableBlock.of("Known distances", columns, stated)]
         alone = distances_table(self.report.by_distances)
         known += [b if isinstance(b, TableBlock) else Paragraph(b.text) for b in alone]
         return Section("distances", "Distances", known)

@@ -23,6 +23,7 @@ from modcal_core.report.tables import (
     effects_table,
     error_tables,
     sentence,
+    tolerance_lines,
 )
 from modcal_core.robots import Chain, Delta, Mechanism, delta_to_data, is_serial_arm
 
@@ -42,27 +43,22 @@ def summary(report: Outcome) -> tuple[Summary, ...]:
 def _blocks(report: Outcome) -> Iterator[Summary]:
     stages = {stage: said for stage, said in _STAGES.items() if report.size_mm(stage) or report.size_deg(stage)}
     yield from (replace(table, below=legend(stages)) for table in error_tables(report))
-    seen = report.identifiability
-    if seen is not None:
+    if (seen := report.identifiability) is not None:
         said = f"{seen.parameters} parameters, rank {seen.rank} (directions that the stations determine), "
         yield SummaryLine(said + f"condition {seen.condition:.0f} (largest over smallest singular value)")
         for name in seen.unobservable:
             yield SummaryLine(f"not determined by these stations: {name}", "doubt")
     if report.effects:
-        yield effects_table(report)
+        yield effects_table(to_json_data(report)["effects"])
         yield from map(SummaryLine, report.story)
-    for note in report.notes:
-        yield SummaryLine(note, "doubt")
+    yield from (SummaryLine(note, "doubt") for note in report.notes)
     yield from distances_table(report.by_distances)
     yield from account_tables(report.judged, fold=True)
     yield SummaryLine(sentence(report), tone_of(report.status))
-    for reason in report.open_because[MAX_REASONS:]:
-        yield SummaryLine(f"Open: {reason}", "reason")
+    yield from (SummaryLine(f"Open: {reason}", "reason") for reason in report.open_because[MAX_REASONS:])
     if report.claim is not None:
         yield SummaryLine(report.claim.sentence, "plain" if report.claim.apply else "doubt")
-    if report.tolerance is not None:
-        met = report.tolerance
-        yield SummaryLine(f"{met.result}: {met.because}", tone_of(met.result))
+    yield from tolerance_lines(report.tolerance)
 
 
 def calibration_files(

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from math import sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from modcal_core.geometry import Array
 from modcal_core.measurements import unexpected
 from modcal_core.outcome import STAGES, Outcome, counted
-from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, legend
+from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, legend, tone_of
 from modcal_core.robots import PARAMETERS
-from modcal_core.verdict import Row, Status, Verdict
+from modcal_core.verdict import Row, Status, Tolerance, Verdict
 
 if TYPE_CHECKING:
     from modcal_core.calibration import ByDistances
@@ -144,13 +144,35 @@ def _unsettled(verdict: Verdict) -> str:
 SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}
 
 
-_EFFECT_COLUMNS = {
+_EFFECTS = {
+    "effect": "{family:words}",
+    "place": "{place}",
+    "direction": "{direction}",
+    "driver": "{driver:driver}",
+    "moves the tool by, mm": "{tool_rms_mm:.3f}",
+    "error without it, mm": "{rms_mm_before:.3f}",
+    "with it, mm": "{rms_mm_after:.3f}",
+    "p": "{p_value:.1g}",
+}
+_OF_EFFECTS = {
     "place": "where the error arises",
     "direction": "the way it moves the arm there",
     "driver": "what its size depends on",
     "error": "RMS over what was held out, without the effect and with it",
     "p": "probability of as much by chance, after everything that was tried",
 }
+
+
+def effects_table(effects: Sequence[Mapping[str, Any]], meanings: Mapping[str, str] | None = None) -> TableBlock:
+    """What was added to the geometry, as ``report.json`` has it. meanings: of headings, where they are others."""
+    return TableBlock.of("Effects", _EFFECTS, effects, words=4, below=legend(meanings or _OF_EFFECTS))
+
+
+def tolerance_lines(met: Tolerance | None, of: str = "") -> list[SummaryLine]:
+    """The result for a tolerance, where one was asked for. of: what is judged, before the reason."""
+    return [] if met is None else [SummaryLine(f"{met.result}: {of}{met.because}", tone_of(met.result))]
+
+
 _WORDS = {
     "shared": "shared among effects",
     "predictable": "predictable, not modelled",
@@ -180,20 +202,6 @@ def error_tables(report: Outcome, stages: Mapping[str, str] | None = None) -> li
         turned = ("orientation error, °", *STATISTICS.values())
         out.append(TableBlock("Orientation errors before and after", turned, tuple(orientation), strong=2))
     return out
-
-
-def effects_table(report: Outcome) -> TableBlock:
-    """What was added to the geometry."""
-    header = ("effect", "place", "direction", "driver", "moves the tool by, mm", "error without it, mm", "with it, mm")
-    rows = tuple(
-        (
-            *(f.family.replace("_", " "), f.place, f.direction, f.driver.replace(":", " of ")),
-            *("" if x is None else f"{1e3 * x:.3f}" for x in (f.tool, f.before, f.after)),
-            f"{f.p_value:.1g}",
-        )
-        for f in report.effects
-    )
-    return TableBlock("Effects", (*header, "p"), rows, words=4, below=legend(_EFFECT_COLUMNS))
 
 
 def account_tables(verdict: Verdict | None, fold: bool = False) -> list[TableBlock]:
@@ -252,7 +260,7 @@ def _words(what: str) -> str:
     return effect.replace(":", " of ") if effect != what else _WORDS.get(what, what.replace("_", " "))
 
 
-def span(ends: Sequence[float] | None, digits: int | None = None) -> str:
+def span(ends: Sequence[float] | Array | None, digits: int | None = None) -> str:
     """Both ends of an interval, with three significant digits or so many behind the point; nothing for None."""
     form = ".3g" if digits is None else f".{digits}f"
     return "" if ends is None else " … ".join(f"{end:{form}}" for end in ends)

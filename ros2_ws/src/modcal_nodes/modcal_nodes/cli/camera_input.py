@@ -348,7 +348,7 @@ def calibrate_images(
             watch("writing the certificate")
             calibration = report.files["calibration.yaml"]
             hashes = certified_hashes(options.urdf or robot.description, calibration, [source, camera.joints])
-            page = camera_certificate(solution, robot.name or "", met, said, hashes, images)
+            page = camera_certificate(solution, report.data, met, said, hashes)
             report = replace(report, files={**report.files, "certificate.html": certificate_html(page)})
     output.saved(report, f"{source.resolve().stem}_calibration", arm_line(robot))
     return exit_code(met)
