@@ -49,6 +49,15 @@ class SummaryLine:
 class _Cells(Formatter):
     """How entries of records are written: None as nothing, an interval by both ends, names as people say them."""
 
+    def get_value(self, key: int | str, records: Sequence[Any], _: Mapping[str, Any]) -> Any:
+        return records[0][key] if isinstance(records[0], Mapping) else getattr(records[0], str(key))
+
+    def get_field(self, name: str, records: Sequence[Any], _: Mapping[str, Any]) -> Any:
+        try:
+            return super().get_field(name, records, _)
+        except TypeError:  # an entry of None
+            return None, name
+
     def format_field(self, value: Any, form: str) -> str:
         if value is None:
             return ""
@@ -59,7 +68,7 @@ class _Cells(Formatter):
         return format(value, form)
 
 
-_written = _Cells().format
+written = _Cells().format
 
 
 @dataclass(frozen=True)
@@ -77,9 +86,11 @@ class TableBlock:
     heading: bool = False
 
     @classmethod
-    def of(cls, title: str, columns: Mapping[str, str], records: Iterable[Mapping[str, Any]], **look: Any) -> Self:
-        """A row for each record. columns: headings, and how the cells below are written from a record's entries."""
-        rows = tuple(tuple(_written(cell, **record) for cell in columns.values()) for record in records)
+    def of(cls, title: str, columns: Mapping[str, str], records: Iterable[Any], **look: Any) -> Self:
+        """A row for each record. columns: headings, and how the cells below are written from a record's entries, or its
+        attributes.
+        """
+        rows = tuple(tuple(written(cell, record) for cell in columns.values()) for record in records)
         return cls(title, tuple(columns), rows, **look)
 
     @property
