@@ -195,15 +195,12 @@ class Outcome:
 
     def interval_mm(self, stage: str) -> tuple[float, float] | None:
         """95 % interval of the RMS position error of a stage [mm], by drawing held-out units again."""
-        if stage not in self.errors or not len(self.scored):
-            return None
-        if stage not in self._intervals:  # page, data and command ask for the same
-            self._intervals[stage] = interval_of_rms(1e3 * self.errors[stage].position_norm, self.units)
-        return self._intervals[stage]
+        return self._intervals.get(stage)
 
     @cached_property
     def _intervals(self) -> dict[str, tuple[float, float] | None]:
-        return {}
+        scored = self.errors if len(self.scored) else {}
+        return {stage: interval_of_rms(1e3 * e.position_norm, self.units) for stage, e in scored.items()}
 
     def with_tolerance(self, asked: Asked | None) -> Self:
         """The report with the result for a tolerance; the same where none is asked for."""
