@@ -21,7 +21,6 @@ from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.outcome import tool_difference
 from modcal_core.outcome.contents import Outcome
-from modcal_core.report.as_json import to_json_data
 from modcal_core.report.blocks import text
 from modcal_core.report.certificates import (
     OWN_RECORDING,
@@ -33,6 +32,7 @@ from modcal_core.report.certificates import (
     is_made_from,
 )
 from modcal_core.report.comparison import Side, compare
+from modcal_core.report.report import to_json_data
 from modcal_core.verdict.iso9283 import CYCLES, POSES, pose_test
 from modcal_core.verdict.tolerance import Asked
 from modcal_core.verdict.verdict import Reason, Verdict

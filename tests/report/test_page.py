@@ -16,10 +16,10 @@ from modcal_core.calibration.noise import Errors
 from modcal_core.measurements.dwells import SAME
 from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.outcome.contents import Outcome
-from modcal_core.report.as_json import to_json_data
 from modcal_core.report.blocks import FILES, as_script_data
 from modcal_core.report.figures import scene
 from modcal_core.report.html import to_html
+from modcal_core.report.report import to_json_data
 
 Element = tuple[str, dict[str, str]]
 

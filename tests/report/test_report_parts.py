@@ -21,8 +21,8 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.outcome.entries import load_findings, load_notes
 from modcal_core.outcome.joint_offsets import joint_offsets
-from modcal_core.report.as_json import loads_to_json
 from modcal_core.report.charts import AFTER, BAD, Axis, Chart, Panel, round_numbers
+from modcal_core.report.report import loads_to_json
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.verdict.contradicted import long_tool, sane_inertias
 from modcal_nodes.simulation.mjcf import World

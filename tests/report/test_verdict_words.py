@@ -18,8 +18,8 @@ from modcal_core.calibration.known_distances import KnownDistance
 from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.measurements.samples import cut_stations
 from modcal_core.outcome.contents import STAGES, Outcome
-from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import to_html
+from modcal_core.report.report import to_json_data
 from modcal_core.report.tables import NOT_SOUGHT, REMEDY, account_tables, sentence
 from modcal_core.verdict.floor import reading_scatter_mm
 from modcal_core.verdict.tolerance import Asked

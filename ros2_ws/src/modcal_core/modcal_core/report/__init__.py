@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.report.articulation import URDF, Articulation, articulation_report
-    from modcal_core.report.as_json import to_json_data
     from modcal_core.report.blocks import Page, Quantity, Scene3D, Section, Summary, SummaryLine, TableBlock, Tone
     from modcal_core.report.blocks import VerbResult, explained, quantity_tables
     from modcal_core.report.camera import camera_report
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from modcal_core.report.limits import LimitsFound, limits_report
     from modcal_core.report.particulars import Particulars
     from modcal_core.report.report import Report, calibration_files, kinematics_text, report_files, summary
+    from modcal_core.report.report import to_json_data
     from modcal_core.report.sensitivity import plan_report, sensitivity_report
     from modcal_core.report.tables import REMEDY, STATUS_WORDS, csv_text, sentence, short_status
 else:

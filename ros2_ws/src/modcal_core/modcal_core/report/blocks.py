@@ -86,12 +86,13 @@ class TableBlock:
     heading: bool = False
 
     @classmethod
-    def of(cls, title: str, columns: Mapping[str, str], records: Iterable[Any], **look: Any) -> Self:
-        """A row for each record. columns: headings, and how the cells below are written from a record's entries, or its
-        attributes.
+    def of(cls, title: str, header: str, cells: str, records: Iterable[Any], **look: Any) -> Self:
+        """A row for each record. header: names of the columns, between bars. cells: how entries or attributes of a
+        record are written below them, between bars as well.
         """
-        rows = tuple(tuple(written(cell, record) for cell in columns.values()) for record in records)
-        return cls(title, tuple(columns), rows, **look)
+        columns = cells.split(" | ")
+        rows = tuple(tuple(written(cell, record) for cell in columns) for record in records)
+        return cls(title, tuple(header.split(" | ")), rows, **look)
 
     @property
     def top(self) -> tuple[str, ...]:

@@ -34,7 +34,6 @@ from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.outcome import STAGES, Trace, at_tool, counted, parameters
-from modcal_core.report.as_json import FORMAT, finite, in_mm, picked, sizes_to_json, tolerance_data, unexplained
 from modcal_core.report.blocks import (
     Block,
     Figures,
@@ -51,7 +50,16 @@ from modcal_core.report.blocks import (
 )
 from modcal_core.report.charts import AFTER, Axis, Chart, Panel
 from modcal_core.report.figures import ShownPostures
-from modcal_core.report.report import model_files
+from modcal_core.report.report import (
+    FORMAT,
+    finite,
+    in_mm,
+    model_files,
+    picked,
+    sizes_to_json,
+    tolerance_data,
+    unexplained,
+)
 from modcal_core.report.tables import effects_table, tolerance_lines
 from modcal_core.robot import Robot
 from modcal_core.verdict import Tolerance
@@ -416,22 +424,18 @@ def _tables(data: Mapping[str, Any]) -> list[TableBlock]:
         for place, words in _PLACES.items()
         for arm in ("nominal", "calibrated")
     ]
-    at_tool = {"arm": "{arm} arm, {place}", "RMS, mm": "{rms:.2f}", "95 % interval, mm": "{low95:.2f} … {high95:.2f}"}
+    at_tool = ("arm | RMS, mm | 95 % interval, mm", "{arm} arm, {place} | {rms:.2f} | {low95:.2f} … {high95:.2f}")
     falls = "By how much the mean square error at the tool would fall, were this known exactly."
     off = [{**m, "off": np.linalg.norm(m["offset_mm"])} for m in (camera["body"] or {"markers": ()})["markers"]]
-    of_marker = {"from its place on the drawing, mm": "{off:.2f}", "± one standard deviation, mm": "{std_mm:.2f}"}
+    of_marker = "marker | from its place on the drawing, mm | ± one standard deviation, mm"
+    worth = "What knowing more would be worth, mm²"
     lens = [(k, v["value"], v["std"], "px" if k in _PIXELS else "1") for k, v in camera["lens"].items()]
     return [
-        TableBlock.of("Error at the tool, mm", at_tool, errors),
+        TableBlock.of("Error at the tool, mm", *at_tool, errors),
         effects_table([{**effect, "tool_rms_mm": effect["rms_mm_at_tool"]} for effect in effects], _OF_EFFECTS),
         *size_tables(effects),
-        TableBlock.of(
-            "What knowing more would be worth, mm²",
-            {"known": "{what}", "mm²": "{value:.3f}"},
-            camera["account_mm2"],
-            below=falls,
-        ),
-        TableBlock.of("Markers on the body, mm", {"marker": "{id}", **of_marker}, off),
+        TableBlock.of(worth, "known | mm²", "{what} | {value:.3f}", camera["account_mm2"], below=falls),
+        TableBlock.of("Markers on the body, mm", of_marker, "{id} | {off:.2f} | {std_mm:.2f}", off),
         *(replace(t, title=_OF_LENS.get(t.title, t.title)) for t in quantity_tables(lens, "constant")),
     ]
 

@@ -15,8 +15,8 @@ from modcal_core.errors import BadRobot, NotEnoughData
 from modcal_core.files import to_json
 from modcal_core.moves import Series, Values
 from modcal_core.outcome import ToolDifference, tool_difference
-from modcal_core.report.as_json import picked
 from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, VerbResult, legend, scaled, tone_of, written
+from modcal_core.report.report import picked
 
 _MAX_SAID = 90  # characters of a verdict in a table
 
@@ -53,30 +53,21 @@ class History:
     notes: tuple[str, ...] = ()
 
 
-_ENTRIES = {"what": "{what}", "date": "{date:.10}", "verdict": "{first_words}"}
-_GROWING = {
-    "grows or falls": "{name}",
-    "first": "{first:.4g}",
-    "last": "{last:.4g}",
-    "95 % of the change": "{trend[ci95]:+.3g}",
-    "unit": "{unit}",
-}
-
-
 def history_report(found: Sequence[History]) -> VerbResult:
     """The history of some robots as a verb leaves it."""
     robots, said = list[dict[str, Any]](), list[Summary]()
     for h in found:
         entries = [picked(e, "name", "what", "date", verdict="said") for e in h.entries]
         series = [_series(s) for s in h.series]
-        growing = [
-            {**s, **{w: s["points"][k]["value"] for w, k in (("first", 0), ("last", -1))}} for s in series if s["trend"]
-        ]
+        growing = [{**s, "first": s["points"][0], "last": s["points"][-1]} for s in series if s["trend"]]
         quiet = f"Nothing grows or falls beyond chance over {len(entries)} calibrations and checks."
         answer = " ".join(s["trend"]["sentence"] for s in growing) or quiet
         robots.append({**picked(h, "robot", "notes"), "verdict": answer, "entries": entries, "series": series})
-        said.append(TableBlock.of("", {f"robot {h.robot}": "{name}", **_ENTRIES}, h.entries, words=4))
-        said += [TableBlock.of("", _GROWING, growing)] if growing else []
+        header, cells = f"robot {h.robot} | what | date | verdict", "{name} | {what} | {date:.10} | {first_words}"
+        said.append(TableBlock.of("", header, cells, h.entries, words=4))
+        header = "grows or falls | first | last | 95 % of the change | unit"
+        cells = "{name} | {first[value]:.4g} | {last[value]:.4g} | {trend[ci95]:+.3g} | {unit}"
+        said += [TableBlock.of("", header, cells, growing)] if growing else []
         said += [*(SummaryLine(note, "doubt") for note in h.notes), SummaryLine(answer, "warn" if growing else "good")]
     data = {"modcal_history": 1, "robots": robots}
     return VerbResult(data, said, {"history.json": to_json(data)}, "History", "history.json")
@@ -294,15 +285,12 @@ def _notes(first: Side, second: Side, tool: ToolDifference | None) -> tuple[str,
     return tuple(out)
 
 
-_ERRORS = {"mean mm": "mean", "RMS mm": "rms", "95 % mm": "p95", "max mm": "max"}
-
-
 def _summary(data: Mapping[str, Any]) -> list[Summary]:
     """What a terminal shows: errors, the parameters that differ most for their uncertainty, effects, result."""
     sides, names = data["sides"], [side["name"] for side in data["sides"]]
-    numbers = {words: f"{{error_mm[{key}]:.3f}}" for words, key in _ERRORS.items()}
-    header = {"error on scored stations": "{name}", **numbers, "status": "{status}", "tolerance": "{tolerance}"}
-    out: list[Summary] = [TableBlock.of("", header, sides)]
+    header = "error on scored stations | mean mm | RMS mm | 95 % mm | max mm | status | tolerance"
+    sizes = " | ".join(f"{{error_mm[{name}]:.3f}}" for name in ("mean", "rms", "p95", "max"))
+    out: list[Summary] = [TableBlock.of("", header, f"{{name}} | {sizes} | {{status}} | {{tolerance}}", sides)]
     own = [row for row in data["parameters"] if not row["name"].startswith(_SET_UP)]
     for si in sorted({row["unit"] for row in own}):  # a table never mixes two units
         (unit, factor), part = scaled(si), sorted((row for row in own if row["unit"] == si), key=_rank)

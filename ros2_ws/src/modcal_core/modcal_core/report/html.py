@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from modcal_core.effects import remembered
 from modcal_core.measurements.kinds import indirect_rows
 from modcal_core.outcome import Outcome
-from modcal_core.report.as_json import to_json_data
 from modcal_core.report.blocks import (
     Block,
     Figures,
@@ -31,6 +29,7 @@ from modcal_core.report.blocks import (
     tone_of,
 )
 from modcal_core.report.figures import effect_shapes, error_histogram, residual_charts, scene, timeline
+from modcal_core.report.report import to_json_data
 from modcal_core.report.tables import (
     SOURCES,
     STATISTICS,
@@ -88,6 +87,9 @@ class _Sections:
             self.account(), self.steps(), self.evidence(), self.distances(), self.identifiability(), self.parameters()
         )  # fmt: skip
         title = "Expert: account of the error, steps, evidence, identifiability, all parameters"
+        trace = self.data["trace"]
+        digest = trace["bag_sha256"] and f"recording sha256 {trace['bag_sha256']}"
+        made_of = (f"modcal {trace['version']}", trace["date"], trace["robot"], trace["instrument"], digest)
         return [
             *self.answer(),
             self.claim(),
@@ -101,12 +103,8 @@ class _Sections:
             self.grounds(),
             Section("notes", "Notes", [Listing(self.data["notes"])], "Notes"),
             Fold(title, expert, "expert"),
-            self.end(),
+            Paragraph(" · ".join(filter(None, made_of)), soft=True),
         ]
-
-    @cached_property
-    def _unit(self) -> str:
-        return str(self.data["split"]["unit"])
 
     def answer(self) -> list[Block]:
         """What stands above the sections."""
@@ -145,8 +143,9 @@ class _Sections:
             for what, part, unit in (("position", mm, " mm"), ("orientation", deg, "°"))
             if part
         ]
-        columns = {said: f"{{{name}[ci95]:.3f}}{{unit}}" for name, said in STATISTICS.items()}
-        table = TableBlock.of("The claim", {f"over the {mm['over']}": "{what}", **columns}, rows)
+        header = " | ".join([f"over the {mm['over']}", *STATISTICS.values()])
+        cells = " | ".join(["{what}", *(f"{{{name}[ci95]:.3f}}{{unit}}" for name in STATISTICS)])
+        table = TableBlock.of("The claim", header, cells, rows)
         out: list[Block] = [Paragraph(self.report.claim.sentence), table]
         if mm["open"]:
             shown, held = f"{mm['shown_mm']:.3f} mm", f"{mm['unshown_mm']:.3f} mm"
@@ -182,10 +181,11 @@ class _Sections:
     def error(self) -> Section:
         """The error before and after, and what each station was used for."""
         recording, split = self.data["recording"], self.data["split"]
-        where, used = "with the calibration frozen", ""
+        where, used, of = "with the calibration frozen", "", "scored station"
         if split["train"]:
             where = "that neither the fit nor the selection has seen"
             used = f"; {split['train']} to fit, {split['explain']} to choose effects, {split['held_out']} to score"
+            of = f"held-out {split['unit']}"
         said = (
             f"On {split['held_out']} stations {where}. Nominal: the nominal model, base and tool fitted; geometric: "
             "all geometry fitted; final: with every effect."
@@ -197,8 +197,7 @@ class _Sections:
         out: list[Block] = [Paragraph(said, soft=True), *error_tables(self.report)]
         out.append(Paragraph(" ".join(filter(None, more)), soft=True))
         out.append(Figures(error_histogram(self.report)))
-        title = f"Error on {f'held-out {self._unit}' if split['train'] else 'scored station'}s"
-        return Section("error", title, out, "Error")
+        return Section("error", f"Error on {of}s", out, "Error")
 
     def robot(self) -> Section | None:
         """The arm in three dimensions, and on paper."""
@@ -246,11 +245,14 @@ class _Sections:
         usual = 1e3 * float(np.median(report.residuals[~report.wrong])) if (~report.wrong).any() else 0.0
         start, shown = float(report.samples.stamps.min()), rejected[:_MAX_LISTED]
         rows = [{**row, "time": row["stamp"] - start, "times": row["miss_mm"] / max(usual, 1e-9)} for row in shown]
-        columns = {"station": "{station}", "time, s": "{time:.1f}", "error, mm": "{miss_mm:.3f}"}
+        columns = (
+            "station | time, s | error, mm | times the usual",
+            "{station} | {time:.1f} | {miss_mm:.3f} | {times:.0f}",
+        )
         said = f"Rejected, because their residuals are too large for the spread of the model; usual are {usual:.3f} mm."
         more = len(rejected) - len(rows)
         below = f"And {more} more; all are in report.json." if more else ""
-        table = TableBlock.of("Rejected stations", {**columns, "times the usual": "{times:.0f}"}, rows, below=below)
+        table = TableBlock.of("Rejected stations", *columns, rows, below=below)
         return Section("stations", "Stations", [*out, Paragraph(said, soft=True), table], "Stations")
 
     def grounds(self) -> Section:
@@ -271,8 +273,9 @@ class _Sections:
         if not found:
             return None
         said = (
-            f"The rows add up to the squared error of the nominal model on the held-out {self._unit}s. What is "
-            "predictable but not modelled was measured with a regressor without physics, on data it was not trained on."
+            f"The rows add up to the squared error of the nominal model on the held-out {data['split']['unit']}s. "
+            "What is predictable but not modelled was measured with a regressor without physics, on data it was not "
+            "trained on."
         )
         parts = []
         if position := data["predictable"]:
@@ -288,8 +291,8 @@ class _Sections:
 
     def steps(self) -> Section:
         """What each step took away."""
-        columns = {"added": "{added:driver}", "RMS of what is left, mm": "{rms_mm:.3f}"}
-        table = TableBlock.of("Steps", columns, self.data["steps"])
+        header = "added | RMS of what is left, mm"
+        table = TableBlock.of("Steps", header, "{added:driver} | {rms_mm:.3f}", self.data["steps"])
         return Section("steps", "What each step leaves", [table] if self.data["error_mm"]["nominal"] else [])
 
     def evidence(self) -> Section | None:
@@ -324,14 +327,11 @@ class _Sections:
 
     def distances(self) -> Section:
         """Known distances, as stated and as found; what distances alone make of a Delta."""
-        columns = {
-            "between": "{name}",
-            "stated, mm": "{stated_mm:.3f} ± {stated_std_mm:.3f}",
-            "misfit of the fit, mm": "{misfit_mm:+.3f}",
-            "by the readings alone, mm": "{found_mm:.3f} ± {found_std_mm:.3f}{but}",
-        }
+        header = "between | stated, mm | misfit of the fit, mm | by the readings alone, mm"
+        cells = "{name} | {stated_mm:.3f} ± {stated_std_mm:.3f} | {misfit_mm:+.3f}"
+        cells += " | {found_mm:.3f} ± {found_std_mm:.3f}{but}"
         stated = [{**d, "but": ", contradicted" if d["contradicted"] else ""} for d in self.data["known_distances"]]
-        known: list[Block] = [TableBlock.of("Known distances", columns, stated)]
+        known: list[Block] = [TableBlock.of("Known distances", header, cells, stated)]
         alone = distances_table(self.report.by_distances)
         known += [b if isinstance(b, TableBlock) else Paragraph(b.text) for b in alone]
         return Section("distances", "Distances", known)
@@ -361,13 +361,6 @@ class _Sections:
         tables = parameter_tables(self.report.parameters)
         said = "Deviations from the nominal robot, with their standard deviations; one unit a table."
         return Section("parameters", "All parameters", [Paragraph(said, soft=True), *tables] if tables else [])
-
-    def end(self) -> Paragraph:
-        """Where the numbers come from."""
-        trace = self.data["trace"]
-        digest = trace["bag_sha256"] and f"recording sha256 {trace['bag_sha256']}"
-        known = (f"modcal {trace['version']}", trace["date"], trace["robot"], trace["instrument"], digest)
-        return Paragraph(" · ".join(filter(None, known)), soft=True)
 
 
 def _predicted(share: Mapping[str, Any]) -> str:

@@ -12,7 +12,6 @@ from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.planning import NAMED, Plan, Study
-from modcal_core.report.as_json import claim_data, picked
 from modcal_core.report.blocks import (
     Block,
     Figures,
@@ -26,6 +25,7 @@ from modcal_core.report.blocks import (
 )
 from modcal_core.report.charts import AFTER, GOOD, LARGE, Axis, Chart, Panel
 from modcal_core.report.figures import MAX_POINTS, ShownPostures, arm_lines
+from modcal_core.report.report import claim_data, picked
 from modcal_core.report.tables import STATISTICS, csv_text, percent, stations_table
 from modcal_core.robots import plain
 

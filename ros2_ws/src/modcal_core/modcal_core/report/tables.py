@@ -144,16 +144,6 @@ def _unsettled(verdict: Verdict) -> str:
 SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}
 
 
-_EFFECTS = {
-    "effect": "{family:words}",
-    "place": "{place}",
-    "direction": "{direction}",
-    "driver": "{driver:driver}",
-    "moves the tool by, mm": "{tool_rms_mm:.3f}",
-    "error without it, mm": "{rms_mm_before:.3f}",
-    "with it, mm": "{rms_mm_after:.3f}",
-    "p": "{p_value:.1g}",
-}
 _OF_EFFECTS = {
     "place": "where the error arises",
     "direction": "the way it moves the arm there",
@@ -165,7 +155,10 @@ _OF_EFFECTS = {
 
 def effects_table(effects: Sequence[Mapping[str, Any]], meanings: Mapping[str, str] | None = None) -> TableBlock:
     """What was added to the geometry, as ``report.json`` has it. meanings: of headings, where they are others."""
-    return TableBlock.of("Effects", _EFFECTS, effects, words=4, below=legend(meanings or _OF_EFFECTS))
+    header = "effect | place | direction | driver | moves the tool by, mm | error without it, mm | with it, mm | p"
+    cells = "{family:words} | {place} | {direction} | {driver:driver} | {tool_rms_mm:.3f} | {rms_mm_before:.3f}"
+    cells += " | {rms_mm_after:.3f} | {p_value:.1g}"
+    return TableBlock.of("Effects", header, cells, effects, words=4, below=legend(meanings or _OF_EFFECTS))
 
 
 def tolerance_lines(met: Tolerance | None, of: str = "") -> list[SummaryLine]:
