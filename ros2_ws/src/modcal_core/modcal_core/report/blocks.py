@@ -36,14 +36,15 @@ def tone_of(result: str) -> Tone:
 
 @dataclass(frozen=True)
 class SummaryLine:
-    """A sentence. tone: what it means to the reader."""
+    """A sentence, or some. tone: what they mean to the reader. lead: words before them that stand out on a page."""
 
     text: str
     tone: Tone = "plain"
+    lead: str = ""
 
     def __str__(self) -> str:
-        """The sentence, for a page."""
-        return self.text
+        """As plain text."""
+        return f"{self.lead} {self.text}".strip()
 
 
 class _Cells(Formatter):
@@ -131,16 +132,6 @@ def explained(
 def text(blocks: Sequence[str | Summary]) -> str:
     """As plain text, a line for each row and sentence."""
     return "\n".join(map(str, blocks))
-
-
-@dataclass(frozen=True)
-class Paragraph:
-    """Sentences. lead: words before them in bold, in the colour of tone where that is given."""
-
-    text: str
-    lead: str = ""
-    tone: str = ""
-    soft: bool = False
 
 
 @dataclass(frozen=True)
@@ -272,7 +263,7 @@ class Section:
 
 
 Block = (
-    Paragraph
+    SummaryLine
     | Listing
     | TableBlock
     | HeatTable
@@ -426,7 +417,7 @@ def files_section(names: Collection[str], *more: File) -> Section:
     data = [File(n, "All numbers, for programs.", (f"python3 -m json.tool {n}",)) for n in names if n.endswith("json")]
     files = [*(file for file in FILES if file.name in beside), *data, *more]
     commands = any(file.commands for file in files)
-    said = [Paragraph("Commands are run in the folder of this page.", soft=True)] if commands else []
+    said = [SummaryLine("Commands are run in the folder of this page.", "legend")] if commands else []
     title = "Files, and what to do with them" if commands else "Files"
     return Section("files", title, [*said, FileList(files)], short="Files")
 

@@ -27,9 +27,9 @@ from modcal_core.report.blocks import (
     KeyFigures,
     Listing,
     Page,
-    Paragraph,
     Section,
     Signatures,
+    SummaryLine,
     Tone,
     tone_of,
 )
@@ -116,7 +116,7 @@ def certificate(
         reservations=doubts,
         before=_before(report, met),
         facts=_facts(report, stated, said, made_from),
-        sections=(*_errors(report), Section("iso", "ISO 9283", [Paragraph(said) for said in _iso(tests)])),
+        sections=(*_errors(report), Section("iso", "ISO 9283", [SummaryLine(said) for said in _iso(tests)])),
         silent_on=_silent_on(report, stated, tests),
         hashes=replace(hashes, recording=hashes.recording or report.trace.bag_sha256),
         said=said,
@@ -248,7 +248,7 @@ def _temperatures(report: Outcome) -> str:
 def _errors(report: Outcome) -> tuple[Section, ...]:
     """The errors before and after, where anything was scored."""
     tables = error_tables(report, _STAGES)
-    floor = Paragraph(f"Floor of arm and instrument: {floor_words(report.judged) or 'not known'}.")
+    floor = SummaryLine(f"Floor of arm and instrument: {floor_words(report.judged) or 'not known'}.")
     return (Section("errors", "Error on scored stations", [*tables, floor]),) if tables else ()
 
 

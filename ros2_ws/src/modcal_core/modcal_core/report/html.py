@@ -20,8 +20,8 @@ from modcal_core.report.blocks import (
     KeyFigures,
     Listing,
     Page,
-    Paragraph,
     Section,
+    SummaryLine,
     TableBlock,
     files_section,
     parameter_tables,
@@ -41,6 +41,7 @@ from modcal_core.report.tables import (
     rejected_words,
     sentence,
     span,
+    tolerance_lines,
 )
 
 _MAX_COLUMNS = 28  # drivers of a map
@@ -103,17 +104,14 @@ class _Sections:
             self.grounds(),
             Section("notes", "Notes", [Listing(self.data["notes"])], "Notes"),
             Fold(title, expert, "expert"),
-            Paragraph(" · ".join(filter(None, made_of)), soft=True),
+            SummaryLine(" · ".join(filter(None, made_of)), "legend"),
         ]
 
     def answer(self) -> list[Block]:
         """What stands above the sections."""
         data, out = self.data, list[Block]()
         out.append(Listing(data["open_because"], tone_of(self.report.status), "Open because"))
-        if met := data["tolerance"]:
-            said = f"within {met['asked_mm']:g} mm. {met['because']}"
-            out.append(Paragraph(said, met["result"], tone_of(met["result"])))
-        return [*out, KeyFigures(self._tiles()), Listing(data["story"])]
+        return [*out, *tolerance_lines(self.report.tolerance), KeyFigures(self._tiles()), Listing(data["story"])]
 
     def _tiles(self) -> list[tuple[str, str]]:
         """The few numbers that are wanted first."""
@@ -146,13 +144,13 @@ class _Sections:
         header = " | ".join([f"over the {mm['over']}", *STATISTICS.values()])
         cells = " | ".join(["{what}", *(f"{{{name}[ci95]:.3f}}{{unit}}" for name in STATISTICS)])
         table = TableBlock.of("The claim", header, cells, rows)
-        out: list[Block] = [Paragraph(self.report.claim.sentence), table]
+        out: list[Block] = [SummaryLine(self.report.claim.sentence), table]
         if mm["open"]:
             shown, held = f"{mm['shown_mm']:.3f} mm", f"{mm['unshown_mm']:.3f} mm"
             names = ("95 %, shown by the readings", f"95 %, held by what arms are like: {mm['open']}")
             out.append(KeyFigures(tuple(zip(names, (shown, held), strict=True))))
         said = "Each end is passed with a chance of 5 %."
-        out.append(Paragraph(said + ("" if deg else " Readings without orientation claim none."), soft=True))
+        out.append(SummaryLine(said + ("" if deg else " Readings without orientation claim none."), "legend"))
         return Section("claim", "Claim: the tool's error", out, "Claim")
 
     def offsets(self) -> Section | None:
@@ -166,7 +164,7 @@ class _Sections:
             "being free. The interval holds what the fit leaves open, and what other postures of this kind would make "
             "nearest. A joint that is not listed has an offset that is no other motion than one of base or tool."
         )
-        out: list[Block] = [Paragraph(said, soft=True)]
+        out: list[Block] = [SummaryLine(said, "legend")]
         units = {True: ("Joint offsets", "°", np.degrees(1.0)), False: ("Offsets of sliding joints", "mm", 1e3)}
         for turning, (title, unit, factor) in units.items():
             rows = [
@@ -186,16 +184,13 @@ class _Sections:
             where = "that neither the fit nor the selection has seen"
             used = f"; {split['train']} to fit, {split['explain']} to choose effects, {split['held_out']} to score"
             of = f"held-out {split['unit']}"
-        said = (
-            f"On {split['held_out']} stations {where}. Nominal: the nominal model, base and tool fitted; geometric: "
-            "all geometry fitted; final: with every effect."
-        )
+        said = f"On {split['held_out']} stations {where}."
         kind = recording["measurement"].replace("_", " ")
         dropped = ", ".join(f"{count} {reason}" for reason, count in recording["dropped"].items())
         more = [f"{recording['stations']} stations ({kind}){used}.", rejected_words(self.report)]
         more += [f"Not used: {dropped}."] if dropped else []
-        out: list[Block] = [Paragraph(said, soft=True), *error_tables(self.report)]
-        out.append(Paragraph(" ".join(filter(None, more)), soft=True))
+        out: list[Block] = [SummaryLine(said, "legend"), *error_tables(self.report)]
+        out.append(SummaryLine(" ".join(filter(None, more)), "legend"))
         out.append(Figures(error_histogram(self.report)))
         return Section("error", f"Error on {of}s", out, "Error")
 
@@ -205,7 +200,7 @@ class _Sections:
         if drawn is None:
             return None
         partly = "Some of these instruments measure along one line only: their arrows show that component of the error."
-        out: list[Block] = [Paragraph(partly, soft=True)] if indirect_rows(self.report.scored).any() else []
+        out: list[Block] = [SummaryLine(partly, "legend")] if indirect_rows(self.report.scored).any() else []
         return Section("robot", "Robot and errors", [*out, drawn], "Robot")
 
     def residual(self) -> Section | None:
@@ -218,7 +213,7 @@ class _Sections:
             "that the model lacks."
         )
         title = f"Residual: {size.rms:.3f} mm RMS"
-        return Section("residuals", title, [Paragraph(said, soft=True), Figures(charts)], "Residual")
+        return Section("residuals", title, [SummaryLine(said, "legend"), Figures(charts)], "Residual")
 
     def effects(self) -> Section | None:
         """What was added to the geometry."""
@@ -227,13 +222,13 @@ class _Sections:
             return None
         out: list[Block] = [effects_table(effects)]
         words = "Each ± one standard deviation; a table for each unit."
-        out += [Paragraph(words, "Their sizes.", soft=True), *size_tables(effects)]
+        out += [SummaryLine(words, "legend", "Their sizes."), *size_tables(effects)]
         tied = [e for e in effects if e["same_as"]]
         rivals = [f"{e['family'].replace('_', ' ')} at {e['place']}: {'; '.join(e['same_as'])}." for e in tied]
-        out += [Paragraph("", "Cannot be distinguished from others:"), Listing(rivals)] if rivals else []
+        out += [SummaryLine("", lead="Cannot be distinguished from others:"), Listing(rivals)] if rivals else []
         if shapes := effect_shapes(self.report):
             words = "The line is the estimate, the band its two standard deviations; ticks below show the samples."
-            out += [Paragraph(words, "Their shapes.", soft=True), Figures(shapes)]
+            out += [SummaryLine(words, "legend", "Their shapes."), Figures(shapes)]
         return Section("effects", "Unmodelled effects", out, "Effects")
 
     def stations(self) -> Section:
@@ -241,7 +236,7 @@ class _Sections:
         report, rejected = self.report, self.data["rejected"]
         out: list[Block] = [Figures(timeline(report))]
         if not rejected:
-            return Section("stations", "Stations", [*out, Paragraph("No station was rejected.")], "Stations")
+            return Section("stations", "Stations", [*out, SummaryLine("No station was rejected.")], "Stations")
         usual = 1e3 * float(np.median(report.residuals[~report.wrong])) if (~report.wrong).any() else 0.0
         start, shown = float(report.samples.stamps.min()), rejected[:_MAX_LISTED]
         rows = [{**row, "time": row["stamp"] - start, "times": row["miss_mm"] / max(usual, 1e-9)} for row in shown]
@@ -253,7 +248,7 @@ class _Sections:
         more = len(rejected) - len(rows)
         below = f"And {more} more; all are in report.json." if more else ""
         table = TableBlock.of("Rejected stations", *columns, rows, below=below)
-        return Section("stations", "Stations", [*out, Paragraph(said, soft=True), table], "Stations")
+        return Section("stations", "Stations", [*out, SummaryLine(said, "legend"), table], "Stations")
 
     def grounds(self) -> Section:
         """What else the verdict stands on."""
@@ -286,7 +281,7 @@ class _Sections:
         for size, unit in ((data["repeatability_mm"], " mm"), (data["repeatability_deg"], "°")):
             if size and size["value"] is not None:
                 parts.append(f"Repeatability {size['value']:.3g}{unit}{SOURCES[size['source']]}.")
-        blocks: list[Block] = [Paragraph(said, soft=True), *found, Paragraph(" ".join(parts))]
+        blocks: list[Block] = [SummaryLine(said, "legend"), *found, SummaryLine(" ".join(parts))]
         return Section("account", "Account of the squared error", blocks)
 
     def steps(self) -> Section:
@@ -304,7 +299,7 @@ class _Sections:
             "Each cell shows its best candidate: the percentage of the squared residual that it explains alone, free "
             "shapes included. Empty: no candidate."
         )
-        out: list[Block] = [Paragraph(said, soft=True)]
+        out: list[Block] = [SummaryLine(said, "legend")]
         best: dict[str, float] = {}
         for seen in evidence:
             for driver, share in zip(seen.drivers, np.nanmax(seen.share, axis=0).tolist(), strict=True):
@@ -322,7 +317,7 @@ class _Sections:
                 said += f" {len(seen.drivers) - len(columns)} weaker drivers are not shown."
             rows = [(f"{place}, {way}", seen.share[i, columns].tolist()) for i, (place, way) in enumerate(seen.rows)]
             names = [seen.drivers[j].replace(":", " of ") for j in columns]
-            out += [Paragraph(said, f"{title}."), HeatTable(title, "place, direction", names, rows)]
+            out += [SummaryLine(said, lead=f"{title}."), HeatTable(title, "place, direction", names, rows)]
         return Section("evidence", "Evidence: place, direction, driver", out)
 
     def distances(self) -> Section:
@@ -332,9 +327,7 @@ class _Sections:
         cells += " | {found_mm:.3f} ± {found_std_mm:.3f}{but}"
         stated = [{**d, "but": ", contradicted" if d["contradicted"] else ""} for d in self.data["known_distances"]]
         known: list[Block] = [TableBlock.of("Known distances", header, cells, stated)]
-        alone = distances_table(self.report.by_distances)
-        known += [b if isinstance(b, TableBlock) else Paragraph(b.text) for b in alone]
-        return Section("distances", "Distances", known)
+        return Section("distances", "Distances", [*known, *distances_table(self.report.by_distances)])
 
     def identifiability(self) -> Section | None:
         """What the stations determine."""
@@ -348,19 +341,19 @@ class _Sections:
         end = "% of what was expected beforehand"
         weak = [f"{w['direction']}: known to {100 * w['std_over_prior']:.0f} {end}" for w in seen["weak"]]
         lists = {"Not determined by these stations, kept nominal:": seen["unobservable"], "Weakly determined:": weak}
-        out: list[Block] = [Paragraph(said)]
+        out: list[Block] = [SummaryLine(said)]
         for title, lines in lists.items():
-            out += [Paragraph("", title), Listing(lines)] if lines else []
+            out += [SummaryLine("", lead=title), Listing(lines)] if lines else []
         if left := seen["left_out"]:
             title = f"{len(left)} directions that no recording of this kind can distinguish from others"
-            out.append(Fold(title, [Paragraph(", ".join(left))]))
+            out.append(Fold(title, [SummaryLine(", ".join(left))]))
         return Section("told", "Identifiability", out)
 
     def parameters(self) -> Section:
         """All parameters."""
         tables = parameter_tables(self.report.parameters)
         said = "Deviations from the nominal robot, with their standard deviations; one unit a table."
-        return Section("parameters", "All parameters", [Paragraph(said, soft=True), *tables] if tables else [])
+        return Section("parameters", "All parameters", [SummaryLine(said, "legend"), *tables] if tables else [])
 
 
 def _predicted(share: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -17,7 +17,7 @@ from modcal_core.effects import Quantity
 from modcal_core.files import to_json, to_yaml, write_folder
 from modcal_core.geometry import Array, so3
 from modcal_core.outcome import STAGES, Finding, Outcome
-from modcal_core.report.blocks import Summary, SummaryLine, legend, text, tone_of
+from modcal_core.report.blocks import Summary, SummaryLine, text, tone_of
 from modcal_core.report.tables import (
     MAX_REASONS,
     account_tables,
@@ -248,22 +248,13 @@ def loads_to_json(loads: Loads | None) -> dict[str, Any] | None:
     }
 
 
-# What stands in the tables, below them
-_STAGES = {
-    "nominal": "the robot description, base and tool fitted",
-    "geometric": "lengths, angles and joint zeros corrected",
-    "final": "the effects below as well",
-}
-
-
 def summary(report: Outcome) -> tuple[Summary, ...]:
     """Before and after, what the data could not tell, the effects, the account, and the verdict."""
     return tuple(_blocks(report))
 
 
 def _blocks(report: Outcome) -> Iterator[Summary]:
-    stages = {stage: said for stage, said in _STAGES.items() if report.size_mm(stage) or report.size_deg(stage)}
-    yield from (replace(table, below=legend(stages)) for table in error_tables(report))
+    yield from error_tables(report)
     if (seen := report.identifiability) is not None:
         said = f"{seen.parameters} parameters, rank {seen.rank} (directions that the stations determine), "
         yield SummaryLine(said + f"condition {seen.condition:.0f} (largest over smallest singular value)")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from math import sqrt
 from typing import TYPE_CHECKING, Any
 
 from modcal_core.geometry import Array
 from modcal_core.measurements import unexpected
-from modcal_core.outcome import STAGES, Outcome, counted
+from modcal_core.outcome import Outcome, counted
 from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, legend, tone_of
 from modcal_core.robots import PARAMETERS
 from modcal_core.verdict import Row, Status, Tolerance, Verdict
@@ -163,7 +163,7 @@ def effects_table(effects: Sequence[Mapping[str, Any]], meanings: Mapping[str, s
 
 def tolerance_lines(met: Tolerance | None, of: str = "") -> list[SummaryLine]:
     """The result for a tolerance, where one was asked for. of: what is judged, before the reason."""
-    return [] if met is None else [SummaryLine(f"{met.result}: {of}{met.because}", tone_of(met.result))]
+    return [] if met is None else [SummaryLine(f"{of}{met.because}", tone_of(met.result), f"{met.result}:")]
 
 
 _WORDS = {
@@ -179,22 +179,34 @@ _ROUNDING = 1e-9  # of the whole; the rows sum to it within as much
 _SMALL, _MANY = 0.01, 3  # effects with less than this share stand in one row where there are so many; all are in files
 
 
-def error_tables(report: Outcome, stages: Mapping[str, str] | None = None) -> list[TableBlock]:
-    """Sizes of the held-out errors, positions and orientations apart. stages: those that are shown, and their names."""
-    stages = stages or {stage: stage for stage in STAGES}
+_STAGES = {
+    "nominal": "the robot description, base and tool fitted",
+    "geometric": "lengths, angles and joint zeros corrected",
+    "final": "the effects below as well",
+}
+
+
+def error_tables(report: Outcome, names: Mapping[str, str] | None = None) -> list[TableBlock]:
+    """Sizes of the held-out errors, positions and orientations apart. names: of the stages that are shown, where they
+    say what they are.
+    """
     position, orientation = [], []
-    for stage, name in stages.items():
+    stages = [stage for stage in names or _STAGES if report.size_mm(stage) or report.size_deg(stage)]
+    below = "" if names else legend({stage: _STAGES[stage] for stage in stages})
+    for stage in stages:
+        name = names[stage] if names else stage
         if (size := report.size_mm(stage)) is not None:
             ends = span(report.interval_mm(stage), 3)
             position.append((name, *(f"{x:.3f}" for x in astuple(size)), ends))
         if (angle := report.size_deg(stage)) is not None:
             orientation.append((name, *(f"{x:.4f}" for x in astuple(angle))))
     header = ("position error, mm", *STATISTICS.values(), "95 % interval of the RMS")
-    out = [TableBlock("Position errors before and after", header, tuple(position), strong=2)] if position else []
-    if orientation:
-        turned = ("orientation error, °", *STATISTICS.values())
-        out.append(TableBlock("Orientation errors before and after", turned, tuple(orientation), strong=2))
-    return out
+    turned = ("orientation error, °", *STATISTICS.values())
+    out = [
+        TableBlock("Position errors before and after", header, tuple(position), strong=2),
+        TableBlock("Orientation errors before and after", turned, tuple(orientation), strong=2),
+    ]
+    return [replace(table, below=below) for table in out if table.rows]
 
 
 def account_tables(verdict: Verdict | None, fold: bool = False) -> list[TableBlock]:
