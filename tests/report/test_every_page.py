@@ -17,7 +17,7 @@ from report.reports import points
 from report.test_certificate import full, report
 from report.test_page import Elements, page
 
-from modcal_core.report.certificates import certificate, certificate_html
+from modcal_core.report.certificates import certificate
 from modcal_core.report.html import to_html
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
@@ -42,8 +42,8 @@ VERBS: dict[str, list[str]] = {
 MADE: dict[str, Callable[[], str]] = {
     "calibrate": lambda: page("warm"),
     "evaluate": lambda: to_html(replace(points(), searched=None), calibration="cell_3"),
-    "certificate": lambda: certificate_html(certificate(report(FLOOR))),
-    "certificate_full": lambda: certificate_html(full()),
+    "certificate": lambda: certificate(report(FLOOR)).html(),
+    "certificate_full": lambda: full().html(),
 }
 OPEN_ALL = """(async () => { document.querySelectorAll("details").forEach((d) => { d.open = true; });
   await new Promise((done) => setTimeout(done, 50)); })()"""  # until the page has heard of it

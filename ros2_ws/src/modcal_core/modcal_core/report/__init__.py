@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from modcal_core.report.blocks import VerbResult, explained, quantity_tables
     from modcal_core.report.camera import camera_report
     from modcal_core.report.certificates import Hashes, camera_certificate, camera_tolerance, certificate
-    from modcal_core.report.certificates import certificate_html, is_made_from
     from modcal_core.report.checkup import checkup_data, checkup_report, sentinel_report
     from modcal_core.report.comparison import History, HistoryEntry, Side, compare, history_report
     from modcal_core.report.limits import LimitsFound, limits_report

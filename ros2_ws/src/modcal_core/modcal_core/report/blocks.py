@@ -155,17 +155,12 @@ class HeatTable:
 
 @dataclass(frozen=True)
 class KeyFigures:
-    """Names and values, None where one is left to be filled in. look: as tiles, as facts, or hashes in small print."""
+    """Names and values, None where one is left to be filled in. look: as tiles, as facts, hashes in small print, or
+    roles with lines to sign.
+    """
 
     rows: Sequence[tuple[str, str | None]]
-    look: Literal["tiles", "facts", "facts hash"] = "tiles"
-
-
-@dataclass(frozen=True)
-class Signatures:
-    """Lines to sign: roles, and names where they are known."""
-
-    rows: Sequence[tuple[str, str]]
+    look: Literal["tiles", "facts", "facts hash", "signs"] = "tiles"
 
 
 @dataclass(frozen=True)
@@ -262,19 +257,7 @@ class Section:
         return all(isinstance(block, Scene3D) for block in self.blocks)
 
 
-Block = (
-    SummaryLine
-    | Listing
-    | TableBlock
-    | HeatTable
-    | KeyFigures
-    | Signatures
-    | Figures
-    | FileList
-    | Fold
-    | Section
-    | Scene3D
-)
+Block = SummaryLine | Listing | TableBlock | HeatTable | KeyFigures | Figures | FileList | Fold | Section | Scene3D
 
 
 _CONTENT = ("rows", "charts", "files")

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Stated
+from modcal_core.calibration import Stated
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
-from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, counted
 from modcal_core.report.blocks import (
     Block,
@@ -28,7 +27,6 @@ from modcal_core.report.blocks import (
     Listing,
     Page,
     Section,
-    Signatures,
     SummaryLine,
     Tone,
     tone_of,
@@ -45,10 +43,6 @@ if TYPE_CHECKING:
 MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
 _STAGES = {"nominal": "before: nominal model", "final": "after: calibrated model"}
-OWN_RECORDING = (
-    "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
-    "it on another one."
-)
 
 
 @dataclass(frozen=True)
@@ -91,31 +85,44 @@ class Certificate:
         """The colour of the result."""
         return tone_of(self.heading)
 
+    def html(self) -> str:
+        """The page as HTML text."""
+        of, names = self.hashes, (self.recorded, "robot description", "calibration.yaml")
+        known = [pair for pair in zip(names, (of.recording, of.description, of.calibration), strict=True) if pair[1]]
+        blocks: list[Block] = [
+            Listing(self.reservations, self.tone, "Reservations" if self.met.result == "PASS" else "Reasons"),
+            Figures([drawn(self.met, self.before, self.tone)]),
+            KeyFigures(self.facts, "facts"),
+            *self.sections,
+            Section("silent", "What this certificate does not say", [Listing(self.silent_on)]),
+            Section("hashes", "SHA-256", [KeyFigures(known, "facts hash")]),
+            KeyFigures([("Measured by", self.said.measured_by), ("Approved by", self.said.approved_by)], "signs"),
+        ]
+        return Page(self.title, self.met.because, blocks, self.heading, self.tone, "certificate").html()
+
 
 def certificate(
     report: Outcome,
     stated: Stated | None = None,
     particulars: Particulars | None = None,
     hashes: Hashes | None = None,
-    made_from: bool = False,
 ) -> Certificate:
     """The certificate of a report. Raises BadTable where no tolerance was asked for.
 
-    stated: of arm and instrument. made_from: whether the frozen calibration was made from this very recording.
+    stated: of arm and instrument.
     """
     met, stated, said = report.tolerance, stated or Stated(), particulars or Particulars()
     hashes = hashes or Hashes()
     if met is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
     doubts = _reservations(report, stated) if met.result == "PASS" else _reasons(report)
-    doubts = (OWN_RECORDING, *doubts) if made_from else doubts
     tests = pose_test(report.scored, {k: report.errors[k] for k in ("nominal", "final")})
     return Certificate(
         title="Accuracy certificate: " + ("frozen calibration" if report.searched is None else "calibration"),
         met=met,
         reservations=doubts,
         before=_before(report, met),
-        facts=_facts(report, stated, said, made_from),
+        facts=_facts(report, stated, said),
         sections=(*_errors(report), Section("iso", "ISO 9283", [SummaryLine(said) for said in _iso(tests)])),
         silent_on=_silent_on(report, stated, tests),
         hashes=replace(hashes, recording=hashes.recording or report.trace.bag_sha256),
@@ -179,12 +186,10 @@ def _before(report: Outcome, met: Tolerance) -> float | None:
     return None if before is None else float(getattr(before, met.asked.statistic))
 
 
-def _facts(report: Outcome, stated: Stated, said: Particulars, made_from: bool) -> tuple[tuple[str, str | None], ...]:
+def _facts(report: Outcome, stated: Stated, said: Particulars) -> tuple[tuple[str, str | None], ...]:
     trace = report.trace
     sizes, counts = report.set_sizes(), report.samples.stations
-    held = f"{sizes['held_out']} of them scored that no fit has seen"
-    if report.searched is None:
-        held = "all of them fitted before" if made_from else f"{sizes['held_out']} of them scored"
+    held = f"{sizes['held_out']} of them scored{'' if report.searched is None else ' that no fit has seen'}"
     date = trace.date if report.samples.clock else None
     return (
         ("Robot", said.robot or trace.robot),
@@ -197,21 +202,6 @@ def _facts(report: Outcome, stated: Stated, said: Particulars, made_from: bool) 
         ("Conditions", "; ".join(filter(None, (said.conditions, _temperatures(report))))),
         ("Program", f"modcal {trace.version}"),
     )
-
-
-def is_made_from(calibration: Calibration, samples: Samples) -> bool:
-    """Whether a calibration was made from this recording: most postures kept in it stand in the samples, digit by
-    digit, and, where both have a clock, within the time that it was made from.
-    """
-    kept, q = calibration.postures, samples.q
-    if not len(kept) or not len(q) or kept.shape[1] != q.shape[1]:
-        return False
-    if calibration.watched is not None and calibration.clock and samples.clock:
-        first, last = calibration.watched
-        if not (samples.stamps.min() <= last and samples.stamps.max() >= first):
-            return False
-    seen = {row.tobytes() for row in np.round(q, 9) + 0.0}
-    return sum(row.tobytes() in seen for row in np.round(kept, 9) + 0.0) > 0.5 * len(kept)
 
 
 def _accuracy(stated: Stated) -> str | None:
@@ -365,22 +355,6 @@ def camera_certificate(
         said=said,
         recorded="images and joints",
     )
-
-
-def certificate_html(one: Certificate) -> str:
-    """The certificate as HTML text."""
-    of, names = one.hashes, (one.recorded, "robot description", "calibration.yaml")
-    known = [pair for pair in zip(names, (of.recording, of.description, of.calibration), strict=True) if pair[1]]
-    blocks: list[Block] = [
-        Listing(one.reservations, one.tone, "Reservations" if one.met.result == "PASS" else "Reasons"),
-        Figures([drawn(one.met, one.before, one.tone)]),
-        KeyFigures(one.facts, "facts"),
-        *one.sections,
-        Section("silent", "What this certificate does not say", [Listing(one.silent_on)]),
-        Section("hashes", "SHA-256", [KeyFigures(known, "facts hash")]),
-        Signatures((("Measured by", one.said.measured_by), ("Approved by", one.said.approved_by))),
-    ]
-    return Page(one.title, one.met.because, blocks, one.heading, one.tone, "certificate").html()
 
 
 def drawn(met: Tolerance, before: float | None, tone: str) -> Chart:
