@@ -29,7 +29,6 @@ from modcal_core.report.blocks import (
     tone_of,
 )
 from modcal_core.report.figures import effect_shapes, error_histogram, residual_charts, scene, timeline
-from modcal_core.report.report import to_json_data
 from modcal_core.report.tables import (
     SOURCES,
     STATISTICS,
@@ -55,10 +54,11 @@ _DECIDE = File(
 
 
 @remembered()
-def to_html(report: Outcome, files: Iterable[str] = (), calibration: str = "") -> str:
+def to_html(report: Outcome, data: Mapping[str, Any], files: Iterable[str] = (), calibration: str = "") -> str:
     """The report as HTML text, below 1 MB: of long recordings a part is drawn, and all is counted.
 
-    files: names of what is written beside it. calibration: of an evaluation, the name of what was evaluated.
+    data: of ``report.json``. files: names of what is written beside it. calibration: of an evaluation, the name of what
+    was evaluated.
     """
     kind = "evaluation" if report.searched is None else "calibration"
     title = f"{report.title}: {kind} report"
@@ -67,7 +67,7 @@ def to_html(report: Outcome, files: Iterable[str] = (), calibration: str = "") -
     return Page(
         title,
         sentence(report),
-        _Sections(report, to_json_data(report), tuple(files)).all(),
+        _Sections(report, data, tuple(files)).all(),
         heading=f"Verdict: {STATUS_WORDS[report.status]}",
         tone=tone_of(report.status),
     ).html()

@@ -328,12 +328,13 @@ def report_files(
 
     calibration: of an evaluation, the name of what was evaluated.
     """
-    files, others = {"report.json": to_json(to_json_data(report))}, others or {}
+    data, others = to_json_data(report), others or {}
+    files = {"report.json": to_json(data)}
     if page:
         # drawing it takes longer than many a fit, and so does the import of what draws it
         from modcal_core.report.html import to_html
 
-        files["report.html"] = to_html(report, ["report.json", *others], calibration)
+        files["report.html"] = to_html(report, data, ["report.json", *others], calibration)
     return {**files, **others}
 
 
@@ -359,7 +360,8 @@ class Report(Outcome):
         """The page for notebooks, in a frame of its own: its styles and scripts meet no others."""
         from modcal_core.report.html import to_html
 
-        return f'<iframe srcdoc="{escape(to_html(self))}" style="width: 100%; height: 60em; border: 0"></iframe>'
+        page = escape(to_html(self, self.to_data()))
+        return f'<iframe srcdoc="{page}" style="width: 100%; height: 60em; border: 0"></iframe>'
 
     def to_data(self) -> dict[str, Any]:
         """The data of ``report.json``: dictionaries, lists, texts, numbers and None."""
