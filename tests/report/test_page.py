@@ -187,7 +187,6 @@ def repeated(report: Outcome, times: int) -> Outcome:
         samples=samples,
         sets=sets,
         scored=samples.select(sets.held_out[~wrong[sets.held_out]]),
-        rejected=int(wrong.sum()),
         errors={stage: again(errors) for stage, errors in report.errors.items()},
         steps=tuple(replace(step, errors=again(step.errors)) for step in report.steps),
         residuals=np.tile(report.residuals, times),
@@ -204,7 +203,7 @@ def test_a_long_recording_makes_no_larger_page() -> None:
     assert len(text.encode()) < 900_000
     assert len(text.encode()) < 2.5 * len(page("warm").encode())
     assert str(long.samples.stations) in text
-    assert f"And {long.rejected - 30} more; all are in report.json." in text
+    assert f"And {int(long.wrong.sum()) - 30} more; all are in report.json." in text
     # every chart of the residual has at most 400 samples, of each of which three components are drawn
     marks = [len(places.split()) // 2 for places in re.findall(r'<path d="M([^"]+)" fill="none" marker-start', text)]
     assert max(marks) == 400

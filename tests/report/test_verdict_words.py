@@ -179,7 +179,7 @@ def test_the_page_shows_the_account_and_the_reasons() -> None:
         assert f"<li>{reason.sentence}</li>" in page
     assert page.count('aria-label="Account in ') == 2  # one in mm², one in deg²
     assert '<th scope="row">gear_harmonic elbow_joint</th>' in page
-    assert '<b class="warn">CANNOT TELL</b>' in page
+    assert '<b class="warn">CANNOT TELL:</b>' in page
     rms = report.rejection
     assert rms is not None
     said = f"{rms.with_mm:.3f} mm RMS with them, {rms.without_mm:.3f} mm without."

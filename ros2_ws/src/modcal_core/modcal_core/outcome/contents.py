@@ -110,7 +110,7 @@ class Step:
 class Outcome:
     """The outcome of a calibration or an evaluation.
 
-    - scored: held-out samples without outliers. rejected: number of samples rejected as outliers.
+    - scored: held-out samples without outliers.
     - errors: errors of the scored samples by stage (nominal, geometric, final).
     - effects: what the diagnosis added and held-out stations prove. unproved: what they do not prove one by one.
     - left: the best candidate that is significant but does not predict, or None.
@@ -129,7 +129,6 @@ class Outcome:
     samples: Samples
     sets: Split
     scored: Samples
-    rejected: int
     errors: dict[str, Errors]
     effects: tuple[Finding, ...] = ()
     unproved: tuple[Finding, ...] = ()
