@@ -29,11 +29,10 @@ from modcal_core.camera import (
     uncertainty_about,
     view_distances,
 )
-from modcal_core.effects import ReportEntry, family_named
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
-from modcal_core.outcome import STAGES, Trace, at_tool, counted, parameters
+from modcal_core.outcome import STAGES, Finding, Trace, at_tool, counted, parameters
 from modcal_core.report.blocks import (
     Block,
     Figures,
@@ -52,11 +51,11 @@ from modcal_core.report.charts import AFTER, Axis, Chart, Panel
 from modcal_core.report.figures import ShownPostures
 from modcal_core.report.report import (
     FORMAT,
+    effect_data,
     finite,
     in_mm,
     model_files,
     picked,
-    sizes_to_json,
     tolerance_data,
     unexplained,
 )
@@ -338,27 +337,19 @@ def _effects(solution: CameraSolution) -> list[dict[str, Any]]:
     """The effects as ``report.json`` has them. RMS before and after are what images have of their own, at the tool."""
     poses, throw = solution.fit.poses, _throw(solution)
     scatter, samples = throw * solution.fit.sizes.joint, poses.drivers().samples
-    found: list[tuple[str, ReportEntry, float, str, tuple[float, float, float]]] = []
+    found = []
     for i, cause in enumerate(solution.evidence.causes):
-        e = cause.effect
-        sizes = parameters((e,), poses.model.chain)
-        entry = ReportEntry(e.place, e.direction, e.public_driver, sizes, cause.same_as)
-        rms = throw * cause.before, throw * cause.after, at_tool(solution.model, [i], samples)
-        found.append((e.family, entry, cause.p_value, f"{family_named(e.family).sentence(entry)}.", rms))
+        e, rms = cause.effect, (throw * cause.before, throw * cause.after)
+        sizes, moved = parameters((e,), poses.model.chain), at_tool(solution.model, [i], samples)
+        where = (e.family, e.place, e.direction, e.public_driver)
+        finding = Finding(*where, sizes, cause.p_value, *rms, cause.same_as, tool=moved)
+        found.append((finding, f"{finding.what}."))
     for one in solution.evidence.findings:
-        rms = float(np.hypot(scatter, one.at_tool_m)), scatter, one.at_tool_m
-        found.append((one.family, one.entry, one.p_value, one.sentence, rms))
-    return [
-        {
-            "family": family,
-            **picked(entry, "place", "direction", "driver", "same_as"),
-            "parameters": sizes_to_json(entry.sizes),
-            "p_value": p_value,
-            **{f"rms_mm_{name}": 1e3 * x for name, x in zip(("before", "after", "at_tool"), rms, strict=True)},
-            "sentence": sentence,
-        }
-        for family, entry, p_value, sentence, rms in found
-    ]
+        at, rms = one.entry, (float(np.hypot(scatter, one.at_tool_m)), scatter)
+        where = (one.family, at.place, at.direction, at.driver)
+        finding = Finding(*where, dict(at.sizes), one.p_value, *rms, at.same_as, tool=one.at_tool_m)
+        found.append((finding, one.sentence))
+    return [{**effect_data(finding), "sentence": sentence} for finding, sentence in found]
 
 
 def _throw(solution: CameraSolution) -> float:
@@ -432,7 +423,7 @@ def _tables(data: Mapping[str, Any]) -> list[TableBlock]:
     lens = [(k, v["value"], v["std"], "px" if k in _PIXELS else "1") for k, v in camera["lens"].items()]
     return [
         TableBlock.of("Error at the tool, mm", *at_tool, errors),
-        effects_table([{**effect, "tool_rms_mm": effect["rms_mm_at_tool"]} for effect in effects], _OF_EFFECTS),
+        effects_table(effects, _OF_EFFECTS),
         *size_tables(effects),
         TableBlock.of(worth, "known | mm²", "{what} | {value:.3f}", camera["account_mm2"], below=falls),
         TableBlock.of("Markers on the body, mm", of_marker, "{id} | {off:.2f} | {std_mm:.2f}", off),

@@ -66,8 +66,8 @@ def to_json_data(report: Outcome) -> dict[str, Any]:
         "tolerance": tolerance_data(report.tolerance),
         "trace": asdict(report.trace),
         "steps": [picked(step, "added", "rms_mm") for step in report.steps],
-        "effects": [_effect(finding) for finding in report.effects],
-        "unproved": [_effect(finding) for finding in report.unproved],
+        "effects": [effect_data(finding) for finding in report.effects],
+        "unproved": [effect_data(finding) for finding in report.unproved],
         "unexplained": None if rest is None else unexplained(rest, report.left),
         "identifiability": None
         if seen is None
@@ -125,7 +125,8 @@ def _by_distances(found: ByDistances) -> dict[str, Any]:
     }
 
 
-def _effect(finding: Finding) -> dict[str, Any]:
+def effect_data(finding: Finding) -> dict[str, Any]:
+    """An effect as ``report.json`` has it."""
     return {
         **picked(finding, "family", "place", "direction", "driver", "p_value", "gain_mm2", "chance", "same_as"),
         "parameters": sizes_to_json(finding.parameters),
