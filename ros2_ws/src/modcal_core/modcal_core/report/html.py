@@ -109,13 +109,13 @@ class _Sections:
 
     def answer(self) -> list[Block]:
         """What stands above the sections."""
-        data, out = self.data, list[Block]()
-        out.append(Listing(data["open_because"], tone_of(self.report.status), "Open because"))
-        return [*out, *tolerance_lines(self.report.tolerance), KeyFigures(self._tiles()), Listing(data["story"])]
+        reasons = Listing(self.data["open_because"], tone_of(self.report.status), "Open because")
+        met = tolerance_lines(self.report.tolerance)
+        return [reasons, *met, KeyFigures(self._tiles()), Listing(self.data["story"])]
 
     def _tiles(self) -> list[tuple[str, str]]:
         """The few numbers that are wanted first."""
-        data, met = self.data, self.data["tolerance"]
+        data = self.data
         out = [
             (f"{what}, {stage} model, RMS", form.format(size["rms"]))
             for what, of, form in (("position", "error_mm", "{:.3f} mm"), ("orientation", "error_deg", "{:.3g}°"))
@@ -127,8 +127,6 @@ class _Sections:
         if claim := data["claim_mm"]:
             out.append(("tool, 95 % of the errors, at most", f"{claim['p95']['ci95'][1]:.3f} mm"))
             out += [] if data["apply"] else [("apply the calibration", "no")]
-        if met:
-            out.append((f"tolerance {met['asked_mm']:g} mm, {STATISTICS[met['statistic']]}", met["result"]))
         return [*out, ("stations, rejected of them", f"{recording['stations']}, {recording['rejected'] or 'none'}")]
 
     def claim(self) -> Section | None:
