@@ -35,7 +35,7 @@ def commanded(recording: Recording, i: int) -> JointState:
 @pytest.mark.slow
 def test_a_calibrator_watches_an_arm_at_its_work(tmp_path: Path) -> None:
     kept = BagHistory(tmp_path / "arm", ARM)
-    days = [cells_of(WORLD.record(day, 40.0, 0), ARM.names, f"day {day}") for day in range(6)]
+    days = [cells_of(WORLD.record(day, 40.0, 0), ARM.names, f"day {day}") for day in range(12)]
     kept.add(days, "reference")
     domain = fresh_domain()
     calibrator = Process(

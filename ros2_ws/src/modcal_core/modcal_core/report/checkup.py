@@ -46,7 +46,7 @@ def sentinel_report(found: ArmVerdict, robot: str) -> VerbResult:
     heading, tone = _OF_STATUS.get(found.status, ("Cannot tell", "warn"))
     lines: list[str | SummaryLine] = [
         f"Evidence: {found.log_e:.1f} nats of {found.asked:.1f} that a change needs (one false alarm in a hundred "
-        f"hours), the recordings counting by the power {found.weight:.2g}.",
+        f"hours), by {found.references} reference recordings; with more a change needs less.",
         SummaryLine(f"These signals do not show: {', '.join(found.unseen) or 'nothing of what was asked'}.", "doubt"),
     ]
     if found.untold:
@@ -69,7 +69,7 @@ def _data(found: ArmVerdict, robot: str) -> dict[str, Any]:
     return {
         "modcal_sentinel": 1,
         "robot": robot,
-        **picked(found, "status", "asked", "weight", "hours", "unseen", verdict="sentence", outside="untold"),
+        **picked(found, "status", "asked", "references", "hours", "unseen", verdict="sentence", outside="untold"),
         "log_e": found.log_e if np.isfinite(found.log_e) else None,
         "changes": [
             {**picked(c, "kind", "place", "label", "sentence", "since", "probability", "same_as"), **_sized(c.sizes)}
