@@ -199,11 +199,8 @@ def _span(low: float, high: float) -> str:
 
 def _robot(found: LimitsFound) -> Section:
     """The arm in its postures, every joint as large as the share of its torque that is needed at most."""
-    names, shown, most = found.arm.chain.names, ShownPostures(found.arm.chain, found.q), found.load.max(axis=0)
+    names, shown = found.arm.chain.names, ShownPostures(found.arm.chain, found.q)
     said = "{} needs {} of its torque here. Discs: the share that each joint needs at most."
     loads = found.load[shown.rows]
     more = [said.format(names[j], percent(load[j])) for j, load in zip(loads.argmax(axis=1), loads, strict=True)]
-    alt = "The arm; a disc at each joint shows the share of its torque that is needed: " + ", ".join(
-        f"{name} {percent(value)}" for name, value in zip(names, most, strict=True)
-    )
-    return Section("robot", "Robot", [shown.scene(alt, more, weights=np.minimum(most, 1.0).tolist())])
+    return Section("robot", "Robot", [shown.discs("its torque that is needed", found.load.max(axis=0), more)])

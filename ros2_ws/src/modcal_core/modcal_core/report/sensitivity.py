@@ -289,17 +289,11 @@ def sensitivity_report(study: Study, title: str) -> VerbResult:
 
 def _robot(study: Study) -> Scene3D:
     """The arm in the postures of the study, every joint as large as the share of its parameters."""
-    chain, share = study.closed.chain, study.joint.before.share
-    of_joint = [
-        float(sum(share[k] for k, name in enumerate(study.closed.names) if name.partition("/")[0] == joint))
-        for joint in chain.names
-    ]
+    chain, share, joints = study.closed.chain, study.joint.before.share, study.closed.names
+    of_joint = [share[[name.partition("/")[0] == joint for name in joints]].sum() for joint in chain.names]
     shown = ShownPostures(chain, study.q)
     more = ["Discs: share of the squared error that each joint's parameters have."] * len(shown.rows)
-    alt = "The arm; a disc at each joint shows the share of the error that its parameters have: " + ", ".join(
-        f"{name} {percent(value)}" for name, value in zip(chain.names, of_joint, strict=True)
-    )
-    return shown.scene(alt, more, weights=() if chain.closed else of_joint)  # a Delta's line skips joints
+    return shown.discs("the error that its parameters have", np.array(of_joint), more)
 
 
 def _gain(study: Study) -> Chart:
