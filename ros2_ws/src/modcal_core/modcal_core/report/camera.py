@@ -186,9 +186,10 @@ def camera_report(
     }
     for i, state in enumerate(solution.fit.states[1:], start=2):
         files[f"camera_{i}.yaml"] = to_yaml(camera_info(state.lens, f"camera_{i}"))
+    tables = [replace(table, heading=True) for table in _tables(data)]
     camera, shown = data["camera"], ShownPostures(solution.model.serial, solution.fit.poses.q, "Image")
     blocks: list[Block] = [
-        Section("found", "What was found", [replace(table, heading=True) for table in _tables(data)]),
+        Section("found", "What was found", tables),
         Section("robot", "Robot", [shown.scene(f"The arm in the postures of {counted(len(shown.q), 'image')}.")]),
         Section("images", "Images", [Figures(_charts(solution.fit))]),
         Fold("Expert: all parameters", _parameters(data), "expert"),
@@ -197,7 +198,7 @@ def camera_report(
     lines: list[str | SummaryLine] = [*tolerance_lines(met), *_sentences(data)]
     said = f"{decision.upper()}: {' '.join(answer)}"
     page = Page(title, " ".join(answer), blocks, decision, tone_of(decision), lines=lines, said=said)
-    return page.result(data, files)
+    return page.result(data, files, tables[:1])
 
 
 def camera_info(lens: Lens, name: str = "camera") -> dict[str, Any]:
@@ -372,16 +373,12 @@ _PLACES = {
 
 
 def _sentences(data: Mapping[str, Any]) -> list[str]:
-    """What was seen, how far the tool is off, and what was found, for the page and a terminal."""
+    """What was seen and what was found, for the page and a terminal."""
     camera = data["camera"]
     where = "on the tip, the target stands still" if camera["mounting"] == "tip" else "beside the arm, the target moves"
     px = {name: "not known" if x is None else f"{x:.2f} px" for name, x in camera["held_out_px"].items()}
     out = [f"The camera is {where}. {_seen(camera)}, {camera['corners']['used']} corners."]
     out += [f"Also {one['name']}, on the {one['mounting']}: {_seen(one)}." for one in camera["further"]]
-    for place, words in _PLACES.items():
-        sizes, size = camera["tool_error_mm"][place], "{rms:.2f} mm RMS (95 %: {low95:.2f} to {high95:.2f})"
-        ours, nominal = (size.format(**sizes[arm]) for arm in ("calibrated", "nominal"))
-        out.append(f"Error at the tool, {words}: {ours}; nominal arm {nominal}.")
     out.append(
         f"Held-out images: {px['nominal']} with the nominal arm, {px['calibrated']} with the calibrated one. "
         "Pixels are no accuracy: an arm can get worse while its pixels get better."
