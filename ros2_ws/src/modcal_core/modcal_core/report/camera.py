@@ -69,29 +69,17 @@ def _estimates(names: Iterable[str], values: Array, std: Array) -> dict[str, Any
     return {n: {"value": float(v), "std": float(s)} for n, v, s in zip(names, values, std, strict=False)}
 
 
-def _lens(lens: Lens, std: Array) -> dict[str, Any]:
-    """The values that a lens has. std: of its values, and of others behind them."""
-    values = _estimates(lens.names, lens.values, std)
-    return {name: values[name] for name, used in zip(lens.names, lens.used, strict=False) if used}
-
-
-def _further(solution: CameraSolution) -> list[dict[str, Any]]:
-    """The further cameras."""
-    fit = solution.fit
-    every = zip(fit.cameras.every, fit.states, fit.std, fit.rms_px, strict=True)
-    return [
-        {
-            "name": one.given.name,
-            "mounting": "tip" if one.mounting.camera_on_tip else "world",
-            "target": one.given.target.label,
-            "images": {"given": len(one.given.views), "used": one.table.views, "left_out": one.left_out},
-            "rms_px": rms_px,
-            "lens": _lens(state.lens, std[len(state.values) + 1 :]),
-            "clock_s": state.offset_s,
-            "readout_s": state.readout_s,
-        }
-        for one, state, std, rms_px in list(every)[1:]
-    ]
+def _camera(solution: CameraSolution, i: int) -> dict[str, Any]:
+    """What is said of each camera alike. i: which of them."""
+    one, state, fit = solution.fit.cameras.every[i], solution.fit.states[i], solution.fit
+    values = _estimates(state.lens.names, state.lens.values, fit.std[i][len(state.values) + 1 :])
+    return {
+        "mounting": "tip" if one.mounting.camera_on_tip else "world",
+        "target": one.given.target.label,
+        "images": {"given": len(one.given.views), "used": one.table.views, "left_out": one.left_out},
+        "rms_px": fit.rms_px[i],
+        "lens": {name: values[name] for name, used in zip(state.lens.names, state.lens.used, strict=False) if used},
+    }
 
 
 _NAMED = 3  # markers that are named in a sentence, those that are farthest off
@@ -262,9 +250,8 @@ def camera_data(
                 "mm_per_percent": 10.0 * rests.per_unit_m,
                 "if_wrong_high95_mm": 1e3 * rests.if_wrong_m,
             },
-            "mounting": "tip" if fit.poses.camera_on_tip else "world",
+            **_camera(solution, 0),
             "rival_mounting": float(camera.mounting.rival),
-            "target": camera.given.target.label,
             "images": {"given": images, "used": fit.table.views, "left_out": dict(left_out) | camera.left_out},
             "corners": {"used": int(fit.table.weight.sum()), "left_out_share": fit.table.left_out},
             "tool_error_mm": {
@@ -276,9 +263,7 @@ def camera_data(
                 )
             },
             "held_out_px": dict(zip(("nominal", "calibrated"), map(finite, claim.held_out_px), strict=True)),
-            "rms_px": fit.rms_px[0],
             "sizes": asdict(fit.sizes),
-            "lens": _lens(fit.state.lens, std[P + 1 :]),
             "sheet": {} if body else _estimates(SHAPE_NAMES, values[first:], std[first:]),
             "body": body,
             "clock_s": {"value": fit.state.offset_s, "std": float(std[P])} if std[P] > 0.0 else None,
@@ -297,7 +282,15 @@ def camera_data(
                 if name != ALL_BUT_IMAGES
             ],
             "weak": list(evidence.weak),
-            "further": _further(solution),
+            "further": [
+                {
+                    "name": one.given.name,
+                    **_camera(solution, i),
+                    "clock_s": fit.states[i].offset_s,
+                    "readout_s": fit.states[i].readout_s,
+                }
+                for i, one in enumerate(fit.cameras.every[1:], 1)
+            ],
         },
         "parameters": [
             {**picked(p, "name", "unit"), "value": float(v), "std": float(s)}
