@@ -422,4 +422,6 @@ def test_what_stays_behind_as_it_is_accelerated_is_named(place: str) -> None:
         value, _, unit = found.parameters["wind_up"]
         assert value == pytest.approx(3e-3 if place == ELBOW else 1e-3, rel=0.05)
         assert unit == ("rad/(rad/s^2)" if place == ELBOW else "m/(m/s^2)")
+        delay, _, unit = found.parameters["delay"]
+        assert (delay, unit) == (pytest.approx(0.3 * np.sqrt(value), rel=0.2), "s")
         assert "stays behind as it is accelerated" in found.sentence

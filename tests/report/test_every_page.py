@@ -29,8 +29,8 @@ ROBOT = str(ROOT / "examples" / "robots" / "ur10.urdf")
 DOOR = str(ROOT / "examples" / "tables" / "door.txt")
 BODY = ROOT / "examples" / "body"
 VERBS: dict[str, list[str]] = {
-    "plan": ["plan", ROBOT, "--stations", "26", "--candidates", "60", "--starts", "1"],
-    "sensitivity": ["sensitivity", ROBOT, "--postures", "8"],
+    "plan": ["plan", ROBOT, "--stations", "26", "--candidates", "60"],
+    "sensitivity": ["sensitivity", ROBOT],
     "limits": ["limits", ROBOT, "--payload", "2", "--workspace", "20"],
     "articulate": ["articulate", DOOR],
     "camera": [
