@@ -81,10 +81,7 @@ def _data(found: ArmVerdict, robot: str) -> dict[str, Any]:
 
 def _noticed(found: ArmVerdict) -> TableBlock:
     rows = tuple((label, f"{size:.3g}", unit) for label, (size, unit) in found.noticed.items())
-    below = (
-        "By the last recording alone, if nothing else changed, 95 times in 100 if it scatters as the reference does. "
-        "In simulation play and friction of this size were found every second time."
-    )
+    below = "By the last recording alone, if nothing else changed, 95 times in 100."
     return TableBlock("", ("change", "size", "unit"), rows, below=below)
 
 
