@@ -26,7 +26,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.outcome.contents import Outcome
 from modcal_core.outcome.entries import Finding
 from modcal_core.preprocess import prepare
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.mjcf import World

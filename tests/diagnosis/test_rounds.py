@@ -32,7 +32,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 
 PAN, ELBOW, WRIST_2 = 0, 2, 4
 STALE = {PAN: 3e-4, ELBOW: 4e-4, WRIST_2: 3e-4}  # rad, of the side that each comes from

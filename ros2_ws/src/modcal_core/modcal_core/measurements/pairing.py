@@ -130,7 +130,7 @@ def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array
     if len(rows) and len(rows) >= _PAIRED * shared and (sparse or len(dwells) < _MIN_DWELLS):
         if sparse:
             # a course between stations far apart is not known; what the joints said of their speed is
-            return _as_is(track, read, q[rows], np.stack([velocity[rows], *np.zeros((2, *q[rows].shape))]), False)
+            return _as_is(track, read, q[rows], np.stack([velocity[rows], *np.zeros((3, *q[rows].shape))]), False)
         return _as_is(track, read, q[rows], _motion(_course(t, q), t[rows] - t[0]), moving=True)
     if len(dwells) >= _MIN_DWELLS:
         return averaged(track, t, q, dwells)

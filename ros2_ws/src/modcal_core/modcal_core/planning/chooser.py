@@ -172,7 +172,9 @@ class Chooser:
             numbers = exchanged(search, numbers, rng, chance, self.rounds)
         q, ways = q[numbers], ways[numbers]
         k = len(q) if first is None else min(first, len(q))
-        for size in self.moves if self.ground is not None and k else ():
+        for size in self.moves if k else ():
+            if self.ground is None:  # stations of a recording stand where they were
+                break
             near, of = self.ground.around(q[:k], size, min(_EACH, _MOVED // k), rng)
             around, sides = np.concatenate([q[:k], near]), np.concatenate([ways[:k], ways[of]])
             kept = exchanged(self._search(around, sides), range(k), rng, self.chance(around))

@@ -12,7 +12,6 @@ from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.planning import NAMED, Plan, Study
-from modcal_core.report.as_json import claim_data, picked
 from modcal_core.report.blocks import (
     Block,
     Figures,
@@ -22,10 +21,11 @@ from modcal_core.report.blocks import (
     Section,
     TableBlock,
     VerbResult,
-    explained,
+    legend,
 )
 from modcal_core.report.charts import AFTER, GOOD, LARGE, Axis, Chart, Panel
 from modcal_core.report.figures import MAX_POINTS, ShownPostures, arm_lines
+from modcal_core.report.report import claim_data, picked
 from modcal_core.report.tables import STATISTICS, csv_text, percent, stations_table
 from modcal_core.robots import plain
 
@@ -158,6 +158,10 @@ COLUMNS = {
     "SFCDPE mm": "by how much an error of this parameter moves the point, weighted over the postures",
     "RSFCDPE": "the same, divided by that of the base factor",
 }
+_CELLS = (
+    "{name} | {share:.1%} | {measured[seen]:.0%} | {rms_gain_mm:.4f} | {measured[rms_gain_left_mm]:.4f} | "
+    "{sfcdpe_mm:.3f} | {rsfcdpe:.3f}"
+)
 _SAME = 1e-6  # share of an index within which it is the same at every posture
 _SHOWN = 12  # parameters of the first table
 _NAMED = 3  # of the strongest parameters, in a sentence
@@ -262,29 +266,18 @@ def _about_lengths(study: Study, lengths: np.ndarray, constant: np.ndarray) -> s
     return f"{int((lengths & constant).sum())} of {count} translation parameters have the same influence at every pose."
 
 
-def _rows(study: Study) -> list[tuple[str, ...]]:
-    """Every parameter under ``COLUMNS``, the strongest first."""
-    joint, at = study.joint, study.indices
-    return [
-        (
-            *(at.names[k], f"{joint.before.share[k]:.1%}", f"{joint.seen[k]:.0%}"),
-            *(f"{1e3 * gains[k]:.4f}" for gains in (joint.before.rms_gain, joint.after.rms_gain)),
-            *(f"{index[k]:.3f}" for index in (1e3 * at.multi, at.relative_multi)),
-        )
-        for k in np.argsort(-joint.before.share, kind="stable")
-    ]
-
-
 def sensitivity_report(study: Study, title: str) -> VerbResult:
     """The study as a verb leaves it: the answer, the strongest parameters, the robot, and pictures."""
-    sentences, rows, data = sensitivity_sentences(study), _rows(study), sensitivity_data(study)
+    data = sensitivity_data(study)
+    sentences, rows = data["sentences"], sorted(data["parameters"], key=lambda row: -row["share"])
     single = np.c_[study.q, 1e3 * study.indices.single]
     files = {
         "sensitivity.json": to_json(data),
         "single_point.csv": csv_text([*study.closed.chain.names, *study.indices.names], single, ".9g"),
     }
-    strongest = explained(COLUMNS, rows[:_SHOWN], title="The strongest parameters")
-    every = TableBlock("All parameters", strongest.header, tuple(rows))
+    header, below = " | ".join(COLUMNS), legend(COLUMNS)
+    strongest = TableBlock.of("The strongest parameters", header, _CELLS, rows[:_SHOWN], below=below)
+    every = TableBlock.of("All parameters", header, _CELLS, rows)
     blocks: list[Block] = [
         Section("strongest", "Parameters that matter most", [strongest, Figures([_gain(study)])]),
         Section("robot", "Robot", [_robot(study)]),
@@ -296,17 +289,11 @@ def sensitivity_report(study: Study, title: str) -> VerbResult:
 
 def _robot(study: Study) -> Scene3D:
     """The arm in the postures of the study, every joint as large as the share of its parameters."""
-    chain, share = study.closed.chain, study.joint.before.share
-    of_joint = [
-        float(sum(share[k] for k, name in enumerate(study.closed.names) if name.partition("/")[0] == joint))
-        for joint in chain.names
-    ]
+    chain, share, joints = study.closed.chain, study.joint.before.share, study.closed.names
+    of_joint = [share[[name.partition("/")[0] == joint for name in joints]].sum() for joint in chain.names]
     shown = ShownPostures(chain, study.q)
     more = ["Discs: share of the squared error that each joint's parameters have."] * len(shown.rows)
-    alt = "The arm; a disc at each joint shows the share of the error that its parameters have: " + ", ".join(
-        f"{name} {percent(value)}" for name, value in zip(chain.names, of_joint, strict=True)
-    )
-    return shown.scene(alt, more, weights=() if chain.closed else of_joint)  # a Delta's line skips joints
+    return shown.discs("the error that its parameters have", np.array(of_joint), more)
 
 
 def _gain(study: Study) -> Chart:
