@@ -111,7 +111,7 @@ _BEFORE = 1.0  # s of joint states before a stand that its beginning is looked f
 
 @dataclass
 class Counts:
-    """What was left out, or stamped anew, by reason."""
+    """What was left out, or stamped again, by reason."""
 
     late: int = 0
     jumps: int = 0
