@@ -30,10 +30,7 @@ _OF_STATUS: dict[str, tuple[str, Tone]] = {
     "changed": ("The arm has changed", "bad"),
 }
 _LINKS = "This is no measurement: measure the ten stations of stations.csv, and let modcal check say what to repair."
-_NOTICED = (
-    "By the last recording alone, if nothing else changed, 95 times in 100 if it scatters as the reference does. In "
-    "simulation play and friction of this size were found every second time."
-)
+_NOTICED = "By the last recording alone, if nothing else changed, 95 times in 100."
 _DAY = 86400.0  # s
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import brentq
@@ -100,7 +101,7 @@ class ArmVerdict:
 @dataclass(frozen=True)
 class _Asked:
     """Candidates with their columns as sums (K, k) of named ones, units (k,) that make the information of a reference
-    recording about 1, log priors (H,), and joints that slide.
+    recording about 1, log priors (H,), joints that slide, and what each reference recording says by the others.
     """
 
     candidates: Sequence[ChangeColumns]
@@ -108,38 +109,90 @@ class _Asked:
     units: Sequence[Array]
     log_prior: Array
     sliding: frozenset[str]
+    reference: Sequence[Spoken]
 
     @classmethod
-    def of(cls, normal: Normal, reference: Sequence[Spoken]) -> _Asked:
-        names, chain = reference[0].names, normal.arm.chain
+    def of(cls, normal: Normal) -> _Asked:
+        reference, chain = left_out(normal), normal.arm.chain
+        names = reference[0].names
         every = candidates(normal.arm, names, normal.shares)
         sums = [np.array([[c.get(name, 0.0) for c in one.columns] for name in names]) for one in every]
         whole = np.mean([one.information for one in reference], axis=0)
         units = [1.0 / np.sqrt(np.maximum(np.diag(B.T @ whole @ B), 1e-300)) for B in sums]
-        sliding = {n for j, n in enumerate(normal.arm.names) if chain is not None and not chain.revolute[j]}
+        sliding = frozenset(n for j, n in enumerate(normal.arm.names) if chain is not None and not chain.revolute[j])
         scaled = [B * unit for B, unit in zip(sums, units, strict=True)]
-        return cls(every, scaled, units, log_priors([one.change for one in every]), frozenset(sliding))
+        return cls(every, scaled, units, log_priors([one.change for one in every]), sliding, reference)
+
+    @cached_property
+    def scatter(self) -> list[Scatter]:
+        """How each candidate scatters among the reference recordings."""
+        return [Scatter.of(B, self.reference) for B in self.sums]
+
+    def beside(self, h: int) -> _Asked:
+        """The same beside a candidate of whatever size."""
+        return replace(self, reference=[one.beside(self.sums[h]) for one in self.reference])
 
     def unit(self, h: int, unit: str) -> str:
         """The unit of a candidate's size: of a sliding joint a length."""
         return unit.replace("mrad", "mm") if self.candidates[h].change.place in self.sliding else unit
 
-    def sizes(self, h: int, scatter: Scatter, said: Spoken) -> tuple[list[float], list[float]]:
+    def sizes(self, h: int, said: Spoken) -> tuple[list[float], list[float]]:
         """Sizes of a candidate, and by how much they scatter from one reference recording to the next."""
-        found, spread = scatter.sizes(said)
+        found, spread = self.scatter[h].sizes(said)
         return (self.units[h] * found).tolist(), (self.units[h] * spread).tolist()
 
-    def scatter(self, reference: Sequence[Spoken]) -> list[Scatter]:
-        """How each candidate scatters among the reference recordings."""
-        return [Scatter.of(B, reference) for B in self.sums]
-
-    def beside(self, h: int, bags: Sequence[Spoken]) -> list[Spoken]:
-        """What is said beside a candidate of whatever size."""
-        return [one.beside(self.sums[h]) for one in bags]
-
-    def judged(self, said: Spoken, scatter: Sequence[Scatter], bent: float = 0.0) -> list[JudgedChange]:
+    def judged(self, said: Spoken, bent: float = 0.0) -> list[JudgedChange]:
         """The Bayes factor of each candidate. bent: as below."""
-        return [_judged(c, one.number(said), bent) for c, one in zip(self.candidates, scatter, strict=True)]
+        return [_judged(c, one.number(said), bent) for c, one in zip(self.candidates, self.scatter, strict=True)]
+
+    def left(self, g: int, h: int, said: Spoken, bent: float) -> JudgedChange:
+        """The Bayes factor of candidate g beside h."""
+        number = Scatter.of(self.sums[g], self.beside(h).reference).number(said.beside(self.sums[h]))
+        return _judged(self.candidates[g], number, bent)
+
+    def named(self, said: Spoken, odds: Sequence[JudgedChange]) -> tuple[int, Probabilities]:
+        """The number of the most probable change, and the probability of everything that can be named.
+
+        Of two changes that one is the more probable beside which the other has less left to explain. odds: of each.
+        """
+        bent, tried = [_BENT * one.number(said).square for one in self.scatter], set[int]()
+        while True:
+            named = by_name(odds, self.log_prior, 1.0)
+            best = max(named.values(), key=lambda pair: pair[0])[1]
+            h = next(i for i, j in enumerate(odds) if j is best)
+            if h in tried:
+                return h, named
+            tried.add(h)
+            odds = []
+            for g in range(len(bent)):
+                other, own = self.left(g, h, said, bent[h]), self.left(h, g, said, bent[g])
+                odds.append(replace(other, log_factor=other.log_factor - own.log_factor))
+
+    def noticed(self, said: Spoken, asked_for: float) -> tuple[dict[str, tuple[float, str]], tuple[str, ...]]:
+        """The size of each change that a recording would have shown in 95 of 100 cases; and what it does not show.
+
+        The recording itself scatters as those of the reference do.
+        """
+        out, unseen = {}, []
+        for h, label, factor, unit in self.single():
+            number, (_, (std,)), size = self.scatter[h].number(said), self.sizes(h, said), np.inf
+            if number.directions:
+                needed = _needed(self.candidates[h], number, asked_for - float(self.log_prior[h]))
+                size = factor * std * (needed + float(stdtrit(number.freedom, _OFTEN)))
+            if size < _FARTHEST.get(unit, np.inf):
+                out[label] = (float(size), unit)
+            else:
+                unseen.append(label)
+        return out, tuple(unseen)
+
+    def single(self) -> list[tuple[int, str, float, str]]:
+        """Candidates of one size: number, label, factor and unit of what people read; one of each name."""
+        out: dict[str, tuple[int, str, float, str]] = {}
+        for h, one in enumerate(self.candidates):
+            sizes = KINDS[one.change.kind].sizes
+            if len(one.columns) == 1 and sizes:
+                out.setdefault(one.change.label, (h, one.change.label, sizes[0][1], self.unit(h, sizes[0][2])))
+        return list(out.values())
 
 
 def _judged(candidate: ChangeColumns, number: Number, bent: float = 0.0) -> JudgedChange:
@@ -171,10 +224,8 @@ class ArmJudge:
     """Judges later recordings by what is normal."""
 
     def __init__(self, normal: Normal) -> None:
-        self.normal, self._left_out = normal, left_out(normal)
-        self._asked = _Asked.of(normal, self._left_out)
-        self._scatter = self._asked.scatter(self._left_out)
-        bags = zip(normal.bags, self._left_out, strict=True)
+        self.normal, self._asked = normal, _Asked.of(normal)
+        bags = zip(normal.bags, self._asked.reference, strict=True)
         self._reference = tuple(self._alone(*about, True, said, 1.0) for about, said in bags)
 
     def hear(self, cells: Cells, other_payload: bool = False) -> HeardBag:
@@ -186,8 +237,8 @@ class ArmJudge:
 
     def _alone(self, name: str, began: float, reference: bool, said: Spoken, share: float) -> BagValues:
         values = {}
-        for h, label, factor, unit in _single(self._asked):
-            (size,), (std,) = self._asked.sizes(h, self._scatter[h], said)
+        for h, label, factor, unit in self._asked.single():
+            (size,), (std,) = self._asked.sizes(h, said)
             if std > 0.0:
                 values[label] = (unit, factor * size, factor * std)
         return BagValues(name, began, reference, share, values)
@@ -201,23 +252,22 @@ class ArmJudge:
         said = spoken_since(normal, [bag.signals for bag in newest])
         silent = [n for n in normal.signals if n not in last.signals or not last.signals[n].share]
         changes: list[ChangeEstimate] = []
-        log_e, reference, scatter, bent, since = -np.inf, self._left_out, self._scatter, 0.0, 0
+        log_e, bent, since = -np.inf, 0.0, 0
         while len(changes) < _MOST:
-            judged = [asked.judged(one, scatter, bent) for one in said]
+            judged = [asked.judged(one, bent) for one in said]
             each = np.array([e_value(j, asked.log_prior) for j in judged])
             now = float(np.logaddexp.reduce(each) - np.log(len(each)))
             log_e = log_e if changes else now
             if now <= asked_for:
                 break
             best = int(np.argmax(each))
-            h, named = self._named(said[best], reference, scatter, judged[best])
-            numbers = [scatter[h].number(one) for one in said]
+            h, named = asked.named(said[best], judged[best])
+            numbers = [asked.scatter[h].number(one) for one in said]
             k, when = _since(numbers, newest[since:][: len(said)], len(bags) > len(newest))
-            changes.append(self._estimate(h, named, asked.sizes(h, scatter[h], said[k]), when))
+            changes.append(_estimate(asked, h, named, said[k], when))
             bent += _BENT * numbers[k].square
-            since, said, reference = since + k, asked.beside(h, said[k : k + 1]), asked.beside(h, reference)
-            scatter = asked.scatter(reference)
-        noticed, unseen = _noticed(asked, self._scatter, spoken_since(normal, [last.signals])[0], asked_for)
+            since, said, asked = since + k, [said[k].beside(asked.sums[h])], asked.beside(h)
+        noticed, unseen = self._asked.noticed(spoken_since(normal, [last.signals])[0], asked_for)
         status = "changed" if changes else "unchanged" if len(silent) < len(normal.signals) else "cannot_tell"
         every = self._reference + tuple(bag.alone for bag in bags)
         hours = sum(bag.seconds for bag in newest) / 3600.0
@@ -226,52 +276,24 @@ class ArmJudge:
             normal.dropped + tuple(silent), hours, _stations(newest), normal.arm.names,
         )  # fmt: skip
 
-    def _named(
-        self, said: Spoken, reference: Sequence[Spoken], scatter: Sequence[Scatter], odds: Sequence[JudgedChange]
-    ) -> tuple[int, Probabilities]:
-        """The number of the most probable change, and the probability of everything that can be named.
 
-        Of two changes that one is the more probable beside which the other has less left to explain. odds: of each.
-        """
-        asked, tried = self._asked, set[int]()
-        bent = [_BENT * one.number(said).square for one in scatter]
-        while True:
-            named = by_name(odds, asked.log_prior, 1.0)
-            best = max(named.values(), key=lambda pair: pair[0])[1]
-            h = next(i for i, j in enumerate(odds) if j is best)
-            if h in tried:
-                return h, named
-            tried.add(h)
-            odds = []
-            for g in range(len(scatter)):
-                other, own = (self._left(i, k, said, reference, bent[k]) for i, k in ((g, h), (h, g)))
-                odds.append(replace(other, log_factor=other.log_factor - own.log_factor))
-
-    def _left(self, g: int, h: int, said: Spoken, reference: Sequence[Spoken], bent: float) -> JudgedChange:
-        """The Bayes factor of candidate g beside h."""
-        asked = self._asked
-        *others, last = asked.beside(h, [*reference, said])
-        return _judged(asked.candidates[g], Scatter.of(asked.sums[g], others).number(last), bent)
-
-    def _estimate(
-        self, h: int, named: Probabilities, found: tuple[list[float], list[float]], since: str
-    ) -> ChangeEstimate:
-        """A candidate as it is told."""
-        asked, change = self._asked, self._asked.candidates[h].change
-        end = float(stdtrit(max(self._scatter[h].freedom, 1), _WITHIN))
-        sizes = tuple(
-            SizeFound(name, factor * v, factor * (v - end * d), factor * (v + end * d), asked.unit(h, unit))
-            for (name, factor, unit), v, d in zip(KINDS[change.kind].sizes, *found, strict=False)
-        )
-        probability = named[change.key][0]
-        near = probability * np.exp(-AS_PROBABLE)
-        rivals = sorted(((p, j) for k, (p, j) in named.items() if k != change.key and p > near), key=lambda x: -x[0])
-        same = tuple(j.hypothesis.label for _, j in rivals)
-        size = ", ".join(f"{s.value:+.3g} {s.unit} ({s.low:+.3g} … {s.high:+.3g})" for s in sizes)
-        said_of = change.worded(KINDS[change.kind].said, size=size, moved=f" ({size})")
-        said_of += f"; it may as well be the {' or the '.join(same)}" if same else ""
-        of = (f"{said_of}, since {since}.", since, sizes, probability, same)
-        return ChangeEstimate(change.kind, change.place, change.label, *of)
+def _estimate(asked: _Asked, h: int, named: Probabilities, said: Spoken, since: str) -> ChangeEstimate:
+    """A candidate as it is told."""
+    change = asked.candidates[h].change
+    end = float(stdtrit(max(asked.scatter[h].freedom, 1), _WITHIN))
+    sizes = tuple(
+        SizeFound(name, factor * v, factor * (v - end * d), factor * (v + end * d), asked.unit(h, unit))
+        for (name, factor, unit), v, d in zip(KINDS[change.kind].sizes, *asked.sizes(h, said), strict=False)
+    )
+    probability = named[change.key][0]
+    near = probability * np.exp(-AS_PROBABLE)
+    rivals = sorted(((p, j) for k, (p, j) in named.items() if k != change.key and p > near), key=lambda x: -x[0])
+    same = tuple(j.hypothesis.label for _, j in rivals)
+    size = ", ".join(f"{s.value:+.3g} {s.unit} ({s.low:+.3g} … {s.high:+.3g})" for s in sizes)
+    said_of = change.worded(KINDS[change.kind].said, size=size, moved=f" ({size})")
+    said_of += f"; it may as well be the {' or the '.join(same)}" if same else ""
+    of = (f"{said_of}, since {since}.", since, sizes, probability, same)
+    return ChangeEstimate(change.kind, change.place, change.label, *of)
 
 
 def _since(numbers: Sequence[Number], bags: Sequence[HeardBag], more: bool) -> tuple[int, str]:
@@ -296,37 +318,6 @@ def _stations(bags: Sequence[HeardBag]) -> Array:
         away = np.minimum(away, np.sum((q - q[chosen[-1]]) ** 2, axis=1))
         chosen.append(int(np.argmax(away)))
     return np.asarray(q[chosen])
-
-
-def _single(asked: _Asked) -> list[tuple[int, str, float, str]]:
-    """Candidates of one size: number, label, factor and unit of what people read; one of each name."""
-    out: dict[str, tuple[int, str, float, str]] = {}
-    for h, one in enumerate(asked.candidates):
-        sizes = KINDS[one.change.kind].sizes
-        if len(one.columns) == 1 and sizes:
-            out.setdefault(one.change.label, (h, one.change.label, sizes[0][1], asked.unit(h, sizes[0][2])))
-    return list(out.values())
-
-
-def _noticed(
-    asked: _Asked, scatter: Sequence[Scatter], said: Spoken, asked_for: float
-) -> tuple[dict[str, tuple[float, str]], tuple[str, ...]]:
-    """The size of each change that the last recording alone would have shown in 95 of 100 cases, and which it does not.
-
-    The recording itself scatters as those of the reference do.
-    """
-    out, unseen = {}, []
-    for h, label, factor, unit in _single(asked):
-        number, (_, (std,)) = scatter[h].number(said), asked.sizes(h, scatter[h], said)
-        size = np.inf
-        if number.directions:
-            needed = _needed(asked.candidates[h], number, asked_for - float(asked.log_prior[h]))
-            size = factor * std * (needed + float(stdtrit(number.freedom, _OFTEN)))
-        if size < _FARTHEST.get(unit, np.inf):
-            out[label] = (float(size), unit)
-        else:
-            unseen.append(label)
-    return out, tuple(unseen)
 
 
 def _needed(candidate: ChangeColumns, number: Number, nats: float) -> float:

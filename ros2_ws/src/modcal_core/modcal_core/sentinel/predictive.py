@@ -4,7 +4,7 @@ Each of m reference recordings, predicted by the others, says something of every
 next may lie from nothing: in standard deviations of these numbers it has a Student distribution of m − 1 degrees of
 freedom, over all directions of a change together where it has several. Whatever the numbers of a recording have in
 common, the warmth of the day or its task, is in their scatter. Of few recordings far numbers are no proof: with twelve
-a change needs twice the size that it would need with a known scatter, with fifty a fifth more.
+a change needs twice the size that it would need with a known scatter, with fifty a tenth more.
 """
 
 from __future__ import annotations
