@@ -79,7 +79,8 @@ def geometry(kind: str, seed: int, effects: bool) -> harness.Result:
     out = {"floor_mm": made.floor_mm, "left_mm": left, **beside, "over_floor": final / made.floor_mm}
     out |= {"over_truth": final / beside["truth_mm"], "over_begun": final / beside["begun_mm"]}
     out |= {"expected": float(np.sqrt(1.0 + count[0] / (3.0 * count[1]))), "values": count[0], "train": count[1]}
-    out |= {"status": report.judged.status, "rejected": report.rejected, "tool_moved_mm": 1e3 * np.linalg.norm(moved)}
+    out |= {"status": report.judged.status, "rejected": report.rejected_stations()}
+    out["tool_moved_mm"] = 1e3 * np.linalg.norm(moved)
     out |= {"effects": [f"{e.family} {e.place}" for e in fit.model.effects]}
     return out | {"distance_mm": max((1e3 * abs(d.residual) for d in report.distances), default=0.0)}
 

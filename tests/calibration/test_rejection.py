@@ -53,7 +53,7 @@ def test_a_frozen_model_is_judged_by_its_own_spread(made: Recorded) -> None:
     # single wrong readings are still left out
     few = evaluate(frozen, shifted(second, np.arange(COUNT) % 40 == 3), np.random.default_rng(0))
     assert few.size_mm("final").rms < 0.2
-    assert few.rejected == 4
+    assert few.rejected_stations() == 4
     assert few.rejection.with_mm is not None
     assert few.rejection.with_mm > 0.5
     # and a clean recording has none
@@ -68,7 +68,7 @@ def test_without_a_stated_deviation_the_usual_one_is_taken(made: Recorded) -> No
     frozen = calibrate(stated.select(slice(None, COUNT)), ur10(), np.random.default_rng(0), look_for_effects=False)
     assert frozen.calibration.noise.position < 4e-5
     report = evaluate(frozen.calibration, made.samples.select(slice(COUNT, None)), np.random.default_rng(0))
-    assert report.rejected == 0
+    assert report.rejected_stations() == 0
 
 
 @pytest.mark.slow

@@ -357,4 +357,4 @@ def test_no_socket_is_wrong_because_a_link_is_far_off() -> None:
     assert samples is not None
     samples = replace(samples, sockets=samples.frames)
     found = calibrate(samples, CHAIN, np.random.default_rng(0), look_for_effects=False)
-    assert found.report.rejected == 0
+    assert found.report.rejected_stations() == 0

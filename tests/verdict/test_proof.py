@@ -104,7 +104,7 @@ def in_a_small_part(seed: int) -> Samples:
 
 def said_of(samples: Samples) -> str:
     report = calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False).report
-    assert report.rejected == 0
+    assert report.rejected_stations() == 0
     return " ".join(report.judged.open_because)
 
 
