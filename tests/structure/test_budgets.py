@@ -18,37 +18,37 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Package: lines and statements at most.
 CEILINGS: dict[str, tuple[int, int]] = {
-    "bench": (15900, 11500),
+    "bench": (16040, 11610),
     "launch": (80, 50),
     "modcal": (50, 30),
-    "modcal_core": (2600, 1470),
+    "modcal_core": (2590, 1470),
     "modcal_core/articulation": (5120, 3500),
-    "modcal_core/calibration": (6630, 4240),
+    "modcal_core/calibration": (6660, 4260),
     "modcal_core/camera": (4510, 2900),
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (1230, 790),
     "modcal_core/diagnosis": (2990, 2060),
-    "modcal_core/effects": (3040, 1970),
+    "modcal_core/effects": (3050, 1980),
     "modcal_core/geometry": (590, 400),
     "modcal_core/impedance": (3550, 2470),
-    "modcal_core/measurements": (4170, 2770),
-    "modcal_core/outcome": (1030, 630),
+    "modcal_core/measurements": (4180, 2780),
+    "modcal_core/outcome": (1020, 610),
     "modcal_core/modules": (2890, 1820),
-    "modcal_core/online": (1070, 730),
-    "modcal_core/planning": (3500, 2240),
+    "modcal_core/online": (1100, 750),
+    "modcal_core/planning": (3320, 2130),
     "modcal_core/hypotheses": (3780, 2540),
     "modcal_core/moves": (2560, 1700),
-    "modcal_core/report": (4500, 2580),
+    "modcal_core/report": (4300, 2480),
     "modcal_core/robots": (4880, 3090),
     "modcal_core/verdict": (4150, 2740),
     "modcal_msgs_py": (4930, 3380),
     "modcal_msgs_py/tables": (3650, 2600),
     "modcal_nodes": (80, 20),
     "modcal_nodes/calibrating": (1670, 1210),
-    "modcal_nodes/cli": (4510, 2820),
+    "modcal_nodes/cli": (4430, 2790),
     "modcal_nodes/fleet": (260, 160),
     "modcal_nodes/io": (590, 350),
-    "modcal_nodes/measuring": (1140, 820),
+    "modcal_nodes/measuring": (1080, 770),
     "modcal_nodes/nodes": (3020, 2370),
     "modcal_nodes/ros": (2510, 1500),
     "modcal_nodes/setpoint": (390, 240),
@@ -56,12 +56,12 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 130),
     "modcal_nodes/vision": (1840, 1320),
     "modcal_nodes/watching": (260, 200),
-    "tests": (47720, 33050),
-    "modcal_core/sentinel": (1200, 870),
+    "tests": (46790, 32430),
+    "modcal_core/sentinel": (1340, 960),
 }
-SOURCE = (92300, 60700)
-TEXT = 188500  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
-FORMAT_SKIPS = 70
+SOURCE = (92000, 60500)
+TEXT = 187400  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+FORMAT_SKIPS = 69
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
 

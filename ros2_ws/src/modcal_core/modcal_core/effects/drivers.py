@@ -113,7 +113,7 @@ _MAX_KEPT = 96e6  # bytes of drivers and shapes that are kept for one set of sam
 _OFTEN = 2  # times that something is asked for, before what is made for its sake is worth making
 _LAST, _LONGEST = 3, 20_000  # sets of samples whose drivers are remembered, and samples of a set
 _STEP = 0.01  # s between postures whose differences are the tip's acceleration and jerk
-_DIFFERENCES = np.array([[0.0, 1.0, -2.0, 1.0, 0.0], [-0.5, 1.0, 0.0, -1.0, 0.5]])
+_DIFFERENCES = np.array([[0.0, 1.0, -2.0, 1.0, 0.0], [-0.5, 1.0, 0.0, -1.0, 0.5]])  # second and third, central
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
 
