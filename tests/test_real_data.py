@@ -16,7 +16,7 @@ import yaml
 
 from modcal_core.loop import calibrate
 from modcal_core.preprocess import prepare
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.cli.main import run

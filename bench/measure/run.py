@@ -35,9 +35,10 @@ from modcal_core.calibration.noise import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.samples import Samples
 from modcal_core.planning import Advice, Advisor, Goal, Method
-from modcal_core.planning.next_stations import Chooser, deciding_stations, first_stations, one_motion
+from modcal_core.planning.next_stations import best_stations, deciding_stations, first_stations, random_stations
 from modcal_core.planning.outlook import Refit, outlook, refit
-from modcal_core.planning.pool import of_recording, of_robot
+from modcal_core.planning.pool import of_recording, survey
+from modcal_core.planning.rivals import deciding
 from modcal_core.planning.session import FRAME, POINT, POSE, Session, Station
 from modcal_core.planning.site import Noise, Site
 from modcal_core.robot import Robot
@@ -61,6 +62,23 @@ GRIDS = {"ur5": (5, 0.35), "ipa": (200, 0.15)}  # stations held out together, an
 WAYS = ("planned", "random")
 
 
+class AtRandom(Advisor):
+    """Draws every station at random, to compare with."""
+
+    def advise(self, session: Session, elapsed: float = 0.0) -> Advice:
+        if session.stations:
+            return super().advise(session, elapsed)
+        return self._asked(self._fitted(session), random_stations(self.pool, session, self.least(session.kind)), "")
+
+    def _best(self, at: Any, count: int, first: int, rng: np.random.Generator) -> tuple[list[Station], Array]:
+        stations = random_stations(self.pool, at.session, count)
+        q = np.array([s.asked for s in stations]).reshape(-1, self.chain.n)
+        return stations, at.view.rows(q, rng.choice([-1.0, 1.0], q.shape))
+
+
+ADVISORS = {"planned": Advisor, "random": AtRandom}
+
+
 class Measured(Workplace):
     """A workplace where one station is measured after the other."""
 
@@ -74,7 +92,7 @@ class Measured(Workplace):
         self.inertias = read_inertias(cell.arm.urdf, self.chain)
         ranges = zip(cell.arm.names, *cell.arm.range, strict=True)
         site = Site(limits={n: (float(a), float(b)) for n, a, b in ranges}, noise=Noise(position=2e-5))
-        self.pool = of_robot(self.chain, site, self.kind, np.random.default_rng(self.seed))
+        self.pool = survey(self.chain, site, np.random.default_rng(self.seed), self.kind, drawn=True)
         self.begin(0)
 
     def begin(self, seed: int) -> None:
@@ -106,9 +124,9 @@ class Measured(Workplace):
     def refit(self, session: Session) -> Refit:
         return refit(session.samples(session.fitted), self.chain, 0, None, self.inertias)
 
-    def run(self, goal: Goal, planned: bool) -> Advice:
+    def run(self, goal: Goal, way: str) -> Advice:
         self.begin(0)
-        advisor = Advisor(self.chain, self.pool, goal, Method(planned=planned), None, self.inertias)
+        advisor = ADVISORS[way](self.chain, self.pool, goal, None, None, self.inertias)
         session = Session(self.chain.names, self.kind)
         while (advice := advisor.advise(session, self.now)).outcome is None:
             session = self.done(advice.session)
@@ -153,7 +171,7 @@ def cells(count: int, first: int) -> list[harness.Task]:
 def goal(task: harness.Task) -> harness.Result:
     place, out = Measured(task, task["noise"]), {}
     for name in WAYS:
-        advice = place.run(Goal(GOAL), name == "planned")
+        advice = place.run(Goal(GOAL), name)
         s, true = advice.status, place.error(advice.refitted.calibration)
         told = {"ending": advice.outcome.ending, "stations": s.measured, "fit": s.fitted, "proof": s.proving}
         out |= {f"{name} {key}": value for key, value in (told | {"true_mm": true}).items()}
@@ -164,16 +182,16 @@ def impossible(task: harness.Task) -> harness.Result:
     """A goal of six tenths of what the arm repeats; error of the model then, and of as many planned stations."""
     place = Measured(task, repeats=4 * REPEAT)
     floor = place.floor()
-    advice = place.run(Goal(0.6e-3 * floor), True)
+    advice = place.run(Goal(0.6e-3 * floor), "planned")
     out: harness.Result = {"ending": advice.outcome.ending, "stations": advice.status.measured, "floor_mm": floor}
     out["true_mm"] = place.error(advice.refitted.calibration)
     place.begin(1)
     rng = np.random.default_rng(0)
-    first = first_stations(place.pool, Session(place.chain.names, place.kind), FIRST, True, rng)
+    first = first_stations(place.pool, Session(place.chain.names, place.kind), FIRST, rng)
     session = place.asked(np.array([station.asked for station in first]))
     model = place.refit(session)
     view = outlook(model, place.pool.where, Known(), rng)
-    more, _ = Chooser(place.pool, view, model).best(session, PLANNED - FIRST, rng, 0)
+    more, _ = best_stations(place.pool, view, model, session, PLANNED - FIRST, 0, rng)
     best = place.error(place.refit(place.done(session.asking(more))).calibration)
     return {**out, "best_mm": best, "ratio": out["true_mm"] / best, "said": advice.outcome.sentence}
 
@@ -188,19 +206,19 @@ def tie(task: harness.Task) -> harness.Result:
     session = place.asked(np.clip(rng.uniform(middle - half, middle + half, (RECORDED, len(low))), low, high))
     model = place.refit(session)
     before, used = open_pairs(model), 0
-    stations, between = deciding_stations(model, place.pool, AT_ONCE, np.random.default_rng(seed))
-    if not stations:
+    found, _ = deciding(model.calibration, place.pool, AT_ONCE, np.random.default_rng(seed))
+    if found is None:
         return {"open": False}
-    while stations and used < MORE:
-        stations = stations[: MORE - used]
+    name, other, between = found.effect.label, found.rival.label, found.name
+    while found is not None and used < MORE:
+        stations = deciding_stations(found)[: MORE - used]
         session = place.done(session.asking(stations))
         used += len(stations)
         model = place.refit(session)
-        stations, _ = deciding_stations(model, place.pool, AT_ONCE, np.random.default_rng(seed + used))
-    name, _, other = between.partition(" or ")
+        found, _ = deciding(model.calibration, place.pool, AT_ONCE, np.random.default_rng(seed + used))
     decided = not {(name, other), (other, name)} & open_pairs(model)
     # a curve that was taken for an effect can be told from its rival, and the line that is left cannot
-    same = not decided and (name, other) in one_motion(model, place.pool, np.random.default_rng(seed))
+    same = not decided and between in deciding(model.calibration, place.pool, 1, np.random.default_rng(seed))[1]
     out: harness.Result = {"open": True, "between": between, "more": used, "decided": decided, "one_motion": same}
     out |= {"open_before": len(before), "open_after": len(open_pairs(model))}
     out |= {
@@ -245,8 +263,8 @@ def replay(task: harness.Task) -> harness.Result:
                 session = session.with_station(number, measurer.measure(session.stations[number]))
             # half as many again each time, of a large recording twice as many, for time: what is asked is how few do
             batch = max(12, len(session.rows()) // (1 if len(offered) > LARGE else 2))
-            method = Method(seed, name == "planned", batch)
-            plan = Advisor(robot.mechanism, pool, aim, method, None, robot.inertias)
+            method = Method(seed, batch)
+            plan = ADVISORS[name](robot.mechanism, pool, aim, method, None, robot.inertias)
             advice = plan.advise(session)
             session = advice.session
             if advice.refitted is not None:

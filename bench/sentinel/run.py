@@ -4,8 +4,9 @@ An arm has a reference recording of each of twelve weeks, of three tasks. *Weeks
 beside all before it; in some weeks the task is another, in some a payload is declared. An alarm counts in the week that
 it begins in. *Planted*: two recordings with a change, judged with tag and without; of every joint a zero of one degree,
 and of every kind the size that the report says it would have noticed in 95 of 100 cases. Right: named within two
-recordings; *one of*: it is among what may as well be. *Threshold*, on the same data: the mean of |commanded − measured|
-of some joint is four standard deviations of the reference recordings beyond their mean.
+recordings; *one of*: it is among what may as well be. A joint is named alone, first, or in the set. *Threshold*, on the
+same data: the mean of |commanded − measured| of some joint is four standard deviations of the reference recordings
+beyond their mean.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ def weeks(task: dict[str, Any]) -> dict[str, Any]:
             cases.append({"week": week, "kind": kind, "tag": tag, "hours": cells.seconds / 3600.0, "begins": begins,
                           "status": found.status, "said": alarmed[tag], "log_e": round(float(found.log_e), 2),
                           "asked": round(found.asked, 2), "plain": arm.plain(cells)})  # fmt: skip
-    return {"weights": {str(tag): judge.weight for tag, judge in arm.judges.items()}, "cases": cases}
+    return {"cases": cases}
 
 
 def planted(task: dict[str, Any]) -> dict[str, Any]:
@@ -149,9 +150,11 @@ def outcome(found: Sequence[ArmVerdict], kind: str, label: str) -> Named:
     for k, verdict in enumerate(found):
         for change in verdict.changes[:1]:
             said = "right" if change.label == label else "one of" if label in change.same_as else "wrong"
-            place = label.rpartition(" of ")[2] if kind in OF_A_JOINT else ""
-            return {"outcome": said, "recordings": k + 1, "right_joint": place in ("", change.place),
-                    "said": verdict.sentence, "more": len(verdict.changes) - 1}  # fmt: skip
+            joint = label.rpartition(" of ")[2] if kind in OF_A_JOINT else ""
+            named = [one.rpartition(" of ")[2] for one in (change.label, *change.same_as)]
+            return {"outcome": said, "recordings": k + 1, "first": joint in ("", named[0]),
+                    "among": joint in ("", *named), "alone": not change.same_as, "said": verdict.sentence,
+                    "more": len(verdict.changes) - 1}  # fmt: skip
     return {"outcome": "not found", "log_e": round(float(found[-1].log_e), 1)}
 
 
@@ -190,11 +193,12 @@ def tell_planted(results: Sequence[Named]) -> None:
 
 def counted(cases: Sequence[Named]) -> str:
     found = [case for case in cases if case["outcome"] != "not found"]
-    joints = sum(case["right_joint"] for case in found)
-    plain = sum(case["plain"] for case in cases)
-    return (
-        f"{dict(Counter(c['outcome'] for c in cases))}, joint {joints} of {len(found)}, threshold {plain}/{len(cases)}"
+    alone, first, among = (
+        sum(case["among"] and (case["alone"] or k > 0) and (case["first"] or k > 1) for case in found) for k in range(3)
     )
+    plain = sum(case["plain"] for case in cases)
+    joints = f"joint alone {alone}, first {first}, in the set {among} of {len(found)}"
+    return f"{dict(Counter(c['outcome'] for c in cases))}, {joints}, threshold {plain}/{len(cases)}"
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ from modcal_core.effects.effect import ALL, AXIS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadRecording, NotEnoughData, NotReachable
 from modcal_core.loop import calibrate
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_kinematics import tool_pose
 

@@ -22,7 +22,7 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import ORDER_ONLY, SOCKETS, Recording
 from modcal_core.measurements.samples import Samples
 from modcal_core.outcome.contents import independent_units
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 from modcal_nodes.simulation.mjcf import World
 
 

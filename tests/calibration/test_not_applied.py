@@ -12,6 +12,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.prediction import driver_ranges, typical_sizes
 from modcal_core.calibration.store import Calibration
+from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.effects.drivers import DriverLimits
 from modcal_core.effects.effect import AXIS, LENGTH, Effect
 from modcal_core.effects.shapes import Shape
@@ -38,9 +39,12 @@ def situation(count: int = 60, seed: int = 1) -> Samples:
     return replace(made.samples, signals=(heat,), effort=effort)
 
 
-def frozen(effect: Effect, inertias: Inertias | None = None, clock: bool = True) -> tuple[Calibration, Samples]:
-    """A calibration with one effect that is exactly right for the samples, without noise."""
+def frozen(
+    effect: Effect, inertias: Inertias | None = None, clock: bool = True, heard: SignalTrack | None = None
+) -> tuple[Calibration, Samples]:
+    """A calibration with one effect that is exactly right for the samples, without noise. heard: another signal."""
     samples = replace(situation(), clock=clock)
+    samples = replace(samples, signals=(*samples.signals, *([heard] if heard else [])))
 
     # of its own: where the base is must not depend on which tests ran before
     base = se3.exp(np.random.default_rng(0).normal(size=6))
@@ -121,6 +125,33 @@ def test_a_drift_is_not_continued_to_days_later(effect: Effect, rng: np.random.G
     held = 5e-5 * (60.0 - 20.0) if effect is BY_HEAT else 2e-6 * float(np.ptp(samples.stamps))
     assert size.max == pytest.approx(1e3 * held, rel=1e-9)
     assert any("held beyond what was recorded" in note for note in report.notes)
+
+
+def _applied(calibration: Calibration) -> Model:
+    beyond = calibration.fallback(calibration.calibrated, calibration.geometric)
+    arm = replace(calibration.calibrated.arm, limits=calibration.driver_limits)  # type: ignore[type-var]
+    return replace(calibration.calibrated, arm=arm, fallback=beyond)
+
+
+def test_beyond_what_a_signal_was_geometry_alone_speaks() -> None:
+    """Nobody knows how an effect of a tilt goes on where no tilt was recorded; nearby it is left bit by bit."""
+    heard = SignalTrack("signal:/tilt", situation().stamps, np.linspace(-1.0, 1.0, 60)[:, None])
+    effect = Effect("unknown", "elbow_joint", LENGTH, "signal:/tilt", Shape("linear")).started(np.array([1e-3]))
+    calibration, samples = frozen(effect, heard=heard)
+    evaluated = evaluate(calibration, samples, np.random.default_rng(0))
+    assert evaluated.size_mm("final").max < 1e-6
+    assert evaluated.size_mm("geometric").max > 0.9
+    for times, share in ((1.0, 0.0), (1.1, 0.5), (1.3, 1.0)):  # of the range; it is left over a tenth of it
+        away = replace(samples, signals=(replace(heard, values=np.full((60, 1), times)),))
+        tool, alone = (m.predict_samples(away)[:, :3, 3] for m in (_applied(calibration), calibration.geometric))
+        moved = np.linalg.norm(tool - alone, axis=1)
+        np.testing.assert_allclose(moved, 1e-3 * (1.0 - share), atol=2e-7)
+        at = ArmState.at_rest(
+            samples.q[0], float(samples.stamps[0]), signals=(replace(heard, values=np.full((60, 1), times)),)
+        )
+        own = Correction(calibration).pose(samples.q[0], at, "tool", "tracker")[:3, 3]
+        np.testing.assert_allclose(own, tool[0], atol=1e-9)
+    assert any("Geometry alone counts beyond" in n for n in evaluate(calibration, away, np.random.default_rng(0)).notes)
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from modcal_core.evaluation import evaluate
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 from modcal_core.report.tables import sentence
 
 COUNT = 160

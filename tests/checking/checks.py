@@ -50,7 +50,6 @@ def checked(cell: Cell, seen: Seen, seed: int = 0, count: int = 10, kind: str = 
 
 def missed(cell: Cell, calibration: Calibration | None, seen: Seen, frame: str = "tracker") -> float:
     """RMS distance [m] at fresh postures of a calibration's predictions from where the tool is."""
-    assert calibration is not None
     return rms(calibration.predict(FRESH, frame), seen(FRESH, cell[0].world.tool_in_tracker))
 
 

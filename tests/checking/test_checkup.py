@@ -141,7 +141,7 @@ def test_a_change_is_named_and_repaired(cell: Cell, name: str, kind: str) -> Non
 
 
 def test_nothing_is_named_while_nothing_has_changed(cell: Cell) -> None:
-    for seed in range(6):
+    for seed in range(3):
         found = checked(cell, lambda q, world: world(q), seed)
         assert found.status == "unchanged", found.sentence
         assert found.advice.action == "nothing"
@@ -157,8 +157,6 @@ def test_sizes_lie_in_their_intervals_and_claims_cover_what_a_repair_misses_by(c
         assert size.unit == "mrad"
         inside += size.low <= 0.6 <= size.high
         found = checked(cell, lambda q, world: move @ world(q), seed)
-        assert found.report.claim is not None
-        assert found.repaired is not None
         truth = move @ cell[0].world.tool_in_tracker(FRESH)
         gap = np.linalg.norm(found.repaired.predict(FRESH)[:, :3, 3] - truth[:, :3, 3], axis=1)
         ratios.append(found.report.claim.mm["p95"].ci95[1] / (1e3 * np.percentile(gap, 95)))
@@ -221,7 +219,6 @@ def test_what_gives_way_under_a_recorded_load_only_is_named(cell: Cell, what: st
     samples = replace(samples, signals=(SignalTrack("signal:/payload_kg", samples.stamps, kg[:, None], "/payload_kg"),))
     found = check(cell[1], samples)
     assert names(found) == {("carried", "tool") if what == "tool" else ("load", what)}, found.sentence
-    assert found.repaired is not None
     missed = np.linalg.norm(found.repaired.predict(samples)[:, :3, 3] - T[:, :3, 3], axis=1)
     assert np.sqrt(np.mean(missed**2)) < FLOOR
 
@@ -233,8 +230,6 @@ def test_a_repaired_calibration_is_read_back_and_checks_clean(cell: Cell) -> Non
     after = checked((cell[0], again), CHANGES["tool"].seen, seed=5)
     assert after.status == "unchanged", after.sentence
     # what ten stations say of a tool is less than what eighty did, and the covariance says so
-    assert again.uncertainty is not None
-    assert cell[1].uncertainty is not None
     assert again.uncertainty.covariance.trace() > cell[1].uncertainty.covariance.trace()
 
 
@@ -267,7 +262,6 @@ def test_points_turn_no_flange(cell: Cell, count: int) -> None:
     assert "orientations" in found.sentence
     (said,) = checkup_data(found)["changes"]
     assert (said["same_at_every_posture"], said["same_orientation"]) == (True, False)
-    assert found.repaired is not None
     old, new = cell[1].predict(FRESH), found.repaired.predict(FRESH)
     assert np.abs(so3.log(np.swapaxes(old[:, :3, :3], 1, 2) @ new[:, :3, :3])).max() < 1e-9
     assert missed(cell, found.repaired, lambda q, world: world(q + about(5, angle))) < 3.0 * NOISE_M
@@ -305,7 +299,6 @@ def entries(
 def test_growth_is_said_with_its_share() -> None:
     rng = np.random.default_rng(1)
     (series,) = series_of(entries(list(2.0 + 0.1 * np.arange(5) + 0.01 * rng.standard_normal(5)), std=0.02))
-    assert series.trend is not None
     assert series.trend.low < 0.4 < series.trend.high
     assert series.trend.share == pytest.approx(0.2, abs=0.03)
     assert series.sentence.startswith("The curve of j3 grew by 0.")

@@ -50,19 +50,15 @@ def test_an_unknown_frame_is_placed_and_no_change(cell: Arm, kind: str) -> None:
     assert any(below.endswith(f"These stations do not show: {first}.") for below in tables)
     assert found.expected[0] is not None
     assert found.expected[0] < 2e3 * FLOOR
-    assert found.repaired is not None
     assert found.repaired.frames == ("tracker", "leica")
     assert missed(cell, found.repaired, again(), "leica") < 1.2 * FLOOR
-    assert found.report.claim is not None
     assert found.report.claim.mm["p95"].ci95[1] > 1e3 * missed(cell, found.repaired, again(), "leica")
 
 
 @pytest.mark.parametrize(
     ("name", "seen", "kind", "frame"),
     [
-        ({("tool", "tool")}, again(se3.exp(3e-4 * np.array([1, 0.5, -1, 1, -1, 1]))), "pose", "leica"),
         ({("tool", "tool")}, again(ANOTHER), "pose", "leica"),
-        ({("tool", "tool")}, again(ANOTHER), "point", "leica"),
         ({("joint_zero", "elbow_joint")}, again(zero=8e-4 * np.eye(6)[2]), "pose", "leica"),
         ({("base", "base"), ("tool", "tool"), ("joint_zero", "elbow_joint")}, again(ANOTHER, 1e-3 * np.eye(6)[2]), "pose", "tracker"),
     ],

@@ -25,7 +25,7 @@ from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.recording import TOUCH
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.as_json import claim_data
+from modcal_core.report.report import claim_data
 from modcal_core.robots import read_chain
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.verdict.tolerance import Asked

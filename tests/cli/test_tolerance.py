@@ -35,7 +35,7 @@ def test_a_tolerance_that_is_not_met_or_cannot_be_told_ends_with_3(
     met = report(tmp_path / "out")["tolerance"]
     assert (met["result"], met["asked_mm"], met["statistic"]) == (result, float(mm), of)
     assert (met["ci95"][0] > met["asked_mm"]) == (result == "FAIL")
-    assert "was made from this very recording" in (tmp_path / "out" / "certificate.html").read_text()
+    assert "are of the calibration&#39;s own recording" in (tmp_path / "out" / "certificate.html").read_text()
     assert "<title>a, evaluated on bag</title>" in (tmp_path / "out" / "report.html").read_text()
 
 

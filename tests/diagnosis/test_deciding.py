@@ -23,8 +23,8 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.planning.next_stations import propose, undecided_by_posture
-from modcal_core.planning.site import clearance, site_from_data, spheres_of, visible
+from modcal_core.planning.rivals import DecidingStations, pool_near, propose, undecided_by_posture
+from modcal_core.planning.site import Site, clearance, site_from_data, spheres_of, visible
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.main import run
 from modcal_nodes.cli.plan import _worth
@@ -33,6 +33,11 @@ pytestmark = pytest.mark.slow
 
 WRIST_1, WRIST_2 = 3, 4
 RATIO, COUPLING = ("gear_ratio", "position:wrist_2_joint"), ("coupling", "position:wrist_1_joint")
+
+
+def proposed(calibration: Calibration, count: int) -> DecidingStations:
+    rng = np.random.default_rng(0)
+    return propose(calibration, 0, 0, count, rng, pool_near(calibration, Site(), rng))
 
 
 class Cell:
@@ -75,7 +80,7 @@ def test_the_proposed_stations_decide(truth: int, name: tuple[str, str]) -> None
     assert any(text.endswith(RATIO[1]) for text in both)
     assert any(text.endswith(COUPLING[1]) for text in both)
 
-    proposal = propose(before.calibration, 0, 0, 20, np.random.default_rng(1))
+    proposal = proposed(before.calibration, 20)
     assert proposal.decides
     more = cell.measure(proposal.q, 1.7e9 + 1000.0)
     after = solve(cell.first().followed_by(more))
@@ -153,11 +158,11 @@ BY_EFFORT = joint_effect("compliance", "effort:elbow_joint", [-5e-6], Shape("lin
 def test_what_differs_by_little_is_not_called_the_same() -> None:
     """A ripple of 65 cycles and a payload are no one motion, however small they are; stations enough tell them apart."""
     calibration = tied(RIPPLE, PAYLOAD)
-    few = propose(calibration, 0, 0, 3, np.random.default_rng(0))
+    few = proposed(calibration, 3)
     assert not few.decides
     assert not few.same
     assert few.needed > 3
-    assert propose(calibration, 0, 0, 2 * few.needed, np.random.default_rng(0)).decides
+    assert proposed(calibration, 2 * few.needed).decides
     said = _worth(few)
     assert "same motion" not in said
     assert f"about {few.needed} are needed" in said
@@ -169,14 +174,14 @@ def test_one_motion_under_two_names_is_said_to_be_one() -> None:
     tool = joint_effect("unknown", "position:elbow_joint", [3e-4], Shape("linear"), "tool", "rz")
     calibration = tied(turn, tool)
     tip = replace(calibration.calibrated, T_tip_tool=np.eye(4))
-    proposal = propose(replace(calibration, calibrated=tip), 0, 0, 10, np.random.default_rng(0))
+    proposal = proposed(replace(calibration, calibrated=tip), 10)
     assert proposal.same
     assert "the same motion" in _worth(proposal)
 
 
 def test_effort_at_new_postures_is_not_known() -> None:
     """That gravity stands in for it must not make the two one motion."""
-    proposal = propose(tied(SPRING, BY_EFFORT), 0, 0, 10, np.random.default_rng(0))
+    proposal = proposed(tied(SPRING, BY_EFFORT), 10)
     assert not proposal.decides
     assert "same motion" not in _worth(proposal)
     assert "beyond gravity" in _worth(proposal)

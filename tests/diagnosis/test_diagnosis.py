@@ -26,7 +26,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.outcome.contents import Outcome
 from modcal_core.outcome.entries import Finding
 from modcal_core.preprocess import prepare
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.mjcf import World
@@ -422,4 +422,6 @@ def test_what_stays_behind_as_it_is_accelerated_is_named(place: str) -> None:
         value, _, unit = found.parameters["wind_up"]
         assert value == pytest.approx(3e-3 if place == ELBOW else 1e-3, rel=0.05)
         assert unit == ("rad/(rad/s^2)" if place == ELBOW else "m/(m/s^2)")
+        delay, _, unit = found.parameters["delay"]
+        assert (delay, unit) == (pytest.approx(0.3 * np.sqrt(value), rel=0.2), "s")
         assert "stays behind as it is accelerated" in found.sentence

@@ -22,7 +22,7 @@ from modcal_core.effects.registry import claimed, with_companions
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 
 NOISE_M = 2e-5
 STATIONS, TRAIN = 260, 200

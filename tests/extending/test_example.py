@@ -27,7 +27,7 @@ from diagnosis.test_diagnosis import at_joint, nothing, recorded, report_of
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.effects.effect import columns
 from modcal_core.loop import calibrate
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 from cells import ur10
 
 taut = at_joint(2, lambda q: 1.5e-3 * np.maximum(q[:, 2] - 0.4, 0.0))

@@ -21,7 +21,7 @@ CHANGED = Change("friction", 1, 1.0)
 
 @pytest.mark.slow
 def test_each_robot_is_judged_by_its_own_history(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    days = [cells_of(WORLD.record(day, 30.0, 0), ARM.names, f"day {day}") for day in range(6)]
+    days = [cells_of(WORLD.record(day, 30.0, 0), ARM.names, f"day {day}") for day in range(12)]
     for robot, change in (("sound", NONE), ("worn", CHANGED), ("new", NONE)):
         if robot != "new":
             BagHistory(tmp_path / "histories" / robot, ARM).add(days, "reference")

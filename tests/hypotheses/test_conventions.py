@@ -49,8 +49,6 @@ MISTAKES: dict[str, tuple[Callable[[Samples], Samples], str]] = {
     "wxyz": (lambda s: quaternions(s, [3, 0, 1, 2]), "quaternions look like w x y z read as x y z w"),
     "xyzw": (lambda s: quaternions(s, [1, 2, 3, 0]), "quaternions look like x y z w read as w x y z"),
     "conjugate": (lambda s: replace(s, R=np.swapaxes(s.R, 1, 2)), "orientations look inverse"),
-    "XYZ by xyz": (lambda s: composed(s, "XYZ", "xyz"), "Euler angles composed as"),
-    "ZYX by ZXY": (lambda s: composed(s, "ZYX", "ZXY"), "Euler angles composed as"),
     "ZYZ by ZYX": (lambda s: composed(s, "ZYZ", "ZYX"), "Euler angles composed as"),
     "radians as degrees": (
         lambda s: replace(
@@ -59,7 +57,6 @@ MISTAKES: dict[str, tuple[Callable[[Samples], Samples], str]] = {
         "look like radians read as degrees",
     ),
     "metres as millimetres": (lambda s: replace(s, reading=1e-3 * s.reading), "positions look like metres taken"),
-    "joint sign": (lambda s: replace(s, q=s.q * [1, 1, 1, 1, 1, -1]), "joint wrist_3_joint looks reversed"),
     "joints converted twice": (lambda s: replace(s, q=np.radians(s.q)), "converted to radians twice"),
 }
 
@@ -109,7 +106,7 @@ def test_stated_places_that_are_wrong_are_named_and_no_joint() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [1.0, 5.0, 20.0])
+@pytest.mark.parametrize("size", [1.0, 20.0])
 def test_a_wrong_arm_is_not_a_wrong_convention(size: float) -> None:
     """A robot as far off its drawing as none is built: 10 mm and 20 mrad at every link."""
     samples = record(3, 60, length_std=5e-4 * size, angle_std=1e-3 * size).samples
@@ -146,9 +143,7 @@ def test_readings_that_fit_nothing_are_given_no_name() -> None:
 def test_calibrate_undoes_an_inverse_pose_and_evaluate_refuses_quaternions() -> None:
     made = record(6, 80)
     result = calibrate(inverted(made.samples), CHAIN, np.random.default_rng(0), look_for_effects=False)
-    size = result.report.size_mm("final")
-    assert size is not None
-    assert size.rms < 0.2
+    assert result.report.size_mm("final").rms < 0.2
     assert result.report.grounds.convention == INVERTED
     q = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 6))
     again = samples_of(CHAIN, q, made.world.tool_in_tracker(q))

@@ -27,7 +27,7 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.supervisor import Live
 from modcal_core.outcome.contents import Outcome
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 from modcal_nodes.simulation.mjcf import World
 
 

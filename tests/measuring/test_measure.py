@@ -17,9 +17,10 @@ from modcal_core.effects.registry import candidates
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml, to_yaml
 from modcal_core.geometry import se3
-from modcal_core.planning.advice import Advice, Advisor, Method, _not_by_posture
-from modcal_core.planning.next_stations import one_motion, return_stations
-from modcal_core.planning.pool import of_robot
+from modcal_core.planning.advice import Advice, Advisor, Method
+from modcal_core.planning.next_stations import return_stations
+from modcal_core.planning.pool import survey
+from modcal_core.planning.rivals import deciding
 from modcal_core.planning.session import (
     MEASURED,
     PROOF,
@@ -52,7 +53,7 @@ def cell(**chosen: Any) -> CellInProcess:
 
 
 def advisor(goal: Goal, **options: Any) -> Advisor:
-    pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0))
+    pool = survey(CHAIN, Site(limits=LIMITS), np.random.default_rng(0), drawn=True)
     return Advisor(CHAIN, pool, goal, Method(**options), None, read_inertias(URDF.read_text(), CHAIN))
 
 
@@ -105,7 +106,7 @@ def test_a_goal_is_proven_and_true(whole: Whole, rng: np.random.Generator) -> No
 def test_what_is_proven_is_what_is_used() -> None:
     """A gear's wave is learned from twelve stations; those of the proof go beyond them, and so will those who use it."""
     by = cell(seed=7, gear_joint="elbow_joint", gear_amplitude_rad=2e-4, measurement="pose")
-    pool = of_robot(CHAIN, Site(), "pose", np.random.default_rng(0))
+    pool = survey(CHAIN, Site(), np.random.default_rng(0), "pose", drawn=True)
     advising = Advisor(CHAIN, pool, Goal(1e-4), Method(), None, read_inertias(URDF.read_text(), CHAIN))
     advice = measured(advising, by, Session(CHAIN.names, "pose"))
     assert advice.outcome is not None
@@ -187,7 +188,7 @@ def test_a_camera_on_the_tool_is_offered_what_shows_its_target_and_read_the_othe
     view = {"on_tool": True, "position_m": [0, 0, 0.05], "axis": [0, 0, 1], "half_angle_deg": 25, "range_m": [0.3, 0.9]}
     board = {"position_m": [0.7, 0.1, 0.0], "axis": [0, 0, 1], "half_angle_deg": 50, "radius_m": 0.1}
     site = site_from_data({"tracker": view, "target": board}, "s")
-    pool = of_robot(CHAIN, site, "pose", np.random.default_rng(0), 100)
+    pool = survey(CHAIN, site, np.random.default_rng(0), "pose", 100, drawn=True)
     T = forward(CHAIN, pool.q)
     T_camera = T @ se3.transform(p=[0, 0, 0.05])
     way = np.array([0.7, 0.1, 0.0]) - T_camera[:, :3, 3]
@@ -284,13 +285,16 @@ def test_explanations_that_are_one_motion_are_told_from_those_that_stations_sepa
         )
     )
     calibration = replace(refitted.calibration, calibrated=model.with_effects((lift,)), rivals=((bearing, elbow),))
-    pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0), 100)
-    found = one_motion(replace(refitted, calibration=calibration), pool, np.random.default_rng(0))
-    assert found == {(lift.label, bearing.label)}
-    # another payload loads both alike; beside a wave it would tell
-    said = [_not_by_posture(f"{lift.label} or {other}") for other in (bearing.label, "elbow_joint axis by position")]
-    assert all(s.startswith("cannot tell") and "a target on a link between them" in s for s in said)
-    assert ["another payload" in s for s in said] == [False, True]
+    pool = survey(CHAIN, Site(limits=LIMITS), np.random.default_rng(0), candidates=100, drawn=True)
+    found, why = deciding(calibration, pool, 4, np.random.default_rng(0))
+    assert found is not None
+    assert found.name == f"{lift.label} or {elbow.label}"
+    assert list(why) == [f"{lift.label} or {bearing.label}"]
+    # another payload loads both alike
+    (said,) = why.values()
+    assert said.startswith("cannot tell")
+    assert "a target on a link between them" in said
+    assert "another payload" not in said
 
 
 @pytest.mark.slow

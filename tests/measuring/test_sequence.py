@@ -196,7 +196,7 @@ def test_an_arm_that_stands_where_it_may_not_be_is_held_and_no_station_is_given_
 
 def test_an_arm_that_stands_a_little_beside_a_limit_goes_on(tmp_path: Path) -> None:
     place = Place(SHAPED, chosen(tmp_path))
-    place.advise()
+    place.kept.advise()
     start = MIDDLE + (HALF + 2e-3) * np.eye(6)[2]
     number = place.session.pending[0]
     motion = place.way(number, start, 0.3)
@@ -213,7 +213,7 @@ def test_no_joint_is_faster_than_its_description_allows(tmp_path: Path) -> None:
     def top(urdf: str, folder: Path) -> Array:
         folder.mkdir()
         place = Place(urdf, chosen(folder))
-        place.advise()
+        place.kept.advise()
         motion = place.way(place.session.pending[0], MIDDLE, 0.3)
         assert motion is not None
         return np.asarray(np.abs(motion.v).max(axis=0))

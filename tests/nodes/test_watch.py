@@ -19,7 +19,7 @@ from report.judged import CANNOT, FLOOR, OPEN, WHY
 from report.reports import points
 
 from modcal_core.online.supervisor import Policy, Supervisor
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 from modcal_core.report.tables import sentence
 from modcal_core.verdict.verdict import Verdict
 from modcal_nodes.calibrating.diagnostics import Standing, model_status, standing_of

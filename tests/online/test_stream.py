@@ -212,3 +212,20 @@ def test_readings_without_joint_states_are_counted_and_not_kept_for_ever() -> No
     for k in range(9000):
         stream.reading(POINT, "tracker", BEGIN + 0.005 * k, position)
     assert stream.counts.unpaired == 9000 - 8192
+
+
+def test_readings_of_a_burst_share_the_time_since_the_one_before() -> None:
+    """A driver hands over 17 readings every third of a second; an instrument of 2 kHz has no bursts."""
+    joints, taken = np.arange(0.0, 42.0, 0.01), 31.0 + 0.02 * np.arange(17 * 29)
+    arrived = np.ceil((taken - 31.0 + 1e-9) / 0.34) * 0.34 + 31.0
+    arrived += 1e-4 * (np.arange(len(taken)) - np.searchsorted(arrived, arrived))
+    samples, stream = heard(joints, arrived)
+    stamps = np.array([s.stamps[0] - BEGIN for s in samples])
+    late = stamps[40:] - taken[40 : len(stamps)]
+    assert stream.counts.bursts == pytest.approx(29, abs=1)
+    assert float(np.ptp(late)) < 2e-3  # a delay, which is fitted, and no more
+    assert off(samples[40:]) < 1e-6
+    fast = np.arange(31.0, 31.5, 5e-4)
+    samples, stream = heard(joints[:3300], fast)
+    assert stream.counts.bursts == 0
+    np.testing.assert_allclose([s.stamps[0] - BEGIN for s in samples], fast, atol=1e-6)

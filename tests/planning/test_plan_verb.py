@@ -31,7 +31,7 @@ def site_file(tmp_path: Path) -> Path:
 
 def test_stations_in_every_form(site_file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    arguments = ["--stations", "24", "--candidates", "80", "--starts", "1", "--speed", "0.8", "--dwell", "1.5"]
+    arguments = ["--stations", "24", "--candidates", "80", "--speed", "0.8", "--dwell", "1.5"]
     assert run(["plan", str(IRB1410), "--site", str(site_file), *arguments, "--out", str(out)]) == 0
     told = " ".join(capfd.readouterr().out.split())
     assert "24 stations. To be claimed of a usual arm: 95 % of the errors over the workspace are below" in told
@@ -75,7 +75,7 @@ def test_the_plan_is_taken_by_sensitivity(site_file: Path, tmp_path: Path, capfd
     """Stations that hold the wrist still are planned for an arm whose wrist is not asked about, and it is said."""
     data = {**HALL, "limits": {f"joint_{k}": [0.3, 0.300001] for k in (4, 5, 6)}}
     site_file.write_text(yaml.safe_dump(data))
-    arguments = ["--stations", "24", "--candidates", "40", "--starts", "1", "--out", str(tmp_path / "out")]
+    arguments = ["--stations", "24", "--candidates", "40", "--out", str(tmp_path / "out")]
     assert run(["plan", str(IRB1410), "--site", str(site_file), *arguments]) == 0
     plan = tmp_path / "out" / "plan.yaml"
     assert run(["sensitivity", str(IRB1410), "--measured", str(plan), "--out", str(tmp_path / "s")]) == 0
@@ -121,7 +121,7 @@ def test_tables_and_pictures_of_the_irb_1410(tmp_path: Path, capfd: pytest.Captu
         "sensitivity.json", "single_point.csv", "report.html",
     }  # fmt: skip
     data = json.loads((out / "sensitivity.json").read_text())
-    assert data["design"] == {"name": "l25", "postures": 25}
+    assert data["postures"] == 25
     rows = {row["name"]: row for row in data["parameters"]}
     assert len(rows) == 33
     assert sum(row["share"] for row in rows.values()) == pytest.approx(1.0)
@@ -160,8 +160,7 @@ def test_some_parameters_alone_are_as_among_all(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["irb1410.yaml", "--design", "array", "--levels", "4"], "the number is not a prime"),
-        (["iiwa14.urdf", "--design", "l25"], "it has 6 columns, the arm 7 joints"),
+        (["irb1410.yaml", "--levels", "4"], "the number is not a prime"),
         (["irb1410.yaml", "--base-factor", "joint_9/a"], "is not one of the chain's"),
         (["irb1410.yaml", "--only", "elbow/*"], "pattern 'elbow/*': matches no parameter"),
     ],
@@ -201,6 +200,6 @@ def test_axes_that_dh_cannot_hold(tmp_path: Path, capfd: pytest.CaptureFixture[s
     file.write_text(yaml.safe_dump(to_cpc(ur10().with_origins(moved))))
     assert run(["sensitivity", str(file), "--out", str(tmp_path / "out")]) == 2
     assert "give --parameters calibration" in capfd.readouterr().err
-    arguments = ["--parameters", "calibration", "--design", "sobol", "--postures", "8", "--out", str(tmp_path / "out")]
+    arguments = ["--parameters", "calibration", "--out", str(tmp_path / "out")]
     assert run(["sensitivity", str(file), *arguments]) == 0
     assert len(json.loads((tmp_path / "out" / "sensitivity.json").read_text())["parameters"]) == 27

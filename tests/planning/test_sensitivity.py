@@ -14,29 +14,27 @@ from modcal_core.calibration.structure import choose_parameters
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.planning.pool import (
+from modcal_core.planning.pool import one_frame_model
+from modcal_core.planning.sensitivity_study import (
     ClosedChain,
+    array_postures,
     calibration_chain,
     dh_closed_chain,
-    one_frame_model,
-    sizes_of,
-)
-from modcal_core.planning.sensitivity_study import (
-    design,
     gains,
     interval_probabilities,
     joint_use,
     left_by,
     sensitivity,
-    sobol_postures,
+    sizes_of,
 )
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.mechanism import random_postures
 
 
 def test_errors_move_the_point_as_in_an_arm_written_by_hand(rng: np.random.Generator) -> None:
     table, closed = irb1410_table(), dh_closed_chain(irb1410(), point=POINT)
-    q = sobol_postures(irb1410(), 6, rng)
+    q = random_postures(irb1410(), 6, rng)
 
     def point(x: Array) -> Array:
         named = dict(zip(closed.names, x, strict=True))
@@ -51,7 +49,7 @@ def test_what_calibrate_fits_moves_its_model(chain: Chain, kind: str, rng: np.ra
     T, tool = se3.exp([0.4, -0.2, 0.3, 0.5, 0.1, -0.7]), se3.exp([0.1, 0.05, 0.2, 0.4, -0.3, 0.2])
     closed, model = calibration_chain(chain, T, tool, kind), one_frame_model(chain, T, tool)
     parameters = choose_parameters(model, (View(kind, 0),)).parameters
-    q = sobol_postures(chain, 4, rng)
+    q = random_postures(chain, 4, rng)
 
     def point(x: Array) -> Array:
         return model_at(model, parameters, x).predict(q)[:, :3, 3].ravel()
@@ -104,7 +102,7 @@ def abb() -> ClosedChain:
 
 @pytest.fixture(scope="module")
 def l25() -> Array:
-    return design(irb1410(), "l25", np.random.default_rng(0))
+    return array_postures(irb1410())
 
 
 def test_single_point_indices_are_how_far_the_point_moves(abb: ClosedChain, l25: Array) -> None:
@@ -145,7 +143,7 @@ def test_interval_weights_by_hand() -> None:
 
 def test_the_shares_of_a_linear_error_are_those_of_arms_drawn_at_random(abb: ClosedChain) -> None:
     """Each parameter's share is the variance that goes when only it is known."""
-    q = sobol_postures(irb1410(), 12, np.random.default_rng(1))
+    q = random_postures(irb1410(), 12, np.random.default_rng(1))
     sizes = sizes_of(abb, 5e-4, 1e-3)
     found = gains(abb.jacobian(q)[:, :3], np.diag(sizes**2))
     table, rng = irb1410_table(), np.random.default_rng(2)
@@ -169,7 +167,7 @@ def test_the_shares_of_a_linear_error_are_those_of_arms_drawn_at_random(abb: Clo
 @pytest.mark.parametrize("measured", [False, True])
 def test_a_gain_is_what_goes_away_when_the_parameter_is_known(abb: ClosedChain, l25: Array, measured: bool) -> None:
     sizes = sizes_of(abb, 5e-4, 1e-3)
-    G = abb.jacobian(sobol_postures(irb1410(), 50, np.random.default_rng(3)))[:, :3]
+    G = abb.jacobian(random_postures(irb1410(), 50, np.random.default_rng(3)))[:, :3]
     J = abb.jacobian(l25[:4])[:, :3].reshape(-1, 33)
 
     def covariance(sizes: Array) -> Array:
@@ -185,8 +183,8 @@ def test_a_gain_is_what_goes_away_when_the_parameter_is_known(abb: ClosedChain, 
 def test_what_matters_and_is_not_seen_is_said(abb: ClosedChain) -> None:
     sizes = sizes_of(abb, 5e-4, 1e-3)
     rng = np.random.default_rng(4)
-    G = abb.jacobian(sobol_postures(irb1410(), 200, rng))[:, :3]
-    q = sobol_postures(irb1410(), 40, rng)
+    G = abb.jacobian(random_postures(irb1410(), 200, rng))[:, :3]
+    q = random_postures(irb1410(), 40, rng)
 
     def named(q: Array) -> set[str]:
         J = abb.jacobian(q)[:, :3].reshape(-1, 33)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -14,9 +15,15 @@ from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.outcome.contents import Outcome
+from modcal_core.report.html import to_html
+from modcal_core.report.report import to_json_data
 
 COUNT = 120
 WRONG = (7, 50, 91)
+
+
+def page_of(report: Outcome, files: Sequence[str] = (), calibration: str = "") -> str:
+    return to_html(report, to_json_data(report), files, calibration)
 
 
 @cache

@@ -21,18 +21,15 @@ from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.outcome import tool_difference
 from modcal_core.outcome.contents import Outcome
-from modcal_core.report.as_json import to_json_data
 from modcal_core.report.blocks import text
 from modcal_core.report.certificates import (
-    OWN_RECORDING,
     Certificate,
     Hashes,
     Particulars,
     certificate,
-    certificate_html,
-    is_made_from,
 )
 from modcal_core.report.comparison import Side, compare
+from modcal_core.report.report import to_json_data
 from modcal_core.verdict.iso9283 import CYCLES, POSES, pose_test
 from modcal_core.verdict.tolerance import Asked
 from modcal_core.verdict.verdict import Reason, Verdict
@@ -71,7 +68,7 @@ def test_a_pass_is_calm_only_where_nothing_is_left_in_doubt(
     assert one.met.result == heading.partition(",")[0]
     if heading != "PASS":
         assert one.reservations or judged is FLOOR
-    page = certificate_html(one)
+    page = one.html()
     assert all(reason.split("'")[0] in page for reason in one.reservations)
 
 
@@ -80,18 +77,6 @@ def test_a_tolerance_below_the_floor_is_named_as_what_it_is() -> None:
     assert one.met.result == "FAIL"
     assert one.reservations[0].startswith("Arm and instrument alone scatter by 0.4 mm RMS, more than the tolerance")
     assert not certificate(report(replace(FLOOR, floor_mm=0.0005), 0.001), INSTRUMENT).reservations
-
-
-def test_the_recording_that_a_calibration_was_made_from_proves_nothing() -> None:
-    made = record(4, 60, "point")
-    calibration = calibrate(made.samples, ur10(), np.random.default_rng(0), look_for_effects=False).calibration
-    assert is_made_from(calibration, made.samples)
-    assert not is_made_from(calibration, record(9, 60, "point").samples)
-    later = replace(made.samples, stamps=made.samples.stamps + 1e5)
-    assert not is_made_from(calibration, later)
-    one = certificate(report(FLOOR), INSTRUMENT, made_from=True)
-    assert one.heading == "PASS, with reservations"
-    assert one.reservations == (OWN_RECORDING,)
 
 
 def test_without_a_tolerance_there_is_none() -> None:
@@ -109,12 +94,12 @@ def full() -> Certificate:
     reasons = tuple(Reason("above_floor", f"{k}. " + "The residual correlates with something. " * 6) for k in range(9))
     said = Particulars(**dict.fromkeys(("robot", "serial", "instrument", "conditions"), "Müller ≤ Ω <b> " * 6))
     hashes = Hashes("ab" * 32, "cd" * 32, "ef" * 32)
-    return certificate(report(Verdict("open", reasons), 0.001), INSTRUMENT, said, hashes, made_from=True)
+    return certificate(report(Verdict("open", reasons), 0.001), INSTRUMENT, said, hashes)
 
 
 def test_the_page_is_well_formed_and_says_what_the_certificate_says() -> None:
     one = full()
-    page = certificate_html(one)
+    page = one.html()
     found = Elements(page)
     assert not found.unclosed
     assert "://" not in page

@@ -13,12 +13,11 @@ from cli.recordings import stations
 from cli.test_check import BUMP, later
 from report.browser import CONTRASTS, MIN, Page
 from report.judged import FLOOR
-from report.reports import points
+from report.reports import page_of, points
 from report.test_certificate import full, report
 from report.test_page import Elements, page
 
-from modcal_core.report.certificates import certificate, certificate_html
-from modcal_core.report.html import to_html
+from modcal_core.report.certificates import certificate
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
@@ -29,8 +28,8 @@ ROBOT = str(ROOT / "examples" / "robots" / "ur10.urdf")
 DOOR = str(ROOT / "examples" / "tables" / "door.txt")
 BODY = ROOT / "examples" / "body"
 VERBS: dict[str, list[str]] = {
-    "plan": ["plan", ROBOT, "--stations", "26", "--candidates", "60", "--starts", "1"],
-    "sensitivity": ["sensitivity", ROBOT, "--postures", "8"],
+    "plan": ["plan", ROBOT, "--stations", "26", "--candidates", "60"],
+    "sensitivity": ["sensitivity", ROBOT],
     "limits": ["limits", ROBOT, "--payload", "2", "--workspace", "20"],
     "articulate": ["articulate", DOOR],
     "camera": [
@@ -41,9 +40,9 @@ VERBS: dict[str, list[str]] = {
 }
 MADE: dict[str, Callable[[], str]] = {
     "calibrate": lambda: page("warm"),
-    "evaluate": lambda: to_html(replace(points(), searched=None), calibration="cell_3"),
-    "certificate": lambda: certificate_html(certificate(report(FLOOR))),
-    "certificate_full": lambda: certificate_html(full()),
+    "evaluate": lambda: page_of(replace(points(), searched=None), calibration="cell_3"),
+    "certificate": lambda: certificate(report(FLOOR)).html(),
+    "certificate_full": lambda: full().html(),
 }
 OPEN_ALL = """(async () => { document.querySelectorAll("details").forEach((d) => { d.open = true; });
   await new Promise((done) => setTimeout(done, 50)); })()"""  # until the page has heard of it

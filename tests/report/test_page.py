@@ -9,17 +9,16 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from report.reports import COUNT, REPORTS, WRONG, delta, points, warm_cell
+from report.reports import COUNT, REPORTS, WRONG, delta, page_of, points, warm_cell
 
 from modcal_core.calibration.data_split import Split
 from modcal_core.calibration.noise import Errors
 from modcal_core.measurements.dwells import SAME
 from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.outcome.contents import Outcome
-from modcal_core.report.as_json import to_json_data
 from modcal_core.report.blocks import FILES, as_script_data
 from modcal_core.report.figures import scene
-from modcal_core.report.html import to_html
+from modcal_core.report.report import to_json_data
 
 Element = tuple[str, dict[str, str]]
 
@@ -53,7 +52,7 @@ class Elements(HTMLParser):
 
 @cache
 def page(name: str) -> str:
-    return to_html(REPORTS[name](), [file.name for file in FILES])
+    return page_of(REPORTS[name](), [file.name for file in FILES])
 
 
 @cache
@@ -188,7 +187,6 @@ def repeated(report: Outcome, times: int) -> Outcome:
         samples=samples,
         sets=sets,
         scored=samples.select(sets.held_out[~wrong[sets.held_out]]),
-        rejected=int(wrong.sum()),
         errors={stage: again(errors) for stage, errors in report.errors.items()},
         steps=tuple(replace(step, errors=again(step.errors)) for step in report.steps),
         residuals=np.tile(report.residuals, times),
@@ -201,11 +199,11 @@ def test_a_long_recording_makes_no_larger_page() -> None:
     """20 000 stations: what is drawn is thinned, and what is counted is not."""
     long = repeated(warm_cell(), -(-20_000 // COUNT))
     assert long.samples.stations >= 20_000
-    text = to_html(long, [file.name for file in FILES])
+    text = page_of(long, [file.name for file in FILES])
     assert len(text.encode()) < 900_000
     assert len(text.encode()) < 2.5 * len(page("warm").encode())
     assert str(long.samples.stations) in text
-    assert f"And {long.rejected - 30} more; all are in report.json." in text
+    assert f"And {int(long.wrong.sum()) - 30} more; all are in report.json." in text
     # every chart of the residual has at most 400 samples, of each of which three components are drawn
     marks = [len(places.split()) // 2 for places in re.findall(r'<path d="M([^"]+)" fill="none" marker-start', text)]
     assert max(marks) == 400
@@ -224,4 +222,4 @@ def test_joint_offsets_come_first_and_no_table_mixes_units() -> None:
 @pytest.mark.slow
 def test_an_evaluation_is_named_after_its_calibration() -> None:
     report = replace(points(), searched=None)
-    assert "<title>cell_3, evaluated on recording</title>" in to_html(report, calibration="cell_3")
+    assert "<title>cell_3, evaluated on recording</title>" in page_of(report, calibration="cell_3")

@@ -21,8 +21,9 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.outcome.entries import load_findings, load_notes
 from modcal_core.outcome.joint_offsets import joint_offsets
-from modcal_core.report.as_json import loads_to_json
+from modcal_core.report.blocks import TableBlock
 from modcal_core.report.charts import AFTER, BAD, Axis, Chart, Panel, round_numbers
+from modcal_core.report.report import loads_to_json
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.verdict.contradicted import long_tool, sane_inertias
 from modcal_nodes.simulation.mjcf import World
@@ -130,6 +131,17 @@ def test_masses_in_units_of_another_are_no_kilograms() -> None:
 def test_nothing_is_said_of_nothing() -> None:
     assert load_notes(None) == ()
     assert loads_to_json(None) is None
+
+
+def test_a_row_is_written_from_a_record_and_none_as_nothing() -> None:
+    record = {"name": "gear | x_1", "size": None, "ends": (0.1, 0.25), "of": "position:j_1"}
+    table = TableBlock.of(
+        "", "a | b | c | d", "{name} | {size[rms]:.1f} | {ends:.2f} | {of:driver}, {of:words}", [record]
+    )
+    assert table.header == ("a", "b", "c", "d")
+    assert table.rows == (("gear | x_1", "", "0.10 … 0.25", "position of j_1, position:j 1"),)
+    with pytest.raises(KeyError):
+        TableBlock.of("", "a", "{nmae}", [record])
 
 
 def test_ticks_stand_where_those_of_other_charts_do() -> None:

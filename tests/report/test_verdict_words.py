@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from cli.recordings import stations
 from report.judged import CANNOT, FLOOR, OPEN, ROWS, WHY, everything
-from report.reports import delta, points, warm_cell
+from report.reports import delta, page_of, points, warm_cell
 
 from modcal_core.calibration.known_distances import KnownDistance
 from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.measurements.samples import cut_stations
 from modcal_core.outcome.contents import STAGES, Outcome
-from modcal_core.report.as_json import to_json_data
-from modcal_core.report.html import to_html
+from modcal_core.report.report import to_json_data
 from modcal_core.report.tables import NOT_SOUGHT, REMEDY, account_tables, sentence
 from modcal_core.verdict.floor import reading_scatter_mm
 from modcal_core.verdict.tolerance import Asked
@@ -167,7 +166,7 @@ def test_shares_are_of_one_whole_and_never_beyond_it(left: float, shown: str) ->
     [(FLOOR, "good", "at the floor"), (OPEN, "bad", "open"), (CANNOT, "warn", "cannot tell"), (None, "warn", "cannot")],
 )
 def test_the_colour_of_the_page_is_that_of_the_status(verdict: Verdict | None, tone: str, heading: str) -> None:
-    page = to_html(replace(points(), judged=verdict))
+    page = page_of(replace(points(), judged=verdict))
     assert f'<p class="verdict {tone}"><strong>Verdict: {heading}' in page
     assert ('class="reasons' in page) == (verdict is OPEN)
 
@@ -175,12 +174,12 @@ def test_the_colour_of_the_page_is_that_of_the_status(verdict: Verdict | None, t
 @pytest.mark.slow
 def test_the_page_shows_the_account_and_the_reasons() -> None:
     report = judged(warm_cell(), replace(OPEN, account_mm2=ROWS, account_deg2=ROWS[:1]))
-    page = to_html(report.with_tolerance(Asked(0.2)))
+    page = page_of(report.with_tolerance(Asked(0.2)))
     for reason in WHY:
         assert f"<li>{reason.sentence}</li>" in page
     assert page.count('aria-label="Account in ') == 2  # one in mm², one in deg²
     assert '<th scope="row">gear_harmonic elbow_joint</th>' in page
-    assert '<b class="warn">CANNOT TELL</b>' in page
+    assert '<b class="warn">CANNOT TELL:</b>' in page
     rms = report.rejection
     assert rms is not None
     said = f"{rms.with_mm:.3f} mm RMS with them, {rms.without_mm:.3f} mm without."

@@ -16,7 +16,7 @@ from robots.test_tables import assert_same, bend
 from modcal_core.errors import BadTable, NotRepresentable
 from modcal_core.geometry import se3, so3
 from modcal_core.measurements.kinds import kinds
-from modcal_core.planning import CRITERIA, DESIGNS, site_from_data, with_limits
+from modcal_core.planning import site_from_data, with_limits
 from modcal_core.robots import delta_from_data, forward
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import to_dh
@@ -167,11 +167,6 @@ def test_files_are_read(tmp_path: Path) -> None:
     cell = read_cell(tmp_path / "cell.yaml")
     assert [k.frame for k in cell.known] == [k["frame"] for k in yaml.safe_load(text)["known"]]
     assert len(cell.distances) == 2
-
-
-@pytest.mark.parametrize(("name", "names"), [("sensitivity", DESIGNS), ("planning", CRITERIA)])
-def test_every_choice_is_explained(name: str, names: tuple[str, ...]) -> None:
-    assert all(f"| `{choice}`" in page(name) or f", `{choice}` |" in page(name) for choice in names)
 
 
 def test_the_table_of_kinds_is_the_registry() -> None:

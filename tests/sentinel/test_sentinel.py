@@ -16,11 +16,11 @@ from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.measurements import JointTrack, Recording
 from modcal_core.robots import read_inertias
 from modcal_core.sentinel import ArmJudge, ArmVerdict, BagHistory, Cells, MonitoredArm, Normal, cells_of
-from modcal_core.sentinel.judging import _judged
+from modcal_core.sentinel.predictive import Number, Scatter, Spoken
 from modcal_msgs_py import episodes_of, write_recording
 from modcal_nodes.cli.main import run
 
-SECONDS, DAYS = 30.0, 6
+SECONDS, DAYS = 30.0, 12
 WORLD = ArmWorld("ur10", 3, tag=True)
 ARM = MonitoredArm(WORLD.chain.names, WORLD.chain, read_inertias(WORLD.urdf, WORLD.chain))
 ELBOW, WRIST = ARM.names[2], ARM.names[3]
@@ -76,12 +76,38 @@ def test_other_work_and_a_declared_payload_are_no_alarms(normal: ArmJudge) -> No
     assert not by(normal, heavy, other_payload=True).changes
 
 
-def test_what_another_change_explains_leaves_no_evidence_of_rounding(normal: ArmJudge) -> None:
-    """Of a square of 1e6 rounding is left, and of what it says a little more."""
-    one = next(c for c in normal._asked.candidates if len(c.columns) == 1)
-    found = _judged(one, np.array([[1e-9]]), np.array([[1e6]]), np.array([1e-3]))
-    assert found.likelihood == 0.0
-    assert found.log_factor <= 0.0
+def test_what_another_change_explains_leaves_no_evidence_of_rounding() -> None:
+    """Of information of 1e6 on two changes that are alike rounding is left, and of what it says a little more."""
+    rng, told = np.random.default_rng(0), np.array([[1.0, 1.0], [1.0, 1.0 + 1e-13]])
+    every = [Spoken(("a", "b"), told, told @ rng.normal(size=2)) for _ in range(8)]
+    beside = [one.beside(np.eye(2)[:, :1]) for one in every]
+    found = Scatter.of(np.eye(2)[:, 1:], every).number(replace(beside[0], vector=np.array([0.0, 1e-3])))
+    assert (found.square, found.directions) == (0.0, 0)
+    assert Scatter.of(np.eye(2)[:, 1:], beside).freedom == 0
+
+
+@pytest.mark.parametrize(("m", "k"), [(4, 1), (12, 1), (12, 6), (40, 3)])
+def test_evidence_is_an_e_value_whatever_the_recordings_scatter_by(m: int, k: int) -> None:
+    """Numbers that scatter by more than the model says, and more in one direction than in another: of new ones without
+    a change the mean Bayes factor is one at most, and as many are beyond a limit as Markov's inequality allows.
+    """
+    rng, sizes, factors = np.random.default_rng(m + k), 2.0 ** np.arange(1.0, 12.0), []
+    far = rng.uniform(1.0, 4.0, k)
+    for _ in range(400):
+        told = [Spoken((), np.eye(k), far * rng.normal(size=k)) for _ in range(m)]
+        scatter = Scatter.of(np.eye(k), told)
+        factors += [
+            scatter.number(Spoken((), np.eye(k), far * z)).log_factor(sizes, False) for z in rng.normal(size=(50, k))
+        ]
+    e = np.exp(np.array(factors)).mean(axis=1)
+    assert e.mean() < 1.1
+    assert (e > 100.0).mean() < 0.01
+
+
+def test_a_growing_change_is_not_below_zero() -> None:
+    up = Number(50.0, 1, True, 11).log_factor(np.array([8.0]), True)
+    assert up - Number(50.0, 1, False, 11).log_factor(np.array([8.0]), True) > 8.0
+    assert abs(up - Number(50.0, 1, True, 11).log_factor(np.array([8.0]), False) - np.log(2.0)) < 1e-3
 
 
 def test_a_change_is_dated(normal: ArmJudge) -> None:
@@ -149,10 +175,10 @@ def test_a_history_keeps_what_it_has(tmp_path: Path) -> None:
 
 
 def test_the_verb_reads_bags_and_goes_on_with_a_history(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for day, change in [(d, Change()) for d in range(4)] + [(9, Change("zero", 2, np.radians(2.0)))]:
+    for day, change in [(d, Change()) for d in range(8)] + [(9, Change("zero", 2, np.radians(2.0)))]:
         made = WORLD.record(day, 14.0, 0, change)
         write_recording(made, tmp_path / f"day{day}", commanded=made.commands[0])
-    reference = [word for day in range(4) for word in ("--reference", str(tmp_path / f"day{day}"))]
+    reference = [word for day in range(8) for word in ("--reference", str(tmp_path / f"day{day}"))]
     folder, out = ["--history", str(tmp_path / "kept")], ["--out", str(tmp_path / "out"), "--json"]
     assert run(["sentinel", str(tmp_path / "day3"), *reference, *folder, *out]) == 0
     capsys.readouterr()

@@ -94,14 +94,15 @@ class ArmWorld:
         model.site("dock").pos += rng.normal(0.0, 2e-4, 3) if self.dock else 0.0  # how well it is put back
         commands, docked = _course(np.concatenate([tour, docks]), len(docks), seconds, rng.uniform(0.5, 0.9), rng)
         until = len(commands)
-        late = round(change.size / STEP) if change.kind == "latency" else 0
+        late = change.size / STEP if change.kind == "latency" else 0.0
         offset, ratio = np.zeros(c.n), np.ones(c.n)
         if change.kind == "zero":
             offset[j] = change.size
         if change.kind == "ratio":
             ratio[j] += change.size
         data.qpos[motors] = ratio * commands[0] + offset
-        told = ratio * np.concatenate([np.repeat(commands[:1], late, axis=0), commands[: until - late]]) + offset
+        heard = np.arange(until) - late  # a command is held at its first value before it comes
+        told = ratio * np.stack([np.interp(heard, np.arange(until), column) for column in commands.T], axis=1) + offset
         control = np.zeros((until, c.n + model.nv + 1))
         control[:, -1] = docked
         control[:, : c.n] = told

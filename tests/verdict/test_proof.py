@@ -19,7 +19,7 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import PART, SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.outcome import Outcome
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 from modcal_core.verdict import Case, Proofs, Verdict, fitted_case
 
 ELBOW, CALM = 2, Verdict("at_floor")

@@ -17,7 +17,7 @@ from modcal_core.calibration.stated import Stated
 from modcal_core.geometry import so3
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report.report import to_json_data
 from modcal_core.verdict.case import Case, fitted_case
 from modcal_core.verdict.floor import Floor, depends_on, floors, returns_of
 from modcal_core.verdict.grounds import Grounds, NotApplied, too_many

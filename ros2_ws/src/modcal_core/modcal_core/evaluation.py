@@ -109,7 +109,6 @@ def evaluate(
         samples=samples,
         sets=stood.sets,
         scored=scored,
-        rejected=len(held_out) - len(scored),
         errors=residuals,
         parameters=calibration.parameters,
         offsets=offsets_of(calibration),

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from modcal_core.calibration.parameters import INSTRUMENT, PRIOR_ANGLE_RAD, PRIOR_LENGTH_M, ModelParameter, View
     from modcal_core.calibration.parameters import direction_names, drop_fixed, least_change, ordered_candidates
     from modcal_core.calibration.parameters import passing_directions
-    from modcal_core.calibration.prediction import averaged, cost_of_holding, outside_drivers
+    from modcal_core.calibration.prediction import averaged, cost_of_holding, outside_drivers, signals_of
     from modcal_core.calibration.starts import fit_geometry
     from modcal_core.calibration.stated import Stated, StatedTool, contradicted_places, stated_std
     from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data
@@ -77,7 +77,7 @@ __all__ += ["nonnegative", "normal_equations", "objective", "ordered_candidates"
 __all__ += ["own_statement", "parameter_count", "passing_directions", "place_instruments", "place_model", "places_of"]
 __all__ += ["priors", "procrustes", "quantile_chi2", "readmitted", "refit_cell", "rejected", "require_enough"]
 __all__ += ["right_after_all", "robust_weights", "row_weights", "runs_of", "score_of_one", "shared_noise", "sharpened"]
-__all__ += ["split", "squared_residuals", "standard_score", "stated_std", "station_numbers", "to_data"]
+__all__ += ["signals_of", "split", "squared_residuals", "standard_score", "stated_std", "station_numbers", "to_data"]
 __all__ += ["together_stated", "tool_and_place", "turns_left", "uncertainty", "uncertainty_of", "uncontradicted"]
 __all__ += ["units_of_stations", "usual_miss", "values_without", "views_of", "visibility", "weigh", "with_doubt"]
 __all__ += ["with_frames", "with_sockets", "without"]

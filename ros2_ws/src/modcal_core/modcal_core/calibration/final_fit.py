@@ -28,7 +28,7 @@ from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.model import Model, curved_joints
 from modcal_core.calibration.noise import errors, outlying, row_weights, typical_scatter
 from modcal_core.calibration.parameters import ModelParameter, least_change
-from modcal_core.calibration.prediction import driver_ranges, typical_sizes
+from modcal_core.calibration.prediction import driver_ranges, signals_of, typical_sizes
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import ParameterChoice
 from modcal_core.effects import STEPS, Effect, claimed, is_move, prior_stds
@@ -204,7 +204,6 @@ def finalise(
         scatter=typical_scatter(samples),
         converged=all(each.converged for each in fits),
         clock=samples.clock,
-        ranges=driver_ranges(tidy, samples),
         typical=typical_sizes(tidy, samples),
         marks=marks_of(samples),
     )
@@ -217,7 +216,7 @@ def as_used(full: Fit, alone: Fit, samples: Samples, at: Samples, distances: Seq
     """
     curved = curved_joints(full.model.effects, full.model.chain.names)
     low, high = samples.q.min(axis=0), samples.q.max(axis=0)
-    if not ((at.q < low) | (at.q > high))[:, curved].any():
+    if not ((at.q < low) | (at.q > high))[:, curved].any() and not signals_of(full.model.effects):
         return full.model
     made = _calibration((alone.model, full.model, alone.model), samples, full.parameters, full, distances)
     beyond = made.fallback(full.model, alone.model)
@@ -243,6 +242,7 @@ def _calibration(
         uncertainty=uncertainty(full, samples, parameters, fit, distances),
         left_alone=float(np.sqrt(np.mean(left**2))) if np.isfinite(left).all() else 0.0,
         geometry_outside=geometry_is_better(full, alone, samples, parameters, fit, distances),
+        ranges=driver_ranges(full, samples),
     )
 
 

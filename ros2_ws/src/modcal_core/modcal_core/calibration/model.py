@@ -4,13 +4,13 @@ The geometry beside curves is not the best without them. Whether the geometry th
 curve was seen is read from the calibration's own recording, the outermost postures of which are left out of a fit of
 either (:mod:`modcal_core.calibration.final_fit`); and wherever outside the full model hardly knows itself, geometry
 alone speaks too (:mod:`modcal_core.calibration.covariance`). It comes in over a twentieth of a radian, so that no
-command jumps.
+command jumps. It speaks as well where a signal that an effect goes by leaves what was recorded of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -162,9 +162,10 @@ def look(
     )
 
 
-# --- Outside the joint ranges that were seen another model speaks
+# --- Outside the ranges of joints and signals that were seen another model speaks
 
 BLEND = 0.05  # rad or m beyond what was seen, over which the other model comes in
+_BLEND_SIGNAL = 0.1  # the same of a signal, in its range: no unit says what is near
 
 
 class Doubting(Protocol):
@@ -183,7 +184,8 @@ class Fallback:
     """The model outside, with the same frames, and where that is.
 
     low, high: ends of the joint ranges that were seen, (n,). curved: joints that curves depend on, (n,). doubt: how
-    much the full model should be doubted there; None: altogether.
+    much the full model should be doubted there; None: altogether. signals: ends of those signals, by name and lag, that
+    effects go by: beyond them nothing is known of an effect.
     """
 
     model: Model
@@ -191,6 +193,7 @@ class Fallback:
     high: Array
     curved: np.ndarray
     doubt: Doubting | None = None
+    signals: Mapping[tuple[str, float], tuple[float, float]] = field(default_factory=dict)
 
     def share(self, samples: Samples, drivers: Drivers | None = None) -> Array:
         """How much of it counts at samples, in [0, 1], (N,): none inside, from BLEND beyond as much as is doubted.
@@ -198,13 +201,16 @@ class Fallback:
         drivers: of the samples, where they are known already.
         """
         beyond = np.maximum(np.maximum(self.low - samples.q, samples.q - self.high), 0.0)[:, self.curved]
-        u = np.clip(beyond.max(axis=1, initial=0.0) / BLEND, 0.0, 1.0)
-        out = np.asarray(u * u * (3.0 - 2.0 * u))
+        out = _smooth(beyond.max(axis=1, initial=0.0) / BLEND)
         rows = np.flatnonzero(out > 0.0)
         if self.doubt is not None and len(rows):
             everywhere = len(rows) == len(out)
             some = (samples, drivers) if everywhere else (samples.select(rows), None)
             out[rows] *= self.doubt.share(*some)
+        for (name, lag), (low, high) in self.signals.items():
+            x = self.model.drivers(samples).values(name, lag)  # of an arm without limits
+            away = np.maximum(np.maximum(low - x, x - high), 0.0)
+            out = np.maximum(out, _smooth(away / max(_BLEND_SIGNAL * (high - low), 1e-12)))
         return out
 
     def blended(self, T: Array, samples: Samples) -> Array:
@@ -214,6 +220,12 @@ class Fallback:
         if not len(rows):
             return T
         return between(T, rows, share[rows], self.model.predict_samples(samples.select(rows)))
+
+
+def _smooth(u: Array) -> Array:
+    """From 0 to 1 as u goes there, without a kink."""
+    u = np.clip(u, 0.0, 1.0)
+    return np.asarray(u * u * (3.0 - 2.0 * u))
 
 
 def between(T: Array, rows: np.ndarray, share: Array, other: Array) -> Array:

@@ -166,7 +166,8 @@ def robust_noise(position: Array, rotation: Array, groups: Groups | None = None,
         if not r.size:
             return _FLOOR
         square, n = float(np.median(np.einsum("ij,ij->j", r, r))) / median_chi2(dimensions), dimensions * r.shape[1]
-        return max(float(np.sqrt((n * square + spent * _USUAL**2) / (n + spent))), _FLOOR)
+        freedom = max(n * (1.0 - spent), 1.0) + spent
+        return max(float(np.sqrt((n * square + spent * _USUAL**2) / freedom)), _FLOOR)
 
     if groups is None or not groups.others:
         return NoiseModel(one(position), one(rotation))

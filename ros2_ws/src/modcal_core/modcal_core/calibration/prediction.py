@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.calibration.model import Model
-from modcal_core.effects import STEPS, DriverLimits, Effect, NominalArm, Shape, undelayed
+from modcal_core.effects import STEPS, DriverLimits, Effect, NominalArm, Shape, claimed, undelayed
 from modcal_core.errors import BadRecording, BadTable, MissingDriver
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
@@ -34,6 +35,12 @@ class TypicalDriver:
 def outside_drivers(effect: Effect) -> tuple[str, ...]:
     """The parts of the effect's driver that a recording may lack."""
     return tuple(part for part in effect.driver.split(",") if part.partition(":")[0] in OUTSIDE)
+
+
+def signals_of(effects: Sequence[Effect]) -> list[tuple[str, float]]:
+    """Signals, with the lag that is undone, that effects which reports name go by; temperatures are none of them."""
+    of = ((part, min(e.lag, 0.0)) for e in effects if claimed(e) for part in outside_drivers(e))
+    return sorted({(part, lag) for part, lag in of if part.startswith("signal:")})
 
 
 def averaged(effect: Effect, mean: Array) -> Effect:

@@ -19,8 +19,8 @@ from modcal_core.calibration.covariance import Doubt, Uncertainty
 from modcal_core.calibration.fit import Fit
 from modcal_core.calibration.model import Fallback, Model, curved_joints
 from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.prediction import TypicalDriver, predict
-from modcal_core.effects import STEPS, Carried, DriverLimits, Effect, NominalArm, require_known
+from modcal_core.calibration.prediction import TypicalDriver, predict, signals_of
+from modcal_core.effects import STEPS, Carried, DriverLimits, Effect, NominalArm, require_known, undelayed
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file
 from modcal_core.geometry import Array, sealed
@@ -127,12 +127,19 @@ class Calibration:
         return fingerprint(self.nominal.chain)
 
     def fallback(self, model: Model, alone: Model) -> Fallback | None:
-        """What counts outside the joint ranges that were seen, of a model and geometry alone with the same frames."""
+        """What counts outside the ranges that were seen, of a model and geometry alone with the same frames."""
         curved = curved_joints(model.effects, self.nominal.chain.names)
         doubt = None if self.geometry_outside else self._doubt
-        if not curved.any() or not (self.geometry_outside or doubt):
+        if not (self.geometry_outside or doubt):
+            curved = np.zeros_like(curved)
+        signals = {
+            (part, lag): self.ranges[undelayed(part, lag)]
+            for part, lag in signals_of(model.effects)
+            if undelayed(part, lag) in self.ranges
+        }
+        if not curved.any() and not signals:
             return None
-        return Fallback(alone.with_effects(()), self.seen[0], self.seen[1], curved, doubt)
+        return Fallback(alone.with_effects(()), self.seen[0], self.seen[1], curved, doubt, signals)
 
     @property
     def _doubt(self) -> Doubt | None:

@@ -112,7 +112,8 @@ _MAX_POINTS = 20_000  # of a signal; a faster one is thinned
 _MAX_KEPT = 96e6  # bytes of drivers and shapes that are kept for one set of samples
 _OFTEN = 2  # times that something is asked for, before what is made for its sake is worth making
 _LAST, _LONGEST = 3, 20_000  # sets of samples whose drivers are remembered, and samples of a set
-_STEP = 0.01  # s between postures whose second differences are the tip's acceleration
+_STEP = 0.01  # s between postures whose differences are the tip's acceleration and jerk
+_DIFFERENCES = np.array([[0.0, 1.0, -2.0, 1.0, 0.0], [-0.5, 1.0, 0.0, -1.0, 0.5]])
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
 
@@ -276,13 +277,15 @@ class Drivers:
         return offset_wrench(self.arm.chain, self.samples.q, self._down, self._held)
 
     @cached_property
-    def tip_acceleration(self) -> Array:
-        """Acceleration of the target on the nominal arm along the tip's axes, (3, N) [m/s²]."""
+    def tip_motion(self) -> Array:
+        """Acceleration and jerk of the target on the nominal arm along the tip's axes, (2, 3, N) [m/s², m/s³]."""
         samples, at = self.samples, np.append(np.zeros(3) if self.arm.tool is None else self.arm.tool, 1.0)
-        v, a = np.nan_to_num(samples.velocity), samples.mean_acceleration
-        T = [forward(self.arm.chain, samples.q + s * v + 0.5 * s * s * a) for s in (-_STEP, 0.0, _STEP)]
-        before, here, after = ((pose @ at)[:, :3] for pose in T)
-        return np.asarray(np.einsum("nij,ni->jn", T[1][:, :3, :3], (before - 2.0 * here + after) / _STEP**2))
+        v, a, j = np.nan_to_num(samples.velocity), samples.mean_acceleration, samples.mean_jerk
+        times = _STEP * np.arange(-2.0, 3.0)
+        T = [forward(self.arm.chain, samples.q + s * (v + s * (a / 2.0 + s * j / 6.0))) for s in times]
+        p = np.stack([(pose @ at)[:, :3] for pose in T])
+        change = np.tensordot(_DIFFERENCES / _STEP ** np.array([[2.0], [3.0]]), p, axes=1)
+        return np.asarray(np.einsum("nij,kni->kjn", T[2][:, :3, :3], change))
 
     def _signal(self, name: str, lag: float) -> Array:
         stamps = self.samples.stamps
@@ -354,6 +357,10 @@ def _offset(drivers: Drivers, joint: str, axis: int) -> Array:
     return drivers.offset[axis, j, _along(drivers, j)]
 
 
+def _of_tip(drivers: Drivers, _: str, row: tuple[int, int]) -> Array:
+    return np.asarray(drivers.tip_motion[row])
+
+
 def _column(drivers: Drivers, joint: str) -> int:
     return drivers.samples.names.index(joint)
 
@@ -371,9 +378,9 @@ KINDS: Mapping[str, DriverKind] = {
     "velocity": lambda at, _: np.asarray(np.nan_to_num(at.samples.velocity.T)),  # of all joints, (n, N)
     "reading": lambda at, _: np.ones(len(at)),
     "acceleration": lambda at, joint: at.samples.mean_acceleration[:, _column(at, joint)],
-    "tip_acceleration_x": lambda at, _: at.tip_acceleration[0],
-    "tip_acceleration_y": lambda at, _: at.tip_acceleration[1],
-    "tip_acceleration_z": lambda at, _: at.tip_acceleration[2],
+    "jerk": lambda at, joint: at.samples.mean_jerk[:, _column(at, joint)],
+    **{f"tip_acceleration_{axis}": partial(_of_tip, row=(0, i)) for i, axis in enumerate("xyz")},
+    **{f"tip_jerk_{axis}": partial(_of_tip, row=(1, i)) for i, axis in enumerate("xyz")},
     "position": lambda at, joint: at.samples.q[:, _column(at, joint)],
     "direction": lambda at, joint: at.samples.approach[:, _column(at, joint)],
     # of followers with play, at the least and at the most, as shares of their widths, (2 widths, N)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged, efforts_at_rest
     from modcal_core.measurements.path import UNKNOWN, WIDTHS, ahead, went_on
-    from modcal_core.measurements.rates import at_steady_rate
+    from modcal_core.measurements.rates import BURST, LONGEST_PAUSE, SMALLEST_BURST, at_steady_rate
     from modcal_core.measurements.recording import APART, BEARING, IMPORTED, ORDER_ONLY, PART, POINT, POSE, RANGE, RAY
     from modcal_core.measurements.recording import SOCKETS, TARGETS, TOUCH, UNREAD, JointTrack, Listed, ReadingTrack
     from modcal_core.measurements.recording import Recording, SignalTrack, Stretch, commanded_at, following, is_told
@@ -33,15 +33,16 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["APART", "BEARING", "BETWEEN", "DAY", "ELSEWHEN", "FACES", "GLITCHES", "IMPORTED", "LATE_STEPS", "LEFT"]
-__all__ += ["LIMIT", "MAX_GLITCHES", "MIN_RETURNS", "NOISE_FACTOR", "ORDER_ONLY", "PART", "POINT", "POSE", "RANGE"]
-__all__ += ["RAY", "SAME", "SECOND_DIFFERENCE", "SHARED", "SHORTEST", "SOCKETS", "TARGETS", "TOUCH", "TRAVEL"]
-__all__ += ["UNKNOWN", "UNREAD", "UNUSABLE", "WIDTHS", "Approach", "Box", "Cleaned", "Dropped", "Hung", "JointTrack"]
-__all__ += ["Listed", "Origin", "ReadingTrack", "Recording", "Samples", "Scan", "Schema", "SignalTrack", "StationRules"]
-__all__ += ["Stretch", "added", "after", "ahead", "align", "as_recording", "at_steady_rate", "averaged", "between"]
-__all__ += ["cleaned", "commanded_at", "cut_stations", "dropped", "dwells_of", "efforts_at_rest", "elsewhen"]
-__all__ += ["explained_by_posture", "find_dwells", "fitted_rules", "following", "hung", "inliers", "inspect", "is_told"]
-__all__ += ["joint_limits", "joints_by_time", "joints_instead", "marks_of", "measure_box", "moving_beside"]
-__all__ += ["other_joints", "others_at", "others_by_name", "out_of_time", "posture_numbers", "remedies_of", "require"]
-__all__ += ["require_new", "require_usable", "returns", "share_of_known", "shown", "spoken_name", "spread_rows"]
-__all__ += ["staircase", "together", "told", "told_at", "unexpected", "went_on"]
+__all__ = ["APART", "BEARING", "BETWEEN", "BURST", "DAY", "ELSEWHEN", "FACES", "GLITCHES", "IMPORTED", "LATE_STEPS"]
+__all__ += ["LEFT", "LIMIT", "LONGEST_PAUSE", "MAX_GLITCHES", "MIN_RETURNS", "NOISE_FACTOR", "ORDER_ONLY", "PART"]
+__all__ += ["POINT", "POSE", "RANGE", "RAY", "SAME", "SECOND_DIFFERENCE", "SHARED", "SHORTEST", "SMALLEST_BURST"]
+__all__ += ["SOCKETS", "TARGETS", "TOUCH", "TRAVEL", "UNKNOWN", "UNREAD", "UNUSABLE", "WIDTHS", "Approach", "Box"]
+__all__ += ["Cleaned", "Dropped", "Hung", "JointTrack", "Listed", "Origin", "ReadingTrack", "Recording", "Samples"]
+__all__ += ["Scan", "Schema", "SignalTrack", "StationRules", "Stretch", "added", "after", "ahead", "align"]
+__all__ += ["as_recording", "at_steady_rate", "averaged", "between", "cleaned", "commanded_at", "cut_stations"]
+__all__ += ["dropped", "dwells_of", "efforts_at_rest", "elsewhen", "explained_by_posture", "find_dwells"]
+__all__ += ["fitted_rules", "following", "hung", "inliers", "inspect", "is_told", "joint_limits", "joints_by_time"]
+__all__ += ["joints_instead", "marks_of", "measure_box", "moving_beside", "other_joints", "others_at", "others_by_name"]
+__all__ += ["out_of_time", "posture_numbers", "remedies_of", "require", "require_new", "require_usable", "returns"]
+__all__ += ["share_of_known", "shown", "spoken_name", "spread_rows", "staircase", "together", "told", "told_at"]
+__all__ += ["unexpected", "went_on"]

@@ -52,6 +52,7 @@ class TrackSamples:
     velocity: Array
     acceleration: Array
     mean_acceleration: Array
+    mean_jerk: Array
     moving: bool
     spans: Array  # (N, 2) [s], over which it was averaged
 
@@ -129,7 +130,7 @@ def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array
     if len(rows) and len(rows) >= _PAIRED * shared and (sparse or len(dwells) < _MIN_DWELLS):
         if sparse:
             # a course between stations far apart is not known; what the joints said of their speed is
-            return _as_is(track, read, q[rows], np.stack([velocity[rows], *np.zeros((2, *q[rows].shape))]), False)
+            return _as_is(track, read, q[rows], np.stack([velocity[rows], *np.zeros((3, *q[rows].shape))]), False)
         return _as_is(track, read, q[rows], _motion(_course(t, q), t[rows] - t[0]), moving=True)
     if len(dwells) >= _MIN_DWELLS:
         return averaged(track, t, q, dwells)
@@ -150,12 +151,13 @@ def _as_is(track: ReadingTrack, rows: np.ndarray, q: Array, motion: Array, movin
     unknown = np.full(len(rows), np.nan)
     stamps = track.stamps[rows]
     once = np.stack([stamps, stamps], axis=1)
-    return TrackSamples(q, stamps, position, R, unknown, unknown, motion[0], motion[1], motion[2], moving, once)
+    velocity, acceleration, mean, jerk = motion
+    return TrackSamples(q, stamps, position, R, unknown, unknown, velocity, acceleration, mean, jerk, moving, once)
 
 
 def _nothing(track: ReadingTrack, joints: int) -> TrackSamples:
     none = np.empty((0, joints))
-    return _as_is(track, np.empty(0, int), none, np.empty((3, 0, joints)), moving=False)
+    return _as_is(track, np.empty(0, int), none, np.empty((4, 0, joints)), moving=False)
 
 
 def _course(t: Array, q: Array) -> CubicSpline:
@@ -170,7 +172,7 @@ def _course(t: Array, q: Array) -> CubicSpline:
 
 
 def _motion(course: CubicSpline, at: Array) -> Array:
-    """Velocity, acceleration, and acceleration over a while, of a course at times (N,): (3, N, n).
+    """Velocity, acceleration, and acceleration and jerk over a while, of a course at times (N,): (4, N, n).
 
     The spline's own curvature follows every jerk, and the noise of encoders; second differences do neither.
     """
@@ -184,7 +186,9 @@ def _motion(course: CubicSpline, at: Array) -> Array:
     beyond = at - inside  # next to an end the course of the acceleration goes on
     near = mean(inside)
     near += np.abs(beyond / beside)[:, None] * (near - mean(inside - np.sign(beyond) * beside))
-    return np.stack([course(at, 1), course(at, 2), near])
+    middle = np.clip(at, first + 2.0 * beside, last - 2.0 * beside)
+    jerk = (mean(middle + beside) - mean(middle - beside)) / (2.0 * beside)
+    return np.stack([course(at, 1), course(at, 2), near, jerk])
 
 
 def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) -> TrackSamples:
@@ -242,7 +246,7 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSam
         return _nothing(track, q.shape[1])
     q_mean, stamp, p, R, deviation_p, deviation_r, spans = (np.array(c) for c in zip(*out, strict=True))
     still = np.zeros_like(q_mean)
-    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, still, False, spans)
+    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, still, still, False, spans)
 
 
 _LOOK_BACK = 64  # joint states; doubled until every joint has moved

@@ -16,10 +16,10 @@ from modcal_core.geometry import Array
 from modcal_core.measurements.dwells import spread_rows
 from modcal_core.measurements.recording import ReadingTrack
 
-_BURST = 1e-3  # s between readings that are handed over together; no instrument measures so often
-_LONGEST_PAUSE = 1.0  # s between bursts; longer are pauses between stations
+BURST = 1e-3  # s between readings that are handed over together; no instrument measures so often
+LONGEST_PAUSE = 1.0  # s between bursts; longer are pauses between stations
 _STEADY, _MOST = 1.2, 90.0  # steps between readings, within which most bursts end after their last, %
-_FEWEST_IN_BURSTS, _SMALLEST_BURST = 10, 3  # readings, in all and in one; two are one that was written twice
+_FEWEST_IN_BURSTS, SMALLEST_BURST = 10, 3  # readings, in all and in one; two are one that was written twice
 _EARLY, _MAX = 30.0, 2000  # price of a second early, of one late: 3 % are early; arrivals that are asked
 _FEWEST, _FIRST = 200, 32  # readings that show a rate, and those that it is read from first
 # turns of the last reading against the first, by which rates are tried; the same at last
@@ -39,12 +39,12 @@ def without_bursts(track: ReadingTrack, name: str, notes: list[str]) -> ReadingT
     if len(t) < _FEWEST_IN_BURSTS or (np.diff(t) < 0.0).any():
         return track
     step = np.diff(t)
-    ends = np.r_[np.flatnonzero(step > _BURST), len(t) - 1]
+    ends = np.r_[np.flatnonzero(step > BURST), len(t) - 1]
     count = np.diff(np.r_[-1, ends])
     pause = np.diff(t[ends], prepend=np.nan)
     usual = float(np.nanmedian(pause)) if len(ends) > 2 else np.inf
-    inside = step[step <= _BURST]
-    if np.median(count) < _SMALLEST_BURST or usual > _LONGEST_PAUSE or np.median(inside) in (0.0, np.inf):
+    inside = step[step <= BURST]
+    if np.median(count) < SMALLEST_BURST or usual > LONGEST_PAUSE or np.median(inside) in (0.0, np.inf):
         return track
     notes.append(
         f"{name}: {len(t)} readings came in bursts of {np.median(count):.0f}, {1e3 * float(np.median(inside)):.2g} ms "

@@ -82,11 +82,11 @@ class Samples:
     velocity: of the joints [rad/s, m/s], (N, n), zero in a dwell, NaN where unknown. moving: taken in motion.
 
     What led up to a sample and went on beside it, where it is known: acceleration, mean_acceleration: of the joints
-    there and over some hundredths of a second, (N, n), zero where unknown. approach: the direction each joint last
-    moved in, −1, 0 (unknown) or 1, (N, n). path: how far each joint is ahead of followers with play at least and at
-    most (measurements/path), (N, n, 2, widths). effort: torque or force of the actuators [N m, N], (N, n), NaN where
-    not sent. following: commanded − measured position [rad, m], (N, n), NaN where no command is known. signals: whole
-    tracks of everything else that was recorded.
+    there and over some hundredths of a second, with mean_jerk, (N, n), zero where unknown. approach: the direction each
+    joint last moved in, −1, 0 (unknown) or 1, (N, n). path: how far each joint is ahead of followers with play at least
+    and at most (measurements/path), (N, n, 2, widths). effort: torque or force of the actuators [N m, N], (N, n), NaN
+    where not sent. following: commanded − measured position [rad, m], (N, n), NaN where no command is known. signals:
+    whole tracks of everything else that was recorded.
 
     sockets: frames that are stated to show one fixed point. clock: whether stamps are times rather than an order.
     origin: the recording they are from. names: empty where columns are in the robot's order.
@@ -107,6 +107,7 @@ class Samples:
     moving: np.ndarray
     acceleration: Array = field(default_factory=lambda: np.empty((0, 0)))
     mean_acceleration: Array = field(default_factory=lambda: np.empty((0, 0)))
+    mean_jerk: Array = field(default_factory=lambda: np.empty((0, 0)))
     approach: Array = field(default_factory=lambda: np.empty((0, 0)))
     path: Array = field(default_factory=lambda: np.empty((0, 0, 0, 0)))
     effort: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -118,7 +119,7 @@ class Samples:
 
     def __post_init__(self) -> None:
         """Fill missing fields with unknown values, and make all arrays read-only."""
-        zero, nan = ("acceleration", "mean_acceleration", "approach"), ("effort", "following")
+        zero, nan = ("acceleration", "mean_acceleration", "mean_jerk", "approach"), ("effort", "following")
         for name, unknown in (*((name, 0.0) for name in zero), *((name, np.nan) for name in nan)):
             if getattr(self, name).shape != self.q.shape:
                 object.__setattr__(self, name, np.full(self.q.shape, unknown))
@@ -297,7 +298,17 @@ class Samples:
         return bool(np.ptp(self.reading[rows], axis=0).max() == 0.0)
 
 
-_BY_JOINT = ("q", "velocity", "acceleration", "mean_acceleration", "approach", "path", "effort", "following")
+_BY_JOINT = (
+    "q",
+    "velocity",
+    "acceleration",
+    "mean_acceleration",
+    "mean_jerk",
+    "approach",
+    "path",
+    "effort",
+    "following",
+)
 _ARRAYS = tuple(f.name for f in fields(Samples) if f.name not in SHARED)
 
 

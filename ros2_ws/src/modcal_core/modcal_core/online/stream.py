@@ -17,11 +17,14 @@ import numpy as np
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import (
+    BURST,
     LATE_STEPS,
+    LONGEST_PAUSE,
     NOISE_FACTOR,
     POSE,
     SECOND_DIFFERENCE,
     SHORTEST,
+    SMALLEST_BURST,
     Approach,
     JointTrack,
     ReadingTrack,
@@ -108,11 +111,12 @@ _BEFORE = 1.0  # s of joint states before a stand that its beginning is looked f
 
 @dataclass
 class Counts:
-    """What was left out, by reason."""
+    """What was left out, or stamped anew, by reason."""
 
     late: int = 0
     jumps: int = 0
     unpaired: int = 0
+    bursts: int = 0  # of readings that were handed over together, whose stamps were spread
 
 
 @dataclass
@@ -121,6 +125,26 @@ class _Readings:
 
     waiting: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_HELD))
     last: float = -np.inf
+    before: float = -np.inf  # when the one before the present burst came
+    first: float = -np.inf  # of those that came within a moment of each other, to the last one
+    burst: int = 0  # how many they are
+
+    def add(self, stamp: float, values: Array) -> bool:
+        """Take a reading; whether it shows a burst.
+
+        Readings of a burst share the time since the one before it, as in a recording (:func:`without_bursts`).
+        """
+        if stamp - self.last > BURST:
+            self.before, self.first, self.burst = self.last, stamp, 0
+        self.last, self.burst = stamp, self.burst + 1
+        self.waiting.append((stamp, values))
+        pause = self.first - self.before
+        if self.burst < SMALLEST_BURST or not stamp - self.first <= pause <= LONGEST_PAUSE:
+            return False
+        for k in range(min(self.burst, len(self.waiting))):
+            at = stamp - k * (stamp - self.before) / self.burst
+            self.waiting[-1 - k] = at, self.waiting[-1 - k][1]
+        return self.burst == SMALLEST_BURST
 
 
 @dataclass(frozen=True)
@@ -162,7 +186,7 @@ class SampleStream:
         self._ready: list[Samples] = []
         for readings in self._readings.values():
             readings.waiting.clear()
-            readings.last = -np.inf
+            readings.last = readings.before = -np.inf
 
     @property
     def _q(self) -> Array:
@@ -211,14 +235,13 @@ class SampleStream:
         elif stamp <= readings.last:
             self.counts.late += 1
             return
-        readings.last = stamp
         self.counts.unpaired += len(readings.waiting) == readings.waiting.maxlen
-        readings.waiting.append((stamp, np.array(values, dtype=float)))
+        self.counts.bursts += readings.add(stamp, np.array(values, dtype=float))
 
     def take(self) -> list[Samples]:
         """The samples that have become whole since the last time, one row each, in the order of their stamps."""
         for (kind, frame), readings in self._readings.items() if len(self._states) > 1 else ():
-            self._pair_or_interpolate(kind, frame, readings.waiting)
+            self._pair_or_interpolate(kind, frame, readings)
         out, self._ready = self._ready, []
         return out
 
@@ -300,11 +323,12 @@ class SampleStream:
             self._station += 1
             self._stood = ended.stamp
 
-    def _pair_or_interpolate(self, kind: str, frame: str, waiting: deque[tuple[float, Array]]) -> None:
-        t = self._states.t
+    def _pair_or_interpolate(self, kind: str, frame: str, readings: _Readings) -> None:
+        t, waiting = self._states.t, readings.waiting
+        growing = readings.burst if readings.burst > 1 and t[-1] <= readings.last + _STENCIL else 0
         sparse = self._step > self._rules.window
         moving = not sparse and t[-1] - max(self._stood, self._began) > _RESTLESS
-        while waiting:
+        while len(waiting) > growing:
             stamp, values = waiting[0]
             if stamp > t[-1] - (0.0 if sparse else _STENCIL) or (moving and stamp > t[-_EITHER_SIDE]):
                 return  # the joint states around it have not come yet

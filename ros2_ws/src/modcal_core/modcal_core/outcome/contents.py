@@ -110,7 +110,7 @@ class Step:
 class Outcome:
     """The outcome of a calibration or an evaluation.
 
-    - scored: held-out samples without outliers. rejected: number of samples rejected as outliers.
+    - scored: held-out samples without outliers.
     - errors: errors of the scored samples by stage (nominal, geometric, final).
     - effects: what the diagnosis added and held-out stations prove. unproved: what they do not prove one by one.
     - left: the best candidate that is significant but does not predict, or None.
@@ -129,7 +129,6 @@ class Outcome:
     samples: Samples
     sets: Split
     scored: Samples
-    rejected: int
     errors: dict[str, Errors]
     effects: tuple[Finding, ...] = ()
     unproved: tuple[Finding, ...] = ()
@@ -195,15 +194,12 @@ class Outcome:
 
     def interval_mm(self, stage: str) -> tuple[float, float] | None:
         """95 % interval of the RMS position error of a stage [mm], by drawing held-out units again."""
-        if stage not in self.errors or not len(self.scored):
-            return None
-        if stage not in self._intervals:  # page, data and command ask for the same
-            self._intervals[stage] = interval_of_rms(1e3 * self.errors[stage].position_norm, self.units)
-        return self._intervals[stage]
+        return self._intervals.get(stage)
 
     @cached_property
     def _intervals(self) -> dict[str, tuple[float, float] | None]:
-        return {}
+        scored = self.errors if len(self.scored) else {}
+        return {stage: interval_of_rms(1e3 * e.position_norm, self.units) for stage, e in scored.items()}
 
     def with_tolerance(self, asked: Asked | None) -> Self:
         """The report with the result for a tolerance; the same where none is asked for."""

@@ -186,17 +186,14 @@ _OWN = 0.02  # of what a parameter moves the tool by; less is the tilt of a cali
 class ToolDifference:
     """What the two models differ by at the tool, second less first, in the arm's base.
 
-    q: postures (N, n). points: where the tool is (N, 3) [m]. apart: (N, 3) [m], base and tool fitted to each other.
-    size_mm, size_deg: of that, None for readings without orientations. as_they_are_mm: of the arms from base link to
-    tip, nothing fitted. expected_mm: what the uncertainty of both explains, 95 % quantile of the RMS; None where one of
-    them does not keep its uncertainty.
+    q: postures (N, n). size_mm, size_deg: of the difference, base and tool fitted to each other; size_deg is None for
+    readings without orientations. as_they_are_mm: of the arms from base link to tip, nothing fitted. expected_mm: what
+    the uncertainty of both explains, 95 % quantile of the RMS; None where one of them does not keep its uncertainty.
     left_out: effects of either that postures alone do not determine. of_base_or_tool: parameters that base and tool
     can take up, so that their values may differ between sessions and the arm be the same.
     """
 
     q: Array
-    points: Array
-    apart: Array
     size_mm: ErrorSize
     size_deg: ErrorSize | None
     as_they_are_mm: ErrorSize
@@ -216,27 +213,28 @@ def tool_difference(first: Calibration, second: Calibration) -> ToolDifference |
     (one, left_one), (two, left_two) = _standing(first), _standing(second)
     # one tool for both, so that the point that is compared is the same on the arm
     models = (one, replace(two, T_tip_tool=one.T_tip_tool))
-    samples = tuple(poses_at(model, q) for model in models)
-    T = [model.predict_samples(at) for model, at in zip(models, samples, strict=True)]
+    T, tips = (
+        [replace(m, T_tip_tool=tool).predict_samples(poses_at(m, q)) for m in models]
+        for tool in (one.T_tip_tool, np.eye(4))
+    )
     taken = base_and_tool_motions(T[0], turns)
-    left = without(twists(T[0], T[1])[:, : 6 if turns else 3], taken)
-    bare = [replace(model, T_tip_tool=np.eye(4)) for model in models]
-    tips = [model.predict_samples(at)[:, :3, 3] for model, at in zip(bare, samples, strict=True)]
-    mm = ErrorSize.of(1e3 * np.linalg.norm(left[:, :3], axis=1))
-    raw = ErrorSize.of(1e3 * np.linalg.norm(tips[1] - tips[0], axis=1))
-    assert mm is not None
-    assert raw is not None
+    left = without(twists(*T)[:, : taken.shape[1]], taken)
+    uncertain = [_uncertain(c, m, q, taken) for c, m in zip((first, second), models, strict=True) if c.uncertainty]
     return ToolDifference(
         q=q,
-        points=T[0][:, :3, 3],
-        apart=left[:, :3],
-        size_mm=mm,
-        size_deg=ErrorSize.of(np.degrees(np.linalg.norm(left[:, 3:], axis=1))) if turns else None,
-        as_they_are_mm=raw,
-        expected_mm=_expected((first, second), models, q, taken),
+        size_mm=_size(1e3 * left[:, :3]),
+        size_deg=_size(np.degrees(left[:, 3:])) if turns else None,
+        as_they_are_mm=_size(1e3 * (tips[1] - tips[0])[:, :3, 3]),
+        expected_mm=_expected(uncertain) if len(uncertain) == 2 else None,
         left_out=tuple(dict.fromkeys((*left_one, *left_two))),
-        of_base_or_tool=_taken_up(first, models[0], q, taken),
+        of_base_or_tool=uncertain[0].taken_up if first.uncertainty else frozenset(),
     )
+
+
+def _size(left: Array) -> ErrorSize:
+    size = ErrorSize.of(np.linalg.norm(left, axis=1))
+    assert size is not None
+    return size
 
 
 def _standing(calibration: Calibration) -> tuple[Model, tuple[str, ...]]:
@@ -248,46 +246,40 @@ def _standing(calibration: Calibration) -> tuple[Model, tuple[str, ...]]:
     return replace(model.with_effects(kept), T_frame_base=frames, instruments=()), others
 
 
-def _expected(
-    calibrations: tuple[Calibration, Calibration], models: tuple[Model, ...], q: Array, taken: Array
-) -> float | None:
-    """The 95 % quantile [mm] of the RMS that two calibrations of the same arm, as sure as these, would differ by."""
-    rng = np.random.default_rng(0)  # the same calibrations give the same bytes
-    total = np.zeros((_DRAWS, *taken.shape[:2]))
-    for calibration, model in zip(calibrations, models, strict=True):
-        moved = _drawn(calibration, model, q, rng)
-        if moved is None:
-            return None
-        total = total + moved[:, :, : taken.shape[1]]
-    left = without(total, taken)[..., :3]
-    return 1e3 * float(np.quantile(np.sqrt(np.mean(np.sum(left**2, axis=-1), axis=-1)), 1.0 - _TAIL))
+@dataclass(frozen=True)
+class _Uncertain:
+    """What K parameters of a calibration move at the tool, base and tool fitted (K, N, 3) [m], and their covariance.
+
+    taken_up: names of those that change nothing which base and tool could not.
+    """
+
+    motions: Array
+    covariance: Array
+    taken_up: frozenset[str]
 
 
-def _taken_up(calibration: Calibration, model: Model, q: Array, taken: Array) -> frozenset[str]:
-    """Names of the parameters that change nothing at the tool which base and tool could not."""
-    if calibration.uncertainty is None:
-        return frozenset()
-    parameters = tuple(p for p in calibration.uncertainty.parameters if p.instrument < 0)
-    moved = parameter_motions(model, parameters, q)[..., : taken.shape[1]]
-    left = np.linalg.norm(without(moved, taken), axis=(1, 2))
-    all_of_it = np.linalg.norm(moved, axis=(1, 2))
-    return frozenset(p.name for p, rest, whole in zip(parameters, left, all_of_it, strict=True) if rest < _OWN * whole)
-
-
-def _drawn(calibration: Calibration, model: Model, q: Array, rng: np.random.Generator) -> Array | None:
-    """Twists at the tool (draws, N, 6) for parameters drawn from the covariance; None if none is kept."""
+def _uncertain(calibration: Calibration, model: Model, q: Array, taken: Array) -> _Uncertain:
     known = calibration.uncertainty
-    if known is None:
-        return None
-    usable = [k for k, p in enumerate(known.parameters) if p.instrument < 0]
-    parameters = tuple(known.parameters[k] for k in usable)
-    index, here = list(usable), len(known.parameters)
+    assert known is not None
+    index = [k for k, p in enumerate(known.parameters) if p.instrument < 0]
+    parameters, here = tuple(known.parameters[k] for k in index), len(known.parameters)
     for effect in calibration.calibrated.effects:
         index += range(here, here + len(effect.values)) if not outside_drivers(effect) else ()
         here += len(effect.values)
     of_effects = np.concatenate([np.empty(0), *(e.values for e in model.effects)])
-    J = parameter_motions(model, parameters, q, of_effects)
-    C = known.covariance[np.ix_(index, index)]
-    size, axes = np.linalg.eigh(C)
-    draws = rng.standard_normal((_DRAWS, len(index))) * np.sqrt(np.maximum(size, 0.0)) @ axes.T
-    return np.asarray(np.tensordot(draws, J, 1))
+    moved = parameter_motions(model, parameters, q, of_effects)[..., : taken.shape[1]]
+    left = without(moved, taken)
+    sizes = np.linalg.norm(left, axis=(1, 2)), np.linalg.norm(moved, axis=(1, 2))
+    taken_up = frozenset(p.name for p, rest, whole in zip(parameters, *sizes, strict=False) if rest < _OWN * whole)
+    return _Uncertain(left[..., :3], known.covariance[np.ix_(index, index)], taken_up)
+
+
+def _expected(both: Sequence[_Uncertain]) -> float:
+    """The 95 % quantile [mm] of the RMS that two calibrations of the same arm, as sure as these, would differ by."""
+    rng, moved = np.random.default_rng(0), []  # the same calibrations give the same bytes
+    for one in both:
+        size, axes = np.linalg.eigh(one.covariance)
+        draws = rng.standard_normal((_DRAWS, len(size))) * np.sqrt(np.maximum(size, 0.0)) @ axes.T
+        moved.append(np.tensordot(draws, one.motions, 1))
+    rms = np.sqrt(np.mean(np.sum(sum(moved) ** 2, axis=-1), axis=-1))
+    return 1e3 * float(np.quantile(rms, 1.0 - _TAIL))

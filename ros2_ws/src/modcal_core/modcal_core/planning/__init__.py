@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.planning.advice import BATCH, Advice, Advisor, Method
-    from modcal_core.planning.exchange import ACCURACY, CRITERIA
-    from modcal_core.planning.next_stations import DecidingStations, propose, undecided_by_posture
-    from modcal_core.planning.planner import STARTS, Plan, PlanRequest, plan
-    from modcal_core.planning.pool import CANDIDATES, ClosedChain, Pool, allowed, calibration_chain, dh_closed_chain
-    from modcal_core.planning.pool import of_recording, of_robot, sizes_of, with_limits
+    from modcal_core.planning.outlook import Refit
+    from modcal_core.planning.planner import Plan, PlanRequest, plan
+    from modcal_core.planning.pool import CANDIDATES, Pool, of_recording, survey, with_limits
+    from modcal_core.planning.rivals import DecidingStations, pool_near, separations
     from modcal_core.planning.route import RETURNS, TimedMotion, free_way, from_side, timed, with_returns
-    from modcal_core.planning.sensitivity_study import DESIGNS, NAMED, Measured, Studied, Study, design
-    from modcal_core.planning.sensitivity_study import orthogonal_array, sensitivity, study
+    from modcal_core.planning.sensitivity_study import LEVELS, NAMED, ClosedChain, Measured, Study
+    from modcal_core.planning.sensitivity_study import array_postures, calibration_chain, dh_closed_chain
+    from modcal_core.planning.sensitivity_study import orthogonal_array, sensitivity, sizes_of, study
     from modcal_core.planning.session import MAX_STATIONS, PROOF, SKIPPED, UNSEEN, Goal, Session, Station, from_data
     from modcal_core.planning.session import to_data
     from modcal_core.planning.site import Site, Spheres, clearance, site_from_data, spheres_of

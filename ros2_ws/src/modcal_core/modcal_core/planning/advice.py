@@ -15,19 +15,20 @@ from modcal_core.calibration import Cell, View, choose_parameters, errors, place
 from modcal_core.claim import claim_at_tool
 from modcal_core.effects import claimed
 from modcal_core.errors import NotEnoughData
-from modcal_core.geometry import se3
+from modcal_core.geometry import Array, se3
 from modcal_core.measurements import MIN_RETURNS
 from modcal_core.planning.next_stations import (
-    Chooser,
+    best_stations,
     deciding_stations,
     first_stations,
-    one_motion,
     proof_stations,
+    random_stations,
     return_stations,
 )
 from modcal_core.planning.outlook import Outlook, Refit, outlook, proven_over, refit
 from modcal_core.planning.planner import min_stations
 from modcal_core.planning.pool import Pool
+from modcal_core.planning.rivals import deciding
 from modcal_core.planning.route import nearest_order
 from modcal_core.planning.session import (
     DECIDE,
@@ -49,6 +50,7 @@ from modcal_core.verdict import Floor, floors
 BATCH = 2  # stations between two fits: fewer cost time, more are chosen by an older model
 _GROWING = 6  # a batch is at least one in so many of the stations so far: a fit hardly changes by fewer
 _UNHURRIED = 4  # where nothing is to be proven a batch is at least one in so many: a few more stations do no harm
+_LOWERING = "stations that lower the error most"
 _AHEAD = 6  # batches that are looked ahead
 _POSTURES = 200  # that the claim is made over, for time
 # Error of readings now over that which all stations of the budget would leave: no more is worth having. The tool's own
@@ -94,39 +96,29 @@ class Advice:
     refitted: Refit | None = None
 
 
-@dataclass(frozen=True)
-class _Standing:
-    """What is known after a fit. view: what further stations are worth. floor: None unless a posture was repeated."""
+@dataclass(frozen=True, kw_only=True)
+class _Standing(Advice):
+    """What is known after a fit. view: what further stations are worth. bound: upper end of the claim [m], of what the
+    goal asks for. floor: None unless a posture was repeated.
+    """
 
-    session: Session
-    status: Advance
     refitted: Refit
     view: Outlook
+    bound: float
     floor: Floor | None
-
-    @property
-    def bound(self) -> float:
-        """The upper end of the claim [m], of what the goal asks for."""
-        assert self.status.bound is not None
-        return self.status.bound
 
     def needing(self, stations: int) -> _Standing:
         """The same where so many further stations should do."""
         return replace(self, status=replace(self.status, needed=stations))
 
-    def advice(self, why: str, outcome: End | None = None) -> Advice:
-        """Advice from here."""
-        return Advice(self.session, why, self.status, outcome, self.refitted)
-
 
 @dataclass(frozen=True)
 class Method:
-    """How stations are chosen. seed: of all that is drawn. planned: False draws every station at random, to compare
-    with. batch: stations between two fits. effects: whether to look for more than geometry.
+    """How stations are chosen. seed: of all that is drawn. batch: stations between two fits. effects: whether to look
+    for more than geometry.
     """
 
     seed: int = 0
-    planned: bool = True
     batch: int = BATCH
     effects: bool = True
 
@@ -166,162 +158,165 @@ class Advisor:
 
     def advise(self, session: Session, elapsed: float = 0.0) -> Advice:
         """What to do after what has been measured. elapsed: seconds since the session began."""
+        begun, goal, least = self._fitted(session), self.goal, self.least(session.kind)
+        if session.pending:
+            return replace(begun, why="stations asked for before")
+        if begun.refitted is None:
+            first = first_stations(self.pool, session, least, np.random.default_rng(self._method.seed))
+            return self._asked(begun, first, f"first stations: {least} are needed for the geometry")
+        at = self._judged(begun, begun.refitted)
+        measured, missing = at.status.measured, max(MIN_STATIONS - at.status.proving, 0)
+        met = goal.accuracy is not None and at.bound <= goal.accuracy
+        if met and not missing:
+            at = replace(at, refitted=proven_over(at.refitted, self.pool.where))
+            return self._ended(at, proven(goal, 1e3 * at.bound, measured, at.status.proving))
+        if self._gone(session, elapsed):
+            return replace(at, outcome=spent(goal, measured, 1e3 * at.bound))
+        if met:
+            return self._asked(
+                at.needing(missing), proof_stations(self.pool, session, missing), "random stations for the proof"
+            )
+        rng = np.random.default_rng((self._method.seed, len(session.stations)))
+        found, more = self._toward_goal(at, rng)
+        if found:
+            return self._asked(at.needing(more + missing), found, _LOWERING)
+        if self._floor_is_unclear(at) and (found := self._returns(session)):
+            return self._asked(at, found, "postures again: what the arm does not repeat")
+        searching = self._is_searching(at)
+        if (searching or self._is_unsettled(at)) and (found := self._hopeful(at, searching, rng)):
+            return self._asked(at, found, "stations for what the model lacks still" if searching else _LOWERING)
+        return self._ended(at, no_station_helps(goal, 1e3 * at.bound, at.floor, at.refitted.spread))
+
+    # what is known
+
+    def _fitted(self, session: Session) -> Advice:
+        """The model of the stations so far, where they are enough."""
         rows = session.fitted
         status = Advance(len(session.rows()), len(rows), len(session.rows(PROOF)))
-        refitted = self._refit(session, rows) if len(rows) >= self.least(session.kind) else None
-        if session.pending:
-            return Advice(session, "stations asked for before", status, refitted=refitted)
-        if refitted is None:
-            count, rng = self.least(session.kind), np.random.default_rng(self._method.seed)
-            stations = first_stations(self.pool, session, count, self._method.planned, rng)
-            why = f"first stations: {count} are needed for the geometry"
-            return self._asked(Advice(session, why, status), stations)
-        view = outlook(
-            refitted, self.pool.where, self._cell.met(refitted.samples), np.random.default_rng(self._method.seed)
-        )
-        at = self._standing(session, status, refitted, view)
-        if self._is_met(at) and status.proving >= MIN_STATIONS:
-            at = replace(at, refitted=proven_over(refitted, self.pool.where))
-            return self._settle_ties(at, proven(self.goal, 1e3 * at.bound, status.measured, status.proving))
-        if self._gone(session, elapsed):
-            return at.advice("", spent(self.goal, status.measured, 1e3 * at.bound))
-        return self._next(at)
-
-    def _refit(self, session: Session, rows: list[int]) -> Refit | None:
+        if len(rows) < self.least(session.kind):
+            return Advice(session, "", status)
         if self._last is None or self._last[0] != tuple(rows):
             try:
-                self._last = tuple(rows), self._fitted_to(session, rows)
+                self._last = tuple(rows), self._refit(session, rows)
             except NotEnoughData:
-                return None
-        return self._last[1]
+                return Advice(session, "", status)
+        return Advice(session, "", status, refitted=self._last[1])
 
-    def _fitted_to(self, session: Session, rows: list[int]) -> Refit:
-        return refit(
-            session.samples(rows), self.chain, self._method.seed, self._cell, self._inertias, self._method.effects
-        )
+    def _refit(self, session: Session, rows: list[int]) -> Refit:
+        method = self._method
+        return refit(session.samples(rows), self.chain, method.seed, self._cell, self._inertias, method.effects)
 
-    def _standing(self, session: Session, status: Advance, refitted: Refit, view: Outlook) -> _Standing:
+    def _judged(self, at: Advice, refitted: Refit) -> _Standing:
+        """What may be claimed of the model over all postures of the pool, by every station, and the floor."""
+        session, rng = at.session, np.random.default_rng(self._method.seed)
         calibration, random = refitted.calibration, session.rows(PROOF)
         model = calibration.calibrated
+        view = outlook(refitted, self.pool.where, self._cell.met(refitted.samples), rng)
         samples = session.samples([*session.fitted, *random])
         right = samples.select(np.r_[~refitted.wrong, np.ones(len(random), bool)])
-        # what may be claimed of the model over all postures of the pool, by every station
         claim = claim_at_tool(calibration, right, self._cell.met(samples), self.pool.where[:_POSTURES])
+        bound = 1e-3 * claim.mm[self.goal.statistic].ci95[1]
         residual = errors(model, refitted.samples)
         floor = floors(residual, refitted.samples, refitted.wrong, self._cell.stated).position
         left = errors(model, session.samples(random)).position_norm if random else None
         pairs = zip(model.effects, calibration.rivals, strict=False)
         status = replace(
-            status,
+            at.status,
             expected=float(np.hypot(refitted.spread, view.error(own=True))),
-            bound=1e-3 * claim.mm[self.goal.statistic].ci95[1],
+            bound=bound,
             seen=None if left is None else float(np.sqrt(np.mean(left**2))),
             floor=None if floor is None else 1e-3 * floor.rms,
             effects=tuple(effect.label for effect in model.effects if claimed(effect)),
             ties=tuple(f"{effect.label} or {rival.label}" for effect, rivals in pairs for rival in rivals),
         )
-        return _Standing(session, status, refitted, view, floor)
-
-    def _is_met(self, at: _Standing) -> bool:
-        return self.goal.accuracy is not None and at.bound <= self.goal.accuracy
-
-    def _next(self, at: _Standing) -> Advice:
-        session, status = at.session, at.status
-        size = max(self._method.batch, len(session.fitted) // _GROWING)
-        size = max(1, min(size, self.goal.stations - status.measured))
-        rng = np.random.default_rng((self._method.seed, len(session.stations)))
-        if self.goal.accuracy is None:
-            return self._as_good_as_can_be(at, size, rng)
-        missing = max(MIN_STATIONS - status.proving, 0)
-        if self._is_met(at):
-            asked = at.needing(missing).advice("random stations for the proof")
-            return self._asked(asked, proof_stations(self.pool, session, missing))
-        stations, rows = self._chooser(at).best(session, _AHEAD * size, rng, size)
-        view = at.view
-        for k in range(size, len(rows) + 1, size):
-            view = view.beside(rows[k - size : k])
-            if at.bound * view.error() / at.view.error() <= self.goal.accuracy:
-                asked = at.needing(k + missing).advice("stations that lower the error most")
-                return self._asked(asked, stations[:size])
-        return self._as_good_as_can_be(at, size, rng)
-
-    def _chooser(self, at: _Standing) -> Chooser:
-        return Chooser(self.pool, at.view, at.refitted, self._method.planned)
-
-    def _as_good_as_can_be(self, at: _Standing, size: int, rng: np.random.Generator) -> Advice:
-        """No proof is in reach: know the floor, then measure until more stations would change nothing."""
-        session, refitted, floor, goal = at.session, at.refitted, at.floor, self.goal.rms
-        fitted, least = len(session.fitted), self.least(session.kind)
-        size = max(size, fitted // _UNHURRIED)
-        returned = len(session.rows(RETURN))
-        unclear = floor is None or (goal is not None and floor.interval[0] < (1e3 * goal) ** 2 < floor.interval[1])
-        early = fitted < _RETURNS_FROM * least
-        if not self.pool.recorded and unclear and not early and returned < _MAX_RETURNS:
-            count = MIN_RETURNS if returned < MIN_RETURNS else min(MIN_RETURNS, _MAX_RETURNS - returned)
-            if stations := return_stations(session, count):
-                return self._asked(at.advice("postures again: what the arm does not repeat"), stations)
-        # error now over that which the whole budget of stations would leave: the model's part shrinks
-        spread, model = refitted.spread**2, at.view.error(own=True) ** 2
-        gain = np.sqrt((spread + model) / (spread + model * min(fitted / max(self.goal.stations, 1), 1.0)))
-        hidden = floor is None or spread > UNEXPLAINED * 1e-6 * floor.interval[1]
-        searching = early or (hidden and self._method.effects and not self._stalled(at))
-        if gain > _SETTLED or searching:
-            # what nobody suspects no choice looks for: half of the stations of a long search are drawn at random
-            blind = size // 2 if searching and fitted >= _SEARCHED * least else 0
-            chooser = self._chooser(at)
-            stations, _ = chooser.best(session, size - blind, rng)
-            if blind:
-                stations += replace(chooser, planned=False).best(session.asking(stations), blind, rng)[0]
-            if stations:
-                why = "stations for what the model lacks still" if searching else "stations that lower the error most"
-                return self._asked(at.advice(why), stations)
-        return self._settle_ties(at, no_station_helps(self.goal, 1e3 * at.bound, floor, refitted.spread))
-
-    def _stalled(self, at: _Standing) -> bool:
-        """Whether twice the stations have brought nothing: neither an effect, nor a smaller rest."""
-        rows, refitted = at.session.fitted, at.refitted
-        if self.pool.recorded or len(rows) < _SEARCHED * self.least(at.session.kind):
-            return False  # what is recorded costs nothing more
-        half = self._fitted_to(at.session, rows[: len(rows) // 2])
-        e = errors(half.calibration.calibrated, refitted.samples).position_norm
-        return refitted.spread > _BROUGHT * float(np.sqrt(np.mean(e[~refitted.wrong] ** 2)))
-
-    def _settle_ties(self, at: _Standing, ended: End) -> Advice:
-        """The end, after stations that separate explanations where that is asked for."""
-        asked = sum(s.role == DECIDE for s in at.session.stations)
-        if self.goal.ties and asked < _DECIDING[1] and not self.pool.recorded and not self._gone(at.session, 0.0):
-            rng = np.random.default_rng((self._method.seed, asked))
-            stations, between = deciding_stations(at.refitted, self.pool, _DECIDING[0], rng)
-            if stations:
-                return self._asked(at.advice(f"stations that decide: {between}"), stations)
-            same = {f"{one} or {other}" for one, other in one_motion(at.refitted, self.pool, rng)}
-            named = (f"{tie} ({_not_by_posture(tie)})" if tie in same else tie for tie in at.status.ties)
-            at = replace(at, status=replace(at.status, ties=tuple(named)))
-        return at.advice("", ended)
-
-    def _asked(self, advice: Advice, stations: list[Station]) -> Advice:
-        """The advice with these stations asked for, in a short order; the end where the budget leaves none."""
-        session, status = advice.session, advice.status
-        stations = stations[: max(self.goal.stations - status.measured, 0)]
-        if not stations:
-            bound = None if status.bound is None else 1e3 * status.bound
-            return replace(advice, why="", outcome=spent(self.goal, status.measured, bound))
-        if len(stations) > 1 and stations[0].role not in (RETURN, DECIDE):
-            last = next((s.q for s in reversed(session.stations) if s.q is not None), None)
-            q = np.array([s.asked for s in stations])
-            stations = [stations[k] for k in nearest_order(q, q.mean(axis=0) if last is None else last)]
-        return replace(advice, session=session.asking(stations))
+        return _Standing(session, "", status, refitted=refitted, view=view, bound=bound, floor=floor)
 
     def _gone(self, session: Session, elapsed: float) -> bool:
         late = self.goal.seconds is not None and elapsed >= self.goal.seconds
         return late or len(session.rows()) >= self.goal.stations
 
+    def _floor_is_unclear(self, at: _Standing) -> bool:
+        """Whether returns would tell more of what the arm does not repeat, and whether the goal is below it."""
+        goal, floor = self.goal.rms, at.floor
+        unclear = floor is None or (goal is not None and floor.interval[0] < (1e3 * goal) ** 2 < floor.interval[1])
+        return unclear and not self.pool.recorded and not self._is_early(at)
 
-def _not_by_posture(tie: str) -> str:
-    """Why these explanations stay open, and what would tell: another payload changes two loads alike."""
-    loads = sum(" by load:" in name or " by payload:" in name for name in tie.split(" or "))
-    payload = "another payload, or " if loads == 1 else ""
-    return (
-        "cannot tell: they are one motion of the tool, which no posture separates and either corrects; "
-        f"{payload}a target on a link between them would tell"
-    )
+    def _is_early(self, at: _Standing) -> bool:
+        return at.status.fitted < _RETURNS_FROM * self.least(at.session.kind)
+
+    def _is_unsettled(self, at: _Standing) -> bool:
+        """Whether the whole budget of stations would still leave less: the model's part of the error shrinks."""
+        spread, model = at.refitted.spread**2, at.view.error(own=True) ** 2
+        share = min(at.status.fitted / max(self.goal.stations, 1), 1.0)
+        return bool((spread + model) / (spread + model * share) > _SETTLED**2)
+
+    def _is_searching(self, at: _Standing) -> bool:
+        """Whether something is left that further stations may explain."""
+        if self._is_early(at):
+            return True
+        refitted, rows = at.refitted, at.session.fitted
+        hidden = at.floor is None or refitted.spread**2 > UNEXPLAINED * 1e-6 * at.floor.interval[1]
+        if not (hidden and self._method.effects):
+            return False
+        if self.pool.recorded or len(rows) < _SEARCHED * self.least(at.session.kind):
+            return True  # what is recorded costs nothing more
+        # whether twice the stations have brought something: an effect, or a smaller rest
+        half = self._refit(at.session, rows[: len(rows) // 2])
+        e = errors(half.calibration.calibrated, refitted.samples).position_norm
+        return refitted.spread <= _BROUGHT * float(np.sqrt(np.mean(e[~refitted.wrong] ** 2)))
+
+    # what is chosen
+
+    def _batch(self, at: _Standing, least: int) -> int:
+        return max(1, min(max(self._method.batch, least), self.goal.stations - at.status.measured))
+
+    def _best(self, at: _Standing, count: int, first: int, rng: np.random.Generator) -> tuple[list[Station], Array]:
+        return best_stations(self.pool, at.view, at.refitted, at.session, count, first, rng)
+
+    def _toward_goal(self, at: _Standing, rng: np.random.Generator) -> tuple[list[Station], int]:
+        """The next batch, where a few more like it should prove the goal, and how many stations that takes."""
+        if self.goal.accuracy is None:
+            return [], 0
+        size = self._batch(at, at.status.fitted // _GROWING)
+        stations, rows = self._best(at, _AHEAD * size, size, rng)
+        needed = at.view.reaching(self.goal.accuracy / at.bound, rows, size)
+        return ([], 0) if needed is None else (stations[:size], needed)
+
+    def _hopeful(self, at: _Standing, searching: bool, rng: np.random.Generator) -> list[Station]:
+        """The next batch where no proof is in reach: half of the stations of a long search are drawn at random, since
+        what nobody suspects no choice looks for.
+        """
+        fitted = at.status.fitted
+        size = self._batch(at, fitted // _UNHURRIED)
+        blind = size // 2 if searching and fitted >= _SEARCHED * self.least(at.session.kind) else 0
+        stations, _ = self._best(at, size - blind, size, rng)
+        return stations + random_stations(self.pool, at.session.asking(stations), blind)
+
+    def _returns(self, session: Session) -> list[Station]:
+        returned = len(session.rows(RETURN))
+        return return_stations(session, min(MIN_RETURNS, _MAX_RETURNS - returned)) if returned < _MAX_RETURNS else []
+
+    def _ended(self, at: _Standing, end: End) -> Advice:
+        """The end, after stations that separate explanations where that is asked for."""
+        asked = sum(s.role == DECIDE for s in at.session.stations)
+        if self.goal.ties and asked < _DECIDING[1] and not self.pool.recorded and not self._gone(at.session, 0.0):
+            rng = np.random.default_rng((self._method.seed, asked))
+            found, why = deciding(at.refitted.calibration, self.pool, _DECIDING[0], rng)
+            if found is not None:
+                return self._asked(at, deciding_stations(found), f"stations that decide: {found.name}")
+            ties = tuple(f"{tie} ({why[tie]})" if tie in why else tie for tie in at.status.ties)
+            at = replace(at, status=replace(at.status, ties=ties))
+        return replace(at, outcome=end)
+
+    def _asked(self, at: Advice, stations: list[Station], why: str) -> Advice:
+        """These stations, in a short order; the end where the budget leaves none."""
+        session, status = at.session, at.status
+        stations = stations[: max(self.goal.stations - status.measured, 0)]
+        if not stations:
+            bound = None if status.bound is None else 1e3 * status.bound
+            return replace(at, outcome=spent(self.goal, status.measured, bound))
+        if len(stations) > 1 and stations[0].role not in (RETURN, DECIDE):
+            last = next((s.q for s in reversed(session.stations) if s.q is not None), None)
+            q = np.array([s.asked for s in stations])
+            stations = [stations[k] for k in nearest_order(q, q.mean(axis=0) if last is None else last)]
+        return replace(at, session=session.asking(stations), why=why)

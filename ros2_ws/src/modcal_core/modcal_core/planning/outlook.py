@@ -5,9 +5,6 @@ effects nobody named may look like, as large as in usual arms. With H the inform
 priors, and Γ the mean of GᵀG where accuracy counts, the mean square error is tr(H⁻¹ Γ). Before anything is measured the
 arm is the nominal one, and the noise that of the site.
 
-Where the instrument lost the tool a posture is not asked for again: a kernel estimate over what was and was not seen
-near it gives the chance by which a station's worth counts.
-
 A model is fitted to the stations so far by the flow of ``modcal calibrate``, with nothing held out: the stations of the
 proof score it. With too few to choose effects the geometry alone is fitted, held by its priors.
 """
@@ -48,7 +45,6 @@ from modcal_core.hypotheses import proved
 from modcal_core.measurements import POSE, Samples
 from modcal_core.measurements.kinds import dimensions
 from modcal_core.moves import find_regimes
-from modcal_core.planning.exchange import ACCURACY, Search, information
 from modcal_core.planning.pool import Pool, readings_at
 from modcal_core.planning.site import Noise
 from modcal_core.robots import Inertias, Mechanism, weightless
@@ -143,8 +139,11 @@ def proven_over(refitted: Refit, where: Array) -> Refit:
 
 # --- What a station would be worth
 
-_NEAR, _FACING = 0.3, 0.7  # m, rad: places and directions that a tracker sees alike
-_SEEN_FIRST = 0.95  # chance that a posture is seen where nothing near was tried; weighs as much as one station
+
+def information(J: Array) -> Array:
+    """JᵀJ of stations with rows J (N, c, K), in units of the prior, (K, K)."""
+    flat = J.reshape(-1, J.shape[2])
+    return np.asarray(flat.T @ flat)
 
 
 @dataclass(frozen=True)
@@ -197,13 +196,16 @@ class Outlook:
         """The same once stations with these rows (N, c, K) have been read."""
         return replace(self, H=self.H + information(rows))
 
-    def search(self, rows: Array, which: str = ACCURACY) -> Search:
-        """Candidates with these rows (N, c, K), by a criterion: accuracy counts all values, others the fit's own."""
-        if which == ACCURACY:
-            return Search.of(rows, self.H, self.gamma)
-        units = np.array([p.prior_std for p in self.about.parameters])[self.own] / self.about.std[self.own]
-        H = (self.H - np.eye(len(self.H)))[np.ix_(self.own, self.own)] * np.outer(units, units)
-        return Search.of(rows[..., self.own] * units, H + np.eye(len(units)))
+    def reaching(self, share: float, rows: Array, step: int) -> int | None:
+        """How many of the stations with these rows (N, c, K), by so many at a time, bring the expected error to a share
+        of what it is now; None if all do not.
+        """
+        view, enough = self, share * self.error()
+        for k in range(step, len(rows) + 1, step):
+            view = view.beside(rows[k - step : k])
+            if view.error() <= enough:
+                return k
+        return None
 
     def _samples(self, q: Array, approach: Array | None, kind: str) -> Samples:
         """Readings as the geometry makes them; time and signals as they were at the end of the samples so far."""
@@ -221,15 +223,14 @@ class Outlook:
         return J.reshape(len(J), -1, len(samples)).transpose(2, 1, 0) * about.std
 
 
-def nominal_outlook(pool: Pool, q: Array, kind: str, fixed: Sequence[str] = ()) -> Outlook:
-    """The outlook before anything is measured. q: postures of the pool to choose from (N, n). fixed: parameters that
-    are as the drawing has them, by name, place or pattern.
+def nominal_outlook(pool: Pool, kind: str, fixed: Sequence[str] = ()) -> Outlook:
+    """The outlook before anything is measured. fixed: parameters that are as the drawing has them, by name, place or
+    pattern.
 
     Functions for what nobody named are as wide as the claim expects them: were they wider, most stations would look for
     what most arms do not have.
     """
-    assert pool.ground is not None
-    model, noise = pool.ground.model, pool.ground.site.noise
+    model, noise, q = pool.at.model, pool.at.site.noise, pool.q[pool.offered]
     fitted = choose_parameters(model, (View(kind, 0),), fixed).parameters
     joints = unrepeated(model, q, noise)
     scatter = np.sqrt(np.repeat([np.mean(joints[:, :3] ** 2), np.mean(joints[:, 3:] ** 2)], 3) * joints.shape[2])
@@ -274,15 +275,3 @@ def unrepeated(model: Model, q: Array, noise: Noise) -> Array:
     sizes = np.where(chain.revolute, noise.joint_turn, noise.joint_slide)
     moved = [view.unit_column(chain.first_place + k, 5 if chain.revolute[k] else 2) for k in range(chain.n)]
     return np.stack(moved, axis=1).reshape(6, len(q), chain.n).transpose(1, 0, 2) * sizes
-
-
-def chance_seen(p: Array, facing: Array, tried_p: Array, tried_facing: Array, seen: np.ndarray) -> Array:
-    """Chance (N,) that an instrument sees a tool at p (N, 3) [m] with its z axis along facing (N, 3), from where it did
-    and did not see one: tried_p, tried_facing (M, 3), seen (M,).
-    """
-    if not len(seen) or seen.all():
-        return np.ones(len(p))
-    apart = np.sum((p[:, None] - tried_p) ** 2, axis=2) / _NEAR**2
-    turned = np.sum((facing[:, None] - tried_facing) ** 2, axis=2) / _FACING**2
-    weight = np.exp(-0.5 * (apart + turned))
-    return np.asarray((weight @ seen + _SEEN_FIRST) / (weight.sum(axis=1) + 1.0))

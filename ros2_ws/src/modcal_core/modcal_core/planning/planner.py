@@ -1,6 +1,6 @@
 """Which stations to measure: the main path of ``modcal plan``.
 
-    joints' ranges → postures that are allowed and seen → rows → exchange → accuracy → how many → the way through them
+    joints' ranges → postures that are allowed and seen → chooser → accuracy → how many → the way through them
 
 The noise is that of the site. What accuracy counts is the claim to be expected (:mod:`modcal_core.claim`).
 """
@@ -8,36 +8,28 @@ The noise is that of the site. What accuracy counts is the claim to be expected 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from modcal_core.calibration import EQUATIONS_PER_PARAMETER, SHARES, Calibration, Cell, NoiseModel, Stated
 from modcal_core.claim import Claim, expected_claim
-from modcal_core.errors import BadTable, NotPlannable
+from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
-from modcal_core.planning.exchange import (
-    ACCURACY,
-    CRITERIA,
-    Observability,
-    exchange,
-    grown,
-    information,
-    observability,
-)
+from modcal_core.planning.chooser import ROUNDS, Chooser, Search, grown
 from modcal_core.planning.outlook import nominal_outlook, unrepeated
-from modcal_core.planning.pool import CANDIDATES, Ground, Pool, readings_at, survey
+from modcal_core.planning.pool import CANDIDATES, Pool, readings_at, survey
 from modcal_core.planning.route import RETURNS, Route, route
 from modcal_core.planning.site import Site
 from modcal_core.robots import Mechanism
 
-_REFINED = (0.3, 0.1, 0.03)  # rad or m by which stations are moved, round by round, in search of better ones
-_MOVED = 800  # new candidates for all stations and a round, for time
-STARTS = 2  # of the exchange
+_MOVES = (0.3, 0.1, 0.03)  # rad or m by which stations are moved, round by round, in search of better ones
 _MAX = 400  # stations
 _USUAL = 2.0  # times the fewest stations, where neither a number nor an accuracy is asked for: effects need some, too
 _CLAIMED = 200  # postures that a claim is made over, for time
+_SEEN = 1e-7  # of the largest singular value of the fit's rows: below, a direction is not seen
 _RANDOM = 20  # random sets that a plan is compared with
 
 
@@ -45,20 +37,17 @@ _RANDOM = 20  # random sets that a plan is compared with
 class PlanRequest:
     """What is asked of a plan.
 
-    stations: how many; None: as many as the accuracy needs, or twice the fewest. accuracy: [m], of what
-    measure says: ``rms`` or ``p95``. criterion: one of CRITERIA. reading: ``point`` or ``pose``. fixed: parameters that
-    are not fitted. starts: of the exchange. candidates: postures to choose from. besides: stations (N, n) that are
-    measured already and count too. returns: how many stations are visited twice, so that it is known what the arm does
-    not repeat.
+    stations: how many; None: as many as the accuracy needs, or twice the fewest. accuracy: [m], of what measure says:
+    ``rms`` or ``p95``. reading: ``point`` or ``pose``. fixed: parameters that are not fitted. candidates: postures to
+    choose from. besides: stations (N, n) that are measured already and count too. returns: how many stations are
+    visited twice, so that it is known what the arm does not repeat.
     """
 
     stations: int | None = None
     accuracy: float | None = None
     measure: str = "p95"
-    criterion: str = ACCURACY
     reading: str = "point"
     fixed: tuple[str, ...] = ()
-    starts: int = STARTS
     candidates: int = CANDIDATES
     besides: Array | None = None
     returns: int = RETURNS
@@ -69,14 +58,14 @@ class Expected:
     """What is to be expected of a plan's distinct stations, over the workspace.
 
     claim: from them. left: RMS error [m] that the fit leaves, at_random: of fits to as many random stations from the
-    same postures, the median. repeat: RMS [m] of what joints do not repeat. indices: of the fit's Jacobian.
+    same postures, the median. repeat: RMS [m] of what joints do not repeat. rank: of the fit's Jacobian.
     """
 
     claim: Claim
     left: float
     at_random: float
     repeat: float
-    indices: Observability
+    rank: int
 
     @property
     def ratios(self) -> dict[str, float]:
@@ -91,7 +80,7 @@ class Plan:
 
     - q: postures in the order of the path, (k, n) [rad, m]; those visited twice appear twice.
     - parameters: names of those that are fitted.
-    - curve: (number, claim) of the sets tried while the number was sought.
+    - tried: claims of the sets tried while the number was sought, by number.
     """
 
     request: PlanRequest
@@ -100,13 +89,7 @@ class Plan:
     route: Route
     parameters: Sequence[str]
     expected: Expected
-    curve: tuple[tuple[int, Claim], ...] = field(default=())
-
-    @property
-    def ground(self) -> Ground:
-        """The arm at its site."""
-        assert self.pool.ground is not None
-        return self.pool.ground
+    tried: Mapping[int, Claim]
 
     @property
     def distinct(self) -> int:
@@ -118,125 +101,111 @@ class Planner:
     """Chooses among the postures of a pool, for one request."""
 
     def __init__(self, pool: Pool, request: PlanRequest, rng: np.random.Generator) -> None:
-        """Raises BadTable for a criterion or parameters that are not known."""
-        assert pool.ground is not None
-        self.pool, self.ground, self.request, self._rng = pool, pool.ground, request, rng
-        fresh = nominal_outlook(pool, pool.q, request.reading, request.fixed)
-        if request.criterion not in CRITERIA:
-            raise BadTable(f"criterion '{request.criterion}'", "is not known", f"choose {', '.join(CRITERIA)}")
+        """Raises BadTable for parameters that are not known."""
+        self.pool, self.request, self._rng = pool, request, rng
+        fresh = nominal_outlook(pool, request.reading, request.fixed)
         self.outlook = fresh if request.besides is None else fresh.beside(fresh.rows(request.besides))
         self._rows = self.outlook.rows(pool.q)
 
+    def every(self, q: Array) -> Array:
+        """Stations q (k, n) behind those that are measured already."""
+        return q if self.request.besides is None else np.concatenate([self.request.besides, q])
+
     def claim(self, q: Array) -> Claim:
         """The claim to be expected over the workspace from stations q (k, n) and those that are measured already."""
-        request, noise, model = self.request, self.ground.site.noise, self.ground.model
-        every = q if request.besides is None else np.concatenate([request.besides, q])
-        scatter, planned = self.outlook.scatter, readings_at(model, every, request.reading)
-        distance = float(np.mean(np.linalg.norm(planned.reading, axis=1)))
-        size = np.hypot([noise.position + noise.per_metre * distance, noise.rotation], scatter[[0, 3]])
+        model, noise, every = self.pool.at.model, self.pool.at.site.noise, self.every(q)
+        scatter, planned = self.outlook.scatter, readings_at(model, every, self.request.reading)
+        read = noise.position + noise.per_metre * float(np.mean(np.linalg.norm(planned.reading, axis=1)))
+        size = np.hypot([read, noise.rotation], scatter[[0, 3]])
         made = Calibration(model, model, model, np.stack([every.min(axis=0), every.max(axis=0)]))
-        cell = Cell(stated=Stated(instrument_mm=1e3 * np.sqrt(3.0) * (noise.position + noise.per_metre * distance)))
+        cell = Cell(stated=Stated(instrument_mm=1e3 * np.sqrt(3.0) * read))
         return expected_claim(made, planned, cell, NoiseModel(*size.tolist()), self.pool.where[:_CLAIMED])
 
     def left(self, rows: Array) -> float:
         """RMS error of the tool [m] that a fit to stations with these rows leaves."""
         return self.outlook.beside(rows).error(own=True)
 
-    def grown(self) -> Array:
-        """As many stations as a plan may have, of which the first so many are a good set of so many, (k, n)."""
-        search = self.outlook.search(self._rows, self.request.criterion)
-        return self.pool.q[grown(search, min(_MAX, len(self.pool.q)))]
-
-    def best(self, count: int, starts: int) -> Array:
-        """The best set of so many stations, (count, n): by exchange, then each moved about where it is, as long as the
-        exchange among these finds better ones.
-        """
-        q = self.pool.q[self._exchanged(self._rows, count, starts)]
-        for size in _REFINED:
-            moved = np.concatenate([q, self.ground.around(q, (size,), max(_MOVED // count, 1), self._rng)])
-            q = moved[self._exchanged(self.outlook.rows(moved), count, begin=np.arange(count))]
-        return q
-
-    def _exchanged(self, rows: Array, count: int, starts: int = 1, begin: np.ndarray | None = None) -> np.ndarray:
-        search = self.outlook.search(rows, self.request.criterion)
-        return exchange(search, count, self._rng, starts, begin=begin)
+    def best(self, count: int) -> Array:
+        """The best set of so many stations, (count, n)."""
+        chooser = Chooser(self.outlook, self.pool.ground, _MOVES, ROUNDS)
+        return chooser.best(self.pool.q, count, self._rng).q
 
     def random(self, count: int) -> float:
         """What so many stations would leave that are drawn from the same postures, the median of several sets [m]."""
         sets = (self._rng.choice(len(self.pool.q), count, replace=False) for _ in range(_RANDOM))
         return float(np.median([self.left(self._rows[chosen]) for chosen in sets]))
 
-    def measure(self, claim: Claim) -> float:
-        """The upper end of a claim [m], of what was asked for."""
+    def to_accuracy(self, wanted: float, least: int) -> tuple[Array, Claim, dict[int, Claim]]:
+        """The fewest stations whose claim meets the wish [m], by doubling and halving, their claim, and what was tried.
+
+        Raises NotPlannable where as many as a plan may have do not.
+        """
+        search = Search.of(self._rows, self.outlook.H, self.outlook.gamma)
+        q = self.pool.q[grown(search, min(_MAX, len(self.pool.q)))]  # the first so many are a good set of so many
+        tried: dict[int, Claim] = {}
+
+        def met(count: int) -> bool:
+            if count not in tried:
+                tried[count] = self.claim(q[:count])
+            return self._upper(tried[count]) <= wanted
+
+        high = least
+        while not met(high):
+            if high == len(q):
+                said = f"{high} stations leave {1e3 * self._upper(tried[high]):.3g} mm"
+                raise NotPlannable(self._asked, said, "ask for less, use a better tracker, or measure poses")
+            high = min(2 * high, len(q))
+        count = bisect_left(range(high), True, max(least, high // 2), key=met)
+        best = self.best(count)
+        claim = self.claim(best)
+        if self._upper(claim) > wanted:  # what is better by the expected error may be claimed no better
+            best, claim = q[:count], tried[count]
+        return best, claim, dict(sorted(tried.items()))
+
+    def _upper(self, claim: Claim) -> float:
         return 1e-3 * claim.mm["rms" if self.request.measure == "rms" else "p95"].ci95[1]
+
+    @property
+    def _asked(self) -> str:
+        return f"{self.request.measure} of {1e3 * (self.request.accuracy or 0.0):.3g} mm"
+
+    def require(self, count: int, least: int, repeat: float) -> None:
+        """Raises NotPlannable where so many stations are too few or not there, or joints do not repeat to the wish."""
+        there = len(self.pool.q)
+        if count < least:
+            raise NotPlannable(f"{count} stations", f"modcal calibrate needs at least {least}", "ask for more stations")
+        if count > there:
+            said = f"only {there} of the postures tried are allowed and seen"
+            raise NotPlannable(f"{count} stations", said, "ask for fewer, or widen the site")
+        if repeat >= (self.request.accuracy or np.inf):
+            said = f"what the joints do not repeat alone makes {1e3 * repeat:.3g} mm RMS"
+            raise NotPlannable(self._asked, said, "ask for less, or correct the noise of the site")
 
 
 def plan(chain: Mechanism, site: Site, request: PlanRequest, rng: np.random.Generator) -> Plan:
     """The stations for this wish. Raises NotPlannable, and BadTable for a wish or a site that makes no sense."""
     pool = survey(chain, site, rng, request.reading, request.candidates)
     planner = Planner(pool, request, rng)
-    names, besides = planner.outlook.parameters, request.besides
-    measured = 0 if besides is None else len(besides)
-    least = max(min_stations(len(names), request.reading) - measured, 1)
-    ground, where = planner.ground, pool.where
-    repeat = float(np.sqrt(np.mean(np.sum(unrepeated(ground.model, where, site.noise)[:, :3] ** 2, axis=(1, 2)))))
-    curve: tuple[tuple[int, Claim], ...] = ()
-    if request.stations is None and request.accuracy is not None:
-        best, claim, curve = _to_accuracy(planner, request.accuracy, least, repeat)
+    names, outlook = planner.outlook.parameters, planner.outlook
+    least = max(min_stations(len(names), request.reading) - len(planner.every(pool.q[:0])), 1)
+    repeat = float(np.sqrt(np.mean(np.sum(unrepeated(pool.at.model, pool.where, site.noise)[:, :3] ** 2, axis=(1, 2)))))
+    asked, tried = request.stations is None and request.accuracy is not None, dict[int, Claim]()
+    count = request.stations or min(math.ceil(_USUAL * least), max(least, len(pool.q)))
+    planner.require(least if asked else count, least, repeat if asked else 0.0)
+    if asked and request.accuracy is not None:
+        best, claim, tried = planner.to_accuracy(request.accuracy, least)
     else:
-        count = request.stations or min(math.ceil(_USUAL * least), max(least, len(pool.q)))
-        _require(count, least, len(pool.q))
-        best = planner.best(count, request.starts)
+        best = planner.best(count)
         claim = planner.claim(best)
-    way = route(best, ground.free, pool.roadmap, 0.5 * (best.min(axis=0) + best.max(axis=0)), request.returns)
-    rows = planner.outlook.rows(best if besides is None else np.concatenate([besides, best]))
-    indices = observability(information(planner.outlook.search(rows, "d").J), len(rows))
-    expected = Expected(claim, planner.left(rows[measured:]), planner.random(len(best)), repeat, indices)
-    return Plan(request, pool, best[way.order], way, names, expected, curve)
+    way = route(best, pool.at.free, pool.roadmap, 0.5 * (best.min(axis=0) + best.max(axis=0)), request.returns)
+    own = outlook.rows(planner.every(best))[..., outlook.own]
+    told = np.linalg.svd(own.reshape(-1, own.shape[2]), compute_uv=False)
+    rank = int(np.sum(told > _SEEN * told[0]))
+    expected = Expected(claim, planner.left(outlook.rows(best)), planner.random(len(best)), repeat, rank)
+    return Plan(request, pool, best[way.order], way, names, expected, tried)
 
 
 def min_stations(parameters: int, reading: str, share: float = SHARES[0] + SHARES[1]) -> int:
     """The fewest stations from which so many parameters are fitted to a share of them, as ``modcal calibrate`` does."""
     fitted = np.ceil(EQUATIONS_PER_PARAMETER * parameters / (6.0 if reading == "pose" else 3.0))
     return int(np.ceil((fitted - 0.5) / share))
-
-
-def _require(count: int, least: int, there: int) -> None:
-    if count < least:
-        raise NotPlannable(f"{count} stations", f"modcal calibrate needs at least {least}", "ask for more stations")
-    if count > there:
-        said = f"only {there} of the postures tried are allowed and seen"
-        raise NotPlannable(f"{count} stations", said, "ask for fewer, or widen the site")
-
-
-def _to_accuracy(
-    planner: Planner, wanted: float, least: int, repeat: float
-) -> tuple[Array, Claim, tuple[tuple[int, Claim], ...]]:
-    """The fewest stations whose claim meets the wish [m], by doubling and halving, their claim, and what was tried."""
-    asked = f"{planner.request.measure} of {1e3 * wanted:.3g} mm"
-    _require(least, least, len(planner.pool.q))
-    if repeat >= wanted:
-        said = f"what the joints do not repeat alone makes {1e3 * repeat:.3g} mm RMS"
-        raise NotPlannable(asked, said, "ask for less, or correct the noise of the site")
-    tried: dict[int, Claim] = {}
-    grown = planner.grown()
-
-    def enough(count: int) -> bool:
-        if count not in tried:
-            tried[count] = planner.claim(grown[:count])
-        return planner.measure(tried[count]) <= wanted
-
-    low, high = least, least
-    while not enough(high):
-        if high >= len(grown):
-            said = f"{high} stations leave {1e3 * planner.measure(tried[high]):.3g} mm"
-            raise NotPlannable(asked, said, "ask for less, use a better tracker, or measure poses")
-        low, high = high, min(2 * high, len(grown))
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if enough(middle) else (middle, high)
-    best = planner.best(high, planner.request.starts)
-    claim = planner.claim(best)
-    if planner.measure(claim) > wanted:  # what is better by the expected error may be claimed no better
-        best, claim = grown[:high], tried[high]
-    return best, claim, tuple(sorted(tried.items()))

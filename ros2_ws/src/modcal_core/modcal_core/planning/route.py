@@ -161,22 +161,28 @@ def with_returns(q: Array, count: int = RETURNS, passable: Passable | None = Non
     from one posture (n,) to another; None: always.
     """
     k = len(q)
-    if count < 1 or k < _STATIONS_EACH * count or k < 3:
+    if count < 1 or k < max(_STATIONS_EACH * count, 3):
         return Tour(np.arange(k), ())
     came = _sides(np.vstack([q[:1], q[:-1]]), q)  # from where the first one is reached is not known: it is left out
     half = min(max(1, k // (4 * count)), _CHOICES)
-    after: dict[int, int] = {}
+    after: dict[int, int] = {}  # the station that is visited again after a stop
     for r in range(count):
         last = (r + 1) * k // count - 1  # the stop after which the return comes
         wanted = (_LONG if r % 2 else _SHORT) * last
-        found = [
-            _best(q, came, m, wanted, after, passable) for m in range(max(last - half, 2), min(last + half, k - 1) + 1)
-        ]
-        if choices := [choice for choice in found if choice is not None]:
-            _, m, i = max(choices)
-            after[m] = i
-            if m + 1 < k:
-                came[m + 1] = _sides(q[i], q[m + 1])
+        choices: list[tuple[float, int, int]] = []
+        for m in range(max(last - half, 2), min(last + half, k - 1) + 1):
+            if m not in after and m + 1 not in after.values():  # a first visit keeps the side it was reached from
+                i = np.setdiff1d(np.arange(m - 1), list(after.values()))
+                other = np.mean(_sides(q[m], q[i]) * came[i] < 0.0, axis=1)
+                # the share of joints that come from the other side, less what the time in between is off
+                worth = other - np.abs(m - i - wanted) / m
+                choices += [(float(worth[j]), m, -int(i[j])) for j in np.flatnonzero(other > 0.0)]
+        for _, m, minus in sorted(choices, reverse=True):
+            here = q[-minus]
+            if passable is None or (passable(q[m], here) and (m + 1 >= k or passable(here, q[m + 1]))):
+                after[m] = -minus
+                came[m + 1 : m + 2] = _sides(here, q[m + 1 : m + 2])
+                break
     order = [s for m in range(k) for s in ((m, after[m]) if m in after else (m,))]
     first: dict[int, int] = {}
     pairs = [(first[s], at) for at, s in enumerate(order) if first.setdefault(s, at) < at]
@@ -187,28 +193,6 @@ def _sides(before: Array, here: Array) -> Array:
     """From which side each joint comes, −1, 0 or 1, (m, n)."""
     way = here - before
     return np.where(np.abs(way) > TRAVEL, np.sign(way), 0.0)
-
-
-def _best(
-    q: Array, came: Array, m: int, wanted: float, after: dict[int, int], passable: Passable | None
-) -> tuple[float, int, int] | None:
-    """(worth, m, i) of the best station i to visit again after station m; None where there is none.
-
-    Worth is the share of joints that come from the other side, less what the time since the first visit is off the one
-    that is wanted, as a share of the tour so far.
-    """
-    if m in after or m + 1 in after.values():
-        return None  # a first visit keeps the side that it was reached from
-    i = np.setdiff1d(np.arange(m - 1), list(after.values()))
-    other = np.mean(_sides(q[m], q[i]) * came[i] < 0.0, axis=1)
-    worth = np.where(other > 0.0, other - np.abs(m - i - wanted) / m, -np.inf)
-    for at in np.argsort(-worth, kind="stable"):
-        if not np.isfinite(worth[at]):
-            break
-        to = int(i[at])
-        if passable is None or (passable(q[m], q[to]) and (m + 1 >= len(q) or passable(q[to], q[m + 1]))):
-            return float(worth[at]), m, to
-    return None
 
 
 _ROUNDS = 20  # iterations
@@ -229,10 +213,6 @@ class Route:
     def stops(self, q: Array) -> list[Array]:
         """For each way all its postures, from station to station, (2 + m, n). q: the stations in order, (k, n)."""
         return [np.concatenate([a[None], way, b[None]]) for a, b, way in zip(q, q[1:], self.ways, strict=False)]
-
-    def length(self, q: Array) -> float:
-        """How far the joint that moves most has to go in all [rad or m]. q: the stations in order, (k, n)."""
-        return float(sum(np.abs(np.diff(stop, axis=0)).max(axis=1).sum() for stop in self.stops(q)))
 
 
 def route(q: Array, free: Free, between: Array, start: Array | None = None, returns: int = 0) -> Route:
@@ -255,13 +235,11 @@ def route(q: Array, free: Free, between: Array, start: Array | None = None, retu
 
 def nearest_order(q: Array, begin: Array) -> np.ndarray:
     """Numbers of postures q (k, n), each the nearest to the one before it, the first to a posture ``begin`` (n,)."""
-    left, order, here = set(range(len(q))), [], begin
-    while left:
-        rest = np.array(sorted(left))
-        order.append(int(rest[np.argmin(np.abs(q[rest] - here).max(axis=1))]))
-        left.discard(order[-1])
-        here = q[order[-1]]
-    return np.array(order)
+    left, order, here = np.zeros(len(q)), list[int](), begin
+    for _ in q:
+        order.append(int(np.argmin(np.abs(q - here).max(axis=1) + left)))
+        left[order[-1]], here = np.inf, q[order[-1]]
+    return np.array(order, dtype=int)
 
 
 def _shortened(q: Array, order: np.ndarray) -> np.ndarray:

@@ -1,5 +1,13 @@
 """How far the point moves for each parameter's error: at one posture, and over many.
 
+The closed chain goes from the measuring frame over the arm to the measured point, P_M = T_M_B · T_B_tool0 · P_tool0.
+For n joints in Denavit–Hartenberg form it has 4 n + 9 parameters: theta, d, a and alpha of every row, three shifts
+(along the measuring frame) and three turns (about the base) of the base, and three coordinates of the point in the last
+frame. DH cannot hold nearly parallel axes; the directions that a calibration uses are the other choice and hold for any
+robot. Errors count to first order. With R the frame in front of a parameter's motion, o its origin and p the point,
+
+    ∂p/∂g = R e  (shift along e)        ∂p/∂g = (R e) × (p − o),  ∂rot/∂g = R e  (turn about e)
+
     Θ_k(q) = ‖∂p/∂g_k · Δg_k‖                          single-point index (SFDPE)
     Θ_k    = Σ_i P_k(Θ_k(q_i)) Θ_k(q_i) / Σ_i P_k(…)    multi-point index (SFCDPE)
 
@@ -22,19 +30,153 @@ entries u · c mod s (Bose & Bush 1952): (s^k − 1) / (s − 1) columns. s = 5 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from itertools import product
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from modcal_core.calibration import View, choose_parameters, linearise
 from modcal_core.errors import BadTable
-from modcal_core.geometry import Array
-from modcal_core.planning.pool import ClosedChain
-from modcal_core.robots import Mechanism, joint_ranges, takes
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import POSE
+from modcal_core.planning.pool import one_frame_model, readings_at
+from modcal_core.robots import Chain, Mechanism, joint_ranges, random_postures, read_rows, takes, to_dh
+from modcal_core.schema import NUMBER
 
-DESIGNS = ("l25", "array", "sobol")
+
+@dataclass(frozen=True)
+class Factor:
+    """A parameter whose error matters. name: "JOINT/theta", "base/rx", "point/z" or as a calibration has it."""
+
+    name: str
+    unit: str
+
+    @property
+    def is_length(self) -> bool:
+        """Whether it is a shift rather than a turn."""
+        return self.unit == "m"
+
+
+@dataclass(frozen=True)
+class ClosedChain:
+    """chain: the nominal arm. factors: the P parameters. jacobian: d(position, orientation)/d(parameter), (N, 6, P), in
+    the measuring frame, at postures q (N, n).
+    """
+
+    chain: Mechanism
+    factors: tuple[Factor, ...]
+    jacobian: Callable[[Array], Array]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(f.name for f in self.factors)
+
+    def index(self, name: str) -> int:
+        """Number of the named parameter. Raises BadTable."""
+        if name not in self.names:
+            raise BadTable(f"parameter '{name}'", "is not one of the chain's", f"choose from {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def only(self, patterns: Sequence[str]) -> ClosedChain:
+        """The same chain with the parameters that these names or patterns name, the others taken as known; with all of
+        them where there are no patterns. Raises BadTable for one that names nothing.
+        """
+        kept = sorted({k for pattern in patterns for k in self.matching(pattern)})
+        if not kept:
+            return self
+        return replace(
+            self, factors=tuple(self.factors[k] for k in kept), jacobian=lambda q: self.jacobian(q)[..., kept]
+        )
+
+    def matching(self, pattern: str) -> list[int]:
+        """Numbers of the parameters that a name or pattern names. Raises BadTable where there are none."""
+        hit = [k for k, name in enumerate(self.names) if fnmatchcase(name, pattern)]
+        if not hit:
+            raise BadTable(f"pattern '{pattern}'", "matches no parameter", f"choose from {', '.join(self.names)}")
+        return hit
+
+
+_DH = (("theta", 5), ("d", 2), ("a", 0), ("alpha", 3))  # in the order in which a row moves the frame
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def dh_closed_chain(
+    chain: Chain, T_measuring_base: Array | None = None, point: ArrayLike = (0.0, 0.0, 0.0)
+) -> ClosedChain:
+    """The closed chain in 4 n + 9 parameters. point: what is measured, in the tip [m].
+
+    Raises NotRepresentable where DH cannot hold the arm: take :func:`calibration_chain` then.
+    """
+    rows = read_rows(to_dh(chain), "dh", {key: NUMBER for key, _ in _DH})
+    columns = {key: rows.column(key) for key, _ in _DH}
+    base = np.eye(4) if T_measuring_base is None else np.asarray(T_measuring_base, dtype=float)
+    named = [(f"base/{_AXES[d]}", d) for d in range(6)]
+    named += [(f"{joint}/{key}", d) for joint in chain.names for key, d in _DH]
+    named += [(f"point/{_AXES[d]}", d) for d in range(3)]
+
+    def jacobian(q: Array) -> Array:
+        q = np.atleast_2d(np.asarray(q, dtype=float))
+        T = np.tile(np.eye(4), (len(q), 1, 1))
+        before = [T] * 3 + [T @ base] * 3  # the frame in front of each parameter's motion
+        T = T @ base @ rows.T_base
+        for k in range(chain.n):
+            for key, d in _DH:
+                xi = np.zeros((len(q), 6))
+                xi[:, d] = columns[key][k] + (q[:, k] if key == ("theta" if chain.revolute[k] else "d") else 0.0)
+                before.append(T)
+                T = T @ se3.exp(xi)
+        T = T @ rows.T_tool @ se3.transform(p=point)
+        J = np.zeros((len(q), 6, len(named)))
+        for j, ((_, d), at) in enumerate(zip(named, [*before, T, T, T], strict=True)):
+            axis = at[:, :3, d % 3]
+            J[:, :3, j] = axis if d < 3 else np.cross(axis, T[:, :3, 3] - at[:, :3, 3])
+            J[:, 3:, j] = axis if d >= 3 else 0.0
+        return J
+
+    return ClosedChain(chain, tuple(Factor(name, "m" if d < 3 else "rad") for name, d in named), jacobian)
+
+
+def calibration_chain(
+    chain: Mechanism, T_measuring_base: Array | None = None, T_tip_tool: Array | None = None, kind: str = "point"
+) -> ClosedChain:
+    """The closed chain in the parameters that ``modcal calibrate`` would fit to readings of this kind, by its names."""
+    model = one_frame_model(chain, T_measuring_base, T_tip_tool)
+    parameters = choose_parameters(model, (View(kind, 0),)).parameters
+    P = len(parameters)
+
+    def jacobian(q: Array) -> Array:
+        samples = readings_at(model, np.atleast_2d(np.asarray(q, dtype=float)), POSE)
+        N = len(samples)
+        seen = linearise(model, parameters, np.zeros(P), samples).J.reshape(P, 2, 3, N)  # as seen from the root
+        R = model.T_frame_base[0, :3, :3] @ model.chain.T_base_root[:3, :3]
+        return np.asarray(np.einsum("ab,pkbn->nkap", R, seen).reshape(N, 6, P))
+
+    return ClosedChain(chain, tuple(Factor(p.name, p.unit) for p in parameters), jacobian)
+
+
+def sizes_of(closed: ClosedChain, length: float, angle: float, tolerances: Mapping[str, float] | None = None) -> Array:
+    """Sizes Δg of the parameters' errors, (P,): one for lengths [m], one for angles [rad], others by name or pattern.
+
+    Raises BadTable for a pattern that names nothing and for a size that is negative or not finite.
+    """
+    out = np.array([length if f.is_length else angle for f in closed.factors])
+    for pattern, size in (tolerances or {}).items():
+        out[closed.matching(pattern)] = size
+    bad = np.flatnonzero(~np.isfinite(out) | (out < 0.0))
+    if len(bad):
+        name = closed.names[bad[0]]
+        raise BadTable(f"tolerance of '{name}'", f"is {out[bad[0]]}, at least 0 is needed", "give metres or radians")
+    return out
+
+
+# --- Postures of an orthogonal array
+
+LEVELS = 5  # with six joints Taguchi's L25(5^6)
 _MAX_RUNS = 20_000  # for time
-_DRAWN = 8  # times as many postures as are wanted of a robot that cannot take all of them
 _SAME = 1e-6  # rad
 
 
@@ -62,7 +204,7 @@ def orthogonal_array(factors: int, levels: int) -> np.ndarray:
     return np.asarray(runs @ np.array(forms[:factors]).T % levels)
 
 
-def array_postures(chain: Mechanism, levels: int) -> Array:
+def array_postures(chain: Mechanism, levels: int = LEVELS) -> Array:
     """Postures (N, n) [rad, m] of the orthogonal array, every joint at so many levels from its least to its largest.
 
     Where some levels of a turning joint would be the same angle, its levels are spread over one turn instead.
@@ -82,41 +224,6 @@ def _levels(low: float, high: float, count: int, turns: bool) -> Array:
         if apart.min() < _SAME:
             return np.asarray(0.5 * (low + high) + 2.0 * np.pi * ((np.arange(count) + 0.5) / count - 0.5))
     return at
-
-
-def sobol_postures(chain: Mechanism, count: int, rng: np.random.Generator) -> Array:
-    """Postures (count, n) [rad, m] of a scrambled Sobol sequence over the joints' ranges.
-
-    Of a Delta those that its platform fits, and fewer where hardly any does.
-    """
-    low, high = joint_ranges(chain)
-    q = np.asarray(low + (high - low) * sobol_points(count * (_DRAWN if chain.closed else 1), chain.n, rng))
-    return q[takes(chain, q)][:count] if chain.closed else q
-
-
-def sobol_points(count: int, dimensions: int, rng: np.random.Generator) -> Array:
-    """The first points of a scrambled Sobol sequence, (count, dimensions), each number in (0, 1)."""
-    whole = 1 << max(count - 1, 0).bit_length()  # the sequence is balanced at powers of two
-    from scipy.stats import qmc  # takes half a second, and every calibration imports this file
-
-    return np.asarray(qmc.Sobol(dimensions, seed=rng).random(whole)[:count])
-
-
-def design(chain: Mechanism, kind: str, rng: np.random.Generator, levels: int = 5, count: int = 64) -> Array:
-    """Postures (N, n) of a design by name.
-
-    ``l25``: the source's, five levels, up to six joints. ``array``: that of ``levels`` levels for any number of joints.
-    ``sobol``: ``count`` of a Sobol sequence. Raises BadTable.
-    """
-    if kind == "sobol":
-        return sobol_postures(chain, count, rng)
-    if kind == "array":
-        return array_postures(chain, levels)
-    if kind != "l25":
-        raise BadTable(f"design '{kind}'", "is not known", f"choose {', '.join(DESIGNS)}")
-    if chain.n > 6:
-        raise BadTable("design l25", f"it has 6 columns, the arm {chain.n} joints", "use --design array or sobol")
-    return array_postures(chain, 5)
 
 
 # --- How far the point moves
@@ -250,7 +357,7 @@ def joint_use(G: Array, sizes: Array, J: Array, std: Array) -> JointGain:
 
 # --- The whole study of a closed chain: indices, gains, and what measuring these stations would leave
 
-_GAIN_POSTURES = 512  # where accuracy counts; derivatives are cheap
+_GAIN_POSTURES = 2048  # where accuracy counts; derivatives are cheap
 
 
 @dataclass(frozen=True)
@@ -264,38 +371,24 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Studied:
-    """What is studied. design: name of the postures q (N, n). sizes: of the errors (P,) [m, rad]. base: name of the
-    base factor. measured: what is supposed to be measured. bins: intervals of the histograms.
-    """
-
-    design: str
-    q: Array
-    sizes: Array
-    base: str
-    measured: Measured
-    bins: int | None = None
-
-
-@dataclass(frozen=True)
 class Study:
-    """closed: the chain. of: what was studied. indices: over its postures. joint: over postures spread over the joints'
-    ranges.
-    """
+    """closed: the chain. q: postures (N, n) of the indices. joint: over random postures, by what is measured."""
 
     closed: ClosedChain
-    of: Studied
+    q: Array
     indices: Sensitivity
     joint: JointGain
+    measured: Measured
 
 
-def study(closed: ClosedChain, of: Studied, rng: np.random.Generator) -> Study:
-    """Everything there is to say of the sensitivity of a closed chain."""
-    sizes, measured = of.sizes, of.measured
-    indices = sensitivity(closed, of.q, sizes, of.base, of.bins)
-    workspace = sobol_postures(closed.chain, _GAIN_POSTURES, rng)
+def study(closed: ClosedChain, q: Array, sizes: Array, base: str, measured: Measured) -> Study:
+    """Everything there is to say of the sensitivity of a closed chain at postures q (N, n), with errors of these sizes
+    (P,) [m, rad] beside that of the base factor. Raises BadTable for a base factor as :func:`sensitivity`.
+    """
+    indices = sensitivity(closed, q, sizes, base)
+    workspace = random_postures(closed.chain, _GAIN_POSTURES, np.random.default_rng(0))  # the same each time
     G = closed.jacobian(workspace)[:, :3]
     rows = 6 if measured.kind == "pose" else 3
     J = closed.jacobian(measured.q)[:, :rows].reshape(-1, len(sizes))
     std = np.tile(np.repeat([measured.std_m, measured.std_rad], 3)[:rows], len(measured.q))
-    return Study(closed, of, indices, joint_use(G, sizes, J, std))
+    return Study(closed, q, indices, joint_use(G, sizes, J, std), measured)

@@ -219,20 +219,15 @@ class Session:
 
     def _approach(self, rows: list[int]) -> Array:
         """The way each joint came to these stations: as known, else as it comes from the one measured before."""
-        way = np.zeros((len(rows), len(self.names)))
-        before: Array | None = None
-        last = np.zeros(len(self.names))
-        wanted = {i: k for k, i in enumerate(rows)}
-        for i, s in enumerate(self.stations):
-            if s.state != MEASURED or s.q is None:
-                continue
-            if before is not None:
-                step = s.q - before
+        ways, last, before = dict[int, Array](), np.zeros(len(self.names)), None
+        for i in self.rows():
+            station = self.stations[i]
+            if before is not None and station.q is not None:
+                step = station.q - before
                 last = np.where(np.abs(step) > TRAVEL, np.sign(step), last)
-            before = s.q
-            if i in wanted:
-                way[wanted[i]] = last if s.approach is None else s.approach
-        return way
+            before = station.q
+            ways[i] = last if station.approach is None else station.approach
+        return np.array([ways[i] for i in rows]).reshape(len(rows), len(self.names))
 
 
 FORMAT = 1  # of the file

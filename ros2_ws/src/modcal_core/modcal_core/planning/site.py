@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable, refusing
-from modcal_core.geometry import Array, se3
+from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots import (
     Chain,
     Frames,
@@ -243,14 +243,9 @@ def view_postures(chain: Chain, site: Site, count: int, rng: np.random.Generator
     to_target = _within(view.axis, room, rng)
     facing = target.facing or _AROUND
     to_eye = _within(facing.axis, np.full(len(distance), facing.half_angle), rng)
-    T = np.tile(np.eye(4), (len(distance), 1, 1))
-    if tracker.carried:
-        R = _turned(to_target, -to_eye, rng)
-        T[:, :3, 3] = target.position + distance[:, None] * to_eye - R @ tracker.position
-    else:
-        R = _turned(to_eye, -to_target, rng)
-        T[:, :3, 3] = tracker.position + distance[:, None] * to_target - R @ target.position
-    T[:, :3, :3] = R
+    out, back = (to_target, to_eye) if tracker.carried else (to_eye, to_target)  # of what moves, and of what stands
+    R = _turned(out, -back, rng)
+    T = se3.transform(R, site.still + distance[:, None] * back - R @ site.moving)
     near = np.linalg.norm(T[:, :3, 3], axis=1) <= reach
     reached = inverse_batch(chain, T[near], start[near])
     return np.asarray(reached.q[reached.met])
@@ -267,11 +262,8 @@ def _within(axis: Array, angle: Array, rng: np.random.Generator) -> Array:
 
 def _turned(a: Array, b: Array, rng: np.random.Generator) -> Array:
     """Rotations (N, 3, 3) that take directions a (N, 3) to b (N, 3), turned about b at random."""
-    angle = rng.uniform(0.0, 2.0 * np.pi, len(a))
-    roll = np.tile(np.eye(3), (len(a), 1, 1))
-    roll[:, 0, 0] = roll[:, 1, 1] = np.cos(angle)
-    roll[:, 1, 0], roll[:, 0, 1] = np.sin(angle), -np.sin(angle)
-    return np.asarray(_basis(b) @ roll @ _basis(a).transpose(0, 2, 1))
+    roll = so3.exp(rng.uniform(0.0, 2.0 * np.pi, (len(a), 1)) * b)
+    return np.asarray(roll @ _basis(b) @ _basis(a).transpose(0, 2, 1))
 
 
 def _basis(z: Array) -> Array:
@@ -390,15 +382,14 @@ def _clearance(spheres: Spheres, site: Site, q: Array) -> Array:
         others = spheres.pairs[spheres.pairs[:, 0] == i, 1]
         gap = np.linalg.norm(at[others] - at[i], axis=1) - (spheres.radius[others] + spheres.radius[i])[:, None]
         out = np.minimum(out, gap.min(axis=0))
-    moving = spheres.link > 0
+    own, radius = at[spheres.link > 0], spheres.radius[spheres.link > 0, None]
     for ball in site.obstacles:
-        gap = np.linalg.norm(at[moving] - ball.centre[:, None], axis=1) - spheres.radius[moving, None] - ball.radius
+        gap = np.linalg.norm(own - ball.centre[:, None], axis=1) - radius - ball.radius
         out = np.minimum(out, gap.min(axis=0, initial=np.inf))
     for box in site.boxes:
-        low, high = box[0][:, None], box[1][:, None]
-        outside = np.linalg.norm(np.maximum(np.maximum(low - at[moving], at[moving] - high), 0.0), axis=1)
-        inside = np.minimum(np.max(np.maximum(low - at[moving], at[moving] - high), axis=1), 0.0)
-        out = np.minimum(out, (outside + inside - spheres.radius[moving, None]).min(axis=0, initial=np.inf))
+        beyond = np.maximum(box[0][:, None] - own, own - box[1][:, None])
+        gap = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0) - radius
+        out = np.minimum(out, gap.min(axis=0, initial=np.inf))
     if site.floor is not None:
         # what the first joint carries stands on the floor
         high = spheres.link > 1
@@ -413,30 +404,22 @@ def visible(spheres: Spheres, site: Site, q: Array) -> np.ndarray:
     if tracker is None:
         return np.ones(len(q), dtype=bool)
     f = _frames(spheres.chain, q)
-    turned = f.axes[-1]
-
-    def moved(v: Array) -> Array:
-        return np.asarray(np.einsum("dcn,d->nc", turned, v))
-
-    def still(v: Array) -> Array:
-        return np.tile(v, (len(q), 1))
-
-    of_eye, of_target = (moved, still) if tracker.carried else (still, moved)
-    tip, zero = f.p[-1].T, np.zeros(3)
-    eye = of_eye(tracker.position) + (tip if tracker.carried else zero)
-    p = of_target(target.position) + (zero if tracker.carried else tip)
-    way = p - eye
-    distance = np.linalg.norm(way, axis=1)
-    ray = way / np.maximum(distance, 1e-9)[:, None]
+    moving = f.p[-1].T + np.einsum("dcn,d->nc", f.axes[-1], site.moving)
+    away = site.still - moving
+    distance = np.linalg.norm(away, axis=1)
+    ray = away / np.maximum(distance, 1e-9)[:, None]
+    # each as the one that looks has it: in the tip where the arm moves it, else in the base
+    outwards, back = np.einsum("dcn,nc->nd", f.axes[-1], ray), -ray
+    to_target, to_eye = (outwards, back) if tracker.carried else (back, outwards)
     seen = (distance >= tracker.nearest) & (distance <= tracker.farthest) & (distance > target.radius)
     if tracker.view is not None:
-        aside = np.arccos(np.clip(np.sum(of_eye(tracker.view.axis) * ray, axis=1), -1.0, 1.0))
+        aside = np.arccos(np.clip(to_target @ tracker.view.axis, -1.0, 1.0))
         wide = np.arcsin(np.minimum(target.radius / np.maximum(distance, 1e-9), 1.0))
         seen &= aside + wide <= tracker.view.half_angle
     if target.facing is not None:
-        seen &= np.sum(of_target(target.facing.axis) * -ray, axis=1) >= np.cos(target.facing.half_angle)
+        seen &= to_eye @ target.facing.axis >= np.cos(target.facing.half_angle)
     rows = np.flatnonzero(seen)
-    seen[rows] &= ~_hidden(spheres, site, eye[rows], f, p, rows)
+    seen[rows] &= ~_hidden(spheres, site, f, moving, rows)
     return seen
 
 
@@ -445,18 +428,20 @@ def _frames(chain: Mechanism, q: Array) -> Frames:
     return frames(chain, q) if is_serial_arm(chain) else tool_frames(chain, np.eye(4), q)
 
 
-def _hidden(spheres: Spheres, site: Site, eye: Array, f: Frames, p: Array, rows: np.ndarray) -> np.ndarray:
-    """True where a sphere stands between eye (m, 3) and target, (m,); those next to the tool do not count."""
+def _hidden(spheres: Spheres, site: Site, f: Frames, moving: Array, rows: np.ndarray) -> np.ndarray:
+    """True where a sphere stands between what stands still and what moves (N, 3), of these rows (m,); spheres next to
+    the tool do not count.
+    """
     at = spheres.at(Frames(f.axes[..., rows], f.p[..., rows]))
     end = float(spheres.along.max(initial=0.0))
     blocking = end - spheres.along > _NEIGHBOURS * spheres.radius
-    centres = [*at[blocking], *(np.repeat(b.centre[:, None], len(rows), axis=1) for b in site.obstacles)]
+    centres = [*at[blocking], *(b.centre[:, None] for b in site.obstacles)]
     radii = [*spheres.radius[blocking], *(b.radius for b in site.obstacles)]
-    way = p[rows].T - eye.T
+    begin = site.still[:, None]
+    way = moving[rows].T - begin
     square = np.maximum(np.sum(way**2, axis=0), 1e-12)
     out = np.zeros(len(rows), dtype=bool)
     for centre, radius in zip(centres, radii, strict=True):
-        to = centre - eye.T
-        share = np.clip(np.sum(to * way, axis=0) / square, 0.0, 1.0)
-        out |= np.linalg.norm(to - share * way, axis=0) < radius
+        share = np.clip(np.sum((centre - begin) * way, axis=0) / square, 0.0, 1.0)
+        out |= np.linalg.norm(centre - begin - share * way, axis=0) < radius
     return out

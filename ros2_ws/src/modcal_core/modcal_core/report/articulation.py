@@ -207,9 +207,8 @@ def _quantities(data: dict[str, Any]) -> list[Quantity]:
         ("origin of the object", "object", "m"),
         ("direction of the axis", "axis", "1"),
     ):
-        for k, value in enumerate((joint.get(key) or ())[:3]):  # of an object's pose its place
-            known = float(std[key][k]) if k < len(std.get(key, ())) else None
-            out.append((f"{name}, {'xyz'[k]}", value, known, unit))
+        known = (*std.get(key, ()), None, None, None)  # of an object's pose its place
+        out += [(f"{name}, {axis}", x, s, unit) for axis, x, s in zip("xyz", joint.get(key) or (), known, strict=False)]
     if joint["point"] is not None:
         out.append(("distance of the handle from the axis", joint["radius"], None, "m"))
     if joint["pitch"] is not None:

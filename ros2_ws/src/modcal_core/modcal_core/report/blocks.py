@@ -10,7 +10,8 @@ import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal
+from string import Formatter
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 
@@ -35,14 +36,40 @@ def tone_of(result: str) -> Tone:
 
 @dataclass(frozen=True)
 class SummaryLine:
-    """A sentence. tone: what it means to the reader."""
+    """A sentence, or some. tone: what they mean to the reader. lead: words before them that stand out on a page."""
 
     text: str
     tone: Tone = "plain"
+    lead: str = ""
 
     def __str__(self) -> str:
-        """The sentence, for a page."""
-        return self.text
+        """As plain text."""
+        return f"{self.lead} {self.text}".strip()
+
+
+class _Cells(Formatter):
+    """How entries of records are written: None as nothing, an interval by both ends, names as people say them."""
+
+    def get_value(self, key: int | str, records: Sequence[Any], _: Mapping[str, Any]) -> Any:
+        return records[0][key] if isinstance(records[0], Mapping) else getattr(records[0], str(key))
+
+    def get_field(self, name: str, records: Sequence[Any], _: Mapping[str, Any]) -> Any:
+        try:
+            return super().get_field(name, records, _)
+        except TypeError:  # an entry of None
+            return None, name
+
+    def format_field(self, value: Any, form: str) -> str:
+        if value is None:
+            return ""
+        if form in ("words", "driver"):
+            return str(value).replace("_", " ") if form == "words" else str(value).replace(":", " of ")
+        if isinstance(value, list | tuple):
+            return " … ".join(format(end, form) for end in value)
+        return format(value, form)
+
+
+written = _Cells().format
 
 
 @dataclass(frozen=True)
@@ -58,6 +85,15 @@ class TableBlock:
     below: str = ""
     strong: int = -1
     heading: bool = False
+
+    @classmethod
+    def of(cls, title: str, header: str, cells: str, records: Iterable[Any], **look: Any) -> Self:
+        """A row for each record. header: names of the columns, between bars. cells: how entries or attributes of a
+        record are written below them, between bars as well.
+        """
+        columns = cells.split(" | ")
+        rows = tuple(tuple(written(cell, record) for cell in columns) for record in records)
+        return cls(title, tuple(header.split(" | ")), rows, **look)
 
     @property
     def top(self) -> tuple[str, ...]:
@@ -99,16 +135,6 @@ def text(blocks: Sequence[str | Summary]) -> str:
 
 
 @dataclass(frozen=True)
-class Paragraph:
-    """Sentences. lead: words before them in bold, in the colour of tone where that is given."""
-
-    text: str
-    lead: str = ""
-    tone: str = ""
-    soft: bool = False
-
-
-@dataclass(frozen=True)
 class Listing:
     """Sentences one below the other. tone: of a line beside them. label: what they are, for those who do not see it."""
 
@@ -129,17 +155,12 @@ class HeatTable:
 
 @dataclass(frozen=True)
 class KeyFigures:
-    """Names and values, None where one is left to be filled in. look: as tiles, as facts, or hashes in small print."""
+    """Names and values, None where one is left to be filled in. look: as tiles, as facts, hashes in small print, or
+    roles with lines to sign.
+    """
 
     rows: Sequence[tuple[str, str | None]]
-    look: Literal["tiles", "facts", "facts hash"] = "tiles"
-
-
-@dataclass(frozen=True)
-class Signatures:
-    """Lines to sign: roles, and names where they are known."""
-
-    rows: Sequence[tuple[str, str]]
+    look: Literal["tiles", "facts", "facts hash", "signs"] = "tiles"
 
 
 @dataclass(frozen=True)
@@ -236,19 +257,7 @@ class Section:
         return all(isinstance(block, Scene3D) for block in self.blocks)
 
 
-Block = (
-    Paragraph
-    | Listing
-    | TableBlock
-    | HeatTable
-    | KeyFigures
-    | Signatures
-    | Figures
-    | FileList
-    | Fold
-    | Section
-    | Scene3D
-)
+Block = SummaryLine | Listing | TableBlock | HeatTable | KeyFigures | Figures | FileList | Fold | Section | Scene3D
 
 
 _CONTENT = ("rows", "charts", "files")
@@ -391,7 +400,7 @@ def files_section(names: Collection[str], *more: File) -> Section:
     data = [File(n, "All numbers, for programs.", (f"python3 -m json.tool {n}",)) for n in names if n.endswith("json")]
     files = [*(file for file in FILES if file.name in beside), *data, *more]
     commands = any(file.commands for file in files)
-    said = [Paragraph("Commands are run in the folder of this page.", soft=True)] if commands else []
+    said = [SummaryLine("Commands are run in the folder of this page.", "legend")] if commands else []
     title = "Files, and what to do with them" if commands else "Files"
     return Section("files", title, [*said, FileList(files)], short="Files")
 

@@ -1,5 +1,8 @@
 """The certificate: one page that says what was measured, on which arm, with which result, and what it may not say.
 
+That of a calibration by camera is judged by the error at the tool with the target in view, with a body by that of the
+arm alone. It always has reservations: it is the figure of a fit, with no station that the fit has not seen.
+
 The result is that of the tolerance, which the claim at the tool decides, never another. A PASS is stated without
 reservations only where the verdict leaves no doubt: at the floor, the instrument's accuracy stated, nothing left out
 of the score.
@@ -7,14 +10,15 @@ of the score.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Stated
+from modcal_core.calibration import Stated
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
-from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, counted
 from modcal_core.report.blocks import (
     Block,
@@ -22,24 +26,23 @@ from modcal_core.report.blocks import (
     KeyFigures,
     Listing,
     Page,
-    Paragraph,
     Section,
-    Signatures,
+    SummaryLine,
     Tone,
     tone_of,
 )
 from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
 from modcal_core.report.particulars import Particulars
 from modcal_core.report.tables import STATISTICS, error_tables, floor_words, rejected_words
-from modcal_core.verdict import PoseTest, Tolerance, Verdict, pose_test
+from modcal_core.robots import chain_forward
+from modcal_core.verdict import Asked, AtTool, PoseTest, Tolerance, Verdict, assess, pose_test
+
+if TYPE_CHECKING:
+    from modcal_core.camera import CameraSolution
 
 MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
 _STAGES = {"nominal": "before: nominal model", "final": "after: calibrated model"}
-OWN_RECORDING = (
-    "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
-    "it on another one."
-)
 
 
 @dataclass(frozen=True)
@@ -82,32 +85,45 @@ class Certificate:
         """The colour of the result."""
         return tone_of(self.heading)
 
+    def html(self) -> str:
+        """The page as HTML text."""
+        of, names = self.hashes, (self.recorded, "robot description", "calibration.yaml")
+        known = [pair for pair in zip(names, (of.recording, of.description, of.calibration), strict=True) if pair[1]]
+        blocks: list[Block] = [
+            Listing(self.reservations, self.tone, "Reservations" if self.met.result == "PASS" else "Reasons"),
+            Figures([drawn(self.met, self.before, self.tone)]),
+            KeyFigures(self.facts, "facts"),
+            *self.sections,
+            Section("silent", "What this certificate does not say", [Listing(self.silent_on)]),
+            Section("hashes", "SHA-256", [KeyFigures(known, "facts hash")]),
+            KeyFigures([("Measured by", self.said.measured_by), ("Approved by", self.said.approved_by)], "signs"),
+        ]
+        return Page(self.title, self.met.because, blocks, self.heading, self.tone, "certificate").html()
+
 
 def certificate(
     report: Outcome,
     stated: Stated | None = None,
     particulars: Particulars | None = None,
     hashes: Hashes | None = None,
-    made_from: bool = False,
 ) -> Certificate:
     """The certificate of a report. Raises BadTable where no tolerance was asked for.
 
-    stated: of arm and instrument. made_from: whether the frozen calibration was made from this very recording.
+    stated: of arm and instrument.
     """
     met, stated, said = report.tolerance, stated or Stated(), particulars or Particulars()
     hashes = hashes or Hashes()
     if met is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
     doubts = _reservations(report, stated) if met.result == "PASS" else _reasons(report)
-    doubts = (OWN_RECORDING, *doubts) if made_from else doubts
     tests = pose_test(report.scored, {k: report.errors[k] for k in ("nominal", "final")})
     return Certificate(
         title="Accuracy certificate: " + ("frozen calibration" if report.searched is None else "calibration"),
         met=met,
         reservations=doubts,
         before=_before(report, met),
-        facts=_facts(report, stated, said, made_from),
-        sections=(*_errors(report), Section("iso", "ISO 9283", [Paragraph(said) for said in _iso(tests)])),
+        facts=_facts(report, stated, said),
+        sections=(*_errors(report), Section("iso", "ISO 9283", [SummaryLine(said) for said in _iso(tests)])),
         silent_on=_silent_on(report, stated, tests),
         hashes=replace(hashes, recording=hashes.recording or report.trace.bag_sha256),
         said=said,
@@ -170,39 +186,22 @@ def _before(report: Outcome, met: Tolerance) -> float | None:
     return None if before is None else float(getattr(before, met.asked.statistic))
 
 
-def _facts(report: Outcome, stated: Stated, said: Particulars, made_from: bool) -> tuple[tuple[str, str | None], ...]:
+def _facts(report: Outcome, stated: Stated, said: Particulars) -> tuple[tuple[str, str | None], ...]:
     trace = report.trace
     sizes, counts = report.set_sizes(), report.samples.stations
-    held = f"{sizes['held_out']} of them scored that no fit has seen"
-    if report.searched is None:
-        held = "all of them fitted before" if made_from else f"{sizes['held_out']} of them scored"
+    held = f"{sizes['held_out']} of them scored{'' if report.searched is None else ' that no fit has seen'}"
     date = trace.date if report.samples.clock else None
     return (
-        ("Robot", said.robot or trace.robot or None),
-        ("Serial number", said.serial or None),
+        ("Robot", said.robot or trace.robot),
+        ("Serial number", said.serial),
         ("Date of the recording", None if date is None else f"{date[:10]} {date[11:16]} UTC"),
         ("Stations", f"{counts} ({report.measurement.replace('_', ' ')}), {held}"),
         ("Instrument", said.instrument or trace.instrument),
         ("Its accuracy", _accuracy(stated)),
         ("Volume", _volume(report)),
-        ("Conditions", "; ".join(filter(None, (said.conditions, _temperatures(report)))) or None),
+        ("Conditions", "; ".join(filter(None, (said.conditions, _temperatures(report))))),
         ("Program", f"modcal {trace.version}"),
     )
-
-
-def is_made_from(calibration: Calibration, samples: Samples) -> bool:
-    """Whether a calibration was made from this recording: most postures kept in it stand in the samples, digit by
-    digit, and, where both have a clock, within the time that it was made from.
-    """
-    kept, q = calibration.postures, samples.q
-    if not len(kept) or not len(q) or kept.shape[1] != q.shape[1]:
-        return False
-    if calibration.watched is not None and calibration.clock and samples.clock:
-        first, last = calibration.watched
-        if not (samples.stamps.min() <= last and samples.stamps.max() >= first):
-            return False
-    seen = {row.tobytes() for row in np.round(q, 9) + 0.0}
-    return sum(row.tobytes() in seen for row in np.round(kept, 9) + 0.0) > 0.5 * len(kept)
 
 
 def _accuracy(stated: Stated) -> str | None:
@@ -239,7 +238,7 @@ def _temperatures(report: Outcome) -> str:
 def _errors(report: Outcome) -> tuple[Section, ...]:
     """The errors before and after, where anything was scored."""
     tables = error_tables(report, _STAGES)
-    floor = Paragraph(f"Floor of arm and instrument: {floor_words(report.judged) or 'not known'}.")
+    floor = SummaryLine(f"Floor of arm and instrument: {floor_words(report.judged) or 'not known'}.")
     return (Section("errors", "Error on scored stations", [*tables, floor]),) if tables else ()
 
 
@@ -286,20 +285,76 @@ def _silent_on(report: Outcome, stated: Stated, tests: PoseTest) -> tuple[str, .
     return tuple(out)
 
 
-def certificate_html(one: Certificate) -> str:
-    """The certificate as HTML text."""
-    of, names = one.hashes, (one.recorded, "robot description", "calibration.yaml")
-    known = [pair for pair in zip(names, (of.recording, of.description, of.calibration), strict=True) if pair[1]]
-    blocks: list[Block] = [
-        Listing(one.reservations, one.tone, "Reservations" if one.met.result == "PASS" else "Reasons"),
-        Figures([drawn(one.met, one.before, one.tone)]),
-        KeyFigures(one.facts, "facts"),
-        *one.sections,
-        Section("silent", "What this certificate does not say", [Listing(one.silent_on)]),
-        Section("hashes", "SHA-256", [KeyFigures(known, "facts hash")]),
-        Signatures((("Measured by", one.said.measured_by), ("Approved by", one.said.approved_by))),
-    ]
-    return Page(one.title, one.met.because, blocks, one.heading, one.tone, "certificate").html()
+_CAMERA_IS_SILENT_ON = (
+    "Postures at which the camera does not see the target: report.json has the error anywhere within the joint limits.",
+    "Other loads and temperatures than those at the images, paths between postures, and single postures: the RMS is "
+    "judged, and one of them may be off by more.",
+    "What lasts: modcal evaluate judges a later recording of another instrument. calibrated.urdf and kinematics.yaml "
+    "hold the geometry alone.",
+    "Results of a test by ISO 9283.",
+)
+
+
+def camera_tolerance(solution: CameraSolution, tolerance_mm: float) -> Tolerance:
+    """Whether the calibrated arm stays within a tolerance, RMS. What contradicts the fit bars a PASS, and so does a
+    doubtful statement, or that nothing has a length that was measured or stated.
+    """
+    middle, low, high = (1e3 * end for end in solution.judged.interval)
+    claim, over = solution.claim, "postures of the images"
+    no_length = [] if claim.metric else ["Nothing in these images has a length that somebody measured."]
+    against = (*claim.decision.problems, *no_length, *claim.decision.doubtful, "")
+    over += ", the arm by itself" if solution.judged is claim.alone else ""
+    at_tool = AtTool(middle, (low, high), over, 0.0, "More and better images would tell.")
+    return assess(at_tool, Asked(tolerance_mm, "rms"), Verdict("cannot_tell", unproven=against[0]))
+
+
+def camera_certificate(
+    solution: CameraSolution, data: Mapping[str, Any], met: Tolerance, said: Particulars, hashes: Hashes
+) -> Certificate:
+    """The certificate of a calibration by camera. data: of ``report.json``. met: of :func:`camera_tolerance`."""
+    fit, camera, seen = solution.fit, data["camera"], data["camera"]["images"]
+    doubts, out = camera["because"], seen["given"] - seen["used"]
+    if met.result == "PASS":
+        fitted = "The figure is that of a fit to these images, with the interval that they leave: the floor of arm and "
+        left_out = [f"{out} of {seen['given']} images were left out."] * (out > 0)
+        doubts = [f"{fitted}camera is not known.", *doubts[1:], *left_out]
+    where, judged = ("by itself", "arm_alone") if fit.table.places else ("in view", "in_view")
+    size = {
+        (place, arm): "{rms:.2f} mm RMS (95 %: {low95:.2f} … {high95:.2f})".format(
+            **camera["tool_error_mm"][place][arm]
+        )
+        for place in (judged, "anywhere")
+        for arm in ("nominal", "calibrated")
+    }
+    flange = chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)
+    used = f"{seen['used']} of {seen['given']}, {camera['corners']['used']} corners, {camera['rms_px']:.2f} px RMS"
+    facts = (
+        ("Robot", said.robot or data["trace"]["robot"]),
+        ("Serial number", said.serial),
+        ("Date of the recording", None),
+        ("Images", used),
+        ("Instrument", said.instrument or f"camera of {fit.state.lens.size[0]} × {fit.state.lens.size[1]} pixels"),
+        ("Target", f"{camera['target']}; {solution.camera.mounting.label}"),
+        ("Its lengths by", "; ".join(camera["metric"]) or "nothing"),
+        (f"Nominal arm, {where}", size[judged, "nominal"]),
+        (f"Calibrated arm, {where}", size[judged, "calibrated"]),
+        ("Anywhere", size["anywhere", "calibrated"]),
+        ("Advice", camera["decision"]),
+        ("Volume", box_in_words(flange[:, :3, 3])),
+        ("Conditions", said.conditions),
+        ("Program", f"modcal {data['trace']['version']}"),
+    )
+    return Certificate(
+        title="Accuracy certificate: calibration by camera",
+        met=met,
+        reservations=tuple(doubts[:MAX_REASONS]),
+        before=camera["tool_error_mm"][judged]["nominal"]["rms"],
+        facts=facts,
+        silent_on=_CAMERA_IS_SILENT_ON,
+        hashes=hashes,
+        said=said,
+        recorded="images and joints",
+    )
 
 
 def drawn(met: Tolerance, before: float | None, tone: str) -> Chart:

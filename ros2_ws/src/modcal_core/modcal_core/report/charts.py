@@ -120,12 +120,10 @@ class Axis:
         """Where ticks stand, and what they say."""
         if self.names:
             return [(float(k), name) for k, name in enumerate(self.names)]
-        if self.log and self.high > _IN_POWERS * self.low:
-            powers = np.arange(np.ceil(np.log10(self.low) - 1e-9), np.floor(np.log10(self.high) + 1e-9) + 1.0)
-            powers = powers[:: -(-len(powers) // _MAX_DECADES) or 1]
-            return [(float(10.0**p), f"10{f'{p:.0f}'.translate(_RAISED)}") for p in powers]
         if self.log:
-            return [(float(tick), f"{tick:g}") for tick in _in_numbers(self.low, self.high)]
+            powers = self.high > _IN_POWERS * self.low
+            places = _in_numbers(self.low, self.high)
+            return [(x, f"10{f'{np.log10(x):.0f}'.translate(_RAISED)}" if powers else f"{x:g}") for x in places]
         ticks = _labelled(self.low, self.high)
         return [(value, f"{value + 0.0:.0f}") for value, _ in ticks if value == round(value)] if self.whole else ticks
 
@@ -281,8 +279,8 @@ def _labelled(low: float, high: float) -> list[tuple[float, str]]:
     return [(float(value), text.replace("-", "−")) for value, text in zip(values, said, strict=True)]
 
 
-def _in_numbers(low: float, high: float) -> Array:
-    """Ticks of a logarithmic axis in plain numbers, at least two of them."""
+def _in_numbers(low: float, high: float) -> list[float]:
+    """Ticks of a logarithmic axis, at least two of them."""
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
     for steps in _STEPS:
         ticks = np.outer(decades, steps).ravel()
@@ -291,7 +289,7 @@ def _in_numbers(low: float, high: float) -> Array:
             break
     else:  # hardly a stretch of a decade: as a linear axis has them
         ticks = round_numbers(low, high)[0]
-    return np.asarray(ticks[:: -(-len(ticks) // _MAX_DECADES)])
+    return list(ticks[:: -(-len(ticks) // _MAX_DECADES)].tolist())
 
 
 def _text(said: str, x: float, y: float, size: float, anchor: str = "middle", turned: bool = False) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 from modcal_core.checkup import Checked
 from modcal_core.files import to_json
 from modcal_core.moves import NamedChange, SizeFound, series_of
-from modcal_core.report.as_json import claim_data, finite, picked, tolerance_data
 from modcal_core.report.blocks import (
     Figures,
     Page,
@@ -22,7 +21,8 @@ from modcal_core.report.blocks import (
     tone_of,
 )
 from modcal_core.report.charts import AFTER, BAD, BEFORE, SOFT, Axis, Chart, Panel
-from modcal_core.report.tables import csv_text, percent, span, stations_table
+from modcal_core.report.report import claim_data, finite, picked, tolerance_data
+from modcal_core.report.tables import csv_text, percent, stations_table, tolerance_lines
 from modcal_core.sentinel import ArmVerdict
 
 _OF_STATUS: dict[str, tuple[str, Tone]] = {
@@ -30,8 +30,8 @@ _OF_STATUS: dict[str, tuple[str, Tone]] = {
     "changed": ("The arm has changed", "bad"),
 }
 _LINKS = "This is no measurement: measure the ten stations of stations.csv, and let modcal check say what to repair."
+_NOTICED = "By the last recording alone, if nothing else changed, 95 times in 100."
 _DAY = 86400.0  # s
-_SIZES = ("change", "size", "value", "95 % interval", "unit")
 
 
 def sentinel_report(found: ArmVerdict, robot: str) -> VerbResult:
@@ -43,18 +43,20 @@ def sentinel_report(found: ArmVerdict, robot: str) -> VerbResult:
     heading, tone = _OF_STATUS.get(found.status, ("Cannot tell", "warn"))
     lines: list[str | SummaryLine] = [
         f"Evidence: {found.log_e:.1f} nats of {found.asked:.1f} that a change needs (one false alarm in a hundred "
-        f"hours), the recordings counting by the power {found.weight:.2g}.",
+        f"hours), by {found.references} reference recordings; with more a change needs less.",
         SummaryLine(f"These signals do not show: {', '.join(found.unseen) or 'nothing of what was asked'}.", "doubt"),
     ]
     if found.untold:
         said = f"Not judged (missing, outside the reference, or no torques): {', '.join(found.untold)}."
         lines.append(SummaryLine(said, "doubt"))
-    tables = [_changes(data["changes"])]
     lines += [_LINKS] if found.changes else []
+    tables = [_changes(data["changes"])]
+    sizes = tuple((label, f"{size:.3g}", unit) for label, (size, unit) in found.noticed.items())
+    noticed = TableBlock("", ("change", "size", "unit"), sizes, below=_NOTICED)
     blocks = [
         Section("changes", "What changed", tables, "Changes"),
         Section("trends", "Every recording by itself", [Figures(_trends(found))], "Trends"),
-        Section("noticed", "What would have been noticed", [_noticed(found)], "Noticed"),
+        Section("noticed", "What would have been noticed", [noticed], "Noticed"),
     ]
     page = Page(f"{robot}: has it changed?", found.sentence, blocks, heading, tone, lines=lines)
     return page.result(data, files, tables, "Sentinel", "sentinel.html")
@@ -64,7 +66,7 @@ def _data(found: ArmVerdict, robot: str) -> dict[str, Any]:
     return {
         "modcal_sentinel": 1,
         "robot": robot,
-        **picked(found, "status", "asked", "weight", "hours", "unseen", verdict="sentence", outside="untold"),
+        **picked(found, "status", "asked", "references", "hours", "unseen", verdict="sentence", outside="untold"),
         "log_e": found.log_e if np.isfinite(found.log_e) else None,
         "changes": [
             {**picked(c, "kind", "place", "label", "sentence", "since", "probability", "same_as"), **_sized(c.sizes)}
@@ -77,15 +79,6 @@ def _data(found: ArmVerdict, robot: str) -> dict[str, Any]:
             for b in found.bags
         ],
     }  # fmt: skip
-
-
-def _noticed(found: ArmVerdict) -> TableBlock:
-    rows = tuple((label, f"{size:.3g}", unit) for label, (size, unit) in found.noticed.items())
-    below = (
-        "By the last recording alone, if nothing else changed, 95 times in 100 if it scatters as the reference does. "
-        "In simulation play and friction of this size were found every second time."
-    )
-    return TableBlock("", ("change", "size", "unit"), rows, below=below)
 
 
 def _trends(found: ArmVerdict) -> list[Chart]:
@@ -126,14 +119,17 @@ def _sized(sizes: Sequence[SizeFound]) -> dict[str, Any]:
 
 def _changes(changes: Sequence[Mapping[str, Any]]) -> TableBlock:
     """The sizes of changes, as JSON has them, and where it says so since when."""
-    since = ("since",) if any("since" in c for c in changes) else ()
-    rows = []
-    for c in changes:
-        for s in c["sizes"]:
-            ends = "" if len(set(s["ci95"])) == 1 else span(s["ci95"])
-            rows.append((c["label"], s["name"], f"{s['value']:+.4g}", ends, s["unit"], *(c[name] for name in since)))
+    rows = [
+        {**c, **size, "interval": size["ci95"] if len(set(size["ci95"])) > 1 else ()}
+        for c in changes
+        for size in c["sizes"]
+    ]
+    header = "change | size | value | 95 % interval | unit"
+    cells = "{label} | {name} | {value:+.4g} | {interval:.3g} | {unit}"
+    if any("since" in c for c in changes):
+        header, cells = f"{header} | since", f"{cells} | {{since}}"
     below = "Of a base: in the frame of the first joint. Of a tool: in its own."
-    return TableBlock("What changed", (*_SIZES, *since), tuple(rows), 2, below, heading=True)
+    return TableBlock.of("What changed", header, cells, rows, words=2, below=below, heading=True)
 
 
 def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
@@ -180,8 +176,7 @@ def checkup_report(found: Checked, calibration: str, recording: str, others: Map
         heading, tone = "No change is seen", "warn"
     judged, met = "Repaired model:" if found.repaired is not None else "Frozen model:", found.report.tolerance
     lines: list[str | SummaryLine] = [f"What to do: {found.advice.sentence}"]
-    if met is not None:
-        lines.append(SummaryLine(f"{met.result}: {judged} {met.because}", tone_of(met.result)))
+    lines += tolerance_lines(met, f"{judged} ")
     if found.report.claim is not None:
         lines.append(f"{judged} {found.report.claim.sentence}")
     lines.append(
@@ -202,25 +197,22 @@ def _rarely(chance: float) -> str:
     return f"one in {1.0 / max(chance, 1e-12):,.0f}".replace(",", " ") if chance > 1e-12 else "one in 10¹²"
 
 
+_ERRORS = ("error_mm", "error_deg")
+
+
 def _seen(data: Mapping[str, Any]) -> list[TableBlock]:
     """The errors, what changed, and what would have been noticed, from the data of check.json."""
     stages = {"frozen": "frozen model", "expected": "expected while nothing has changed"}
     stages |= {"with_changes": "with what changed"} if data["changes"] else {}
-    forms = {"error_mm": "{:.3f}", "error_deg": "{:.4f}"}
-    errors = tuple(
-        (words, *("" if (x := data[of][stage]) is None else form.format(x) for of, form in forms.items()))
-        for stage, words in stages.items()
-    )
+    rows = [{"model": words, **{of: data[of][stage] for of in _ERRORS}} for stage, words in stages.items()]
     noticed = tuple((n, f"{mm:.3f}") for n, mm in data["would_have_been_noticed_mm"].items() if mm is not None)
     below = "RMS at the tool over these stations, of the direction that shows least."
     if unseen := ", ".join(data["not_noticed"]):
         below += f" These stations do not show: {unseen}."
-    title = "Noticed in 95 of 100 such checks"
-    return [
-        TableBlock(f"Error at {data['stations']} stations", ("model", "RMS mm", "RMS deg"), errors, heading=True),
-        _changes(data["changes"]),
-        TableBlock(title, ("change", "RMS, mm"), noticed, below=below, heading=True),
-    ]
+    title, by_model = f"Error at {data['stations']} stations", "{model} | {error_mm:.3f} | {error_deg:.4f}"
+    found = TableBlock("Noticed in 95 of 100 such checks", ("change", "RMS, mm"), noticed, below=below, heading=True)
+    errors = TableBlock.of(title, "model | RMS mm | RMS deg", by_model, rows, heading=True)
+    return [errors, _changes(data["changes"]), found]
 
 
 def _beside(found: Checked) -> list[TableBlock]:

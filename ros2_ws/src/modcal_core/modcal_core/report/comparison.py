@@ -3,33 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from scipy.special import ndtri
 
 from modcal_core.calibration import Calibration
-from modcal_core.effects import Sizes, claimed
+from modcal_core.effects import claimed
 from modcal_core.errors import BadRobot, NotEnoughData
 from modcal_core.files import to_json
-from modcal_core.moves import Series
+from modcal_core.moves import Series, Values
 from modcal_core.outcome import ToolDifference, tool_difference
-from modcal_core.report.as_json import picked, sizes_to_json
-from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, VerbResult, legend, scaled, tone_of
+from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, VerbResult, legend, scaled, tone_of, written
+from modcal_core.report.report import picked
 
 _MAX_SAID = 90  # characters of a verdict in a table
 
 
 @dataclass(frozen=True)
 class HistoryEntry:
-    """One calibration or check. time: [s]; None where its recording has no clock. said: its verdict."""
+    """One calibration or check. time: [s]; None where its recording has no clock. said: its verdict. robot, called: the
+    fingerprint and the name of its arm, empty where it keeps no model. values: of what may grow, by name.
+    """
 
     name: str
     what: str
     date: str | None
     time: float | None
     said: str
+    robot: str = ""
+    called: str = ""
+    values: Values = field(default_factory=dict)
+
+    @property
+    def first_words(self) -> str:
+        """As much of the verdict as a table has room for."""
+        first = self.said.partition(". ")[0].rstrip(".")
+        return first if len(first) <= _MAX_SAID else first[: _MAX_SAID - 1] + "…"
 
 
 @dataclass(frozen=True)
@@ -41,62 +52,34 @@ class History:
     series: tuple[Series, ...]
     notes: tuple[str, ...] = ()
 
-    @property
-    def sentence(self) -> str:
-        """The answer, as text."""
-        trends = [s.sentence for s in self.series if s.trend is not None]
-        seen = f"{len(self.entries)} calibrations and checks"
-        return " ".join(trends) or f"Nothing grows or falls beyond chance over {seen}."
-
 
 def history_report(found: Sequence[History]) -> VerbResult:
     """The history of some robots as a verb leaves it."""
-    data = {
-        "modcal_history": 1,
-        "robots": [
-            {
-                "robot": h.robot,
-                "verdict": h.sentence,
-                "entries": [{"name": e.name, "what": e.what, "date": e.date, "verdict": e.said} for e in h.entries],
-                "series": [_series(s) for s in h.series],
-                "notes": list(h.notes),
-            }
-            for h in found
-        ],
-    }
-    said = [block for h in found for block in _shown(h)]
+    robots, said = list[dict[str, Any]](), list[Summary]()
+    for h in found:
+        entries = [picked(e, "name", "what", "date", verdict="said") for e in h.entries]
+        series = [_series(s) for s in h.series]
+        growing = [{**s, "first": s["points"][0], "last": s["points"][-1]} for s in series if s["trend"]]
+        quiet = f"Nothing grows or falls beyond chance over {len(entries)} calibrations and checks."
+        answer = " ".join(s["trend"]["sentence"] for s in growing) or quiet
+        robots.append({**picked(h, "robot", "notes"), "verdict": answer, "entries": entries, "series": series})
+        header, cells = f"robot {h.robot} | what | date | verdict", "{name} | {what} | {date:.10} | {first_words}"
+        said.append(TableBlock.of("", header, cells, h.entries, words=4))
+        header = "grows or falls | first | last | 95 % of the change | unit"
+        cells = "{name} | {first[value]:.4g} | {last[value]:.4g} | {trend[ci95]:+.3g} | {unit}"
+        said += [TableBlock.of("", header, cells, growing)] if growing else []
+        said += [*(SummaryLine(note, "doubt") for note in h.notes), SummaryLine(answer, "warn" if growing else "good")]
+    data = {"modcal_history": 1, "robots": robots}
     return VerbResult(data, said, {"history.json": to_json(data)}, "History", "history.json")
 
 
 def _series(s: Series) -> dict[str, Any]:
-    trend = None
-    if (t := s.trend) is not None:
-        trend = {**picked(t, "change", "share", "days"), "ci95": [t.low, t.high], "sentence": s.sentence}
+    trend = s.trend and {**picked(s.trend, "change", "share", "days"), "ci95": [s.trend.low, s.trend.high]}
     return {
         **picked(s, "name", "unit"),
         "points": [picked(p, "entry", "value", "std") for p in s.points],
-        "trend": trend,
+        "trend": trend and {**trend, "sentence": s.sentence},
     }
-
-
-def _shown(h: History) -> list[Summary]:
-    """What a terminal shows of a robot."""
-    rows = tuple((e.name, e.what, (e.date or "")[:10], _short(e.said)) for e in h.entries)
-    out: list[Summary] = [TableBlock("", (f"robot {h.robot}", "what", "date", "verdict"), rows, words=4)]
-    growing = tuple(
-        (s.name, f"{s.points[0].value:.4g}", f"{s.points[-1].value:.4g}", f"{t.low:+.3g} … {t.high:+.3g}", s.unit)
-        for s in h.series
-        if (t := s.trend) is not None
-    )
-    if growing:
-        out.append(TableBlock("", ("grows or falls", "first", "last", "95 % of the change", "unit"), growing))
-    out += [SummaryLine(note, "doubt") for note in h.notes]
-    return [*out, SummaryLine(h.sentence, "warn" if growing else "good")]
-
-
-def _short(said: str) -> str:
-    first = said.partition(". ")[0].rstrip(".")
-    return first if len(first) <= _MAX_SAID else first[: _MAX_SAID - 1] + "…"
 
 
 _TAIL = 0.05  # of differences that are taken for real while there is none, all parameters together
@@ -122,19 +105,26 @@ class Side:
     calibration: Calibration | None = None
     report: Mapping[str, Any] | None = None
 
+    def kept(self, *keys: str) -> Any:
+        """What its report has under these keys; None where it has nothing."""
+        found: Any = self.report
+        for key in keys:
+            found = found.get(key) if found else None
+        return found or None
+
     @property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints, from whatever is there."""
         if self.calibration is not None:
             return tuple(self.calibration.nominal.chain.names)
-        return tuple((self.report or {}).get("recording", {}).get("joints", ()))
+        return tuple(self.kept("recording", "joints") or ())
 
     @property
     def parameters(self) -> tuple[tuple[str, float, float, str], ...]:
         """(name, value, standard deviation, unit) of every fitted parameter."""
         if self.calibration is not None:
             return self.calibration.parameters
-        rows = (self.report or {}).get("parameters", ())
+        rows = self.kept("parameters") or ()
         return tuple((str(r["name"]), float(r["value"]), float(r["std"]), str(r["unit"])) for r in rows)
 
 
@@ -152,22 +142,31 @@ def compare(first: Side, second: Side, tolerance_mm: float | None = None) -> Ver
         )
     one, two = first.calibration, second.calibration
     tool = None if one is None or two is None else tool_difference(one, two)
-    without = [side.name for side in (first, second) if _final(side) is None]
+    without = [side.name for side in (first, second) if not side.kept("error_mm", "final")]
     if tool is None and without:
         remedy = "give folders of modcal calibrate or modcal evaluate"
         raise NotEnoughData(" and ".join(without), "holds no error to compare", remedy)
     result, sentence = _judged_tool(tool, tolerance_mm) if tool is not None else _judged_errors(first, second)
-    sides = {"first": _effects_of(first), "second": _effects_of(second)}
+    effects = {"first": _effects_of(first), "second": _effects_of(second)}
     of_base_or_tool = frozenset() if tool is None else tool.of_base_or_tool
     data = {
         "modcal_comparison": 1,
         "result": result,
         "verdict": sentence,
         "tolerance_mm": tolerance_mm,
-        "sides": [_side(side) for side in (first, second)],
-        "tool": None
-        if tool is None
-        else {
+        "sides": [
+            {
+                "name": side.name,
+                **{name: side.kept("trace", name) for name in ("date", "version", "robot")},
+                "stations": side.kept("recording", "stations"),
+                "status": side.kept("status"),
+                "error_mm": side.kept("error_mm", "final"),
+                "tolerance": side.kept("tolerance", "result"),
+            }
+            for side in (first, second)
+        ],
+        "tool": tool
+        and {
             "postures": len(tool.q),
             "mm": asdict(tool.size_mm),
             "deg": tool.size_deg and asdict(tool.size_deg),
@@ -177,11 +176,8 @@ def compare(first: Side, second: Side, tolerance_mm: float | None = None) -> Ver
         "of_base_or_tool": sorted(of_base_or_tool),
         "parameters": _parameters(first, second, of_base_or_tool),
         "effects": [
-            {
-                "effect": name,
-                **{w: None if name not in side else sizes_to_json(side[name]) for w, side in sides.items()},
-            }
-            for name in {**sides["first"], **sides["second"]}
+            {"effect": name, **{which: side.get(name) for which, side in effects.items()}}
+            for name in {**effects["first"], **effects["second"]}
         ],
         "notes": list(_notes(first, second, tool)),
     }
@@ -214,27 +210,16 @@ def _parameters(first: Side, second: Side, of_base_or_tool: frozenset[str]) -> l
     return out
 
 
-def _effects_of(side: Side) -> dict[str, Sizes]:
+_EFFECT = "{family:words}: {place} {direction} by {driver:driver}"
+
+
+def _effects_of(side: Side) -> dict[str, Any]:
     """Sizes of the effects by name, as its report has them; of a calibration alone the names."""
-    if side.report is not None and (rows := side.report.get("effects")):
-        return {
-            _named(e["family"], e["place"], e["direction"], e["driver"]): {
-                name: (q["value"], q["std"], q["unit"]) for name, q in e["parameters"].items()
-            }
-            for e in rows
-        }
-    effects = () if side.calibration is None else side.calibration.calibrated.effects
-    return {_named(e.family, e.place, e.direction, e.public_driver): {} for e in effects if claimed(e)}
-
-
-def _named(family: str, place: str, direction: str, driver: str) -> str:
-    return f"{family.replace('_', ' ')}: {place} {direction} by {driver.replace(':', ' of ')}"
-
-
-def _final(side: Side) -> Mapping[str, Any] | None:
-    """Sizes of the final error of its report [mm]."""
-    errors = (side.report or {}).get("error_mm") or {}
-    return errors.get("final") or None
+    if rows := side.kept("effects"):
+        return {written(_EFFECT, e): e["parameters"] for e in rows}
+    own = () if side.calibration is None else side.calibration.calibrated.effects
+    found = [picked(e, "family", "place", "direction", driver="public_driver") for e in own if claimed(e)]
+    return {written(_EFFECT, e): {} for e in found}
 
 
 def _judged_tool(tool: ToolDifference, tolerance: float | None) -> tuple[Result, str]:
@@ -264,7 +249,7 @@ def _judged_tool(tool: ToolDifference, tolerance: float | None) -> tuple[Result,
 
 def _judged_errors(first: Side, second: Side) -> tuple[Result, str]:
     """Of two reports: whether the errors differ by more than their intervals."""
-    sizes = [size for side in (first, second) if (size := _final(side))]
+    sizes = [side.kept("error_mm", "final") for side in (first, second)]
     said = " and ".join(f"{e['rms']:.3f} mm RMS in {s.name}" for e, s in zip(sizes, (first, second), strict=True))
     ends = [e["rms_ci95"] for e in sizes if e.get("rms_ci95") is not None]
     if len(ends) < 2:
@@ -293,37 +278,19 @@ def _notes(first: Side, second: Side, tool: ToolDifference | None) -> tuple[str,
             )
         out.append("The uncertainty is that of the fits: an effect that neither model has is not in it.")
     for side in (first, second):
-        if side.report is not None and side.report.get("status") == "open":
-            reasons = side.report.get("open_because") or ["no reason is given"]
-            out.append(f"{side.name} is open: {reasons[0]}")
+        if side.kept("status") == "open":
+            out.append(f"{side.name} is open: {(side.kept('open_because') or ['no reason is given'])[0]}")
     if tool is not None and tool.left_out:
         out.append(f"Not compared at the tool, for a posture does not determine them: {', '.join(tool.left_out)}.")
     return tuple(out)
 
 
-def _side(side: Side) -> dict[str, Any]:
-    report = side.report or {}
-    trace = report.get("trace") or {}
-    return {
-        "name": side.name,
-        **{name: trace.get(name) for name in ("date", "version", "robot")},
-        "stations": (report.get("recording") or {}).get("stations"),
-        "status": report.get("status"),
-        "error_mm": _final(side),
-        "tolerance": (report.get("tolerance") or {}).get("result"),
-    }
-
-
 def _summary(data: Mapping[str, Any]) -> list[Summary]:
     """What a terminal shows: errors, the parameters that differ most for their uncertainty, effects, result."""
-    names = tuple(side["name"] for side in data["sides"])
-    rows = []
-    for side in data["sides"]:
-        e = side["error_mm"] or {}
-        numbers = [f"{e[k]:.3f}" if k in e else "" for k in ("mean", "rms", "p95", "max")]
-        rows.append((side["name"], *numbers, side["status"] or "", side["tolerance"] or ""))
-    header = ("error on scored stations", "mean mm", "RMS mm", "95 % mm", "max mm", "status", "tolerance")
-    out: list[Summary] = [TableBlock("", header, tuple(rows))]
+    sides, names = data["sides"], [side["name"] for side in data["sides"]]
+    header = "error on scored stations | mean mm | RMS mm | 95 % mm | max mm | status | tolerance"
+    sizes = " | ".join(f"{{error_mm[{name}]:.3f}}" for name in ("mean", "rms", "p95", "max"))
+    out: list[Summary] = [TableBlock.of("", header, f"{{name}} | {sizes} | {{status}} | {{tolerance}}", sides)]
     own = [row for row in data["parameters"] if not row["name"].startswith(_SET_UP)]
     for si in sorted({row["unit"] for row in own}):  # a table never mixes two units
         (unit, factor), part = scaled(si), sorted((row for row in own if row["unit"] == si), key=_rank)

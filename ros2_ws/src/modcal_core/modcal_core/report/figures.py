@@ -26,6 +26,7 @@ from modcal_core.report.charts import (
     Chart,
     Panel,
 )
+from modcal_core.report.tables import percent
 from modcal_core.robots import ARMS, Mechanism, is_delta, tool_frames
 
 MAX_POSTURES, MAX_POINTS = 60, 500  # that a page can show and a person look through
@@ -82,6 +83,12 @@ class ShownPostures:
         given: dict[str, Any] = {"points": paths[-1][:, -1], "shown": np.arange(len(said)), **others}
         arms = [[path[k] for path in paths] for k in range(len(said))]
         return Scene3D(arms=arms, said=said, base=self.chain.base, alt=alt, **given)
+
+    def discs(self, of: str, shares: Array, more: Sequence[str]) -> Scene3D:
+        """The same with a disc at each joint. of: what the shares (n,) are of. more: as of :meth:`scene`."""
+        each = ", ".join(f"{name} {percent(share)}" for name, share in zip(self.chain.names, shares, strict=True))
+        weights = [] if self.chain.closed else np.minimum(shares, 1.0).tolist()  # a Delta's line skips joints
+        return self.scene(f"The arm; a disc at each joint shows the share of {of}: {each}", more, weights=weights)
 
 
 MAX_ARROWS = 300

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from modcal_core.effects import remembered
 from modcal_core.measurements.kinds import indirect_rows
 from modcal_core.outcome import Outcome
-from modcal_core.report.as_json import to_json_data
 from modcal_core.report.blocks import (
     Block,
     Figures,
@@ -22,8 +20,8 @@ from modcal_core.report.blocks import (
     KeyFigures,
     Listing,
     Page,
-    Paragraph,
     Section,
+    SummaryLine,
     TableBlock,
     files_section,
     parameter_tables,
@@ -42,6 +40,7 @@ from modcal_core.report.tables import (
     rejected_words,
     sentence,
     span,
+    tolerance_lines,
 )
 
 _MAX_COLUMNS = 28  # drivers of a map
@@ -55,10 +54,11 @@ _DECIDE = File(
 
 
 @remembered()
-def to_html(report: Outcome, files: Iterable[str] = (), calibration: str = "") -> str:
+def to_html(report: Outcome, data: Mapping[str, Any], files: Iterable[str] = (), calibration: str = "") -> str:
     """The report as HTML text, below 1 MB: of long recordings a part is drawn, and all is counted.
 
-    files: names of what is written beside it. calibration: of an evaluation, the name of what was evaluated.
+    data: of ``report.json``. files: names of what is written beside it. calibration: of an evaluation, the name of what
+    was evaluated.
     """
     kind = "evaluation" if report.searched is None else "calibration"
     title = f"{report.title}: {kind} report"
@@ -67,7 +67,7 @@ def to_html(report: Outcome, files: Iterable[str] = (), calibration: str = "") -
     return Page(
         title,
         sentence(report),
-        _Sections(report, to_json_data(report), tuple(files)).all(),
+        _Sections(report, data, tuple(files)).all(),
         heading=f"Verdict: {STATUS_WORDS[report.status]}",
         tone=tone_of(report.status),
     ).html()
@@ -88,6 +88,9 @@ class _Sections:
             self.account(), self.steps(), self.evidence(), self.distances(), self.identifiability(), self.parameters()
         )  # fmt: skip
         title = "Expert: account of the error, steps, evidence, identifiability, all parameters"
+        trace = self.data["trace"]
+        digest = trace["bag_sha256"] and f"recording sha256 {trace['bag_sha256']}"
+        made_of = (f"modcal {trace['version']}", trace["date"], trace["robot"], trace["instrument"], digest)
         return [
             *self.answer(),
             self.claim(),
@@ -101,25 +104,18 @@ class _Sections:
             self.grounds(),
             Section("notes", "Notes", [Listing(self.data["notes"])], "Notes"),
             Fold(title, expert, "expert"),
-            self.end(),
+            SummaryLine(" · ".join(filter(None, made_of)), "legend"),
         ]
-
-    @cached_property
-    def _unit(self) -> str:
-        return str(self.data["split"]["unit"])
 
     def answer(self) -> list[Block]:
         """What stands above the sections."""
-        data, out = self.data, list[Block]()
-        out.append(Listing(data["open_because"], tone_of(self.report.status), "Open because"))
-        if met := data["tolerance"]:
-            said = f"within {met['asked_mm']:g} mm. {met['because']}"
-            out.append(Paragraph(said, met["result"], tone_of(met["result"])))
-        return [*out, KeyFigures(self._tiles()), Listing(data["story"])]
+        reasons = Listing(self.data["open_because"], tone_of(self.report.status), "Open because")
+        met = tolerance_lines(self.report.tolerance)
+        return [reasons, *met, KeyFigures(self._tiles()), Listing(self.data["story"])]
 
     def _tiles(self) -> list[tuple[str, str]]:
         """The few numbers that are wanted first."""
-        data, met = self.data, self.data["tolerance"]
+        data = self.data
         out = [
             (f"{what}, {stage} model, RMS", form.format(size["rms"]))
             for what, of, form in (("position", "error_mm", "{:.3f} mm"), ("orientation", "error_deg", "{:.3g}°"))
@@ -131,8 +127,6 @@ class _Sections:
         if claim := data["claim_mm"]:
             out.append(("tool, 95 % of the errors, at most", f"{claim['p95']['ci95'][1]:.3f} mm"))
             out += [] if data["apply"] else [("apply the calibration", "no")]
-        if met:
-            out.append((f"tolerance {met['asked_mm']:g} mm, {STATISTICS[met['statistic']]}", met["result"]))
         return [*out, ("stations, rejected of them", f"{recording['stations']}, {recording['rejected'] or 'none'}")]
 
     def claim(self) -> Section | None:
@@ -141,20 +135,20 @@ class _Sections:
         if not mm or self.report.claim is None:
             return None
         rows = [
-            (what, *(span(part[name]["ci95"], 3) + unit for name in STATISTICS))
+            {"what": what, "unit": unit, **part}
             for what, part, unit in (("position", mm, " mm"), ("orientation", deg, "°"))
             if part
         ]
-        out: list[Block] = [
-            Paragraph(self.report.claim.sentence),
-            TableBlock("The claim", (f"over the {mm['over']}", *STATISTICS.values()), tuple(rows)),
-        ]
+        header = " | ".join([f"over the {mm['over']}", *STATISTICS.values()])
+        cells = " | ".join(["{what}", *(f"{{{name}[ci95]:.3f}}{{unit}}" for name in STATISTICS)])
+        table = TableBlock.of("The claim", header, cells, rows)
+        out: list[Block] = [SummaryLine(self.report.claim.sentence), table]
         if mm["open"]:
             shown, held = f"{mm['shown_mm']:.3f} mm", f"{mm['unshown_mm']:.3f} mm"
             names = ("95 %, shown by the readings", f"95 %, held by what arms are like: {mm['open']}")
             out.append(KeyFigures(tuple(zip(names, (shown, held), strict=True))))
         said = "Each end is passed with a chance of 5 %."
-        out.append(Paragraph(said + ("" if deg else " Readings without orientation claim none."), soft=True))
+        out.append(SummaryLine(said + ("" if deg else " Readings without orientation claim none."), "legend"))
         return Section("claim", "Claim: the tool's error", out, "Claim")
 
     def offsets(self) -> Section | None:
@@ -168,13 +162,14 @@ class _Sections:
             "being free. The interval holds what the fit leaves open, and what other postures of this kind would make "
             "nearest. A joint that is not listed has an offset that is no other motion than one of base or tool."
         )
-        out: list[Block] = [Paragraph(said, soft=True)]
+        out: list[Block] = [SummaryLine(said, "legend")]
         units = {True: ("Joint offsets", "°", np.degrees(1.0)), False: ("Offsets of sliding joints", "mm", 1e3)}
         for turning, (title, unit, factor) in units.items():
-            rows = []
-            for o in (o for o in found.found if o.turning == turning):
-                ends = span(o.ci95 and [factor * end for end in o.ci95], 4) or "not known"
-                rows.append((o.joint, f"{factor * o.value:+.4f}", ends))
+            rows = [
+                (o.joint, f"{factor * o.value:+.4f}", span(o.ci95 and factor * np.array(o.ci95), 4) or "not known")
+                for o in found.found
+                if o.turning == turning
+            ]
             header = ("joint", f"offset, {unit}", f"95 % interval, {unit}")
             out.append(TableBlock(title, header, tuple(rows), strong=1))
         return Section("offsets", "Joint offsets", out, "Joint offsets")
@@ -182,23 +177,20 @@ class _Sections:
     def error(self) -> Section:
         """The error before and after, and what each station was used for."""
         recording, split = self.data["recording"], self.data["split"]
-        where, used = "with the calibration frozen", ""
+        where, used, of = "with the calibration frozen", "", "scored station"
         if split["train"]:
             where = "that neither the fit nor the selection has seen"
             used = f"; {split['train']} to fit, {split['explain']} to choose effects, {split['held_out']} to score"
-        said = (
-            f"On {split['held_out']} stations {where}. Nominal: the nominal model, base and tool fitted; geometric: "
-            "all geometry fitted; final: with every effect."
-        )
+            of = f"held-out {split['unit']}"
+        said = f"On {split['held_out']} stations {where}."
         kind = recording["measurement"].replace("_", " ")
         dropped = ", ".join(f"{count} {reason}" for reason, count in recording["dropped"].items())
         more = [f"{recording['stations']} stations ({kind}){used}.", rejected_words(self.report)]
         more += [f"Not used: {dropped}."] if dropped else []
-        out: list[Block] = [Paragraph(said, soft=True), *error_tables(self.report)]
-        out.append(Paragraph(" ".join(filter(None, more)), soft=True))
+        out: list[Block] = [SummaryLine(said, "legend"), *error_tables(self.report)]
+        out.append(SummaryLine(" ".join(filter(None, more)), "legend"))
         out.append(Figures(error_histogram(self.report)))
-        title = f"Error on {f'held-out {self._unit}' if split['train'] else 'scored station'}s"
-        return Section("error", title, out, "Error")
+        return Section("error", f"Error on {of}s", out, "Error")
 
     def robot(self) -> Section | None:
         """The arm in three dimensions, and on paper."""
@@ -206,7 +198,7 @@ class _Sections:
         if drawn is None:
             return None
         partly = "Some of these instruments measure along one line only: their arrows show that component of the error."
-        out: list[Block] = [Paragraph(partly, soft=True)] if indirect_rows(self.report.scored).any() else []
+        out: list[Block] = [SummaryLine(partly, "legend")] if indirect_rows(self.report.scored).any() else []
         return Section("robot", "Robot and errors", [*out, drawn], "Robot")
 
     def residual(self) -> Section | None:
@@ -219,50 +211,47 @@ class _Sections:
             "that the model lacks."
         )
         title = f"Residual: {size.rms:.3f} mm RMS"
-        return Section("residuals", title, [Paragraph(said, soft=True), Figures(charts)], "Residual")
+        return Section("residuals", title, [SummaryLine(said, "legend"), Figures(charts)], "Residual")
 
     def effects(self) -> Section | None:
         """What was added to the geometry."""
         effects = self.data["effects"]
         if not effects:
             return None
-        out: list[Block] = [effects_table(self.report)]
+        out: list[Block] = [effects_table(effects)]
         words = "Each ± one standard deviation; a table for each unit."
-        out += [Paragraph(words, "Their sizes.", soft=True), *size_tables(effects)]
+        out += [SummaryLine(words, "legend", "Their sizes."), *size_tables(effects)]
         tied = [e for e in effects if e["same_as"]]
         rivals = [f"{e['family'].replace('_', ' ')} at {e['place']}: {'; '.join(e['same_as'])}." for e in tied]
-        out += [Paragraph("", "Cannot be distinguished from others:"), Listing(rivals)] if rivals else []
+        out += [SummaryLine("", lead="Cannot be distinguished from others:"), Listing(rivals)] if rivals else []
         if shapes := effect_shapes(self.report):
             words = "The line is the estimate, the band its two standard deviations; ticks below show the samples."
-            out += [Paragraph(words, "Their shapes.", soft=True), Figures(shapes)]
+            out += [SummaryLine(words, "legend", "Their shapes."), Figures(shapes)]
         return Section("effects", "Unmodelled effects", out, "Effects")
 
     def stations(self) -> Section:
         """The stations in time, and those that were left out, the farthest first."""
-        report, rows = self.report, self.report.rejected_rows()
+        report, rejected = self.report, self.data["rejected"]
         out: list[Block] = [Figures(timeline(report))]
-        if not len(rows):
-            return Section("stations", "Stations", [*out, Paragraph("No station was rejected.")], "Stations")
-        samples = report.samples
+        if not rejected:
+            return Section("stations", "Stations", [*out, SummaryLine("No station was rejected.")], "Stations")
         usual = 1e3 * float(np.median(report.residuals[~report.wrong])) if (~report.wrong).any() else 0.0
-        start = float(samples.stamps.min())
-        listed = []
-        for row in rows[:_MAX_LISTED]:
-            miss, time = 1e3 * float(report.residuals[row]), float(samples.stamps[row]) - start
-            times = f"{miss / max(usual, 1e-9):.0f}"
-            listed.append((str(int(samples.station[row])), f"{time:.1f}", f"{miss:.3f}", times))
+        start, shown = float(report.samples.stamps.min()), rejected[:_MAX_LISTED]
+        rows = [{**row, "time": row["stamp"] - start, "times": row["miss_mm"] / max(usual, 1e-9)} for row in shown]
+        columns = (
+            "station | time, s | error, mm | times the usual",
+            "{station} | {time:.1f} | {miss_mm:.3f} | {times:.0f}",
+        )
         said = f"Rejected, because their residuals are too large for the spread of the model; usual are {usual:.3f} mm."
-        more = len(rows) - len(listed)
+        more = len(rejected) - len(rows)
         below = f"And {more} more; all are in report.json." if more else ""
-        header = ("station", "time, s", "error, mm", "times the usual")
-        out += [Paragraph(said, soft=True), TableBlock("Rejected stations", header, tuple(listed), below=below)]
-        return Section("stations", "Stations", out, "Stations")
+        table = TableBlock.of("Rejected stations", *columns, rows, below=below)
+        return Section("stations", "Stations", [*out, SummaryLine(said, "legend"), table], "Stations")
 
     def grounds(self) -> Section:
         """What else the verdict stands on."""
-        data, lines = self.data, []
-        if data["convention"]:
-            lines.append(f"Corrected convention: {data['convention']}.")
+        data = self.data
+        lines = [f"Corrected convention: {data['convention']}."] if data["convention"] else []
         for r in data["regimes"]:
             what = "a base and a tool" if r["what"] == "both" else f"a {r['what']}"
             lines.append(f"Stations {r['from_station']} … {r['to_station']} have {what} of their own.")
@@ -277,8 +266,9 @@ class _Sections:
         if not found:
             return None
         said = (
-            f"The rows add up to the squared error of the nominal model on the held-out {self._unit}s. What is "
-            "predictable but not modelled was measured with a regressor without physics, on data it was not trained on."
+            f"The rows add up to the squared error of the nominal model on the held-out {data['split']['unit']}s. "
+            "What is predictable but not modelled was measured with a regressor without physics, on data it was not "
+            "trained on."
         )
         parts = []
         if position := data["predictable"]:
@@ -289,13 +279,13 @@ class _Sections:
         for size, unit in ((data["repeatability_mm"], " mm"), (data["repeatability_deg"], "°")):
             if size and size["value"] is not None:
                 parts.append(f"Repeatability {size['value']:.3g}{unit}{SOURCES[size['source']]}.")
-        blocks: list[Block] = [Paragraph(said, soft=True), *found, Paragraph(" ".join(parts))]
+        blocks: list[Block] = [SummaryLine(said, "legend"), *found, SummaryLine(" ".join(parts))]
         return Section("account", "Account of the squared error", blocks)
 
     def steps(self) -> Section:
         """What each step took away."""
-        rows = [(step["added"].replace(":", " of "), f"{step['rms_mm']:.3f}") for step in self.data["steps"]]
-        table = TableBlock("Steps", ("added", "RMS of what is left, mm"), tuple(rows))
+        header = "added | RMS of what is left, mm"
+        table = TableBlock.of("Steps", header, "{added:driver} | {rms_mm:.3f}", self.data["steps"])
         return Section("steps", "What each step leaves", [table] if self.data["error_mm"]["nominal"] else [])
 
     def evidence(self) -> Section | None:
@@ -307,7 +297,7 @@ class _Sections:
             "Each cell shows its best candidate: the percentage of the squared residual that it explains alone, free "
             "shapes included. Empty: no candidate."
         )
-        out: list[Block] = [Paragraph(said, soft=True)]
+        out: list[Block] = [SummaryLine(said, "legend")]
         best: dict[str, float] = {}
         for seen in evidence:
             for driver, share in zip(seen.drivers, np.nanmax(seen.share, axis=0).tolist(), strict=True):
@@ -325,23 +315,17 @@ class _Sections:
                 said += f" {len(seen.drivers) - len(columns)} weaker drivers are not shown."
             rows = [(f"{place}, {way}", seen.share[i, columns].tolist()) for i, (place, way) in enumerate(seen.rows)]
             names = [seen.drivers[j].replace(":", " of ") for j in columns]
-            out += [Paragraph(said, f"{title}."), HeatTable(title, "place, direction", names, rows)]
+            out += [SummaryLine(said, lead=f"{title}."), HeatTable(title, "place, direction", names, rows)]
         return Section("evidence", "Evidence: place, direction, driver", out)
 
     def distances(self) -> Section:
         """Known distances, as stated and as found; what distances alone make of a Delta."""
-        rows = [
-            (
-                *(d["name"], f"{d['stated_mm']:.3f} ± {d['stated_std_mm']:.3f}", f"{d['misfit_mm']:+.3f}"),
-                f"{d['found_mm']:.3f} ± {d['found_std_mm']:.3f}" + (", contradicted" if d["contradicted"] else ""),
-            )
-            for d in self.data["known_distances"]
-        ]
-        header = ("between", "stated, mm", "misfit of the fit, mm", "by the readings alone, mm")
-        known: list[Block] = [TableBlock("Known distances", header, tuple(rows))]
-        alone = distances_table(self.report.by_distances)
-        known += [b if isinstance(b, TableBlock) else Paragraph(b.text) for b in alone]
-        return Section("distances", "Distances", known)
+        header = "between | stated, mm | misfit of the fit, mm | by the readings alone, mm"
+        cells = "{name} | {stated_mm:.3f} ± {stated_std_mm:.3f} | {misfit_mm:+.3f}"
+        cells += " | {found_mm:.3f} ± {found_std_mm:.3f}{but}"
+        stated = [{**d, "but": ", contradicted" if d["contradicted"] else ""} for d in self.data["known_distances"]]
+        known: list[Block] = [TableBlock.of("Known distances", header, cells, stated)]
+        return Section("distances", "Distances", [*known, *distances_table(self.report.by_distances)])
 
     def identifiability(self) -> Section | None:
         """What the stations determine."""
@@ -355,26 +339,19 @@ class _Sections:
         end = "% of what was expected beforehand"
         weak = [f"{w['direction']}: known to {100 * w['std_over_prior']:.0f} {end}" for w in seen["weak"]]
         lists = {"Not determined by these stations, kept nominal:": seen["unobservable"], "Weakly determined:": weak}
-        out: list[Block] = [Paragraph(said)]
+        out: list[Block] = [SummaryLine(said)]
         for title, lines in lists.items():
-            out += [Paragraph("", title), Listing(lines)] if lines else []
+            out += [SummaryLine("", lead=title), Listing(lines)] if lines else []
         if left := seen["left_out"]:
             title = f"{len(left)} directions that no recording of this kind can distinguish from others"
-            out.append(Fold(title, [Paragraph(", ".join(left))]))
+            out.append(Fold(title, [SummaryLine(", ".join(left))]))
         return Section("told", "Identifiability", out)
 
     def parameters(self) -> Section:
         """All parameters."""
         tables = parameter_tables(self.report.parameters)
         said = "Deviations from the nominal robot, with their standard deviations; one unit a table."
-        return Section("parameters", "All parameters", [Paragraph(said, soft=True), *tables] if tables else [])
-
-    def end(self) -> Paragraph:
-        """Where the numbers come from."""
-        trace = self.data["trace"]
-        digest = trace["bag_sha256"] and f"recording sha256 {trace['bag_sha256']}"
-        known = (f"modcal {trace['version']}", trace["date"], trace["robot"], trace["instrument"], digest)
-        return Paragraph(" · ".join(filter(None, known)), soft=True)
+        return Section("parameters", "All parameters", [SummaryLine(said, "legend"), *tables] if tables else [])
 
 
 def _predicted(share: Mapping[str, Any]) -> str:

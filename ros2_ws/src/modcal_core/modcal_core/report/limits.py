@@ -76,8 +76,8 @@ class LimitsFound:
 
 def limits_data(found: LimitsFound) -> dict[str, Any]:
     """What limits.json holds: for each joint its range over the postures, and where they are few each of them."""
-    arm, names = found.arm, found.arm.chain.names
-    equivalent = found.window.equivalent()
+    arm, names, (least, most) = found.arm, found.arm.chain.names, found.constant
+    over = {"equivalent": found.window.equivalent(), "coupled": found.coupled}
     data: dict[str, Any] = {
         "modcal_limits": 1,
         "source": found.source,
@@ -86,7 +86,18 @@ def limits_data(found: LimitsFound) -> dict[str, Any]:
         "postures": len(found.q),
         "payload": {"mass_kg": arm.payload.mass, "centre_m": arm.payload.centre.tolist()},
         "torque_share": arm.share,
-        "joints": [_joint(found, equivalent, j) for j in range(len(names))],
+        "joints": [
+            {
+                "name": name,
+                "unit": "rad/s2" if arm.chain.revolute[j] else "m/s2",
+                "torque": float(arm.drives.torque[j]),
+                "inertia": {"least": float(found.inertia[:, j].min()), "most": float(found.inertia[:, j].max())},
+                "load_share": float(found.load[:, j].max()),
+                **{of: {"lower": float(a[:, j].max()), "upper": float(b[:, j].min())} for of, (a, b) in over.items()},
+                "constant": {"lower": float(least[j]), "upper": float(most[j])},
+            }
+            for j, name in enumerate(names)
+        ],
     }
     if len(found.q) <= _MAX:
         lower, upper = found.coupled
@@ -98,52 +109,41 @@ def limits_data(found: LimitsFound) -> dict[str, Any]:
     return data
 
 
-def _joint(found: LimitsFound, equivalent: tuple[Array, Array], j: int) -> dict[str, Any]:
-    inertia, lower, upper = found.inertia[:, j], found.constant[0], found.constant[1]
-    bounds = {"equivalent": equivalent, "coupled": found.coupled}
-    return {
-        "name": found.arm.chain.names[j],
-        "unit": "rad/s2" if found.arm.chain.revolute[j] else "m/s2",
-        "torque": float(found.arm.drives.torque[j]),
-        "inertia": {"least": float(inertia.min()), "most": float(inertia.max())},
-        "load_share": float(found.load[:, j].max()),
-        **{of: {"lower": float(a[:, j].max()), "upper": float(b[:, j].min())} for of, (a, b) in bounds.items()},
-        "constant": {"lower": float(lower[j]), "upper": float(upper[j])},
-    }
-
-
-def joint_limits(found: LimitsFound) -> dict[str, Any]:
-    """Constant bounds in the form of MoveIt's joint_limits.yaml, the smaller of up and down."""
-    lower, upper = found.constant
-    speed = found.arm.drives.speed
+def joint_limits(joints: Sequence[Mapping[str, Any]], speed: Array) -> dict[str, Any]:
+    """Constant bounds in the form of MoveIt's joint_limits.yaml, the smaller of up and down. speed: limits (n,)."""
     out: dict[str, Any] = {}
-    for j, name in enumerate(found.arm.chain.names):
-        limited = bool(np.isfinite(speed[j]))
-        out[name] = {
+    for joint, fastest in zip(joints, speed.tolist(), strict=True):
+        limited = bool(np.isfinite(fastest))
+        out[joint["name"]] = {
             "has_velocity_limits": limited,
-            **({"max_velocity": float(speed[j])} if limited else {}),
+            **({"max_velocity": fastest} if limited else {}),
             "has_acceleration_limits": True,
-            "max_acceleration": float(min(-lower[j], upper[j])),
+            "max_acceleration": _least(joint),
         }
     return {"joint_limits": out}
 
 
-def answer(found: LimitsFound) -> str:
+def _least(joint: Mapping[str, Any]) -> float:
+    """How fast a joint may accelerate either way, at every posture."""
+    return float(min(-joint["constant"]["lower"], joint["constant"]["upper"]))
+
+
+_UNITS = {"rad/s2": ("turning", "rad/s²", "N m", "kg m²"), "m/s2": ("sliding", "m/s²", "N", "kg")}
+
+
+def answer(data: Mapping[str, Any]) -> str:
     """What a person asks first: how fast the weakest joint may accelerate, and which drive is nearest to its limit."""
-    lower, upper = found.constant
-    least = np.minimum(-lower, upper)
-    chain, most = found.arm.chain, found.load.max(axis=0)
-    loaded = int(np.argmax(most))
-    carried = f"With {found.arm.payload.mass:g} kg" if found.arm.payload.mass else "Without a payload"
-    said = f"{carried} at {counted(len(found.q), 'posture')}, "
-    parts = []
-    for turning, unit in ((True, "rad/s²"), (False, "m/s²")):
-        rows = np.flatnonzero(chain.revolute == turning)
-        if len(rows):
-            j = int(rows[np.argmin(least[rows])])
-            parts.append(f"{chain.names[j]} may accelerate by {least[j]:.3g} {unit}")
-    said += " and ".join(parts) + ", the least of all joints, whatever the others do within their bounds."
-    return f"{said} {chain.names[loaded]} needs up to {percent(most[loaded])} of its torque to hold and move at all."
+    mass, parts = data["payload"]["mass_kg"], []
+    for si, (_, unit, *_) in _UNITS.items():
+        if own := [joint for joint in data["joints"] if joint["unit"] == si]:
+            weakest = min(own, key=_least)
+            parts.append(f"{weakest['name']} may accelerate by {_least(weakest):.3g} {unit}")
+    loaded = max(data["joints"], key=lambda joint: float(joint["load_share"]))
+    return (
+        f"{f'With {mass:g} kg' if mass else 'Without a payload'} at {counted(data['postures'], 'posture')}, "
+        f"{' and '.join(parts)}, the least of all joints, whatever the others do within their bounds. {loaded['name']} "
+        f"needs up to {percent(loaded['load_share'])} of its torque to hold and move at all."
+    )
 
 
 _MEANINGS = (
@@ -156,8 +156,9 @@ _MEANINGS = (
 def limits_report(found: LimitsFound, title: str, notes: Sequence[str] = ()) -> VerbResult:
     """The bounds as a verb leaves them. notes: sentences beside them."""
     data = {**limits_data(found), "notes": list(notes)}
-    files = {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(found))}
-    tables, said = _tables(data["joints"]), answer(found)
+    joints, said = data["joints"], answer(data)
+    files = {"limits.json": to_json(data), "joint_limits.yaml": to_yaml(joint_limits(joints, found.arm.drives.speed))}
+    tables = _tables(joints)
     if found.trajectory is not None:
         t, q, v = found.trajectory
         data["fastest_s"] = float(t[-1])
@@ -173,9 +174,8 @@ def limits_report(found: LimitsFound, title: str, notes: Sequence[str] = ()) -> 
 
 def _tables(joints: Sequence[Mapping[str, Any]]) -> list[TableBlock]:
     """Accelerations and holding torques of joints, as limits.json has them, turning and sliding ones apart."""
-    units = {"rad/s2": ("turning", "rad/s²", "N m", "kg m²"), "m/s2": ("sliding", "m/s²", "N", "kg")}
     out = []
-    for si, (kind, unit, torque, inertia) in units.items():
+    for si, (kind, unit, torque, inertia) in _UNITS.items():
         own = [joint for joint in joints if joint["unit"] == si]
         bounds = ("equivalent", "coupled", "constant")
         allowed = tuple((j["name"], *(_span(j[of]["lower"], j[of]["upper"]) for of in bounds)) for j in own)
@@ -199,16 +199,8 @@ def _span(low: float, high: float) -> str:
 
 def _robot(found: LimitsFound) -> Section:
     """The arm in its postures, every joint as large as the share of its torque that is needed at most."""
-    chain, shown = found.arm.chain, ShownPostures(found.arm.chain, found.q)
-    more = []
-    for row in shown.rows:
-        j = int(np.argmax(found.load[row]))
-        more.append(
-            f"{chain.names[j]} needs {percent(found.load[row, j])} of its torque here. Discs: the share that each "
-            "joint needs at most."
-        )
-    most = found.load.max(axis=0)
-    alt = "The arm; a disc at each joint shows the share of its torque that is needed: " + ", ".join(
-        f"{name} {percent(value)}" for name, value in zip(chain.names, most, strict=True)
-    )
-    return Section("robot", "Robot", [shown.scene(alt, more, weights=np.minimum(most, 1.0).tolist())])
+    names, shown = found.arm.chain.names, ShownPostures(found.arm.chain, found.q)
+    said = "{} needs {} of its torque here. Discs: the share that each joint needs at most."
+    loads = found.load[shown.rows]
+    more = [said.format(names[j], percent(load[j])) for j, load in zip(loads.argmax(axis=1), loads, strict=True)]
+    return Section("robot", "Robot", [shown.discs("its torque that is needed", found.load.max(axis=0), more)])

@@ -12,7 +12,6 @@ from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.planning import NAMED, Plan, Study
-from modcal_core.report.as_json import claim_data, picked
 from modcal_core.report.blocks import (
     Block,
     Figures,
@@ -22,10 +21,11 @@ from modcal_core.report.blocks import (
     Section,
     TableBlock,
     VerbResult,
-    explained,
+    legend,
 )
 from modcal_core.report.charts import AFTER, GOOD, LARGE, Axis, Chart, Panel
 from modcal_core.report.figures import MAX_POINTS, ShownPostures, arm_lines
+from modcal_core.report.report import claim_data, picked
 from modcal_core.report.tables import STATISTICS, csv_text, percent, stations_table
 from modcal_core.robots import plain
 
@@ -34,19 +34,18 @@ _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
 def to_plan_data(plan: Plan) -> dict[str, Any]:
     """The plan as nested dictionaries: stations in order, what is expected of them, and against what."""
-    expected, ground = plan.expected, plan.ground
+    expected, ground = plan.expected, plan.pool.at
     return {
         "modcal_plan": 1,
         "joints": list(ground.model.chain.names),
         "reading": plan.request.reading,
-        "criterion": plan.request.criterion,
         "parameters": list(plan.parameters),
         **claim_data(expected.claim),
         "left_rms_mm": {"planned": 1e3 * expected.left, "random": 1e3 * expected.at_random},
         "not_repeated_rms_mm": 1e3 * expected.repeat,
         "ratio_to_random": expected.ratios,
-        "observability": vars(expected.indices),
-        "tried": [{"stations": n, "at_most_mm": c.mm["p95"].ci95[1]} for n, c in plan.curve],
+        "rank": expected.rank,
+        "tried": [{"stations": n, "at_most_mm": c.mm["p95"].ci95[1]} for n, c in plan.tried.items()],
         "postures": {
             "candidates": len(plan.pool.q),
             "share_free": plan.pool.shares[0],
@@ -83,12 +82,12 @@ def plan_sentences(plan: Plan) -> list[str]:
     )
     free, seen = plan.pool.shares
     said = f"{percent(free)} of the postures within the limits touch nothing"
-    out.append(said + ("." if plan.ground.site.tracker is None else f"; of these the tracker sees {percent(seen)}."))
-    if plan.ground.site.floor is None:
+    out.append(said + ("." if plan.pool.at.site.tracker is None else f"; of these the tracker sees {percent(seen)}."))
+    if plan.pool.at.site.floor is None:
         out.append("No floor is given: stations may lie below the base.")
     P = len(plan.parameters)
-    if expected.indices.rank < P:
-        out.append(f"These stations show {expected.indices.rank} of {P} parameters: the others stay nominal.")
+    if expected.rank < P:
+        out.append(f"These stations show {expected.rank} of {P} parameters: the others stay nominal.")
     if plan.route.blocked:
         ways = ", ".join(f"{i + 1} to {i + 2}" for i in plan.route.blocked)
         out.append(f"No free path was found from station {ways}: use a motion planner or move the arm by hand there.")
@@ -101,7 +100,7 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
     speed: largest of any joint [rad/s, m/s]. dwell: [s] at each station. It ends before the first blocked way.
     """
     points: list[dict[str, Any]] = []
-    chain = plan.ground.model.chain
+    chain = plan.pool.at.model.chain
     own = chain.own  # no controller takes a joint that follows
     now = 0.0
 
@@ -129,10 +128,10 @@ def plan_report(plan: Plan, title: str, speed: float, dwell: float) -> VerbResul
     sentences, data = plan_sentences(plan), to_plan_data(plan)
     files = {
         "plan.yaml": to_yaml(data),
-        "stations.csv": csv_text(plan.ground.model.chain.names, plan.q),
+        "stations.csv": csv_text(plan.pool.at.model.chain.names, plan.q),
         "trajectory.yaml": to_yaml(to_trajectory_data(plan, speed, dwell)),
     }
-    table = stations_table("Stations in their order", plan.ground.model.chain.names, plan.q)
+    table = stations_table("Stations in their order", plan.pool.at.model.chain.names, plan.q)
     blocks = [_stations_shown(plan), Section("stations", "Stations", [table])]
     page = Page(f"{title}: stations to measure", sentences[0], blocks, lines=sentences[1:])
     return page.result(data, files, (), "Stations", "plan.yaml")
@@ -140,10 +139,10 @@ def plan_report(plan: Plan, title: str, speed: float, dwell: float) -> VerbResul
 
 def _stations_shown(plan: Plan) -> Section:
     """The arm at the stations in their order, among the places that could be chosen."""
-    pool, tracker = plan.pool, plan.ground.site.tracker
-    shown = ShownPostures(plan.ground.model.chain, plan.q, "Station", plan.ground.model.T_tip_tool)
+    pool, tracker = plan.pool, plan.pool.at.site.tracker
+    shown = ShownPostures(plan.pool.at.model.chain, plan.q, "Station", plan.pool.at.model.T_tip_tool)
     some = pool.q[spread_rows(len(pool.q), MAX_POINTS)]
-    way, could = (arm_lines(shown.chain, plan.ground.model.T_tip_tool, q)[-1][:, -1] for q in (plan.q, some))
+    way, could = (arm_lines(shown.chain, plan.pool.at.model.T_tip_tool, q)[-1][:, -1] for q in (plan.q, some))
     alt = f"The arm at {len(plan.q)} stations, in order, among the places that could be chosen."
     marks = () if tracker is None else (("tracker", tracker.position),)
     others: dict[str, Any] = {"points": way, "shown": shown.rows, "route": True, "cloud": could, "marks": marks}
@@ -159,10 +158,12 @@ COLUMNS = {
     "SFCDPE mm": "by how much an error of this parameter moves the point, weighted over the postures",
     "RSFCDPE": "the same, divided by that of the base factor",
 }
+_CELLS = (
+    "{name} | {share:.1%} | {measured[seen]:.0%} | {rms_gain_mm:.4f} | {measured[rms_gain_left_mm]:.4f} | "
+    "{sfcdpe_mm:.3f} | {rsfcdpe:.3f}"
+)
 _SAME = 1e-6  # share of an index within which it is the same at every posture
 _SHOWN = 12  # parameters of the first table
-_ROW = 14.0  # points of a picture, a parameter
-_LEVELS = 12  # of the cells of a map
 _NAMED = 3  # of the strongest parameters, in a sentence
 
 
@@ -185,14 +186,14 @@ def sensitivity_data(study: Study) -> dict[str, Any]:
     return {
         "modcal_sensitivity": 1,
         "joints": list(study.closed.chain.names),
-        "design": {"name": study.of.design, "postures": len(study.of.q)},
+        "postures": len(study.q),
         "base_factor": at.names[at.base],
         "rms_mm": {"as_built": 1e3 * joint.before.rms, "after_measuring": 1e3 * joint.after.rms},
         "measured": {
-            "stations": len(study.of.measured.q),
-            "kind": study.of.measured.kind,
-            "std_mm": 1e3 * study.of.measured.std_m,
-            "std_mrad": 1e3 * study.of.measured.std_rad,
+            "stations": len(study.measured.q),
+            "kind": study.measured.kind,
+            "std_mm": 1e3 * study.measured.std_m,
+            "std_mrad": 1e3 * study.measured.std_rad,
         },
         "parameters": [
             {
@@ -218,7 +219,7 @@ def _constant(study: Study) -> np.ndarray:
 
 def sensitivity_sentences(study: Study) -> list[str]:
     """What a person should know first."""
-    joint, names, measured = study.joint, study.closed.names, study.of.measured
+    joint, names, measured = study.joint, study.closed.names, study.measured
     lengths = np.array([f.is_length for f in study.closed.factors])
     constant = _constant(study)
     order = np.argsort(-joint.before.share)
@@ -265,33 +266,22 @@ def _about_lengths(study: Study, lengths: np.ndarray, constant: np.ndarray) -> s
     return f"{int((lengths & constant).sum())} of {count} translation parameters have the same influence at every pose."
 
 
-def _rows(study: Study) -> list[tuple[str, ...]]:
-    """Every parameter under ``COLUMNS``, the strongest first."""
-    joint, at = study.joint, study.indices
-    return [
-        (
-            *(at.names[k], f"{joint.before.share[k]:.1%}", f"{joint.seen[k]:.0%}"),
-            *(f"{1e3 * gains[k]:.4f}" for gains in (joint.before.rms_gain, joint.after.rms_gain)),
-            *(f"{index[k]:.3f}" for index in (1e3 * at.multi, at.relative_multi)),
-        )
-        for k in np.argsort(-joint.before.share, kind="stable")
-    ]
-
-
 def sensitivity_report(study: Study, title: str) -> VerbResult:
     """The study as a verb leaves it: the answer, the strongest parameters, the robot, and pictures."""
-    sentences, rows, data = sensitivity_sentences(study), _rows(study), sensitivity_data(study)
-    single = np.c_[study.of.q, 1e3 * study.indices.single]
+    data = sensitivity_data(study)
+    sentences, rows = data["sentences"], sorted(data["parameters"], key=lambda row: -row["share"])
+    single = np.c_[study.q, 1e3 * study.indices.single]
     files = {
         "sensitivity.json": to_json(data),
         "single_point.csv": csv_text([*study.closed.chain.names, *study.indices.names], single, ".9g"),
     }
-    strongest = explained(COLUMNS, rows[:_SHOWN], title="The strongest parameters")
-    every = TableBlock("All parameters", strongest.header, tuple(rows))
+    header, below = " | ".join(COLUMNS), legend(COLUMNS)
+    strongest = TableBlock.of("The strongest parameters", header, _CELLS, rows[:_SHOWN], below=below)
+    every = TableBlock.of("All parameters", header, _CELLS, rows)
     blocks: list[Block] = [
         Section("strongest", "Parameters that matter most", [strongest, Figures([_gain(study)])]),
         Section("robot", "Robot", [_robot(study)]),
-        Fold("Expert: all parameters; by pose", [every, Figures([_by_pose(study)])], "expert"),
+        Fold("Expert: all parameters", [every], "expert"),
     ]
     page = Page(f"{title}: sensitivity", sentences[0], blocks, lines=sentences[1:])
     return page.result(data, files, [strongest])
@@ -299,36 +289,11 @@ def sensitivity_report(study: Study, title: str) -> VerbResult:
 
 def _robot(study: Study) -> Scene3D:
     """The arm in the postures of the study, every joint as large as the share of its parameters."""
-    chain, share = study.closed.chain, study.joint.before.share
-    of_joint = [
-        float(sum(share[k] for k, name in enumerate(study.closed.names) if name.partition("/")[0] == joint))
-        for joint in chain.names
-    ]
-    shown = ShownPostures(chain, study.of.q)
+    chain, share, joints = study.closed.chain, study.joint.before.share, study.closed.names
+    of_joint = [share[[name.partition("/")[0] == joint for name in joints]].sum() for joint in chain.names]
+    shown = ShownPostures(chain, study.q)
     more = ["Discs: share of the squared error that each joint's parameters have."] * len(shown.rows)
-    alt = "The arm; a disc at each joint shows the share of the error that its parameters have: " + ", ".join(
-        f"{name} {percent(value)}" for name, value in zip(chain.names, of_joint, strict=True)
-    )
-    return shown.scene(alt, more, weights=() if chain.closed else of_joint)  # a Delta's line skips joints
-
-
-def _by_pose(study: Study) -> Chart:
-    """Relative single-point indices as a map, parameters down and postures across."""
-    relative = study.indices.relative_single.T
-    count = relative.shape[1]
-    x = Axis(f"posture of the design {study.of.design}", -0.5, count - 0.5)
-    high = 60.0 + _ROW * len(study.indices.names)
-    panel = Panel(x, Axis.rows(study.indices.names), 150.0 + min(12.0 * count, 380.0), high)
-    level = np.ceil(_LEVELS * relative / max(float(relative.max()), 1e-300))
-    for k in range(1, _LEVELS + 1):
-        down, across = (axis.astype(float) for axis in np.nonzero(level == k))
-        panel.bars((across - 0.5, across + 0.5), (down - 0.5, down + 0.5), AFTER, k / _LEVELS)
-    base = study.indices.names[study.indices.base]
-    words = (
-        "Relative single-point indices RSFDPE: the influence of a parameter (down) at one posture (across), as a "
-        f"multiple of the base factor's ({base}); the fullest cell is {relative.max():.3g}."
-    )
-    return panel.chart("by_pose", words, words)
+    return shown.discs("the error that its parameters have", np.array(of_joint), more)
 
 
 def _gain(study: Study) -> Chart:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from math import sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from modcal_core.geometry import Array
 from modcal_core.measurements import unexpected
-from modcal_core.outcome import STAGES, Outcome, counted
-from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, legend
+from modcal_core.outcome import Outcome, counted
+from modcal_core.report.blocks import Summary, SummaryLine, TableBlock, legend, tone_of
 from modcal_core.robots import PARAMETERS
-from modcal_core.verdict import Row, Status, Verdict
+from modcal_core.verdict import Row, Status, Tolerance, Verdict
 
 if TYPE_CHECKING:
     from modcal_core.calibration import ByDistances
@@ -144,13 +144,28 @@ def _unsettled(verdict: Verdict) -> str:
 SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}
 
 
-_EFFECT_COLUMNS = {
+_OF_EFFECTS = {
     "place": "where the error arises",
     "direction": "the way it moves the arm there",
     "driver": "what its size depends on",
     "error": "RMS over what was held out, without the effect and with it",
     "p": "probability of as much by chance, after everything that was tried",
 }
+
+
+def effects_table(effects: Sequence[Mapping[str, Any]], meanings: Mapping[str, str] | None = None) -> TableBlock:
+    """What was added to the geometry, as ``report.json`` has it. meanings: of headings, where they are others."""
+    header = "effect | place | direction | driver | moves the tool by, mm | error without it, mm | with it, mm | p"
+    cells = "{family:words} | {place} | {direction} | {driver:driver} | {tool_rms_mm:.3f} | {rms_mm_before:.3f}"
+    cells += " | {rms_mm_after:.3f} | {p_value:.1g}"
+    return TableBlock.of("Effects", header, cells, effects, words=4, below=legend(meanings or _OF_EFFECTS))
+
+
+def tolerance_lines(met: Tolerance | None, of: str = "") -> list[SummaryLine]:
+    """The result for a tolerance, where one was asked for. of: what is judged, before the reason."""
+    return [] if met is None else [SummaryLine(f"{of}{met.because}", tone_of(met.result), f"{met.result}:")]
+
+
 _WORDS = {
     "shared": "shared among effects",
     "predictable": "predictable, not modelled",
@@ -164,36 +179,34 @@ _ROUNDING = 1e-9  # of the whole; the rows sum to it within as much
 _SMALL, _MANY = 0.01, 3  # effects with less than this share stand in one row where there are so many; all are in files
 
 
-def error_tables(report: Outcome, stages: Mapping[str, str] | None = None) -> list[TableBlock]:
-    """Sizes of the held-out errors, positions and orientations apart. stages: those that are shown, and their names."""
-    stages = stages or {stage: stage for stage in STAGES}
+_STAGES = {
+    "nominal": "the robot description, base and tool fitted",
+    "geometric": "lengths, angles and joint zeros corrected",
+    "final": "the effects below as well",
+}
+
+
+def error_tables(report: Outcome, names: Mapping[str, str] | None = None) -> list[TableBlock]:
+    """Sizes of the held-out errors, positions and orientations apart. names: of the stages that are shown, where they
+    say what they are.
+    """
     position, orientation = [], []
-    for stage, name in stages.items():
+    stages = [stage for stage in names or _STAGES if report.size_mm(stage) or report.size_deg(stage)]
+    below = "" if names else legend({stage: _STAGES[stage] for stage in stages})
+    for stage in stages:
+        name = names[stage] if names else stage
         if (size := report.size_mm(stage)) is not None:
             ends = span(report.interval_mm(stage), 3)
             position.append((name, *(f"{x:.3f}" for x in astuple(size)), ends))
         if (angle := report.size_deg(stage)) is not None:
             orientation.append((name, *(f"{x:.4f}" for x in astuple(angle))))
     header = ("position error, mm", *STATISTICS.values(), "95 % interval of the RMS")
-    out = [TableBlock("Position errors before and after", header, tuple(position), strong=2)] if position else []
-    if orientation:
-        turned = ("orientation error, °", *STATISTICS.values())
-        out.append(TableBlock("Orientation errors before and after", turned, tuple(orientation), strong=2))
-    return out
-
-
-def effects_table(report: Outcome) -> TableBlock:
-    """What was added to the geometry."""
-    header = ("effect", "place", "direction", "driver", "moves the tool by, mm", "error without it, mm", "with it, mm")
-    rows = tuple(
-        (
-            *(f.family.replace("_", " "), f.place, f.direction, f.driver.replace(":", " of ")),
-            *("" if x is None else f"{1e3 * x:.3f}" for x in (f.tool, f.before, f.after)),
-            f"{f.p_value:.1g}",
-        )
-        for f in report.effects
-    )
-    return TableBlock("Effects", (*header, "p"), rows, words=4, below=legend(_EFFECT_COLUMNS))
+    turned = ("orientation error, °", *STATISTICS.values())
+    out = [
+        TableBlock("Position errors before and after", header, tuple(position), strong=2),
+        TableBlock("Orientation errors before and after", turned, tuple(orientation), strong=2),
+    ]
+    return [replace(table, below=below) for table in out if table.rows]
 
 
 def account_tables(verdict: Verdict | None, fold: bool = False) -> list[TableBlock]:
@@ -252,7 +265,7 @@ def _words(what: str) -> str:
     return effect.replace(":", " of ") if effect != what else _WORDS.get(what, what.replace("_", " "))
 
 
-def span(ends: Sequence[float] | None, digits: int | None = None) -> str:
+def span(ends: Sequence[float] | Array | None, digits: int | None = None) -> str:
     """Both ends of an interval, with three significant digits or so many behind the point; nothing for None."""
     form = ".3g" if digits is None else f".{digits}f"
     return "" if ends is None else " … ".join(f"{end:{form}}" for end in ends)

@@ -4,8 +4,8 @@ y = X β + Z u + s + e. Cells scatter by e, as far as they are independent of th
 have s in common, for what a model of friction and dynamics lacks depends on where the arm just is; and coefficients
 differ by u from recording to recording, for an arm is cold one morning and warm the next. A change must stand out of
 all three, so that 250 samples a second are not 250 witnesses. Of each recording only F = [X, changes, y] as Fᵀ V⁻¹ F is
-needed. u has variances by expectation and maximisation, from above; of few recordings they are known roughly, which
-makes them larger (Student's t).
+needed. u has variances by expectation and maximisation, from above. What that leaves out, and how roughly a few
+recordings tell it, is in ``predictive``.
 """
 
 from __future__ import annotations
@@ -109,16 +109,19 @@ class Normal:
         moments = tuple({n: _moments(s[n], signals[n]) for n in signals if n in s} for s in every)
         bags = tuple((cells.name, cells.began) for cells in reference)
         ranges = (q.min(axis=0), q.max(axis=0), np.abs(v).max(axis=0))
-        out = cls(arm, signals, at, *ranges, moments, bags).solved(range(len(reference)))
+        for name, of in signals.items():
+            heard = [one[name].square for one in moments if name in one and one[name].share > 0.0]
+            signals[name] = _solved(of, heard)
+        out = cls(arm, signals, at, *ranges, moments, bags)
         odd = tuple(name for name, of in out.signals.items() if name.startswith("torque ") and not of.torques)
         return replace(out, signals={n: of for n, of in out.signals.items() if n not in odd}, dropped=odd)
 
-    def solved(self, bags: Sequence[int]) -> Normal:
-        """The same by these reference recordings alone."""
-        signals = {}
-        for name, known in self.signals.items():
-            heard = [self.moments[b][name] for b in bags if name in self.moments[b]]
-            signals[name] = _solved(known, [one.square for one in heard if one.share > 0.0])
+    def without(self, bag: int) -> Normal:
+        """The same by the other reference recordings, with the same scatter."""
+        signals = dict(self.signals)
+        for name, own in self.moments[bag].items():
+            if name in signals and own.share > 0.0:
+                signals[name] = _left_out(signals[name], own)
         return replace(self, signals=signals)
 
     def of(self, cells: Cells, carries_other: bool = False) -> dict[str, Moments]:
@@ -282,52 +285,34 @@ def _freed(square: Array, at: np.ndarray, variance: Array) -> Array:
 
 def _solved(of: SignalNormal, squares: Sequence[Array]) -> SignalNormal:
     """Coefficients, and how much the loose ones differ from one recording to the next."""
-    p, z, m = len(of.beta), len(of.spread), len(squares)
+    p, z = len(of.beta), len(of.spread)
     own = np.r_[np.arange(p), -1]
     S = np.stack([square[np.ix_(own, own)] for square in squares])  # (m, p + 1, p + 1)
-    held, beta, precision = np.diag(of.width**-2.0), of.beta, of.precision
-    spread = of.spread if of.spread.any() else 1e-2 * of.width[:z] ** 2
-    for _ in range(_ROUNDS):
+    spread = 1e-2 * of.width[:z] ** 2
+    for left in reversed(range(_ROUNDS)):
         scale = np.sqrt(spread)
         inner = np.eye(z) + scale[:, None] * S[:, :z, :z] * scale
         gain = scale[:, None] * np.linalg.inv(inner) * scale
         whole = (S - np.swapaxes(S[:, :z], 1, 2) @ gain @ S[:, :z]).sum(axis=0)
-        precision = held + whole[:p, :p]
+        precision = np.diag(of.width**-2.0) + whole[:p, :p]
         covariance = np.linalg.inv(precision)
         beta = covariance @ whole[:p, -1]
-        mean = (gain @ (S[:, :z, -1:] - S[:, :z, :p] @ beta[:, None]))[..., 0]
-        slope = gain @ S[:, :z, :p]
-        unsure = np.diagonal(gain, axis1=1, axis2=2) + np.einsum("mzp,pq,mzq->mz", slope, covariance, slope)
-        spread = (mean**2 + unsure).mean(axis=0)
-    return replace(of, beta=beta, precision=precision, spread=spread * m / max(m - 3.0, 1.0))
+        if left:
+            mean = (gain @ (S[:, :z, -1:] - S[:, :z, :p] @ beta[:, None]))[..., 0]
+            slope = gain @ S[:, :z, :p]
+            unsure = np.diagonal(gain, axis1=1, axis2=2) + np.einsum("mzp,pq,mzq->mz", slope, covariance, slope)
+            spread = (mean**2 + unsure).mean(axis=0)
+    return replace(of, beta=beta, precision=precision, spread=spread)
 
 
-@dataclass(frozen=True)
-class Spoken:
-    """What some recordings say of all changes together: information (K, K) and its vector (K,), of named columns."""
+def _left_out(of: SignalNormal, own: Moments) -> SignalNormal:
+    """The coefficients without one of the recordings that they are of."""
+    p, S = len(of.beta), differing(own, of)
+    precision = of.precision - S[:p, :p]
+    beta = np.asarray(np.linalg.solve(precision, of.precision @ of.beta - S[:p, -1]))
+    return replace(of, beta=beta, precision=precision)
 
-    names: tuple[str, ...]
-    information: Array
-    vector: Array
 
-
-def spoken_since(normal: Normal, bags: Sequence[Mapping[str, Moments]]) -> list[Spoken]:
-    """What later recordings from each of them on say of all changes, the reference period's coefficients being known
-    as well as they are.
-    """
-    names = tuple(sorted({name for of in normal.signals.values() for name in of.names}))
-    at = {name: k for k, name in enumerate(names)}
-    A, b = np.zeros((len(bags), len(names), len(names))), np.zeros((len(bags), len(names)))
-    for signal, of in normal.signals.items():
-        p, k = len(of.beta), np.array([at[name] for name in of.names])
-        size = p + len(k) + 1
-        S, before, D = np.zeros((size, size)), np.arange(p), np.arange(p, size - 1)
-        for i in reversed(range(len(bags))):
-            if signal in bags[i] and bags[i][signal].share > 0.0:
-                S = S + _freed(bags[i][signal].square, np.arange(len(of.spread)), of.spread)
-            left = S[:, -1] - S[:, :p] @ of.beta
-            known = np.column_stack([S[np.ix_(before, D)], left[:p]])
-            gain = np.linalg.solve(of.precision + S[:p, :p], known)
-            A[i][np.ix_(k, k)] += S[np.ix_(D, D)] - S[D, :p] @ gain[:, :-1]
-            b[i][k] += left[D] - S[D, :p] @ gain[:, -1]
-    return [Spoken(names, *pair) for pair in zip(A, b, strict=True)]
+def differing(one: Moments, of: SignalNormal) -> Array:
+    """Fᵀ V⁻¹ F, V with what the loose coefficients differ by from one recording to the next."""
+    return _freed(one.square, np.arange(len(of.spread)), of.spread)

@@ -264,7 +264,7 @@ class PlaceDrivers:
             for j, name in enumerate(self.chain.names):
                 number = np.stack([x[j] for x in fast])
                 yield _part(group, f"joint {name}", f"how fast {name} moves (a lag, a spring)", [self.axes[j]], number)
-            yield _part(group, "the tool", "how it is accelerated", self.tool, _standard(self.at.tip_acceleration))
+            yield _part(group, "the tool", "how it is accelerated", self.tool, _standard(self.at.tip_motion[0]))
         else:
             driver = "the previous moment of the arm's weight on it (slip)"
             number = _standard(slipped(s, moments_on_base(self.at)))

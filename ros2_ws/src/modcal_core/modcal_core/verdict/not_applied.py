@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Model, averaged, cost_of_holding, outside_drivers
+from modcal_core.calibration import Calibration, Model, averaged, cost_of_holding, outside_drivers, signals_of
 from modcal_core.effects import STEPS, Effect, NominalArm, undelayed
 from modcal_core.measurements import Samples
 from modcal_core.verdict.grounds import NotApplied
@@ -142,6 +142,8 @@ def _limits_note(model: Model, calibration: Calibration, samples: Samples) -> tu
     parts = {part for e in model.effects for part in outside_drivers(e)}
     beyond: list[str] = []
     continued: list[str] = []
+    unknown: list[str] = []
+    signals = {name for name, _ in signals_of(model.effects)}
     limits = calibration.driver_limits
     if "time" in parts and calibration.watched and (limits.time(samples.stamps) != samples.stamps).any():
         first, last = calibration.watched
@@ -155,10 +157,11 @@ def _limits_note(model: Model, calibration: Calibration, samples: Samples) -> tu
         x, (low, high) = at.values(name, lag), limits.ranges[key]
         said = f"{key.replace(':', ' of ', 1)} (seen {low:.3g} … {high:.3g}, here {x.min():.3g} … {x.max():.3g})"
         if (limits.value(name, lag, x) != x).any():
-            beyond.append(said)
+            (unknown if name in signals else beyond).append(said)
         elif x.min() < low or x.max() > high:
             continued.append(said)
     return (
         *([f"Effects are held beyond what was recorded: {', '.join(beyond)}."] if beyond else ()),
         *([f"Effects are continued beyond what was recorded: {', '.join(continued)}."] if continued else ()),
+        *([f"Geometry alone counts beyond what was recorded: {', '.join(unknown)}."] if unknown else ()),
     )

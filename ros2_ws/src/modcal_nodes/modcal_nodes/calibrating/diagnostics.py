@@ -151,6 +151,7 @@ def sample_status(supervisor: Supervisor, refused: int, stream: SampleStream | N
         facts["clock set back"] = stream.counts.jumps
         facts["messages out of order"] = stream.counts.late
         facts["readings without joint states"] = stream.counts.unpaired
+        facts["bursts of readings, spread"] = stream.counts.bursts
     if supervisor.live is not None:
         facts["readings in unknown frames"] = supervisor.live.strange
     message = collected(supervisor) + (f", {refused} messages refused" if refused else "")

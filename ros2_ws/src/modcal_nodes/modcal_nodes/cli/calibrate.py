@@ -98,7 +98,7 @@ def evaluate_command(calibration: Path, bag: Path, output: Output, options: Eval
         with of_cell(options.cell_file):
             report = evaluate(frozen, samples, cell=cell, **{name: getattr(options, name) for name in of_core})
         files = report_files(report, calibration=calibration_name(calibration))
-        files |= options.certified(report, samples, samples.origin.description, calibration, frozen)
+        files |= options.certified(report, samples, samples.origin.description, calibration)
     arm = chain_line(frozen.nominal.chain.base, frozen.nominal.chain.tip, frozen.nominal.chain.n)
     return _say(report, arm, f"{bag.resolve().stem}_evaluation", files, output)
 

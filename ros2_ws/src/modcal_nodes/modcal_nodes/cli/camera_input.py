@@ -335,7 +335,7 @@ def calibrate_images(
     said: what is stated for a certificate, None if none is asked for. Returns the exit code.
     """
     # OpenCV, which other verbs can do without
-    from modcal_core.report import camera_certificate, camera_report, camera_tolerance, certificate_html
+    from modcal_core.report import camera_certificate, camera_report, camera_tolerance
 
     with output.working() as watch:
         robot, found, solution = _solved(camera, options, bag, watch)
@@ -348,8 +348,8 @@ def calibrate_images(
             watch("writing the certificate")
             calibration = report.files["calibration.yaml"]
             hashes = certified_hashes(options.urdf or robot.description, calibration, [source, camera.joints])
-            page = camera_certificate(solution, robot.name or "", met, said, hashes, images)
-            report = replace(report, files={**report.files, "certificate.html": certificate_html(page)})
+            page = camera_certificate(solution, report.data, met, said, hashes).html()
+            report = replace(report, files={**report.files, "certificate.html": page})
     output.saved(report, f"{source.resolve().stem}_calibration", arm_line(robot))
     return exit_code(met)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modcal_core.calibration import Calibration, Cell, Stated
+from modcal_core.calibration import Cell, Stated
 from modcal_core.errors import BadTable
 from modcal_core.report import Particulars
 from modcal_nodes.io import FrozenOptions, option, read_cell, read_particulars, stated_from
@@ -46,28 +46,20 @@ class CertifiedOptions(FrozenOptions):
         return said if self.serial is None else replace(said, serial=self.serial)
 
     def certified(
-        self,
-        report: Outcome,
-        samples: Samples,
-        description: str | Path | None,
-        calibration: str | Path,
-        frozen: Calibration | None = None,
+        self, report: Outcome, samples: Samples, description: str | Path | None, calibration: str | Path
     ) -> dict[str, str]:
         """Name and text of the certificate's file; none where none was asked for.
 
-        description, calibration: of :func:`certified_hashes`. frozen: the calibration that is scored, where it is not a
-        new one.
+        description, calibration: of :func:`certified_hashes`.
         """
         if (said := self.particulars()) is None:
             return {}
-        from modcal_core.report import certificate, certificate_html, is_made_from
+        from modcal_core.report import certificate
 
         # options go before the cell file, and that before what instruments state
         own = Stated(instrument_mm=samples.origin.instrument_mm, instrument_deg=samples.origin.instrument_deg)
-        made_from = frozen is not None and is_made_from(frozen, samples)
         hashes = certified_hashes(description, calibration)
-        page = certificate(report, self.cell.stated.over(own), said, hashes, made_from)
-        return {"certificate.html": certificate_html(page)}
+        return {"certificate.html": certificate(report, self.cell.stated.over(own), said, hashes).html()}
 
 
 def exit_code(met: Tolerance | None) -> int:

@@ -51,7 +51,7 @@ def check_command(calibration: Path, bag: Path, urdf: Path | None, output: Outpu
         files = _files(found, calibration, urdf, samples.origin.description)
         described = files.get("calibrated.urdf", samples.origin.description)
         model: str | Path = files.get("calibration.yaml", calibration)
-        files |= options.certified(found.report, samples, described, model, frozen)
+        files |= options.certified(found.report, samples, described, model)
     recording = bag.resolve().stem
     output.saved(checkup_report(found, name, recording, files), f"{recording}_check")
     return exit_code(found.report.tolerance)

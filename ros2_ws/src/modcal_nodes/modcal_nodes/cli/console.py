@@ -67,7 +67,7 @@ def show(blocks: Iterable[str | Summary], console: Console) -> None:
         if isinstance(block, str):
             console.print(block, soft_wrap=True)
         elif isinstance(block, SummaryLine):
-            console.print(block.text, style=STYLES[block.tone])
+            console.print(str(block), style=STYLES[block.tone])
         else:
             table = RichTable(box=None, header_style="bold", pad_edge=False)
             for i, name in enumerate(block.top):

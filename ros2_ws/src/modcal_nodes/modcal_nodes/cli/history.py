@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import click
 from modcal_core.calibration import Calibration, fingerprint
 from modcal_core.errors import BadTable, refusing
 from modcal_core.files import read_json
-from modcal_core.moves import Values, series_of, values_of
+from modcal_core.moves import series_of, values_of
 from modcal_core.outcome import offsets_of
 from modcal_core.report import History, HistoryEntry, Side, VerbResult, compare, history_report
 from modcal_core.schema import require
@@ -51,7 +51,7 @@ def read_history(folder: Path) -> tuple[History, ...]:
     if not parts:
         said = "holds no folder of modcal calibrate or modcal check"
         raise BadTable(str(folder), said, "keep a robot's calibrations and checks as folders in one folder")
-    shelves: dict[Path, list[_FolderContents]] = {}
+    shelves: dict[Path, list[HistoryEntry]] = {}
     for part in parts:
         shelves.setdefault(part.parent, []).append(_kept(part, folder, str(part)))
     histories = [h for shelf, kept in shelves.items() for h in _histories(shelf.relative_to(folder).as_posix(), kept)]
@@ -61,36 +61,26 @@ def read_history(folder: Path) -> tuple[History, ...]:
     return tuple(histories)
 
 
-def _histories(shelf: str, kept: list[_FolderContents]) -> Iterator[History]:
+def _histories(shelf: str, kept: list[HistoryEntry]) -> Iterator[History]:
     """Of the robots of one folder: one, unless descriptions differ."""
-    robots = sorted({k.robot for k in kept if k.robot})
+    robots = sorted({e.robot for e in kept if e.robot})
     for robot in robots:
         # a check that changed nothing keeps no model: it belongs to the robot of its folder, if there is but one
-        mine = [k for k in kept if k.robot == robot or (not k.robot and len(robots) == 1)]
-        mine.sort(key=lambda k: (k.entry.time is None, k.entry.time or 0.0, k.entry.name))
-        dated = [(k.entry.name, k.entry.time, k.values) for k in mine if k.entry.time is not None and k.values]
+        mine = [e for e in kept if e.robot == robot or (not e.robot and len(robots) == 1)]
+        mine.sort(key=lambda e: (e.time is None, e.time or 0.0, e.name))
+        dated = [(e.name, e.time, e.values) for e in mine if e.time is not None and e.values]
         notes = []
-        if undated := sum(k.entry.time is None for k in mine):
+        if undated := sum(e.time is None for e in mine):
             notes.append(f"{undated} without a date are in no trend: begin their names with the day (2026-03-01).")
-        if len(robots) > 1 and (loose := sum(not k.robot for k in kept)):
+        if len(robots) > 1 and (loose := sum(not e.robot for e in kept)):
             notes.append(f"{loose} checks without a change may be of any of {len(robots)} robots: they are left out.")
-        name = next((k.name for k in mine if k.robot and k.name != robot), robot)
+        name = next((e.called for e in mine if e.robot and e.called != robot), robot)
         called = name if shelf == "." else f"{name} in {shelf}"
-        yield History(called, tuple(k.entry for k in mine), series_of(dated), tuple(notes))
-
-
-@dataclass(frozen=True)
-class _FolderContents:
-    """What a folder keeps. robot: fingerprint, empty where it keeps no model. name: of the robot. values: by name."""
-
-    robot: str
-    name: str
-    entry: HistoryEntry
-    values: Values
+        yield History(called, tuple(mine), series_of(dated), tuple(notes))
 
 
 @refusing
-def _kept(part: Path, folder: Path, _: str) -> _FolderContents:
+def _kept(part: Path, folder: Path, _: str) -> HistoryEntry:
     """What a folder keeps. Raises BadTable, naming it, for what is no calibration, report or check."""
     check, report = _json(part / "check.json"), _json(part / "report.json")
     trace = report.get("trace") or {}
@@ -102,14 +92,14 @@ def _kept(part: Path, folder: Path, _: str) -> _FolderContents:
     said, name = str((check or report).get("verdict") or ""), part.relative_to(folder).as_posix()
     entry = HistoryEntry(name, "check" if check else "calibration", date, time, said)
     if not (part / "calibration.yaml").is_file():
-        return _FolderContents("", "", entry, {})
+        return entry
     calibration = Calibration.load(part)
     robot, values, offsets = fingerprint(calibration.nominal.chain), values_of(calibration), offsets_of(calibration)
     for offset in () if offsets is None else offsets.found:
         if offset.std is not None:
             unit = "mrad" if offset.turning else "mm"
             values[f"zero of {offset.joint}"] = (unit, 1e3 * offset.value, 1e3 * offset.std, False)
-    return _FolderContents(robot, str(trace.get("robot") or robot), entry, values)
+    return replace(entry, robot=robot, called=str(trace.get("robot") or robot), values=values)
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -94,11 +94,8 @@ def _shown(data: dict[str, Any], most: int) -> list[str | Summary]:
         out.append(chain_line(robot["base"], robot["tip"], len(robot["joints"]), robot["other_tips"]))
     signals = [track for track in data["topics"] if track["what"].startswith("signal:")]
     listed = [track for track in data["topics"] if len(signals) <= most or track not in signals]
-    rows = tuple(
-        (track["topic"], track["what"], f"{track['count']}", f"{track['rate']:.4g}", f"{track['largest_gap']:.3g} s")
-        for track in listed
-    )
-    out.append(TableBlock("", ("topic", "what", "messages", "Hz", "largest gap"), rows, words=2))
+    cells = "{topic} | {what} | {count} | {rate:.4g} | {largest_gap:.3g} s"
+    out.append(TableBlock.of("", "topic | what | messages | Hz | largest gap", cells, listed, words=2))
     if len(signals) > most:
         topics = len({track["topic"] for track in signals})
         out.append(f"{len(signals)} numbers of {topics} other topics, on which errors may depend: all with --verbose")

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
@@ -26,12 +25,13 @@ from modcal_core.planning import (
     Session,
     Site,
     of_recording,
-    of_robot,
     require_likely,
     site_from_data,
+    survey,
     text_of,
     with_table,
 )
+from modcal_core.robot import Robot
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, written
 from modcal_nodes.cli.inputs import arm_line, read_robot
@@ -41,10 +41,9 @@ from modcal_nodes.io import ChainOptions, Watch, opened, option, read_cell, repe
 from modcal_nodes.measuring import (
     NEXT,
     CellInProcess,
-    Folder,
+    Measurement,
     Measurer,
     Replay,
-    StoredSession,
     one_a_station,
     outcome_data,
 )
@@ -99,11 +98,16 @@ class MeasureOptions(ChainOptions):
             ties=self.ties,
         )
 
-    def simulated_cell(self, robot: Path) -> dict[str, Any]:
-        """Parameters of the simulated cell with this robot."""
+    def measurer(self, robot: Path, arm: Robot, watch: Watch) -> Measurer | None:
+        """What measures; None: a person."""
+        if self.replay is not None:
+            return Replay(one_a_station(opened(self.replay, watch).samples(arm, 0.5)))
+        if not self.simulated:
+            return None
         chosen = {name: p.default for name, p in SIMULATED_CELL.items()}
         chosen["delta" if robot.suffix in (".yaml", ".yml") else "urdf"] = str(robot)
-        return chosen | {"base": self.base or "", "tip": self.tip or ""} | dict(map(parameter, self.given))
+        chosen |= {"base": self.base or "", "tip": self.tip or ""} | dict(map(parameter, self.given))
+        return CellInProcess(chosen)
 
 
 @click.command("measure")
@@ -117,8 +121,8 @@ def measure_command(robot: Path, output: Output, options: MeasureOptions) -> int
     claim at the tool proves the result, from random stations too that no fit sees. A session is kept in its folder and
     goes on where it stopped. Exit code 3: ended, and the goal is not proven.
     """
-    folder, replay, reading, seed = options.by_hand, options.replay, options.reading, options.seed
-    if sum((folder is not None, options.simulated, replay is not None)) != 1:
+    folder = options.by_hand
+    if sum((folder is not None, options.simulated, options.replay is not None)) != 1:
         raise BadTable("modcal measure", "needs one of --by-hand, --simulated and --replay", "say who measures")
     goal = options.goal
     arm = read_robot(robot, options.base, options.tip)
@@ -126,79 +130,64 @@ def measure_command(robot: Path, output: Output, options: MeasureOptions) -> int
     if site.carried and folder is None:
         raise BadTable(str(options.site), "has a camera on the tool", "measure by hand, or with station_runner")
     cell = read_cell(options.cell_file, options.fixed)
+    lot = options.batch or (_BY_HAND if folder is not None else BATCH)
+    method = Method(options.seed, lot, not options.geometry_only)
     with output.working() as watch:
-        measurer: Measurer | None = None
-        if options.simulated:
-            chosen = options.simulated_cell(robot)
-            measurer, reading = CellInProcess(chosen), chosen["measurement"]
-        elif replay is not None:
-            samples = one_a_station(opened(replay, watch).samples(arm, 0.5))
-            measurer = Replay(samples)
-            reading = measurer.kind
+        rng, measurer = np.random.default_rng(options.seed), options.measurer(robot, arm, watch)
+        reading = options.reading if measurer is None else measurer.kind
         watch("looking at what the arm can reach")
-        rng = np.random.default_rng(seed)
         if isinstance(measurer, Replay):
             pool = of_recording(measurer.samples.q, rng)
         else:
-            pool = of_robot(arm.mechanism, site, reading, rng)
-        place = Folder(folder or options.out or Path(f"{robot.stem}_measured"), arm)
-        began = time.time() if measurer is None else None
-        kept = place.begin(StoredSession(Session(arm.names, reading, carried=site.carried), goal, seed, began))
-        lot = options.batch or (BATCH if measurer is not None else _BY_HAND)
-        method = Method(seed, batch=lot, effects=not options.geometry_only)
+            pool = survey(arm.mechanism, site, rng, reading, drawn=True)
         advisor = Advisor(arm.mechanism, pool, goal, method, cell, arm.inertias)
+        session = Session(arm.names, reading, carried=site.carried)
+        began = time.time() if measurer is None else None
+        path = folder or options.out or Path(f"{robot.stem}_measured")
+        measurement = Measurement(path, arm, advisor, session, options.seed, began)
+        filled = FilledTable(session)
         if measurer is None:
-            advice, filled = _by_hand(place, kept, advisor, watch)
+            filled = _filled_in(measurement)
+            measurement.take(filled.session)
+        watch("fitting and choosing")
+        advice = measurement.advise(None if measurer is None else measurer.elapsed)
+        while measurer is not None and advice.outcome is None:
+            for number in measurement.session.pending:
+                watch(f"station {number + 1}")
+                measurement.note(number, measurer.measure(measurement.session.stations[number]))
+            watch("fitting and choosing")
+            advice = measurement.advise(measurer.elapsed)
+        if advice.outcome is not None:
+            files = measurement.finish(advice)
         else:
-            advice = _whole(place, kept, advisor, measurer, watch)
-        files = {} if advice.outcome is None else place.finish(advice, goal)
+            measurement.write_tables()
     data = outcome_data(advice, goal)
     if advice.outcome is None:
-        output.result(data, _asking(place, advice, filled))
+        output.result(data, _asking(measurement, advice, filled))
         return 0
-    where = written(place.path, files, "Result", "measure.json")
+    where = written(measurement.path, files, "Result", "measure.json")
     output.result(data, [arm_line(arm), *_ended(advice)], where)
     return 0 if advice.outcome.ending == "proven" or goal.accuracy is None else UNMET
 
 
-def _whole(place: Folder, kept: StoredSession, advisor: Advisor, measurer: Measurer, watch: Watch) -> Advice:
-    session = kept.session
-    while True:
-        watch("fitting and choosing")
-        advice = advisor.advise(session, measurer.elapsed)
-        session = advice.session
-        place.save(replace(kept, session=session))
-        if advice.outcome is not None:
-            place.write_tables(session)
-            return advice
-        for number in session.pending:
-            watch(f"station {number + 1}")
-            session = session.with_station(number, measurer.measure(session.stations[number]))
-            place.save(replace(kept, session=session))
+def _filled_in(measurement: Measurement) -> FilledTable:
+    """The session with what was written into the table of the stations that were asked for."""
+    table, mechanism = measurement.path / NEXT, measurement.robot.mechanism
+    if not table.exists():
+        return FilledTable(measurement.session)
+    with about(str(table)):
+        text = text_of(table.read_bytes(), str(table))
+        filled = with_table(measurement.session, text, np.asarray(mechanism.revolute), str(table))
+    new = [i for i in filled.read if i not in filled.checked]
+    require_likely(filled.session, mechanism, new, str(table))
+    return filled
 
 
-def _by_hand(place: Folder, kept: StoredSession, advisor: Advisor, watch: Watch) -> tuple[Advice, FilledTable]:
-    """Take in what was filled in, and ask for the next stations once those asked for are done."""
-    filled, table = FilledTable(kept.session), place.path / NEXT
-    if table.exists():
-        with about(str(table)):
-            text = text_of(table.read_bytes(), str(table))
-            filled = with_table(kept.session, text, np.asarray(place.robot.mechanism.revolute), str(table))
-        new = [i for i in filled.read if i not in filled.checked]
-        require_likely(filled.session, place.robot.mechanism, new, str(table))
-    watch("fitting and choosing")
-    elapsed = 0.0 if kept.began is None else time.time() - kept.began
-    advice = advisor.advise(filled.session, elapsed)
-    place.save(replace(kept, session=advice.session))
-    place.write_tables(advice.session)
-    return advice, filled
-
-
-def _asking(place: Folder, advice: Advice, filled: FilledTable) -> list[str]:
-    session, turns = advice.session, place.robot.mechanism.revolute
-    lines = [*_nothing_new(place, filled), *left_out(advice)]
+def _asking(measurement: Measurement, advice: Advice, filled: FilledTable) -> list[str]:
+    session, turns, table = advice.session, measurement.robot.mechanism.revolute, measurement.path / NEXT
+    lines = [*_nothing_new(table, filled), *left_out(advice)]
     lines.append(f"{counted(len(session.rows()), 'station')} measured; {_standing(advice)}".rstrip("; "))
-    lines.append(f"Next: {counted(len(session.pending), 'station')} ({advice.why}), in {place.path / NEXT}")
+    lines.append(f"Next: {counted(len(session.pending), 'station')} ({advice.why}), in {table}")
     for number in session.pending:
         station = session.stations[number]
         q = zip(station.asked, turns, strict=True)
@@ -224,11 +213,11 @@ def left_out(advice: Advice) -> list[str]:
     ]
 
 
-def _nothing_new(place: Folder, filled: FilledTable) -> list[str]:
+def _nothing_new(table: Path, filled: FilledTable) -> list[str]:
     """What to say where a table was asked for before and nothing new is in it."""
     if filled.read or not filled.session.stations or filled.session.pending == ():
         return []
-    beside = [p.name for p in place.path.glob(f"{Path(NEXT).stem}.*") if p.name != NEXT]
+    beside = [p.name for p in table.parent.glob(f"{table.stem}.*") if p.name != NEXT]
     saved = f"; {beside[0]} is beside it: save as CSV, under the same name" if beside else ""
     return [f"{NEXT} has no new reading{saved}."]
 

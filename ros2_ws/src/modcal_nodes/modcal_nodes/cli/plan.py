@@ -13,28 +13,23 @@ from modcal_core.errors import BadTable, NotEnoughData, NotRepresentable
 from modcal_core.files import read_yaml, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.planning import (
-    ACCURACY,
     CANDIDATES,
-    CRITERIA,
-    DESIGNS,
+    LEVELS,
     RETURNS,
-    STARTS,
     ClosedChain,
     DecidingStations,
     Measured,
     PlanRequest,
     Site,
-    Studied,
-    allowed,
+    array_postures,
     calibration_chain,
-    design,
     dh_closed_chain,
     plan,
-    propose,
+    pool_near,
+    separations,
     site_from_data,
     sizes_of,
     study,
-    undecided_by_posture,
 )
 from modcal_core.report import VerbResult, plan_report, sensitivity_report
 from modcal_core.robots import Mechanism, is_serial_arm, vector
@@ -60,11 +55,9 @@ class SensitivityOptions(ChainOptions):
         default="dh",
         choices=("dh", "calibration"),
     )
-    design: str | None = option(
-        "Design of postures for the indices. Default: l25, or sobol for more than six joints.", choices=DESIGNS
+    levels: int = option(
+        "Levels of each joint in the orthogonal array of postures; a prime.", default=LEVELS, low=2, high=31
     )
-    levels: int = option("Levels of --design array; a prime.", default=5, low=2, high=31)
-    postures: int | None = option("Postures of --design sobol. Default: 64.", low=4, high=4096)
     length_mm: float = option("Errors of lengths.", default=0.5, low=0.0)
     angle_mrad: float = option("Errors of angles.", default=1.0, low=0.0)
     sizes: Path | None = option("YAML of other sizes, {NAME or PATTERN: SI}.")
@@ -72,28 +65,15 @@ class SensitivityOptions(ChainOptions):
         "Study only parameters of this name or pattern, e.g. '*/theta'; the others are known. Repeatable.", "NAME"
     )
     base_factor: str | None = option("Parameter that the others are compared with. Default: base/x.", metavar="NAME")
-    bins: int | None = option("Intervals of the multi-point weights.", low=1, high=1000)
     stations: Path | None = option(
         "plan.yaml of modcal plan, or a CSV of joint positions: do they observe the important parameters? "
-        "Default: the design's.",
+        "Default: the array's.",
         "--measured",
         metavar="STATIONS",
     )
     reading: str = option(default="point", choices=("point", "pose"))
     noise_mm: float = option("Noise of positions, per axis.", default=0.05, low=1e-6)
     noise_mrad: float = option("Noise of orientations, per axis.", default=0.05, low=1e-6)
-    seed: int = option(default=0, low=0)
-
-    def studied(self, closed: ClosedChain, rng: np.random.Generator) -> Studied:
-        """The study of this chain, as the core has it. Raises BadTable."""
-        chain = closed.chain
-        sizes = sizes_of(closed, 1e-3 * self.length_mm, 1e-3 * self.angle_mrad, _tolerances(self.sizes))
-        kind = self.design or ("l25" if chain.n <= 6 else "sobol")
-        q = design(chain, kind, rng, self.levels, self.postures or 64)
-        stations = read_stations(self.stations, chain) if self.stations else q
-        measured = Measured(stations, self.reading, 1e-3 * self.noise_mm, 1e-3 * self.noise_mrad)
-        factor = self.base_factor or next((f.name for f in closed.factors if f.is_length), closed.names[0])
-        return Studied(kind, q, sizes, factor, measured, self.bins)
 
 
 @click.command("sensitivity")
@@ -104,11 +84,14 @@ def sensitivity_command(robot: Path, output: Output, options: SensitivityOptions
     """Report which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
     arm = read_robot(robot, options.base, options.tip)
     closed = _closed_chain(arm.mechanism, options.parameters, options.tool, options.reading).only(options.only)
-    rng = np.random.default_rng(options.seed)
-    studied = options.studied(closed, rng)
+    sizes = sizes_of(closed, 1e-3 * options.length_mm, 1e-3 * options.angle_mrad, _tolerances(options.sizes))
+    q = array_postures(closed.chain, options.levels)
+    stations = read_stations(options.stations, closed.chain) if options.stations else q
+    measured = Measured(stations, options.reading, 1e-3 * options.noise_mm, 1e-3 * options.noise_mrad)
+    base = options.base_factor or next((f.name for f in closed.factors if f.is_length), closed.names[0])
     with output.working() as watch:
         watch("moving each parameter")
-        result = study(closed, studied, rng)
+        result = study(closed, q, sizes, base, measured)
         watch("writing the report")
         report = sensitivity_report(result, robot.stem)
     output.saved(report, f"{robot.stem}_sensitivity", arm_line(arm))
@@ -132,42 +115,27 @@ def _tolerances(path: Path | None) -> dict[str, float]:
     return {str(name): float(vector([size], 1, f"{path}, {name}")[0]) for name, size in data.items()}
 
 
-def decide(options: PlanOptions, report: Path, site: Site | None, output: Output) -> None:
+def _decide(options: PlanOptions, report: Path, site: Site, output: Output) -> None:
     """Propose the stations that tell explanations apart, say what they are worth, and write plan.yaml."""
     folder = report if report.is_dir() else report.parent
     calibration = read_calibration(folder)
-    ties = [(i, j) for i, rivals in enumerate(calibration.rivals) for j in range(len(rivals))]
+    ties = sum(map(len, calibration.rivals))
     if not ties:
         raise NotEnoughData(str(report), "no effect in it has a rival", "there is nothing to decide: use it as it is")
     rng = np.random.default_rng(options.seed)
-    share = max(2, (options.stations or _DECIDING) // len(ties))
-    may = None if site is None else allowed(calibration, site)
-    said, deciding = [], []
-    for i, j in ties:
-        effect, rival = calibration.calibrated.effects[i], calibration.rivals[i][j]
+    share = max(2, (options.stations or _DECIDING) // ties)
+    said, decided = [], []
+    for found, instead in separations(calibration, pool_near(calibration, site, rng), share, rng):
+        effect, rival = found.effect, found.rival
         said.append(f"{effect.family}: {effect.label}, or {rival.family}: {rival.label}?")
-        if instead := undecided_by_posture(calibration, i, j):
-            said.append(f"  postures cannot decide this: {instead}")
-            continue
-        proposal = propose(calibration, i, j, share, rng, may)
-        said.append(f"  {_worth(proposal)}")
-        deciding += [proposal] if proposal.decides else []
-    data = {
-        "modcal_plan": 1,
-        "joints": list(calibration.nominal.chain.names),
-        "ties": [
-            {
-                "between": [p.effect.label, p.rival.label],
-                "separation": float(p.separation),
-                "stations": [
-                    {"position": q.tolist(), **({"approach": a.astype(int).tolist()} if a.any() else {})}
-                    for q, a in zip(p.q, p.approach, strict=True)
-                ],
-            }
-            for p in deciding
-        ],
-    }
-    if deciding:
+        said.append(f"  postures cannot decide this: {instead}" if instead else f"  {_worth(found)}")
+        if found.decides:
+            ways = [{"approach": a.astype(int).tolist()} if a.any() else {} for a in found.approach]
+            stations = [{"position": q.tolist(), **way} for q, way in zip(found.q, ways, strict=True)]
+            between = [effect.label, rival.label]
+            decided.append({"between": between, "separation": found.separation, "stations": stations})
+    data = {"modcal_plan": 1, "joints": list(calibration.nominal.chain.names), "ties": decided}
+    if decided:
         result = VerbResult(data, said, {"plan.yaml": to_yaml(data)}, "Stations", "plan.yaml")
         output.saved(result, folder.with_name(f"{folder.name}_plan"))
     else:
@@ -192,7 +160,6 @@ def _worth(proposal: DecidingStations) -> str:
 
 _NEXT = 10  # images, where no number is asked for
 _DECIDING = 16  # stations, where none are asked for
-_THOROUGH = 6000, 8  # candidates and starts
 
 
 @dataclass(frozen=True)
@@ -206,17 +173,10 @@ class PlanOptions(ChainOptions):
     stations: int | None = option("Stations. Default: twice what modcal calibrate needs; with --decide: 16.", low=2)
     accuracy_mm: float | None = option("Use as many stations as needed for this error of the calibrated arm.", low=1e-6)
     measure: str = option("Statistic of --accuracy-mm.", default="p95", choices=("p95", "rms"))
-    criterion: str = option("Criterion to optimise.", default=ACCURACY, choices=CRITERIA)
     reading: str = option(default="point", choices=("point", "pose"))
     fixed: tuple[str, ...] = repeated("Fixed parameter, as in modcal calibrate. Repeatable.", "NAME", "--fix")
     besides: Path | None = option("plan.yaml or CSV of stations measured already, which count too.", metavar="STATIONS")
-    candidates: int | None = option(
-        f"Postures to choose from. Default: {CANDIDATES}, with --thorough {_THOROUGH[0]}.", low=10, high=20_000
-    )
-    starts: int | None = option(
-        f"Starts of the exchange. Default: {STARTS}, with --thorough {_THOROUGH[1]}.", low=1, high=100
-    )
-    thorough: bool = option("Look longer for better stations.", default=False)
+    candidates: int = option("Postures to choose from.", default=CANDIDATES, low=10, high=20_000)
     speed: float = option("Joint speed of trajectory.yaml, rad/s.", default=0.5, low=1e-3)
     dwell: float = option("Standstill at each station, s.", default=2.0, low=0.6)
     report: Path | None = option(
@@ -235,22 +195,19 @@ class PlanOptions(ChainOptions):
     )
     joints: Path | None = option("Joints of --camera's images, as in calibrate.", metavar="FILE")
     target: Path | None = option("Printed target of --camera's images.", metavar="FILE")
-    seed: int = option("Seed of candidates and starts.", default=0, low=0)
+    seed: int = option("Seed of candidates.", default=0, low=0)
 
     def request(self, chain: Mechanism) -> PlanRequest:
         """The same for this arm, as the core has it."""
-        candidates, starts = _THOROUGH if self.thorough else (CANDIDATES, STARTS)
         return PlanRequest(
             stations=self.stations,
             accuracy=None if self.accuracy_mm is None else 1e-3 * self.accuracy_mm,
             measure=self.measure,
-            criterion=self.criterion,
             reading=self.reading,
             fixed=self.fixed,
-            returns=self.returns,
-            starts=self.starts or starts,
-            candidates=self.candidates or candidates,
+            candidates=self.candidates,
             besides=None if self.besides is None else read_stations(self.besides, chain),
+            returns=self.returns,
         )
 
 
@@ -263,11 +220,11 @@ def plan_command(robot: Path | None, output: Output, options: PlanOptions) -> No
     if any(one is not None for one in (options.camera, options.joints, options.target)):
         _by_camera(robot, options, output)
         return
-    site = None if options.site is None else site_from_data(read_yaml(options.site), str(options.site))
+    site = Site() if options.site is None else site_from_data(read_yaml(options.site), str(options.site))
     if options.report is not None:
         if robot is not None or options.accuracy_mm is not None:
             raise BadTable("--decide", "cannot be combined with ROBOT or --accuracy-mm", "give REPORT alone")
-        decide(options, options.report, site, output)
+        _decide(options, options.report, site, output)
         return
     if robot is None:
         raise BadTable("modcal plan", "is given neither a ROBOT nor --decide REPORT", "give one of them")
@@ -277,7 +234,7 @@ def plan_command(robot: Path | None, output: Output, options: PlanOptions) -> No
     request = options.request(arm.mechanism)
     with output.working() as watch:
         watch("choosing stations")
-        found = plan(arm.mechanism, site or Site(), request, np.random.default_rng(options.seed))
+        found = plan(arm.mechanism, site, request, np.random.default_rng(options.seed))
         watch("writing the plan")
         report = plan_report(found, robot.stem, options.speed, options.dwell)
     output.saved(report, f"{robot.stem}_plan", arm_line(arm))

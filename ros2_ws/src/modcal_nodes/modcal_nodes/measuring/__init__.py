@@ -5,8 +5,8 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.measuring.folder import NEXT, CellInProcess, Folder, Measurer, Replay, StoredSession
-    from modcal_nodes.measuring.folder import one_a_station, outcome_data
+    from modcal_nodes.measuring.folder import NEXT, CellInProcess, Measurement, Measurer, Replay, one_a_station
+    from modcal_nodes.measuring.folder import outcome_data
     from modcal_nodes.measuring.sequence import StationSequence
 else:
     from modcal_core.lazy import lazy_face

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,7 +16,19 @@ from modcal_core.files import read_yaml, to_json, to_yaml, write_file, write_fol
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POINT, POSE, Origin, Samples
 from modcal_core.outcome import readmitted_note
-from modcal_core.planning import PROOF, Advice, Goal, Session, Station, from_data, from_side, to_data, to_table
+from modcal_core.planning import (
+    PROOF,
+    Advice,
+    Advisor,
+    Goal,
+    Refit,
+    Session,
+    Station,
+    from_data,
+    from_side,
+    to_data,
+    to_table,
+)
 from modcal_core.report import calibration_files
 from modcal_core.robot import Robot
 from modcal_nodes.measuring.runner import averaged
@@ -25,80 +38,72 @@ SESSION, NEXT, STATIONS, RESULT = "session.yaml", "next.csv", "stations.csv", "m
 _FEWEST_SCORED = 2  # proof stations, from which a report is theirs
 
 
-@dataclass(frozen=True)
-class StoredSession:
-    """A session and what it was begun with. began: [s]; None if nobody's clock counts."""
+class Measurement:
+    """One robot's measurement, kept in a folder after every step: the session that is there goes on."""
 
-    session: Session
-    goal: Goal
-    seed: int
-    began: float | None = None
+    def __init__(
+        self, path: Path, robot: Robot, advisor: Advisor, session: Session, seed: int, began: float | None
+    ) -> None:
+        """session: an empty one. seed: of what is drawn. began: now [s]; None where nobody's clock counts.
 
-
-class Folder:
-    """A folder that one robot's measurement is kept in."""
-
-    def __init__(self, path: Path, robot: Robot) -> None:
-        self.path, self.robot = path, robot
-        self._print = fingerprint(robot.mechanism)
-        self._turns = np.asarray(robot.mechanism.revolute)
-
-    @property
-    def begun(self) -> bool:
-        """Whether a session is there."""
-        return (self.path / SESSION).exists()
-
-    def load(self) -> StoredSession:
-        """The session. Raises BadTable where it cannot be read, or is another robot's."""
-        file = self.path / SESSION
-        session, goal, seed, robot, began = from_data(read_yaml(file), str(file))
-        if robot != self._print or session.names != self.robot.names:
-            said = f"is of robot {robot}, this is {self._print}"
+        Raises BadTable where the session there cannot be read, is another robot's, or was begun otherwise.
+        """
+        self.path, self.robot, self.advisor = path, robot, advisor
+        self.session, self._seed, self._began = session, seed, began
+        self._print, file = fingerprint(robot.mechanism), path / SESSION
+        if not file.exists():
+            path.mkdir(parents=True, exist_ok=True)
+            self.take(session)
+            return
+        there, goal, its_seed, its_print, self._began = from_data(read_yaml(file), str(file))
+        if its_print != self._print or there.names != robot.names:
+            said = f"is of robot {its_print}, this is {self._print}"
             raise BadTable(str(file), said, "give the description that it was begun with, or another folder")
-        return StoredSession(session, goal, seed, began)
-
-    def save(self, kept: StoredSession) -> None:
-        """Write the session, whole or not at all."""
-        data = to_data(kept.session, kept.goal, kept.seed, self._print, kept.began)
-        write_file(self.path / SESSION, to_yaml(data))
-
-    def begin(self, wanted: StoredSession) -> StoredSession:
-        """The session that is there, else this one. Raises BadTable where the one there was begun otherwise."""
-        if not self.begun:
-            self.path.mkdir(parents=True, exist_ok=True)
-            self.save(wanted)
-            return wanted
-        there = self.load()
-        asked, kept = asdict(wanted.goal), asdict(there.goal)
-        other = [name for name in asked if asked[name] != kept[name]]
-        if (wanted.session.kind, wanted.session.carried) != (there.session.kind, there.session.carried):
-            other.append("reading")
-        if wanted.seed != there.seed:
-            other.append("seed")
+        other = [name for name, asked in vars(advisor.goal).items() if asked != vars(goal)[name]]
+        other += ["reading"] if (session.kind, session.carried) != (there.kind, there.carried) else []
+        other += ["seed"] if seed != its_seed else []
         if other:
             said = f"was begun with another {other[0]}"
-            raise BadTable(str(self.path / SESSION), said, "repeat its options, or give another folder")
-        return there
+            raise BadTable(str(file), said, "repeat its options, or give another folder")
+        self.session = there
 
-    def write_tables(self, session: Session) -> None:
+    def take(self, session: Session) -> None:
+        """Go on from this session, which is written whole or not at all."""
+        self.session = session
+        data = to_data(session, self.advisor.goal, self._seed, self._print, self._began)
+        write_file(self.path / SESSION, to_yaml(data))
+
+    def advise(self, elapsed: float | None = None) -> Advice:
+        """What is next. elapsed: since the beginning [s]; None: by the clock."""
+        if elapsed is None:
+            elapsed = 0.0 if self._began is None else time.time() - self._began
+        advice = self.advisor.advise(self.session, elapsed)
+        self.take(advice.session)
+        return advice
+
+    def note(self, number: int, station: Station) -> None:
+        """Keep what became of a station."""
+        self.take(self.session.with_station(number, station))
+
+    def write_tables(self) -> None:
         """Write the stations that were done, and those to measure next, as tables."""
+        session, turns = self.session, np.asarray(self.robot.mechanism.revolute)
         done = [i for i in range(len(session.stations)) if i not in session.pending]
-        write_file(self.path / STATIONS, to_table(session, done, self._turns))
-        write_file(self.path / NEXT, to_table(session, session.pending, self._turns))
+        write_file(self.path / STATIONS, to_table(session, done, turns))
+        write_file(self.path / NEXT, to_table(session, session.pending, turns))
 
-    def finish(self, advice: Advice, goal: Goal) -> dict[str, str]:
+    def finish(self, advice: Advice) -> dict[str, str]:
         """Write what came of it: the model, its report, and how it ended; returns names and texts."""
-        files = {RESULT: to_json(outcome_data(advice, goal))}
+        self.write_tables()
+        files = {RESULT: to_json(outcome_data(advice, self.advisor.goal))}
         if advice.refitted is not None:
-            files |= self._model(advice)
+            files |= self._model(advice.refitted, advice.session)
         write_folder(self.path, files)
         (self.path / NEXT).unlink(missing_ok=True)
         return files
 
-    def _model(self, advice: Advice) -> dict[str, str]:
+    def _model(self, refitted: Refit, session: Session) -> dict[str, str]:
         """The files of the calibration, its report that of the stations of the proof; without any, of all stations."""
-        refitted, session = advice.refitted, advice.session
-        assert refitted is not None
         rows = session.rows(PROOF)
         samples = session.samples(rows if len(rows) >= _FEWEST_SCORED else session.fitted)
         samples = replace(samples, origin=Origin(title=self.path.name))
@@ -117,23 +122,17 @@ def outcome_data(advice: Advice, goal: Goal) -> dict[str, Any]:
     def mm(value: float | None) -> float | None:
         return None if value is None else 1e3 * value
 
+    readmitted = 0 if advice.refitted is None else advice.refitted.taken_in.stations
+    stations = {"measured": status.measured, "fit": status.fitted, "proof": status.proving, "readmitted": readmitted}
     return {
         "modcal_measure": 1,
         "goal_mm": mm(goal.accuracy),
         "statistic": goal.statistic,
         "ending": None if ended is None else ended.ending,
         "sentence": None if ended is None else ended.sentence,
-        "stations": {
-            "measured": status.measured,
-            "fit": status.fitted,
-            "proof": status.proving,
-            "readmitted": 0 if advice.refitted is None else advice.refitted.taken_in.stations,
-        },
+        "stations": stations,
         "expected_rms_mm": mm(status.expected),
-        "proof": {
-            "rms_mm": mm(status.seen),
-            "at_most_mm": mm(status.bound),
-        },
+        "proof": {"rms_mm": mm(status.seen), "at_most_mm": mm(status.bound)},
         "floor_mm": mm(status.floor),
         "effects": list(status.effects),
         "undecided": list(status.ties),
@@ -148,8 +147,9 @@ _FIRST = 1.0e9  # s; any time, so that stamps are those of an instrument
 
 
 class Measurer(Protocol):
-    """What measures one station after the other. elapsed: seconds since the beginning."""
+    """What measures one station after the other. kind: of readings. elapsed: seconds since the beginning."""
 
+    kind: str
     elapsed: float
 
     def measure(self, station: Station) -> Station:
@@ -162,7 +162,7 @@ class CellInProcess:
     def __init__(self, chosen: dict[str, Any]) -> None:
         """Raises ModcalError for choices that cannot be."""
         self.plant = Plant({**chosen, "stations": 0})
-        self._points = chosen["measurement"] == POINT
+        self.kind = chosen["measurement"]
         self._period = 1.0 / chosen["tracker_rate_hz"]
         self.elapsed = 0.0  # s of the cell's own time
 
@@ -178,7 +178,7 @@ class CellInProcess:
             legs.insert(0, (0.7 * travel, from_side(station.asked, station.approach)))
         self.plant.go(legs, begin)
         poses = se3.to_pose(np.array([self.plant.read(self.plant.tool(t)) for t in times]))
-        reading, scatter = averaged(poses[:, :3] if self._points else poses)
+        reading, scatter = averaged(poses[:, :3] if self.kind == POINT else poses)
         self.elapsed = float(times[-1]) + 0.1
         q, _, effort = self.plant.joints(float(times[-1]))
         stamp = _FIRST + float(times.mean())

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,31 +28,25 @@ from modcal_core.planning import (
     Advisor,
     Goal,
     Method,
-    Pool,
     Session,
     Site,
-    Spheres,
-    Station,
     TimedMotion,
-    clearance,
     free_way,
     from_side,
-    of_robot,
     site_from_data,
-    spheres_of,
+    survey,
     timed,
     with_limits,
 )
 from modcal_core.robot import Robot
 from modcal_core.robots import Mechanism, collision_shapes, forward, read_drives
 from modcal_nodes.measuring.collision import CollisionModel
-from modcal_nodes.measuring.folder import Folder, StoredSession
+from modcal_nodes.measuring.folder import Measurement
 from modcal_nodes.measuring.runner import (
     HELD,
     IDLE,
     Done,
     Hold,
-    JointReport,
     JointReports,
     Rules,
     Runner,
@@ -63,15 +58,18 @@ _SIDE = 0.05  # rad or m from which a station is come to where the side matters
 
 
 class Place:
-    """One robot at one site. chosen: the parameters of ``station_runner``. urdf: text of the description."""
+    """One robot at one site. chosen: the parameters of ``station_runner``. urdf: text of the description. clock: in
+    seconds, by which joint states are stamped.
+    """
 
-    def __init__(self, urdf: str, chosen: Mapping[str, Any]) -> None:
+    def __init__(self, urdf: str, chosen: Mapping[str, Any], clock: Callable[[], float] = time.time) -> None:
         """Raises ModcalError for what cannot be: another robot's session, a description without shapes, a bad site."""
         self.robot = Robot.from_urdf(urdf, chosen["base"] or None, chosen["tip"] or None)
         site_file = Path(chosen["site"]) if chosen["site"] else None
         self.site = Site() if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
         limits = with_limits(self.robot.mechanism, self.site)
-        self.lower, self.upper = np.asarray(self.robot.mechanism.lower), np.asarray(self.robot.mechanism.upper)
+        ends = np.asarray(self.robot.mechanism.lower), np.asarray(self.robot.mechanism.upper)
+        self.joints, self.runner = JointReports(self.robot.mechanism, ends, clock), Runner(*ends)
         self._narrow = np.asarray(limits.lower), np.asarray(limits.upper)
         self._fastest = read_drives(urdf, self.robot.chain).speed
         self._slack = float(chosen["tolerance_rad"])
@@ -85,53 +83,25 @@ class Place:
                 "has no collision shapes, so that the arm could not be kept from itself",
                 "give one that has, or set no_self_collision: spheres along the links are then all that is checked",
             )
-        self._spheres: Spheres = spheres_of(limits, self.site)
-        kind = chosen["measurement"]
+        kind, seed, minutes = chosen["measurement"], chosen["seed"], chosen["minutes"]
         if kind not in (POINT, POSE):
             raise BadTable(f"measurement '{kind}'", "is not read", "set pose or point")
-        goal_mm, minutes = chosen["goal_mm"], chosen["minutes"]
-        self.goal = Goal(
-            1e-3 * goal_mm if goal_mm else None, chosen["statistic"], chosen["stations"],
-            60.0 * minutes if minutes else None,
-        )  # fmt: skip
-        if self.goal.statistic not in ("rms", "p95"):
-            raise BadTable(f"statistic '{self.goal.statistic}'", "is not known", "set rms or p95")
-        self.pool: Pool = of_robot(self.robot.mechanism, self.site, kind, np.random.default_rng(chosen["seed"]))
+        if chosen["statistic"] not in ("rms", "p95"):
+            raise BadTable(f"statistic '{chosen['statistic']}'", "is not known", "set rms or p95")
         if not chosen["out"]:
             raise BadTable("out", "names no folder", "set it: the session is kept there")
-        self.folder = Folder(Path(chosen["out"]), self.robot)
-        self.kept = self.folder.begin(
-            StoredSession(
-                Session(self.robot.names, kind, carried=self.site.carried), self.goal, chosen["seed"], time.time()
-            )
-        )
-        method = Method(chosen["seed"], effects=not chosen["geometry_only"])
-        self._advisor = Advisor(self.robot.mechanism, self.pool, self.goal, method, None, self.robot.inertias)
+        accuracy, seconds = 1e-3 * chosen["goal_mm"] or None, 60.0 * minutes or None
+        goal = Goal(accuracy, chosen["statistic"], chosen["stations"], seconds)
+        robot, method = self.robot, Method(seed, effects=not chosen["geometry_only"])
+        self.pool = survey(robot.mechanism, self.site, np.random.default_rng(seed), kind, drawn=True)
+        advisor = Advisor(robot.mechanism, self.pool, goal, method, None, robot.inertias)
+        session = Session(robot.names, kind, carried=self.site.carried)
+        self.kept = Measurement(Path(chosen["out"]), robot, advisor, session, seed, time.time())
 
     @property
     def session(self) -> Session:
         """What has been measured so far."""
         return self.kept.session
-
-    def advise(self) -> Advice:
-        """What is next; the session with it is kept."""
-        elapsed = time.time() - (self.kept.began or time.time())
-        advice = self._advisor.advise(self.session, elapsed)
-        self._keep(advice.session)
-        return advice
-
-    def note(self, number: int, station: Station) -> None:
-        """Keep what became of a station."""
-        self._keep(self.session.with_station(number, station))
-
-    def finish(self, advice: Advice) -> None:
-        """Write what came of it."""
-        self.folder.write_tables(advice.session)
-        self.folder.finish(advice, self.goal)
-
-    def _keep(self, session: Session) -> None:
-        self.kept = replace(self.kept, session=session)
-        self.folder.save(self.kept)
 
     def free(self, q: Array) -> np.ndarray:
         """True for postures (N, n) that are within limits and touch nothing, (N,)."""
@@ -140,7 +110,7 @@ class Place:
         if self.shapes is not None:
             out[inside] = self.shapes.free(q[inside])
         else:
-            out[inside] = clearance(self._spheres, self.site, q[inside]) >= 0.0
+            out[inside] = self.pool.at.free(q[inside])
         return out
 
     def way(self, number: int, start: Array, speed: float) -> TimedMotion | None:
@@ -221,8 +191,6 @@ class StationSequence:
         self._chosen, self._send, self._tell, self._clock = chosen, send, tell, clock
         self._worker = Worker()
         self._place: Place | None = None
-        self._joints: JointReports | None = None
-        self._runner: Runner | None = None
         self._advice: Advice | None = None
         self._summary, self._shown = "", False
         self._active = self._running = self._begun = False
@@ -253,22 +221,20 @@ class StationSequence:
         """Begin, or go on after a hold. Raises ModcalError where it may not."""
         if not self._active:
             raise BadCommand("start", "the node is not active", "configure and activate it first")
-        if self._runner is None or not self._summary:
+        if self._place is None or not self._summary:
             raise BadCommand("start", f"there is no dry run yet: {said}", "wait for it, and look at ~/dry_run")
         if not (self._shown or self._chosen["yes"]):
             raise BadCommand("start", "nobody has looked at the dry run", "call ~/dry_run first, or set yes")
         if self._running:
             raise BadCommand("start", "it is measuring already", "call ~/stop first")
-        if self._joints is None:
-            raise BadCommand("joint_states", "not received yet", "start the driver, or remap the topic")
-        self._joints.require_fresh(self._stale)
-        self._runner.release()
+        self._place.joints.require_fresh(self._stale)
+        self._place.runner.release()
         self._running, self._begun, self._blind = True, True, 0
         self._tell(OK, "measuring")
 
     def stop(self) -> bool:
         """Hold the arm where it is, at once; returns whether anything moved."""
-        moved = self._runner is not None and self._runner.busy
+        moved = self._place is not None and self._place.runner.busy
         self._begun = True  # also what was accepted in advance waits for start() from here on
         self.halt("stopped as asked")
         return moved
@@ -276,9 +242,8 @@ class StationSequence:
     def halt(self, why: str) -> None:
         """Hold whatever moves, and begin nothing more."""
         self._running = False
-        if self._runner is not None and self._runner.busy:
-            q = None if self._joints is None else self._joints.position
-            self._send_hold(self._runner.hold(q, why, time.monotonic()))
+        if self._place is not None and self._place.runner.busy:
+            self._send_hold(self._place.runner.hold(self._place.joints.position, why, time.monotonic()))
             self._tell(WARN, f"held: {why}")
 
     # what it hears
@@ -291,89 +256,82 @@ class StationSequence:
             return
         chosen = dict(self._chosen)
         self._tell(OK, "looking at what the arm can reach")
-        self._worker.begin(lambda: Place(urdf, chosen), self._placed)
+        self._worker.begin(lambda: Place(urdf, chosen, self._clock), self._placed)
 
     def _placed(self, place: Place) -> None:
         self._place = place
-        self._joints = JointReports(place.robot.mechanism, (place.lower, place.upper), self._clock)
-        self._runner = Runner(place.lower, place.upper, self._rules())
         done = len(place.session.rows())
         before = f"{counted(done, 'station')} measured before; " if done else ""
         self._tell(OK, f"{before}waiting for joint states")
 
     def take_joints(self, message: JointState) -> None:
         """A joint state."""
-        if self._joints is not None:
-            self._joints.receive(message, self._stale)
+        if self._place is not None:
+            self._place.joints.receive(message, self._stale)
 
     def take_reading(self, reading: Array, stamp: float) -> None:
         """A reading of the instrument (3,) or (7,), and its stamp [s]. Raises BadCommand for one that is not finite."""
-        if self._runner is None:
+        if self._place is None:
             return
         if not np.isfinite(reading).all():
             raise BadCommand("tracker reading", "is not finite", "send numbers, or nothing where nothing is seen")
-        self._runner.take_reading(reading, stamp, time.monotonic())
+        self._place.runner.take_reading(reading, stamp, time.monotonic())
 
     # what it does
 
     def look(self) -> None:
         """One look at everything, every period."""
-        if self._runner is not None:
-            self._look_at_arm(self._runner)
+        if self._place is not None:
+            self._look_at_arm(self._place)
         try:
             if self._worker.busy:
                 self._worker.finish()
-            elif time.monotonic() >= self._again:
-                self._next()
+            elif self._place is not None and time.monotonic() >= self._again:
+                self._next(self._place)
         except ModcalError as error:  # it is said, and tried again a little later
             self._again = time.monotonic() + _AGAIN
             self.halt(str(error))
             self._tell(ERROR, str(error))
 
-    def _look_at_arm(self, runner: Runner) -> None:
-        runner.rules = self._rules()
-        answer = runner.tick(time.monotonic(), self._now())
-        if isinstance(answer, Hold) or runner.phase == HELD:
-            if self._running:
-                self._running = False
-                self._send_hold(answer if isinstance(answer, Hold) else None)
-                self._tell(ERROR, f"held: {runner.why}; clear the cause, then call ~/start")
+    def _look_at_arm(self, place: Place) -> None:
+        runner, c = place.runner, self._chosen
+        runner.rules = Rules(
+            c["timeout_s"], c["tracking_rad"], c["tolerance_rad"], c["settle_s"], c["patience_s"], int(c["readings"])
+        )
+        answer = runner.tick(time.monotonic(), place.joints.now())
+        if self._running and runner.phase == HELD:
+            self._running = False
+            self._send_hold(answer if isinstance(answer, Hold) else None)
+            self._tell(ERROR, f"held: {runner.why}; clear the cause, then call ~/start")
         elif isinstance(answer, Done):
-            self._noted(answer)
+            self._noted(place, answer)
 
-    def _next(self) -> None:
+    def _next(self, place: Place) -> None:
         """What to think about, or where to go, now that nothing is being thought about."""
-        place, runner = self._place, self._runner
-        if place is None or runner is None or runner.busy:
-            return
-        here = self._now()
-        if here is None:
-            return
-        if self._advice is None or (not place.session.pending and self._advice.outcome is None):
-            if self._advice is None or self._running:
-                self._tell(OK, "fitting and choosing")
-                self._worker.begin(place.advise, self._advised)
-            return
-        if self._advice.outcome is not None:
+        here, advice = place.joints.now(), self._advice
+        if place.runner.busy or here is None or (advice is not None and advice.outcome is not None):
             return
         speed = self._chosen["speed_rad_s"]
-        if not self._summary:
+        if advice is None or not place.session.pending:
+            if advice is None or self._running:
+                self._tell(OK, "fitting and choosing")
+                self._worker.begin(place.kept.advise, lambda found: self._advised(place, found))
+        elif not self._summary:
             self._worker.begin(lambda: place.dry_run(here.q, speed), self._dry)
-            return
-        if self._chosen["yes"] and self._active and not self._begun:
-            self.start("")
-        if self._running and runner.phase == IDLE:
-            number = place.session.pending[0]
-            self._worker.begin(lambda: place.way(number, here.q, speed), lambda motion: self._go(number, motion))
+        else:
+            if self._chosen["yes"] and self._active and not self._begun:
+                self.start("")
+            if self._running and place.runner.phase == IDLE:
+                number = place.session.pending[0]
+                way = partial(place.way, number, here.q, speed)
+                self._worker.begin(way, lambda motion: self._go(place, number, motion))
 
-    def _advised(self, advice: Advice) -> None:
+    def _advised(self, place: Place, advice: Advice) -> None:
         self._advice = advice
         if advice.outcome is not None:
             self._running = False
             self._tell(OK, advice.outcome.sentence)
-            assert self._place is not None
-            place = self._place
-            self._worker.begin(lambda: place.finish(advice), lambda _: None)
+            self._worker.begin(lambda: place.kept.finish(advice), lambda _: None)
         else:
             self._tell(OK, f"{advice.why}: {counted(len(advice.session.pending), 'station')}")
 
@@ -381,43 +339,34 @@ class StationSequence:
         self._summary = summary
         self._tell(OK, f"dry run: {summary}")
 
-    def _go(self, number: int, motion: TimedMotion | None) -> None:
-        place, runner = self._place, self._runner
-        assert place is not None
-        assert runner is not None
-        station = place.session.stations[number]
+    def _go(self, place: Place, number: int, motion: TimedMotion | None) -> None:
+        station, here = place.session.stations[number], place.joints.now()
         if motion is None:
             self._tell(WARN, f"station {number + 1} is skipped: no free way to it was found")
-            place.note(number, replace(station, state=SKIPPED))
-            return
-        here = self._now()
-        if not self._running or runner.phase != IDLE or here is None:
-            return
-        if np.abs(here.q - motion.q[0]).max() > self._chosen["tolerance_rad"]:
-            return  # somebody else moved the arm: another way is looked for
-        runner.begin(number, station, motion, time.monotonic())
-        self._send(motion)
-        self._tell(OK, f"going to station {number + 1} ({station.role})")
+            place.kept.note(number, replace(station, state=SKIPPED))
+        elif self._running and place.runner.phase == IDLE and here is not None:
+            if np.abs(here.q - motion.q[0]).max() > self._chosen["tolerance_rad"]:
+                return  # somebody else moved the arm: another way is looked for
+            place.runner.begin(number, station, motion, time.monotonic())
+            self._send(motion)
+            self._tell(OK, f"going to station {number + 1} ({station.role})")
 
-    def _noted(self, done: Done) -> None:
-        assert self._place is not None
-        self._place.note(done.number, done.station)
+    def _noted(self, place: Place, done: Done) -> None:
+        place.kept.note(done.number, done.station)
         unseen = done.station.state == UNSEEN
         self._blind = self._blind + 1 if unseen else 0
         if unseen:
             self._tell(WARN, f"station {done.number + 1} was not seen by the instrument: it is passed over")
         if self._blind >= _BLIND:
             self._running = False
-            self._tell(
-                ERROR, f"the instrument saw nothing at {_BLIND} stations in a row: look at it, then call ~/start"
-            )
+            said = f"the instrument saw nothing at {_BLIND} stations in a row: look at it, then call ~/start"
+            self._tell(ERROR, said)
 
     def _send_hold(self, hold: Hold | None) -> None:
         """A trajectory of one point, where the arm is."""
-        if hold is None or self._place is None:
-            return
-        still = np.zeros_like(hold.q)
-        self._send(TimedMotion(np.array([0.0, _STOPPING]), np.array([hold.q, hold.q]), np.array([still, still])))
+        if hold is not None:
+            still = np.zeros_like(hold.q)
+            self._send(TimedMotion(np.array([0.0, _STOPPING]), np.array([hold.q, hold.q]), np.array([still, still])))
 
     # what it knows
 
@@ -449,27 +398,18 @@ class StationSequence:
     @property
     def facts(self) -> dict[str, object]:
         """Where the measurement stands, for the diagnostics."""
-        facts: dict[str, object] = {"phase": self._runner.phase if self._runner is not None else ""}
+        facts: dict[str, object] = {"phase": "" if self._place is None else self._place.runner.phase}
         if self._advice is not None:
-            status = self._advice.status
+            status, ended = self._advice.status, self._advice.outcome
             facts |= {
                 "stations measured": self.measured,
                 "expected mm": "" if status.expected is None else f"{1e3 * status.expected:.4f}",
                 "proven mm": "" if status.bound is None else f"{1e3 * status.bound:.4f}",
                 "stations needed": "" if status.needed is None else status.needed,
-                "ending": "" if self._advice.outcome is None else self._advice.outcome.ending,
+                "ending": "" if ended is None else ended.ending,
             }
         return facts
-
-    def _rules(self) -> Rules:
-        c = self._chosen
-        return Rules(
-            c["timeout_s"], c["tracking_rad"], c["tolerance_rad"], c["settle_s"], c["patience_s"], int(c["readings"])
-        )
 
     @property
     def _stale(self) -> float:
         return max(float(self._chosen["timeout_s"]), 1.0)
-
-    def _now(self) -> JointReport | None:
-        return None if self._joints is None else self._joints.now()

@@ -4,7 +4,8 @@ The deflection is the load times a compliance [rad/(N m), m/N], or that of a spr
 of gravity and, where the actuators report them, their torques; without masses a compliance is known per kilogram only.
 A recorded number may say how much is carried (``/payload_kg``): then the load at the tip is it times that of 1 kg.
 What the arm stands on (a table, a column, a cart) may turn and shift in any direction with the moment about either of
-its horizontal axes. In motion a joint winds up as it is accelerated, and a target that is held softly stays behind.
+its horizontal axes. In motion a joint winds up as it is accelerated, and a target that is held softly stays behind; a
+damper delays both: of the acceleration a while ago the jerk tells.
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
             yield Effect(NAME, name, ACROSS, f"moment:{name}", Shape("linear"))
     if drivers.samples.moving.any() and in_motion(drivers):
         for _, name in moving_joints(drivers):
-            yield Effect(NAME, name, AXIS, f"acceleration:{name}", Shape("linear"))
+            yield Effect(NAME, name, AXIS, f"acceleration:{name},jerk:{name}", Shape("several"))
         for axis in "xyz" if is_serial_arm(drivers.arm.chain) else "":
-            yield Effect(NAME, "tool", axis, f"tip_acceleration_{axis}", Shape("linear"))
+            yield Effect(NAME, "tool", axis, f"tip_acceleration_{axis},tip_jerk_{axis}", Shape("several"))
     on_base = f"{'weight' if drivers.arm.weighed else 'tip_weight'}:{drivers.arm.chain.names[0]}"
     if is_serial_arm(drivers.arm.chain) and any(map(varies, drivers.values(on_base))):
         yield Effect(NAME, BASE, ALL, on_base, Shape("several"))
@@ -89,7 +90,9 @@ def sizes(effect: Effect, chain: Mechanism) -> Sizes:
         return {f"compliance{name}": (float(np.linalg.norm(turn, 2)), std, unit)}
     unit = unit_of(effect, chain)
     if "acceleration" in effect.driver:
-        return {"wind_up": value(effect, 0, -1.0, f"{unit}/({unit}/s^2)")}
+        size, std, per = value(effect, 0, -1.0, f"{unit}/({unit}/s^2)")
+        gain = max(abs(size), 1e-12)
+        return {"wind_up": (size, std, per), "delay": value(effect, 1, 1.0 / gain if size > 0.0 else -1.0 / gain, "s")}
     load = "N m" if unit == "rad" else "N"
     # an actuator's torque is the opposite of the load that it holds
     sign = -1.0 if effect.driver.startswith("effort:") else 1.0

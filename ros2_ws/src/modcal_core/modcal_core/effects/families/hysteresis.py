@@ -10,6 +10,7 @@ does not tell one from the other.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 
@@ -47,10 +48,15 @@ def saturating(x: Array, s: Settings) -> Array:
 
 def _ends(x: Array, s: Settings) -> Array:
     """The error at the least and at the most, (2, N)."""
+    return np.asarray(_shares(s["knee"], s["scale"]) @ x.reshape(2, len(WIDTHS), -1))
+
+
+@lru_cache(maxsize=64)  # the same at every tick of a corrector
+def _shares(knee: float, scale: float) -> Array:
+    """How large the follower of each width is, (widths,); together 1."""
     from scipy.special import gammainc  # half a second to load, where no joint has a hysteresis
 
-    shares = np.diff(np.r_[0.0, gammainc(s["knee"], 0.5 * s["knee"] * _BETWEEN / s["scale"]), 1.0])
-    return np.asarray(shares @ x.reshape(2, len(WIDTHS), -1))
+    return np.diff(np.r_[0.0, gammainc(knee, 0.5 * knee * _BETWEEN / scale), 1.0])
 
 
 def certain(effect: Effect, drivers: Drivers) -> np.ndarray:
