@@ -113,9 +113,9 @@ def _published(rows: list[Row]) -> str:
     """Peers' own figures, and the same by the same definition where their data is at hand."""
     lines = []
     for r in (r for r in rows if r["published"]):
-        here = r.get("here_mm")
-        got = "" if here is None else f"{_mm(here)} ({100.0 * (here / r['mean_mm'] - 1.0):+.1f} %)"
-        lines.append((_e(r["task"]), _e(r["method"]), _mm(r["mean_mm"]), got, "{text}" + _e(r["source"])))
+        mean, here = r.get("mean_mm"), r.get("here_mm")
+        got = f"{_mm(here)} ({100.0 * (here / mean - 1.0):+.1f} %)" if mean and here else ""
+        lines.append((_e(r["task"]), _e(r["method"]), _mm(mean) if mean else "", got, "{text}" + _e(r["source"])))
     return _table(("data", "method", "published mean", "here", "{text}what it is"), lines)
 
 
@@ -204,8 +204,9 @@ def _task(rows: list[Row], task: str, drawn: bool) -> str:
     )
     out = [f"<h2 id='{_e(task)}'>{_e(task)}</h2><p>{about}</p>", _plot(order), _table(heads, lines)]
     for r in (r for r in rows if r["task"] == task and r not in order):
-        said = f"published, mean {_mm(r['mean_mm'])} mm: {r['source']}" if r["published"] else r["remark"]
-        out.append(f"<p class='soft'>{_e(r['method'])}, {_e(r['status'])}: {_e(said)}</p>")
+        mean = f", mean {_mm(r['mean_mm'])} mm" if "mean_mm" in r else ""
+        said = f"published{mean}: {r['source']}" if r["published"] else f"{r['status']}: {r['remark']}"
+        out.append(f"<p class='soft'>{_e(r['method'])}, {_e(said)}</p>")
     return "".join(out)
 
 
