@@ -77,7 +77,7 @@ def shown(check: JointForce, reports: Reports, force: Array, felt: float) -> tup
     """(the force [N] that is shown at least at the end of half a second in which the tool goes some way and a force (3,) [N]
     in the base comes up; the true force at which it stood or was let go, None if never).
     """
-    q, start, apart = READY.copy(), 31 * PERIOD, 0
+    q, start = READY.copy(), 31 * PERIOD
     for k in range(round(0.5 / PERIOD)):
         share = 2.0 * k * PERIOD
         q = READY + share * np.array([0.1, 0.2, -0.1, 0.2, 0.0, 0.1, 0.3])
@@ -86,8 +86,7 @@ def shown(check: JointForce, reports: Reports, force: Array, felt: float) -> tup
         stamp = start + k * PERIOD
         check.take(JointPositions(q, stamp, reports.at(q, wrench)), J)
         says = felt / max(float(np.linalg.norm(force)), 1e-9) * wrench[:3]
-        apart = apart + 1 if check.apart(says) > 0.4 * MAX else 0
-        if apart * PERIOD > 0.06 or check.force > STANDS:
+        if check.refused(says, stamp, MAX) is not None or check.force > STANDS:
             return check.force, float(share * np.linalg.norm(force))
     return check.force, None
 
@@ -150,7 +149,7 @@ def test_nonsense_among_efforts_shows_no_force(arm: ArmEfforts, rng: np.random.G
         check.take(JointPositions(READY, 1.0 + k * PERIOD, np.full(arm.chain.n, effort)), J)
         assert check.force == 0.0
         assert not np.isfinite(check.stamp)
-        assert check.apart(np.zeros(3)) == 0.0
+        assert check.refused(np.zeros(3), 1.0 + k * PERIOD, MAX) is None
 
 
 @pytest.mark.slow

@@ -285,15 +285,6 @@ def test_a_door_with_a_closer_is_opened_by_a_hand_that_does_not_turn_with_it() -
 
 
 @pytest.mark.slow
-def test_a_hand_that_only_the_arm_turns_reaches_the_goal() -> None:
-    """No posture reaches it as the hand is turned. Turned by the arm, it makes the tracker lose the door after 36°."""
-    drawn = draw(CHAIN, np.random.default_rng(6))
-    made = own_pull.pull(Pulling.of(URDF, CHAIN, drawn, np.random.default_rng(6)), URDF)
-    assert made.done, made.said
-    assert made.peak < 20.0
-
-
-@pytest.mark.slow
 def test_what_is_stated_is_the_one_number_that_decides_how_hard_is_pulled() -> None:
     """A gasket that takes 31 N: not with 25, but with 80."""
     gentle, firm = (pulled(1013, stated, grasp="weld", resistance="gasket 30") for stated in (25.0, 80.0))
@@ -323,7 +314,7 @@ def test_a_law_that_is_none_is_refused(text: str) -> None:
         resistance(text)
 
 
-LEADS = re.compile("wrench: .* the setpoint leads the tool")  # by more than what is felt explains
+LEADS = re.compile("wrench: .* (the setpoint leads the tool|a joint leads by)")  # by more than what is felt explains
 
 
 class Stuck:

@@ -29,7 +29,7 @@ from typing import TypeGuard
 
 import numpy as np
 
-from modcal_core.errors import ModcalError, NotEnoughData
+from modcal_core.errors import BadCommand, ModcalError, NotEnoughData
 from modcal_core.geometry import Array
 from modcal_core.impedance.task import JointPositions
 from modcal_core.impedance.wrench import LowPass, SensorWeighing
@@ -50,6 +50,8 @@ _EVERY = 8  # readings after which weight and levers are looked up again: 2 mm o
 _SLIDES = 3e-3  # rad/s or m/s at which half of a joint's friction is sure to act against its speed
 _STANDING = 1.0 / 3.0  # of friction's square, the variance of what may be anywhere between both sides
 _LIKELY, _SURE = 2.0, 3.0  # standard deviations by which a force slows the pull, and ends it, or a moment turns a hand
+_SHARE = 0.4  # of the force that may go unfelt, for as much again comes until the arm stands
+_LASTS = 0.06  # s: while an arm is jerked its inertia is a load as well, for half of that
 _SEES = 0.2  # of the force: a direction with a larger standard deviation is not seen
 
 
@@ -142,7 +144,7 @@ class JointForce:
         self._friction, self._unsure, self._side = (np.zeros(0) for _ in range(3))  # each (n,)
         self._zero, self._hangs, self._gain = np.zeros(0), 0.0, np.ones(0)
         self._own, self._mass, self._shows = np.zeros(0), np.zeros((0, 0)), np.zeros((6, 0))
-        self._taken, self.stamp, self._spread = 0, -math.inf, np.zeros(0)
+        self._taken, self.stamp, self._since = 0, -math.inf, math.inf
 
     def rest(self, joints: JointPositions) -> None:
         """Note a reading of an arm that stands and touches no more than it will hold."""
@@ -233,10 +235,9 @@ class JointForce:
         """Whether the efforts are used."""
         return len(self._error) > 0
 
-    @property
-    def deviations(self) -> Array:
-        """Standard deviations (n + 6,) of the load of every joint, and of the wrench in the tool's axes."""
-        return np.concatenate([self._spread, np.sqrt(np.diag(self.covariance))])
+    def hides(self, most: float) -> float:
+        """By how much a force sensor may depart from the efforts before it is noticed [N]. most: as of refused."""
+        return _SHARE * most + _SURE * self.deviation
 
     @property
     def deviation(self) -> float:
@@ -257,12 +258,23 @@ class JointForce:
         variances, directions = np.linalg.eigh(self.covariance[:3, :3])
         return np.asarray(directions[:, variances > (_SEES * most) ** 2].T)
 
-    def apart(self, felt: Array) -> float:
-        """The force [N] by which the efforts surely show another one than is felt (3,) [N], in the tool's axes."""
+    def refused(self, felt: Array, stamp: float, most: float) -> BadCommand | None:
+        """Why to let go: the force sensor and the efforts have surely said different things for a while.
+
+        felt (3,): force that the sensor says, in the tool's axes [N]. most: that may be felt [N].
+        """
         apart = self.wrench[:3] - felt
         size = math.sqrt(apart @ apart)
         sure = size - _SURE * math.sqrt(apart @ self.covariance[:3, :3] @ apart) / max(size, 1e-9)
-        return max(sure, 0.0) if self.tells else 0.0
+        if not len(self._error) or sure <= _SHARE * most:
+            self._since = math.inf
+            return None
+        self._since = min(self._since, stamp)
+        if stamp - self._since < _LASTS:
+            return None
+        shown, says = math.sqrt(self.wrench[:3] @ self.wrench[:3]), math.sqrt(felt @ felt)
+        said = f"{says:.0f} N are felt and the efforts of the joints show {shown:.0f} N, {sure:.0f} N apart at least"
+        return BadCommand("wrench", said, "check the force sensor, and the efforts of joint_states")
 
     def _size(self, part: slice) -> tuple[float, float]:
         """Size of the force or the moment, and its standard deviation; the largest one where it is nothing."""
@@ -278,8 +290,7 @@ class JointForce:
 
     def _look_up(self, J: Array) -> None:
         dry = _STANDING * ((1.0 - np.abs(self._side)) * self._friction) ** 2 + (self._side * self._unsure) ** 2
-        self._spread = spread = np.sqrt(self._error**2 + dry)
-        A = J.T / spread[:, None]
+        A = J.T / (spread := np.sqrt(self._error**2 + dry))[:, None]
         # a moment that stands out of what is usual is there: kept small, it would be taken for a force
         prior, moment = _PRIOR.copy(), self.wrench[3:]
         prior[3:, 3:] /= max(1.0, float(moment @ moment) * _PRIOR[5, 5])

@@ -29,7 +29,7 @@ from modcal_core.impedance.speed_governor import InputWatch, SpeedGovernor
 from modcal_core.impedance.task import ImpedanceTask, JointPositions, ObjectModel, Stop, Wait
 from modcal_core.impedance.tool_force import ToolForce
 from modcal_core.impedance.wrench import WrenchSensor
-from modcal_core.robots import Chain, chain_forward
+from modcal_core.robots import Chain
 
 _USUAL, _LONGEST = 0.6, 1.9  # s; after a second the safety monitor forbids what goes beyond its limits, as ever
 _LATELY = 0.1  # s over which it is seen whether the tool still moves
@@ -51,18 +51,14 @@ class LettingGo:
         return seconds > _LONGEST or (seconds > _USUAL and stands)
 
 
-_UNWINDS = 5.0  # servo lags for which the hand stands before it pulls
-_BEHIND = 5e-3  # m that the arm may be behind its way, before its pace falls
-_STAYS_BEHIND = 1.5 * _BEHIND, 0.15  # m, rad by which only joints at their limits keep it behind
 _STOOD = 2e-3  # m/s at which the tool has arrived
 _CHECK_PATIENCE = 5.0  # s
 _STEPS_A_TICK = 2  # of the walk along the way that is to be checked
-_MEASURED_EVERY = 4  # ticks, after which it is measured again how far it is open: some tenths of a millimetre
+_MEASURED_EVERY = 4  # ticks, after which it is looked anew how far it is open: some tenths of a millimetre
 _SURELY = 0.01  # of the way that is gone beyond the goal, so that it is surely reached
 _STAND_PATIENCE = 2.0  # s
 _MOVING = ("explore", "check", "follow")  # phases in which the hand is led
-_BESIDE = 0.01  # m off its way may a hand be that turns by itself: soft fingers yield by as much to 30 N
-_MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is looked at again
+_MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is looked at anew
 
 
 class Operation:
@@ -89,9 +85,9 @@ class Operation:
         self.expected = self._measured = np.eye(4)
         self._pull: Exploration | None = None
         self._tare, self._motion = tare.TarePhase(task.tare_s, task.gravity, task.wrench == "sensor"), motion
-        self._path_check: tuple[PathCheck, Array, float] | None = None  # to a goal, from a configuration on
+        self._path_check: tuple[PathCheck, Array] | None = None
         self._checked = np.eye(4)
-        self._walked_from, self._turned = 0.0, False  # _turned: whether the hand turns in its grasp
+        self._walked_from = 0.0
         self._untrusted, self._late = 0.0, False
         self._why, self._since, self._letting_go = "", math.nan, LettingGo()
         self._last = -math.inf
@@ -226,20 +222,17 @@ class Operation:
         self.tool_force.take(now, T, sensor, joints, self.setpoint_filter, self.governor.braking)
         refused = self.monitor.overload(self.tool_force.sure) or self.tool_force.overload()
         if refused is None and self.phase in _MOVING:
-            refused = self.tool_force.refused(joints)
+            refused = self.tool_force.refused(T, joints, self.setpoint_filter)
         lost = self.phase in _MOVING and self._watch.estimator_lost(state.silent, now, self.task.input_timeout_s)
         if (refused is not None or lost) and self.phase != "release":
             self._let_go(str(refused or lost), now)
         self._late = state.late
-        # servos that are sent where their arm is, and not where they were sent before, unwind by what they held it with
-        unwinds = self.phase == "explore" and now - self._since < _UNWINDS * self.task.servo_lag
-        if not unwinds:
-            self._tell[self.phase](h, T, state)
+        self._tell[self.phase](h, T, state)
         if self._stop is not None:
             return self._stop
         if self.phase == "release":
             goal = self.expected = T
-        elif self.task.mode == "admittance" and self.phase != "arrive" and not unwinds:
+        elif self.task.mode == "admittance" and self.phase != "arrive":
             sure = self.tool_force.sure
             F = np.concatenate([relative(self.expected, T, sure[:3]), relative(self.expected, T, sure[3:])])
             caution = max(self.governor.caution, self.governor.damping / self.task.damping[0])
@@ -247,8 +240,7 @@ class Operation:
             goal = self.impedance.command(self.expected)
         else:
             goal = self.expected
-        chosen = self._posture(self.course.at) if self.course and self.phase not in ("arrive", "release") else None
-        self.setpoint_filter.step(goal, h, chosen)
+        self.setpoint_filter.step(goal, h, self._posture())
         self.tool_force.sent(self.setpoint_filter, now)
         self._last = now
         positions = dict(zip(self.chain.names, joints.q.tolist(), strict=True))
@@ -266,7 +258,7 @@ class Operation:
     def _explore(self, h: float, T: Array, state: ObjectModel) -> None:
         pull, now = self._pull, self._last + h
         assert pull is not None
-        ds = self._go(self.task.exploration_speed, h, self.tool_force.speed(pull.progress(T), False))
+        ds = self._go(self.task.exploration_speed, h, self.tool_force.exploring_speed(pull.progress(T)))
         sent = self.setpoint_filter.pose if self.task.mode == "admittance" else None
         self.expected = pull.advance(ds, T, h, sent)
         self.impedance.align(self.expected[:3, :3].T @ pull.moved)
@@ -274,8 +266,6 @@ class Operation:
         if state.trusted and state.model is not None:
             self._believe(state.model, T)
             self._enter("check", now)
-        elif at := self._at_limit():
-            self._let_go(f"the arm cannot lead it on after {100.0 * pull.progress(T):.0f} cm: {at}", now)
         elif self.governor.stuck(pull.progress(T), lead, self.force, now):
             self._let_go(f"it does not move: {self._pushed()} and {1e3 * pull.progress(T):.0f} mm so far", now)
         elif pull.way - lead > self.task.max_exploration:
@@ -299,8 +289,7 @@ class Operation:
     def _follow(self, h: float, T: Array, state: ObjectModel) -> None:
         course, now = self.course, self._last + h
         assert course is not None
-        # what is estimated of a hand that turns by itself is of its own turn too: it keeps to the model that it has
-        if state.model is not None and state.trusted and state.model is not course.model and not self._turned:
+        if state.model is not None and state.trusted and state.model is not course.model:
             self._believe(state.model, T)
         if self._path_check is not None:
             done = self._look(1)
@@ -312,21 +301,20 @@ class Operation:
             self._at = course.configuration(T)
         at = self._at
         left = course.left(at)
-        trusted = math.dist(course.pose(at)[:3, 3], T[:3, 3]) <= _BESIDE if self._turned else state.trusted
-        wanted = self.tool_force.speed(course.way - left, trusted)
+        force = self.tool_force
+        wanted = (force.following_speed if state.trusted else force.exploring_speed)(course.way - left)
         wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.01)
+        # the arm may be slower than the way: its joints set the pace then
+        wanted *= min(1.0, max(0.0, 2.0 - self.setpoint_filter.lag(self._goal_now()) / 0.005))
         ds = self._go(wanted, h)
         self.expected = course.advance(ds)
         self.impedance.align(course.tangent())
-        self._untrusted = 0.0 if trusted else self._untrusted + ds
+        self._untrusted = 0.0 if state.trusted else self._untrusted + ds
         if left <= -_SURELY * course.way - self._yields():
             self.expected = self.setpoint_filter.pose
             self._enter("arrive", now)
         elif self._untrusted > 0.05:
-            why = "it is beside its way" if self._turned else state.event or "no model predicts it"
-            self._let_go(f"it moves differently than before ({why})", now)
-        elif why := self._at_limit():
-            self._let_go(f"the arm cannot lead it on from {self._said(T)}: {why}", now)
+            self._let_go(f"it moves differently than before ({state.event or 'no model predicts it'})", now)
         elif self.governor.stuck(-left, course.left(at) - course.left(course.at), self.force, now):
             self._let_go(f"it stopped moving: {self._pushed()}, open to {self._said(T)}", now)
 
@@ -351,20 +339,11 @@ class Operation:
         """
         if self._late:
             most = 0.0
-        # the arm may be slower than the way: its joints set the pace then
-        wanted *= min(1.0, max(0.0, 2.0 - self.setpoint_filter.lag(self._goal_now()) / _BEHIND))
         told = self.tool_force
         self.governor.touch(math.sqrt(self.force[:3] @ self.force[:3]), told.tool)
         along = self.impedance.gains.task[:, 0]
         sight = self.governor.in_sight(told.size, told.delay, *told.hold(along, self.setpoint_filter))
         return self.governor.step(wanted, min(most, sight), self.tool_force.foreseen, h)
-
-    def _at_limit(self) -> str:
-        """Which joints keep the arm behind where it is expected, as text; empty where none do."""
-        way, turn = speeds(self.setpoint_filter.pose, self._goal_now())
-        if not (held := self.setpoint_filter.held) or (way < _STAYS_BEHIND[0] and turn < _STAYS_BEHIND[1]):
-            return ""
-        return f"{held} at its limit: place the arm differently before it grasps"
 
     def _enter(self, phase: str, now: float) -> None:
         self.phase, self._since = phase, now
@@ -391,45 +370,24 @@ class Operation:
         goal = self.course.pose(self.course.goal_at)
         way, turn = speeds(self._checked, goal)
         if self._path_check is None and (way > _MODEL_MOVED[0] or turn > _MODEL_MOVED[1]):
-            self._walk(goal)
-
-    def _walk(self, goal: Array) -> None:
-        """Begin to look along the way to a goal (4, 4)."""
-        assert self.course is not None
-        path, gain = self.course.path(np.linalg.inv(self.setpoint_filter.offset)), 1.5 * self.limits.gain
-        walk = PathCheck(self.chain, path, self.setpoint_filter.q, gain, turning=not self._turned)
-        self._path_check = walk, goal, self.course.opened(self.course.at)
+            path = self.course.path(np.linalg.inv(self.setpoint_filter.offset))
+            self._path_check = PathCheck(self.chain, path, self.setpoint_filter.q, gain=1.5 * self.limits.gain), goal
+            self._walked_from = self.course.opened(self.course.at)
 
     def _look(self, steps: int) -> Reach | None:
-        """Go on looking along the way; what was found when it is done. A way that cannot be gone as the hand is turned
-        is looked at once more where it may turn in its grasp.
-        """
+        """Go on looking along the way; what was found when it is done."""
         assert self._path_check is not None
-        assert self.course is not None
-        walk, goal, begun = self._path_check
+        walk, goal = self._path_check
         done = walk.advance(steps)
-        if done is not None and not done.whole and self.course.turns_in_grasp and not self._turned:
-            self._turned = True
-            self._walk(goal)
-            return None
         if done is not None:
-            self.reached, self._checked, self._walked_from, self._path_check = done, goal, begun, None
-            if self._turned:
-                self.course.orientation = self._orientation
+            self.reached, self._checked, self._path_check = done, goal, None
         return done
 
-    def _orientation(self, a: float) -> Array:
-        """How the hand (3, 3) is turned in the base at a configuration, in the postures that were found."""
-        posture = self._posture(a)
-        assert posture is not None
-        return (self.setpoint_filter.offset @ chain_forward(self.chain, posture))[:3, :3]
-
-    def _posture(self, a: float) -> Array | None:
-        """The posture (n,) that was found for a configuration; None where none was."""
-        if self.reached is None or self.course is None or not self.reached.whole:
+    def _posture(self) -> Array | None:
+        if self.phase in ("arrive", "release") or self.reached is None or self.course is None or not self.reached.whole:
             return None
         span = self.course.opened(self.course.goal_at) - self._walked_from
-        share = (self.course.opened(a) - self._walked_from) / span if abs(span) > 1e-6 else 1.0
+        share = (self.course.opened(self.course.at) - self._walked_from) / span if abs(span) > 1e-6 else 1.0
         return self.reached.posture(share)
 
     def _goal_now(self) -> Array:

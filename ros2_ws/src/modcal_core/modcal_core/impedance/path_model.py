@@ -7,7 +7,7 @@ turns joints away from their limits. A walk can be taken in pieces, so that a co
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,7 +112,6 @@ class PathModel:
         Raises BadCommand for a model of something that does not move.
         """
         self._closed, self._goals, self._over = closed, (goal_rad, goal_m), over
-        self.orientation: Callable[[float], Array] | None = None  # of the hand (3, 3) where it turns in its grasp
         self._ahead = ahead
         self.take(model, now)
 
@@ -143,15 +142,7 @@ class PathModel:
 
     def pose(self, a: float) -> Array:
         """The expected tool (4, 4) at a configuration."""
-        T = _posed(self._origin, (a - self._origin_at) * self._twist, self._turns)
-        if self.orientation is not None:
-            T[:3, :3] = self.orientation(a)
-        return T
-
-    @property
-    def turns_in_grasp(self) -> bool:
-        """Whether the hand has not turned with what turns, so that it may turn otherwise as well."""
-        return self.turns and not self._turns
+        return _posed(self._origin, (a - self._origin_at) * self._twist, self._turns)
 
     def _turned_along(self, T: Array, at: float) -> bool:
         """Whether the tool has turned with the object so far, as a firm grasp does, rather than stayed as it was."""
@@ -223,10 +214,7 @@ def _posed(origin: Array, xi: Array, turns: bool) -> Array:
 _METRES, _RADIANS = 1e-4, 1e-3  # met by every pose of the path
 _TRIES = 12  # steps a pose
 _STEP = 0.3  # rad or m, of one joint in one step
-_MARGIN = 0.02  # rad or m of joints to their limits
-# rad from a limit where spare joints begin to turn away: of a hand that may turn four are spare, and would soon be next
-# to singular
-_CLOSE, _CLOSE_TURNING = 0.4, 0.15
+_CLOSE = 0.4  # rad from a limit where spare joints begin to turn away
 _AWAY = 0.15  # of that distance in one step
 
 
@@ -260,16 +248,16 @@ class PathCheck:
         chain: Chain,
         poses: Sequence[Array],
         q0: Array,
+        margin: float = 0.02,
         gain: float = 0.03,
         stride: float = 0.35,
-        turning: bool = True,
     ) -> None:
         """poses: m of T_base_tip (4, 4), so close that no joint moves by more than ``stride`` between two.
 
-        gain: least singular value of the Jacobian. turning: whether the tip turns as they do, and not as joints like.
+        margin: distance of joints to their limits [rad or m]. gain: least singular value of the Jacobian.
         """
-        self._chain, self._poses, self._rows = chain, poses, 6 if turning else 3
-        self._lower, self._upper = chain.lower + _MARGIN, chain.upper - _MARGIN
+        self._chain, self._poses = chain, poses
+        self._lower, self._upper = chain.lower + margin, chain.upper - margin
         self._gain, self._stride = gain, stride
         self._q = np.clip(q0, chain.lower, chain.upper)
         self._before = self._q
@@ -288,9 +276,9 @@ class PathCheck:
     def _step(self) -> None:
         chain, k = self._chain, len(self._joints)
         T, J = pose_and_jacobian(chain, self._q)
-        e = pose_error(T, self._poses[k])[: self._rows]
+        e = pose_error(T, self._poses[k])
         within = bool(((self._q >= self._lower) & (self._q <= self._upper)).all())
-        met = float(np.abs(e[:3]).max()) <= _METRES and float(np.abs(e[3:]).max(initial=0.0)) <= _RADIANS
+        met = float(np.abs(e[:3]).max()) <= _METRES and float(np.abs(e[3:]).max()) <= _RADIANS
         if met and (within or self._tries >= _TRIES):
             self._arrive(J)
         elif self._tries >= _TRIES:
@@ -299,20 +287,19 @@ class PathCheck:
             self._end(f"missed by {far}" + (f" with {', '.join(at_limit)} at its limit" if at_limit else ""))
         else:
             self._tries += 1
-            self._q = self._moved(J[: self._rows], e)
+            self._q = self._moved(J, e)
 
     def _moved(self, J: Array, e: Array) -> Array:
         """The next posture: towards the pose, and where joints are to spare, away from limits."""
         chain, q = self._chain, self._q
         # where a side has no limit the distance is infinite and nothing pushes
-        close = _CLOSE if len(e) == 6 else _CLOSE_TURNING
-        push = np.maximum(close - (q - self._lower), 0.0) - np.maximum(close - (self._upper - q), 0.0)
-        away = _AWAY * push if chain.n > len(e) else np.zeros(chain.n)
+        push = np.maximum(_CLOSE - (q - self._lower), 0.0) - np.maximum(_CLOSE - (self._upper - q), 0.0)
+        away = _AWAY * push if chain.n > 6 else np.zeros(chain.n)
         free = np.ones(chain.n)
         step = away
         for _ in range(chain.n):
             B = J * free
-            A = B @ B.T + 1e-8 * np.eye(len(e))
+            A = B @ B.T + 1e-8 * np.eye(6)
             step = free * (away + B.T @ np.linalg.solve(A, e - B @ away))
             step *= min(1.0, _STEP / max(float(np.abs(step).max()), 1e-9))
             out = (free > 0.0) & ((q + step > chain.upper) | (q + step < chain.lower))

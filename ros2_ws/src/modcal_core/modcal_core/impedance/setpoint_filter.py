@@ -16,8 +16,7 @@ from modcal_core.impedance.safety_monitor import Limits
 from modcal_core.robots import Chain, pose_and_jacobian
 
 _SHARE = 0.8  # of the guard's limits that is used
-_WEIGHTS = np.array([1.0] * 3 + [0.1] * 3)  # of way and turn: where joints cannot do both, 10 cm are worth a radian
-_DAMPED, _HELD_DAMPED = 1e-8 * np.eye(6), 1e-4 * np.eye(6)  # the second once joints are at their limits
+_DAMPED = 1e-8 * np.eye(6)
 _SPARE = 0.5  # 1/s at which spare joints go to the chosen posture
 _EDGE = 1e-4  # rad or m from a limit where a joint stops
 
@@ -34,7 +33,6 @@ class SetpointFilter:
         self.q, self.velocity = np.zeros(chain.n), np.zeros(chain.n)
         self.pose, self._J = np.eye(4), np.zeros((6, chain.n))
         self._rates = np.zeros(6)  # of the tool, in the base
-        self._held = np.zeros(chain.n, dtype=bool)
         self._h = limits.period
 
     def begin(self, q: Array, T_base_tool: Array) -> None:
@@ -86,47 +84,30 @@ class SetpointFilter:
         """The tool's Jacobian (6, n) of the last step, in the tool's axes."""
         return self._J
 
+    def moved_by(self, wrench: Array) -> tuple[float, float]:
+        """How far a wrench (6,) on the tool, in its axes, moves it where every joint yields by 1 rad to 1 N m, and how
+        far one newton does at most [N m²].
+        """
+        J = self._J
+        way = J[:3] @ (J.T @ wrench)
+        return math.sqrt(way @ way), float(np.linalg.eigvalsh(J[:3] @ J[:3].T)[-1])
+
     def lag(self, goal: Array) -> float:
         """How far the tool has stayed behind a pose (4, 4) [m]."""
         return float(np.linalg.norm(goal[:3, 3] - self.pose[:3, 3]))
 
-    @property
-    def held(self) -> str:
-        """Names of the joints that the last step kept at their limits, as text; empty for none."""
-        return ", ".join(name for name, held in zip(self.chain.names, self._held, strict=True) if held)
-
     def _joint_speeds(self, twist: Array, chosen: Array | None) -> Array:
-        """Joint speeds (n,) for a body twist (6,) of the tool; where a joint is at its limit the others do its part,
-        and what they cannot do is a turn before it is a way.
-        """
-        spare, (down, up) = np.zeros(self.chain.n), self._room()
-        if chosen is not None and self.chain.n > 6:
-            spare = np.clip(_SPARE * (chosen - self.q), -0.2, 0.2)
-        J, twist, wish, damped = _WEIGHTS[:, None] * self._J, _WEIGHTS * twist, spare, _DAMPED
-        self._held = np.zeros(self.chain.n, dtype=bool)
-        for _ in range(self.chain.n):
-            B = J * ~self._held
-            wish = wish + B.T @ np.linalg.solve(B @ B.T + damped, twist - J @ wish)
-            out = ~self._held & ((wish < down) | (wish > up))
-            if not out.any():
-                break
-            self._held = self._held | out
-            wish, damped = np.where(self._held, np.clip(wish, down, up), spare), _HELD_DAMPED
-        return wish
-
-    def _room(self) -> tuple[Array, Array]:
-        """Lowest and highest joint speeds (n,) from which a joint brakes before its limit, and the tool with it."""
-        chain, limits = self.chain, self.limits
-        levers = np.sqrt((self._J[:3] ** 2).sum(axis=0))
-        brake = _SHARE * np.minimum(limits.joint_acceleration, limits.acceleration / np.maximum(levers, 1e-9))
-        return (
-            -np.sqrt(brake * np.maximum(self.q - chain.lower - _EDGE, 0.0)),
-            np.sqrt(brake * np.maximum(chain.upper - _EDGE - self.q, 0.0)),
-        )
+        """Joint speeds (n,) for a body twist (6,) of the tool."""
+        J = self._J
+        A = J @ J.T + _DAMPED
+        if chosen is None or self.chain.n <= 6:
+            return J.T @ np.linalg.solve(A, twist)
+        spare = np.clip(_SPARE * (chosen - self.q), -0.2, 0.2)
+        return spare + J.T @ np.linalg.solve(A, twist - J @ spare)
 
     def _within(self, wish: Array, span: float) -> Array:
         """Joint speeds nearest to a wish (n,), in its direction, that joints can take up within ``span`` [s]."""
-        limits = self.limits
+        limits, chain = self.limits, self.chain
         most, change = _SHARE * limits.joint_speed, _SHARE * limits.joint_acceleration
         wish = wish * min(1.0, 1.0 / max(float((np.abs(wish) / most).max()), 1e-9))
         step = wish - self.velocity
@@ -135,7 +116,11 @@ class SetpointFilter:
             rates = self._J @ step
             for part, allowed in ((rates[:3], limits.acceleration), (rates[3:], limits.angular_acceleration)):
                 share = min(share, _SHARE * allowed * span / max(math.sqrt(part @ part), 1e-9))
-        return np.clip(self.velocity + step * share, *self._room())
+        velocity = self.velocity + step * share
+        # before a limit a joint brakes, at half the acceleration that it may have, and alone
+        up = np.sqrt(change * np.maximum(chain.upper - _EDGE - self.q, 0.0))
+        down = np.sqrt(change * np.maximum(self.q - chain.lower - _EDGE, 0.0))
+        return np.clip(velocity, -down, up)
 
 
 def _approach(e: Array, now: Array, most: float, change: float, h: float, span: float) -> Array:

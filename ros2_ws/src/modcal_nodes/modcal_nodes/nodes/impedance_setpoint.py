@@ -354,7 +354,7 @@ class ImpedanceSetpoint(ros.StatedNode):
             "phase": self._operation.phase if self._operation else "",
             "force N": f"{float(np.linalg.norm(self._operation.force[:3])):.1f}" if self._operation else "",
             "unfelt force judged by": self._judged_by,
-            "joints yield to what is felt": self._operation.tool_force.observer.said if self._operation else "",
+            "joints yield to what is felt": self._operation.tool_force.servos if self._operation else "",
             "force by joint efforts N": self._efforts.said(self._operation),
             "tick ms, median": f"{took[0]:.2f}",
             "tick ms, 99 %": f"{took[1]:.2f}",
