@@ -46,7 +46,6 @@ class AxisModel(ArticulationModel):
     """A joint type that is a screw motion about one axis, or none."""
 
     motion: ClassVar[type[AxisMotion]]
-    joint: ClassVar[type[JointModel]]
 
 
 @dataclass(frozen=True)
