@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from articulation.objects import ideal, noisy, real
-from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.joint_motion import Kind
@@ -94,27 +93,6 @@ def test_a_grasp_that_turns_in_the_hand_does_not_hide_the_door(rng: np.random.Ge
     assert choice.kind == "revolute"
     assert not choice.follows
     assert choice.fit.model.radius == pytest.approx(0.5, abs=0.01)
-
-
-def test_a_hand_that_turns_on_the_handle_as_the_door_opens_moves_no_hinge(rng: np.random.Generator) -> None:
-    """It lags by 8 % of the angle, and rotations agree with one another to 0.2°: what positions predict, counts."""
-    a = np.linspace(0.0, 70.0 * DEGREE, 150)
-    seen = noisy(ideal("revolute", a, rng, 0.5), rng, 5e-4, 0.2 * DEGREE)
-    lag = Rotation.from_rotvec(-0.08 * a[:, None] * seen.axis).as_matrix()
-    choice = choose(Track(seen.positions, lag @ seen.rotations))
-    assert choice.kind == "revolute"
-    assert choice.fit.model.radius == pytest.approx(0.5, abs=0.01)
-
-
-def test_where_a_hand_slips_in_all_directions_the_path_is_that_of_positions(rng: np.random.Generator) -> None:
-    seen = noisy(ideal("revolute", np.linspace(0.0, 50.0 * DEGREE, 150), rng, 0.8), rng, 1e-3, DEGREE)
-    waves = np.sin(np.linspace(0.0, 6.3, 150)[:, None] * [1.0, 1.5, 0.8] + rng.uniform(0.0, 6.0, 3))
-    choice = choose(Track(seen.positions, Rotation.from_rotvec(12.0 * DEGREE * waves).as_matrix() @ seen.rotations))
-    assert choice.kind == "none"
-    assert not choice.enough
-    assert not choice.follows
-    assert "by positions alone it is revolute" in choice.why
-    assert choice.fit.model.radius == pytest.approx(0.8, abs=0.01)
 
 
 @pytest.mark.slow

@@ -7,31 +7,19 @@ motions meet (``two_motions``).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation import furniture
 from modcal_core.articulation.evidence import EvidenceRow, hidden, of_fine, row, size_priors, still, unproved, weigh
-from modcal_core.articulation.fit import JointFit, as_it_is, climb, fit
+from modcal_core.articulation.fit import JointFit, fit
+from modcal_core.articulation.furniture import FINE
 from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
-from modcal_core.articulation.misfit import (
-    FAR,
-    NONE,
-    OUTLIERS,
-    Misfit,
-    bend_explains,
-    far_errors,
-    misfit,
-    rms,
-    scales,
-    why_not,
-)
+from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, bend_explains, misfit, predicted, scales
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
-from modcal_core.articulation.scene import LOG_PLAYS, LOOSE, PLAYS, SIZES, SWAYS, NodeScene
+from modcal_core.articulation.scene import LOOSE, PLAYS, SIZES, SWAYS, NodeScene
 from modcal_core.articulation.track import FEWEST, Track, backwards, pooled, telling, travelled
 from modcal_core.articulation.two_motions import best_cut, two_explain, where
 from modcal_core.geometry import Array
@@ -39,7 +27,6 @@ from modcal_core.geometry import Array
 # pooled samples of a whole track: 1 to 3 cm of the paths that handles have, short beside what is alike (10 cm)
 NODES = 48
 _GROSS = 4.0  # times noise, or the usual play of furniture: Gaussian noise across a line does so once in 3000
-_LEAST = 1e-6  # m, of an error of predictions
 SURE = 0.95  # probability from which a kind is said
 
 
@@ -96,11 +83,13 @@ def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = NO
     told = track if whole else track.part(rows)
     choice = _chosen(told, rng, nodes)
     if choice.misfit.fails:
-        choice = _by_positions(told, _cut(told, choice, rng, nodes), rng, nodes)
+        choice = _cut(told, choice, rng, nodes)
     if whole:
         return choice
-    found = as_it_is(track if choice.follows else track.points(), choice.fit.motion)
-    # it has a configuration for every sample, and the sentence tells of all, as everything else that is told
+    model = next(model for model in all_models() if model.name == choice.best)
+    used = track if choice.follows else track.points()
+    found = _settled(used, model, choice.fit.motion, choice.misfit.white)[0]  # a configuration for every sample
+    # the sentence tells of all samples, as everything else that is told
     why = choice.why if choice.misfit.fails else _why(choice.probabilities, found, choice.misfit, choice.doubt, track)
     return replace(choice, fit=found, fits={**choice.fits, choice.best: found}, why=why)
 
@@ -121,15 +110,6 @@ def _cut(track: Track, choice: Choice, rng: np.random.Generator, nodes: int) -> 
     words = [f"{part.best}, it {_seen(part.fit, own)}" for part, own in zip(parts, seen, strict=True)]
     told = f"two motions: 0–{1e2 * ends[1]:.0f} cm {words[0]}; then {words[1]}"
     return replace(choice, why=f"{choice.why}; {told}", phases=phases)
-
-
-def _by_positions(track: Track, choice: Choice, rng: np.random.Generator, nodes: int) -> Choice:
-    """The same choice with the fit of positions alone, where these are surely one joint's; else as it is."""
-    alone = _chosen(track.points(), rng, nodes) if track.oriented else choice
-    if alone.probabilities[alone.best] < SURE or alone.misfit.fails:
-        return choice
-    why = f"{choice.why}; by positions alone it is {alone.best}, and {_seen(alone.fit, track)}"
-    return replace(choice, why=why, fit=alone.fit, fits={**choice.fits, alone.best: alone.fit}, follows=False)
 
 
 def _chosen(track: Track, rng: np.random.Generator, nodes: int) -> Choice:
@@ -172,13 +152,13 @@ def _weighed(
         motion = rows[kind][i].motion
         if not follows:
             motion = replace(motion, R=None)  # type: ignore[type-var]  # every motion is a dataclass
-        found, left = _settled(used, motion, noise, SIZES[i][0])
+        found, left = _settled(used, by_name[kind], motion, noise)
         fits = {**fits, kind: found}
     doubt = ""
     if probabilities[kind] >= SURE and kind != STILL.name and not left.fails:
         rivals = sorted((k for k in shares if k != kind), key=lambda k: -probabilities[k])[:2]
         own = fits if follows else {**fits, **{k: fit(used, by_name[k], rng) for k in rivals}}
-        doubt = why_not(used, kind, rivals, own, by_name, left)
+        doubt = predicted(used, kind, rivals, own, by_name, left).doubt
         doubt = doubt or (two_explain(used) if fits[kind].motion.flat else "")  # phases are lines or circles too
         if not doubt:  # it may be another curve than the joint's: a bend explains what is left, or a hinge is far
             a = fits[kind].motion.configurations(used, scales(fits[kind]))
@@ -189,34 +169,22 @@ def _weighed(
     return Choice(probabilities, fits[kind], enough, why, fits, follows, SIZES[i][1], left, doubt)
 
 
-def _settled(track: Track, motion: Motion, noise: tuple[float, float], size: float) -> tuple[JointFit, Misfit]:
+def _settled(
+    track: Track, model: ArticulationModel, motion: Motion, noise: tuple[float, float]
+) -> tuple[JointFit, Misfit]:
     """The fit that begins at the most probable motion, and what it leaves; that motion itself where it is too much.
 
-    size: of play and sway, times the usual ones. Grasp and camera turn many readings alike, which makes rotations no
-    surer, however well they agree: they count by what furniture does to them and to positions, over as many samples as
-    share it, beside noise. How far a hand sways is known to a factor; of what predicts best it is most probable.
+    A fit takes every sample's error as its own. Where rotations of a part of the path agree to a tenth of a degree it
+    may follow them, and leave another part by a centimetre, although both are within what handles and cameras do.
     """
-    path = max(float(travelled(track)[-1]), furniture.REACH)
-    alike = size * math.sqrt(max(len(track) * furniture.REACH / path, 1.0))
-    shift = math.hypot(alike * math.exp(furniture.PLAY[0]), noise[0])
-    ratios = [math.hypot(alike * sway, noise[1]) / shift for sway in SWAYS[: len(LOG_PLAYS)]]
-    if track.oriented:
-        order = np.argsort(-LOG_PLAYS - [_predicts(track, motion, ratio, path) for ratio in ratios], kind="stable")
-        ratios = [ratios[k] for k in order]
-    tried: list[tuple[JointFit, Misfit]] = []
-    for ratio in (*(ratios if track.oriented else ratios[:1]), None):
-        found = as_it_is(track, motion if ratio is None else climb(track, motion, ratio).motion)
-        tried.append((found, misfit(found, track, noise)))
-        if not tried[-1][1].fails:
-            return tried[-1]
-    return tried[0]
-
-
-def _predicts(track: Track, motion: Motion, ratio: float, path: float) -> float:
-    """Log-likelihood of positions that were not fitted to, where their error is of unknown size."""
-    off = far_errors(track, motion, lambda part: climb(part, motion, ratio).motion)
-    told = 2.0 * len(off) * max(FAR * path / furniture.REACH, 1.0)  # two directions across the path, by what is alike
-    return -told * math.log(max(rms(np.array(off)), _LEAST)) if off else 0.0
+    found = fit(track, model, start=motion)
+    left = misfit(found, track, noise)
+    if left.fails:
+        held = fit(track, model, start=motion, climbs=False)
+        instead = misfit(held, track, noise)
+        if not instead.fails:
+            return held, instead
+    return found, left
 
 
 def _rows(scenes: dict[float, NodeScene], motion: Motion) -> list[EvidenceRow]:
@@ -225,7 +193,7 @@ def _rows(scenes: dict[float, NodeScene], motion: Motion) -> list[EvidenceRow]:
     for distorted, play, _ in SIZES:  # what is most probable at one play is a good guess for the next
         rows.append(row(scenes[distorted], motion, play, column=column))
         motion, column = rows[-1].motion, rows[-1].column
-        if distorted in furniture.FINE[0]:
+        if distorted in FINE[0]:
             rows[-1] = replace(rows[-1], evidence=rows[-1].evidence + of_fine(motion))
     return rows
 

@@ -103,17 +103,20 @@ def written(found: Sequence[ReadOtherwise], kind: Kind) -> OtherConvention:
     ways = [_OTHERWISE[one] for one in offenders if one != MIRROR]
     remedies = [_REMEDIES[one] for one in offenders if one != MIRROR]
     if axes:
-        ways.append(f"with the sign of {' or '.join(axes)} reversed (a left-handed frame)")
-        remedies.append(f"correct the sign of {' or '.join(axes)}, or the order of the columns")
+        ways.append(f"with the sign of {_either(axes)} reversed (a left-handed frame)")
+        remedies.append(f"correct the sign of {_either(axes)}, or the order of the columns")
     if offenders != [ORDER]:
         remedies.append(_AGAINST)
     remedy = "; or ".join(remedies)
     if len(found) == 1:
         said = f"{_READ[offenders[0]]} they follow no joint, {ways[0]} a {kind} one"
         return OtherConvention(offenders[0], said, remedy)
-    how = " or ".join(ways)
-    said = f"with rotations they follow no joint, {how} a {kind} one; which of these, the track does not tell"
+    said = f"with rotations they follow no joint, {_either(ways)} a {kind} one; which of these, the track does not tell"
     return OtherConvention("poses" if len(offenders) > 1 else offenders[0], said, f"see which it is: {remedy}")
+
+
+def _either(words: Sequence[str]) -> str:
+    return " or ".join(words)
 
 
 def require_convention(track: Track, choice: Choice, rng: np.random.Generator | None = None) -> None:

@@ -7,8 +7,8 @@ What is minimised, over the parameters θ of the motion and the configurations a
 Student's t with ν = 4 in m = 2 (5 with rotations) dimensions across the path, so that gross outliers lose their weight
 (Lange, Little and Taylor, JASA 1989). Given θ, the configurations are those nearest; their share of every derivative is
 projected out (Kaufman's variable projection), which leaves a Gauss–Newton problem in θ alone. Scales are
-re-estimated in every step as in EM, each by itself, or both together where their ratio is known. The prior on radius
-and pitch is furniture's; it is felt only where the track says next to nothing.
+re-estimated in every step as in EM. The prior on radius and pitch is furniture's; it is felt only where the track
+says next to nothing.
 
 The covariance is Huber's for M-estimates, times a factor for samples that are not independent: neighbours in time whose
 residuals agree say less than their number.
@@ -62,22 +62,18 @@ class JointFit:
         return {name: float(np.sqrt(C[0, 0])) for name, C in self.covariance.items() if C.shape == (1, 1)}
 
 
-def fit(track: Track, model: Kind | ArticulationModel, rng: np.random.Generator | None = None,
-        start: Motion | None = None) -> JointFit:  # fmt: skip
+def fit(track: Track, model: Kind | ArticulationModel, rng: np.random.Generator | None = None, prior: bool = True,
+        start: Motion | None = None, climbs: bool = True) -> JointFit:  # fmt: skip
     """The most likely joint of this type (a name: one about an axis).
 
-    start: begin there, else with robust guesses (rng chooses their samples). Raises BadTable where a package's model
-    gives no answer.
+    start: begin there, else with robust guesses (rng chooses their samples). climbs: else stay at the start, and find
+    its scales and covariance only. Raises BadTable where a package's model gives no answer.
     """
     rng = np.random.default_rng(0) if rng is None else rng
     of_type = axis_model(model) if isinstance(model, str) else model
     starts = [start] if start is not None else of_type.guesses(one_way(track), rng)
-    return _told(track, min((climb(track, s) for s in starts), key=lambda c: c.cost))
-
-
-def as_it_is(track: Track, motion: Motion) -> JointFit:
-    """The joint of a motion, with its scales and covariance."""
-    return _told(track, climb(track, motion, climbs=False))
+    best = min((climb(track, s, prior, climbs) for s in starts), key=lambda c: c.cost)
+    return _told(track, best, prior)
 
 
 @dataclass
@@ -89,26 +85,33 @@ class ClimbState:
     cost: float
 
 
+def _dims(motion: Motion, m: int) -> int:
+    """Dimensions of a residual that the configuration does not absorb."""
+    return m - motion.moves
+
+
 def _squared(e: Array, sigma: tuple[float, float]) -> Array:
-    return np.asarray((e[:, :3] ** 2).sum(axis=1) / sigma[0] ** 2 + (e[:, 3:] ** 2).sum(axis=1) / sigma[1] ** 2)
+    chi = (e[:, :3] ** 2).sum(axis=1) / sigma[0] ** 2
+    return chi + (e[:, 3:] ** 2).sum(axis=1) / sigma[1] ** 2 if e.shape[1] == 6 else chi
 
 
-def _objective(motion: Motion, e: Array, sigma: tuple[float, float]) -> float:
-    d = e.shape[1] - motion.moves  # dimensions that the configuration does not absorb
-    log_scale = (3 - motion.moves) * np.log(sigma[0]) + (e.shape[1] - 3) * np.log(sigma[1])
-    cost = 0.5 * (NU + d) * float(np.log1p(_squared(e, sigma) / NU).sum()) + len(e) * log_scale
-    return float(cost) + motion.prior_terms()[0]
+def _objective(motion: Motion, e: Array, sigma: tuple[float, float], prior: bool) -> float:
+    d = _dims(motion, e.shape[1])
+    cost = 0.5 * (NU + d) * float(np.log1p(_squared(e, sigma) / NU).sum())
+    cost += len(e) * _log_scale(motion, e.shape[1], sigma)
+    return cost + (motion.prior_terms()[0] if prior else 0.0)
 
 
-def _rescaled(motion: Motion, e: Array, sigma: tuple[float, float], both: bool) -> tuple[float, float]:
-    """Scales by EM: weighted mean squares, over the dimensions left. both: by one factor, so that their ratio stays."""
-    d = e.shape[1] - motion.moves
-    chi = _squared(e, sigma)
-    w = (NU + d) / (NU + chi)
-    if both:
-        by = max(float(np.sqrt((w * chi).mean() / d)), *(least / s for least, s in zip(_MIN, sigma, strict=True)))
-        return sigma[0] * by, sigma[1] * by
-    position = float((w * (e[:, :3] ** 2).sum(axis=1)).sum()) / (len(e) * (3 - motion.moves))
+def _log_scale(motion: Motion, m: int, sigma: tuple[float, float]) -> float:
+    scales = (2 if motion.moves else 3) * np.log(sigma[0])
+    return float(scales + (3 * np.log(sigma[1]) if m == 6 else 0.0))
+
+
+def _rescaled(motion: Motion, e: Array, sigma: tuple[float, float]) -> tuple[float, float]:
+    """Scales by EM: weighted mean squares, over the dimensions left."""
+    d = _dims(motion, e.shape[1])
+    w = (NU + d) / (NU + _squared(e, sigma))
+    position = float((w * (e[:, :3] ** 2).sum(axis=1)).sum()) / (len(e) * (2 if motion.moves else 3))
     rotation = sigma[1] ** 2
     if e.shape[1] == 6:
         rotation = float((w * (e[:, 3:] ** 2).sum(axis=1)).sum()) / (len(e) * 3)
@@ -135,27 +138,21 @@ def whitened(motion: Motion, track: Track, a: Array, sigma: tuple[float, float])
     return e, J
 
 
-def climb(track: Track, motion: Motion, ratio: float | None = None, climbs: bool = True) -> ClimbState:
-    """Damped Gauss–Newton steps with scales re-estimated between them, until nothing changes; or the scales only.
-
-    ratio: of the rotations' scale to the positions' [rad/m], where it is known.
-    """
+def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> ClimbState:
+    """Damped Gauss–Newton steps with scales re-estimated between them, until nothing changes; or the scales only."""
     sigma = (5e-3, 0.07)
     sigma = _first_scales(motion.residuals(track, motion.configurations(track, sigma)))
-    if ratio is not None:
-        first = max(sigma[0], sigma[1] / ratio if track.oriented else 0.0)
-        sigma = first, ratio * first
     last, quiet = np.inf, 0
     H = g = np.empty(0)
 
     def cost_of(motion: Motion) -> float:
-        return _objective(motion, motion.residuals(track, motion.configurations(track, sigma)), sigma)
+        return _objective(motion, motion.residuals(track, motion.configurations(track, sigma)), sigma, prior)
 
     def look(here: Motion) -> float:
         nonlocal sigma, H, g
-        sigma = _rescaled(here, here.residuals(track, here.configurations(track, sigma)), sigma, ratio is not None)
+        sigma = _rescaled(here, here.residuals(track, here.configurations(track, sigma)), sigma)
         if climbs:
-            H, g = _normal_equations(here, track, sigma)
+            H, g = _normal_equations(here, track, sigma, prior)
         return cost_of(here)
 
     def step(here: Motion, damping: float) -> tuple[Motion, float]:
@@ -176,31 +173,33 @@ def climb(track: Track, motion: Motion, ratio: float | None = None, climbs: bool
     return ClimbState(motion, sigma, cost_of(motion))
 
 
-def _normal_equations(motion: Motion, track: Track, sigma: tuple[float, float]) -> tuple[Array, Array]:
+def _normal_equations(motion: Motion, track: Track, sigma: tuple[float, float], prior: bool) -> tuple[Array, Array]:
     """Curvature (size, size) and gradient (size,) of the objective by the parameters of the motion."""
     a = motion.configurations(track, sigma)
     z, J = whitened(motion, track, a, sigma)
-    w = (NU + z.shape[1] - motion.moves) / (NU + _squared(motion.residuals(track, a), sigma))
+    w = (NU + _dims(motion, z.shape[1])) / (NU + _squared(motion.residuals(track, a), sigma))
     flat = J.reshape(-1, motion.size)
-    _, gp, hp = motion.prior_terms()
-    H = (np.repeat(w, z.shape[1])[:, None] * flat).T @ flat + np.diag(hp)
-    return H, flat.T @ (w[:, None] * z).ravel() + gp
+    H, g = (np.repeat(w, z.shape[1])[:, None] * flat).T @ flat, flat.T @ (w[:, None] * z).ravel()
+    if prior:
+        _, gp, hp = motion.prior_terms()
+        H, g = H + np.diag(hp), g + gp
+    return H, g
 
 
-def _told(track: Track, state: ClimbState) -> JointFit:
+def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:
     """What a climb comes to: configurations, scales, weights and covariance."""
     from scipy.special import gammaln
 
     motion, sigma = state.motion, state.sigma
     a = motion.configurations(track, sigma)
     z, J = whitened(motion, track, a, sigma)
-    d = z.shape[1] - motion.moves
+    d = _dims(motion, z.shape[1])
     chi = (z**2).sum(axis=1)
     w = (NU + d) / (NU + chi)
-    covariance = _covariance(motion, z, J, w, d)
+    covariance = _covariance(motion, z, J, w, d, prior)
     # logarithm of the density of Student's t in d dimensions at its middle
     constant = float(gammaln(0.5 * (NU + d)) - gammaln(0.5 * NU) - 0.5 * d * np.log(NU * np.pi))
-    log_likelihood = motion.prior_terms()[0] - state.cost + len(z) * constant
+    log_likelihood = motion.prior_terms()[0] * prior - state.cost + len(z) * constant
     # what makes of a scale of Student's t the standard deviation of samples that are no outliers
     inside = chi < _INSIDE * d
     spread = float(np.sqrt(chi[inside].sum() / (d * inside.sum()))) if inside.any() else 1.0
@@ -220,7 +219,7 @@ def _told(track: Track, state: ClimbState) -> JointFit:
     )
 
 
-def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int) -> Array:
+def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int, prior: bool) -> Array:
     n = len(z)
     chi = (z**2).sum(axis=1)
     flat = J.reshape(-1, motion.size)
@@ -228,7 +227,8 @@ def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int) -> Array:
     scatter = float((w**2 * chi).sum()) / free
     slope = float((w - 2.0 * w**2 * chi / ((NU + d) * d)).mean())
     information = flat.T @ flat * (slope**2 / max(scatter, 1e-12) / _agreement(z * w[:, None]))
-    information += np.diag(motion.prior_terms()[2])
+    if prior:
+        information = information + np.diag(motion.prior_terms()[2])
     return np.asarray(np.linalg.pinv(information, rcond=1e-14, hermitian=True), dtype=float)
 
 

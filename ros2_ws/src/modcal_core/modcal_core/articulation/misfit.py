@@ -31,15 +31,14 @@ place: a door's first decimetre is a slide.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.furniture import DISTORTION, PLAY, SWAY
-from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
+from modcal_core.articulation.joint_motion import ArticulationModel, Kind
 from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.prediction_check import POSITIONS
 from modcal_core.articulation.track import Track, travelled, white
@@ -291,69 +290,85 @@ def _alike(e: Array) -> float:
     return 1.0 - float((steps * steps).sum()) / both if both > 0.0 else 0.0
 
 
-FAR = 0.3  # of the path, which a joint that is fitted to the rest predicts
+_NEAR = 0.7  # of the path, to which a joint is fitted to predict the rest
 _MIN_FITTED, _MIN_ASKED = 8, 3  # samples
 MAY_MISS = 0.03  # of the path that was travelled
 _MISSES = 4e-3  # m: twice the usual play, which no prediction does without
 _BETTER, _BY = 1.5, 1e-3  # times and m by which another joint type predicts plainly better
 
 
-def far_errors(track: Track, motion: Motion, fitted: Callable[[Track], Motion]) -> tuple[float, ...]:
-    """How far what is fitted to 70 % of the path, from the near and from the far end, is off the rest [m].
+@dataclass(frozen=True)
+class Predicted:
+    """How far predictions of the far third are off [m], from the near and from the far end, by joint type.
 
-    motion: tells where on the path samples are. An end is left out where samples are too few.
+    left: what the joint leaves of what it was fitted to [m]. path: that was travelled [m]. noise: white [m]. plainer:
+    a joint type with fewer parameters that is as good as furniture is, empty where there is none. loose: whether it is
+    a path in space that leaves more than furniture usually does: a thread has no such play, and most smooth paths are
+    about a screw's.
     """
-    a = motion.configurations(track, POSITIONS)
-    low, high = np.quantile(a, [0.01, 0.99])
-    along = (a - low) / max(float(high - low), 1e-12)
-    off = []
-    for near in (along < 1.0 - FAR, along > FAR):
-        if near.sum() >= _MIN_FITTED and (~near).sum() >= _MIN_ASKED:
-            seen = fitted(track.part(near))
-            asked = Track.trusted(track.positions[~near])
-            e = seen.residuals(asked, seen.configurations(asked, POSITIONS))
-            off.append(rms(np.linalg.norm(e[:, :3], axis=1)))
-    return tuple(off)
+
+    kind: Kind
+    errors: Mapping[Kind, tuple[float, ...]]
+    left: float
+    path: float
+    noise: float
+    plainer: Kind = ""
+    loose: bool = False
+
+    @property
+    def doubt(self) -> str:
+        """Why the joint type is not to be relied on, as text; empty where it predicts."""
+        much = float(np.hypot(max(_MISSES, MAY_MISS * self.path), _NOISE * self.noise))
+        if self.left > much:
+            return f"it leaves {1e3 * self.left:.0f} mm of a path of {1e2 * self.path:.0f} cm"
+        if self.loose:
+            return f"it leaves {1e3 * self.left:.0f} mm, more than a {self.kind} usually does"
+        own = self.errors.get(self.kind, ())
+        if not own:
+            return "samples are too few to fit a part of the path and predict the rest"
+        if min(own) > much:
+            return f"fitted to 70 % of the path it misses the rest by {1e3 * min(own):.0f} mm"
+        for kind, other in self.errors.items():
+            if kind != self.kind and all(a > max(_BETTER * b, b + _BY) for a, b in zip(own, other, strict=True)):
+                return f"{kind} predicts better ({1e3 * max(other):.1f} against {1e3 * max(own):.1f} mm)"
+        if self.plainer and min(self.errors[self.plainer], default=0.0) <= MUCH * np.exp(PLAY[0]):
+            return f"{self.plainer} leaves no more than handles and cameras usually do"
+        return ""
 
 
-def why_not(
+def predicted(
     track: Track,
     kind: Kind,
     rivals: list[Kind],
     fits: Mapping[Kind, JointFit],
     models: Mapping[Kind, ArticulationModel],
     left: Misfit,
-) -> str:
-    """Why a joint type is not to be relied on, as text; empty where it predicts what it was not fitted to.
+) -> Predicted:
+    """What this kind and its rivals, fitted to 70 % of the path from either end, say of the rest.
 
-    rivals: the likeliest other types. left: what this one leaves when it is fitted to all of the track.
+    left: what this kind leaves when it is fitted to all of it.
     """
-    motion, path = fits[kind].motion, float(travelled(track)[-1])
-    much = float(np.hypot(max(_MISSES, MAY_MISS * path), _NOISE * left.white[0]))
-    if left.position > much:
-        return f"it leaves {1e3 * left.position:.0f} mm of a path of {1e2 * path:.0f} cm"
-    # a thread has no such play, and most smooth paths are about a screw's
-    if not (motion.flat or usual(left.position, left.rotation, left.white)):
-        return f"it leaves {1e3 * left.position:.0f} mm, more than a {kind} usually does"
-
-    def fitted(one: Kind, part: Track) -> Motion:
-        return fit(part, models[one], start=fits[one].motion).motion
-
-    errors = {one: far_errors(track, motion, partial(fitted, one)) for one in (kind, *rivals)}
-    own = errors.pop(kind)
-    if not own:
-        return "samples are too few to fit a part of the path and predict the rest"
-    if min(own) > much:
-        return f"fitted to 70 % of the path it misses the rest by {1e3 * min(own):.0f} mm"
-    for one, other in errors.items():
-        if all(a > max(_BETTER * b, b + _BY) for a, b in zip(own, other, strict=True)):
-            return f"{one} predicts better ({1e3 * max(other):.1f} against {1e3 * max(own):.1f} mm)"
-    for one in rivals:
-        m = misfit(fits[one], track, left.white)
-        if fits[one].motion.size < motion.size and usual(m.position, m.rotation, m.white):
-            predicts = min(errors[one], default=0.0) <= MUCH * np.exp(PLAY[0])
-            return f"{one} leaves no more than handles and cameras usually do" if predicts else ""
-    return ""
+    motion = fits[kind].motion
+    a = motion.configurations(track, (1.0, 1e9))
+    low, high = np.quantile(a, [0.01, 0.99])
+    along = (a - low) / max(float(high - low), 1e-12)
+    errors: dict[Kind, tuple[float, ...]] = {}
+    for one in (kind, *rivals):
+        off = []
+        for near in (along < _NEAR, along > 1.0 - _NEAR):
+            if near.sum() < _MIN_FITTED or (~near).sum() < _MIN_ASKED:
+                continue
+            seen = fit(track.part(near), models[one], start=fits[one].motion).motion
+            R = None if track.rotations is None else track.rotations[~near]
+            asked = Track.trusted(track.positions[~near], R)
+            e = seen.residuals(asked, seen.configurations(asked, (1.0, 1e9)))
+            off.append(rms(np.linalg.norm(e[:, :3], axis=1)))
+        errors[one] = tuple(off)
+    fewer = [one for one in rivals if fits[one].motion.size < motion.size]
+    lefts = {one: misfit(fits[one], track, left.white) for one in fewer}
+    plainer = next((one for one, m in lefts.items() if usual(m.position, m.rotation, m.white)), "")
+    loose = not (motion.flat or usual(left.position, left.rotation, left.white))
+    return Predicted(kind, errors, left.position, float(travelled(track)[-1]), left.white[0], plainer, loose)
 
 
 _KNOWN = 0.6  # of the path: a model from there has as much again to say, less a third

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation.conventions import ConventionCheck, OtherConvention
-from modcal_core.articulation.joint_motion import EYE, Kind
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.misfit import NONE, BendCheck, ShareCheck, Stretches, rms, too_much, usual
 from modcal_core.articulation.model_selector import ModelSelector
@@ -156,6 +156,7 @@ class TrackerState:
         return False
 
 
+_EYE = np.eye(3)
 _TURNED = 0.05  # rad: a hand that was turned by less has told by its rotations neither of a drawer nor of a hinge
 _JUMP = (0.02, 0.3)  # m, rad: more from one pose to the next is a gross outlier, or a handle that is flung
 _FASTER = 2.5  # times the usual step from pose to pose is a jump as well, where poses come seldom
@@ -267,7 +268,7 @@ class Tracker:
             raise BadCommand("pose of the handle", "has no rotation, unlike earlier poses", "reset, or give both")
         if not self._oriented:
             R = None
-        if R is not None and (R.shape != (3, 3) or not np.isfinite(R).all() or np.abs(R @ R.T - EYE).max() > RIGID):
+        if R is not None and (R.shape != (3, 3) or not np.isfinite(R).all() or np.abs(R @ R.T - _EYE).max() > RIGID):
             raise BadCommand("pose of the handle", "its rotation is not a rotation matrix", "give a unit quaternion")
         if not np.isfinite(stamp) or stamp < self._stamp:
             raise BadCommand(
@@ -380,12 +381,12 @@ class Tracker:
         left, written = self._left, self._convention.written
         apart = self._travel.step[0]
         sparse, path = apart > _SPARSE * self.settings.ahead_m, self._stretches.path
-        now = TrackerState(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples,
-                     apart_m=apart, sparse=sparse, left=left, path_m=path, written=written)  # fmt: skip
         if motion is None or selector.kind == STILL.name:
-            return now
+            return TrackerState(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples,
+                         apart_m=apart, sparse=sparse, left=left, path_m=path, written=written)  # fmt: skip
         if self._none:
-            return replace(now, kind=NONE, follows=selector.follows)
+            return TrackerState(NONE, probabilities, None, 0.0, False, ahead, off, event, self._samples,
+                         selector.follows, apart, sparse, left, path, written)  # fmt: skip
         if self._zero is None or self._zero[0] is not motion:
             assert self._first is not None
             begin = motion.placed(self._first, None, POSITIONS)[0]
@@ -396,7 +397,8 @@ class Tracker:
         trusted = self._check.trusted and not (self._share.fails or self._bend.found)
         trusted = trusted and path >= self.settings.trust_after_m and self._convention.written is None
         a = float(model.configuration(seen))
-        return replace(now, kind=selector.kind, model=model, configuration=a, trusted=trusted, follows=selector.follows)
+        return TrackerState(selector.kind, probabilities, model, a, trusted, ahead, off, event, self._samples,
+                     selector.follows, apart, sparse, left, path, written)  # fmt: skip
 
 
 def _went_on(

@@ -54,8 +54,9 @@ def two_explain(track: Track) -> str:
     cut, n = best_cut(track), len(track)
     if cut is None or 2 * n <= 4 * _PARAMETERS:
         return ""
-    # noise of positions alone: that of a fit has the rotations' in it
-    one, two = _left(track.positions, cut, white(track.positions) ** 2)
+    noise = white(track.positions) ** 2  # of positions alone: that of a fit has the rotations' in it
+    one = squares(track.positions) / (2 * n - _PARAMETERS) - noise
+    two = _cost(track.positions, cut) / (2 * n - 2 * _PARAMETERS) - noise
     if not vanishes(one, two):
         return ""
     at = 1e2 * where(track, cut)
@@ -73,12 +74,6 @@ def where(track: Track, cut: int) -> float:
 def vanishes(one: float, two: float) -> bool:
     """Whether what one motion leaves vanishes by a cut: variances on an axis, beside noise, before and after [m²]."""
     return one > (_WORTH * float(np.exp(PLAY[0]))) ** 2 / 2.0 and two <= _VANISHES * one
-
-
-def _left(p: Array, cut: int, noise: float) -> tuple[float, float]:
-    """Variances on an axis that one motion and two leave of points (n, 3), beside noise [m²]."""
-    free = 2 * len(p) - _PARAMETERS
-    return squares(p) / free - noise, _cost(p, cut) / (free - _PARAMETERS) - noise
 
 
 def _cost(p: Array, k: int) -> float:
@@ -108,7 +103,9 @@ class TwoMotions:
         if cut is None:
             return
         white = noise**2 * float(np.mean(1.0 / self._stretches.counts))
-        self.found = vanishes(*_left(points, cut, white))
+        one = squares(points) / (2 * k - _PARAMETERS) - white
+        two = _cost(points, cut) / (2 * k - 2 * _PARAMETERS) - white
+        self.found = vanishes(one, two)
 
 
 def squares(p: Array) -> float:

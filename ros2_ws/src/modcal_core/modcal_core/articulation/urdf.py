@@ -84,7 +84,7 @@ def read(text: str) -> JointModel:
         raise BadRobot("object_description", f"is not XML ({error})", "publish what describe wrote") from error
     joints = {joint.get("name"): joint for joint in robot.findall("joint")}
     main = joints.get(JOINT)
-    types = {m.motion.made for m in AXES.values() if main is not None and m.urdf and m.urdf.type == main.get("type")}
+    types = {m.joint for m in AXES.values() if main is not None and m.urdf and m.urdf.type == main.get("type")}
     made = next((t for t in types if len(types) == 1 or t.rises == (_RISE in joints)), None)
     if main is None or made is None:
         raise BadRobot("object_description", f"has no {JOINT} that is fixed, prismatic or revolute", "use describe")

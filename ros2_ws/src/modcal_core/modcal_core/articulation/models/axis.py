@@ -46,6 +46,7 @@ class AxisModel(ArticulationModel):
     """A joint type that is a screw motion about one axis, or none."""
 
     motion: ClassVar[type[AxisMotion]]
+    joint: ClassVar[type[JointModel]]
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,9 @@ First guesses: a shape from the model's own, and a place where three samples, fa
 apart as three points of the path do; the best of many such places by a likelihood that is cut off where an outlier
 begins. From there ``fit`` climbs, as for every other type.
 
-Where the object stands and how it is grasped is not the shape's business. Every answer of a shape is looked at; what is
-none is refused with the package's name.
+Most packages that add a joint type derive from :class:`~modcal_core.articulation.models.parametric.ParametricModel`,
+which is such a shape. Where the object stands and how it is grasped is not the shape's business. Every answer of a
+shape is looked at; what is none is refused with the package's name.
 
     T_world_handle(a) = T_world_object · pose(values, a),   R_world_handle(a) = R_world_object · R_pose(a) · R_grasp
 
@@ -368,6 +369,7 @@ class PathJoint:
         }
 
 
+__all__ = ["ParametricModel", "ShapeParameter"]
 _TRIPLES = 6  # of samples that a guess is made from
 _PLACES = 3  # of each three samples
 _PARAMETRIC_GRID = 48  # points of the path among which they are looked for

@@ -71,6 +71,7 @@ class Prismatic(AxisModel):
     slots = (3,)
     urdf = InUrdf("prismatic", 2.0)
     motion = PrismaticMotion
+    joint = PrismaticJoint
 
     def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:
         """Lines through two samples of three, beginning at the one between."""

@@ -189,6 +189,7 @@ class Revolute(AxisModel):
     slots = (0, 2)
     urdf = InUrdf("revolute", np.pi)
     motion = RevoluteMotion
+    joint = RevoluteJoint
 
     def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:
         """Circles through three positions, and those that bring one pose to another."""

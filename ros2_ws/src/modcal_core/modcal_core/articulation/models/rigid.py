@@ -79,6 +79,7 @@ class Rigid(AxisModel):
     moves = False
     urdf = InUrdf("fixed")
     motion = RigidMotion
+    joint = RigidJoint
 
     def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:
         """The median position, and the rotation that is near most."""

@@ -118,6 +118,7 @@ class Screw(AxisModel):
     slots = (1,)
     urdf = InUrdf("revolute", 8.0 * np.pi, rises=True)
     motion = ScrewMotion
+    joint = ScrewJoint
 
     def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:
         """Threads along the best circles."""
