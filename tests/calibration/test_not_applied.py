@@ -161,6 +161,22 @@ def test_beyond_what_a_signal_was_geometry_alone_speaks() -> None:
     assert any("Geometry alone counts beyond" in n for n in evaluate(calibration, away, np.random.default_rng(0)).notes)
 
 
+def test_beyond_what_was_carried_a_joint_deflects_as_under_the_most() -> None:
+    """How a load grows with the number of kilograms is known: no effect is let go for it."""
+    heard = SignalTrack("signal:/payload_kg", situation().stamps, np.linspace(1.0, 3.0, 60)[:, None])
+    driver = "payload:elbow_joint,signal:/payload_kg"
+    effect = Effect("compliance", "elbow_joint", AXIS, driver, Shape("product")).started(np.array([1e-5]))
+    calibration, samples = frozen(effect, heard=heard)
+    most, more = (replace(samples, signals=(replace(heard, values=np.full((60, 1), kg)),)) for kg in (3.0, 5.0))
+    model = _applied(calibration)
+    np.testing.assert_array_equal(model.predict_samples(more), model.predict_samples(most))
+    apart = model.predict_samples(more) - calibration.geometric.predict_samples(more)
+    assert np.abs(apart[:, :3, 3]).max() > 1e-4
+    assert any(
+        "held beyond what was recorded" in n for n in evaluate(calibration, more, np.random.default_rng(0)).notes
+    )
+
+
 @pytest.mark.slow
 def test_an_order_of_rows_carries_nothing_to_another_recording() -> None:
     """A drift over the rows of one table, and a second table of the same cell at another time of day."""

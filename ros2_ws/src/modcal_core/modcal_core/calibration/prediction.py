@@ -38,9 +38,15 @@ def outside_drivers(effect: Effect) -> tuple[str, ...]:
 
 
 def signals_of(effects: Sequence[Effect]) -> list[tuple[str, float]]:
-    """Signals, with the lag that is undone, that effects which reports name go by; temperatures are none of them."""
-    of = ((part, min(e.lag, 0.0)) for e in effects if claimed(e) for part in outside_drivers(e))
-    return sorted({(part, lag) for part, lag in of if part.startswith("signal:")})
+    """Signals, with the lag that is undone, that effects which reports name follow in a way that no law tells.
+
+    Of a temperature, and of a number that says how much a load is multiplied by, it is known how they go on.
+    """
+    return sorted({(e.driver.partition(",")[0], min(e.lag, 0.0)) for e in effects if claimed(e) and _is_signal(e)})
+
+
+def _is_signal(effect: Effect) -> bool:
+    return effect.driver.startswith("signal:")
 
 
 def averaged(effect: Effect, mean: Array) -> Effect:

@@ -44,7 +44,7 @@ class Measurement:
     def __init__(
         self, path: Path, robot: Robot, advisor: Advisor, session: Session, seed: int, began: float | None
     ) -> None:
-        """session: an empty one. seed: of what is drawn. began: now [s]; None where nobody's clock counts.
+        """session: an empty one. seed: of what is drawn. began: now [s]; None: no time is counted.
 
         Raises BadTable where the session there cannot be read, is another robot's, or was begun otherwise.
         """
