@@ -212,39 +212,6 @@ def test_bang_bang() -> None:
     assert limited.duration == pytest.approx(fast * (1 / up + 1 / down) + (3.0 - ramps) / fast, rel=1e-3)
 
 
-@pytest.mark.parametrize("places", [40, 80])
-def test_no_timing_is_faster(places: int) -> None:
-    """On the same grid, a linear program with all intervals at once: its timing is none the faster, but for the grid."""
-    rng = np.random.default_rng(8)
-    for _ in range(3):
-        path = JointPath.through(np.cumsum(rng.uniform(-0.8, 0.8, (5, 4)), axis=0))
-        low, high, fast = -rng.uniform(1, 5, 4), rng.uniform(1, 5, 4), rng.uniform(0.5, 2.0, 4)
-        timing = within_bounds(path, low, high, fast, places)
-        s = np.linspace(0.0, path.length, places)
-        _, dq, ddq = path.at(s)
-        step = np.diff(s)
-        rows, limits = [], []
-        for k in range(places - 1):
-            for place in (k, k + 1):
-                for j in range(4):
-                    row = np.zeros(places)
-                    row[k + 1] += dq[place, j] / (2 * step[k])
-                    row[k] -= dq[place, j] / (2 * step[k])
-                    row[place] += ddq[place, j]
-                    rows += [row, -row]
-                    limits += [high[j], -low[j]]
-        most = ((fast / np.maximum(np.abs(dq), 1e-12)).min(axis=1)) ** 2
-        most[[0, -1]] = 0.0
-        assert (np.array(rows) @ timing.x <= np.array(limits) + 1e-9).all()
-        assert (timing.x <= most + 1e-9).all()
-        best = linprog(
-            -np.ones(places), A_ub=np.array(rows), b_ub=np.array(limits), bounds=np.c_[np.zeros(places), most]
-        )
-        assert best.status == 0
-        speed = np.sqrt(best.x)
-        assert timing.duration <= np.sum(2.0 * step / (speed[1:] + speed[:-1])) * (1.0 + 0.2 / places)
-
-
 def test_motion_is_consistent() -> None:
     """Positions, velocities and accelerations are derivatives of each other, and it goes from rest to rest."""
     path = JointPath.through(np.random.default_rng(1).uniform(-1, 1, (4, 3)))
