@@ -20,9 +20,10 @@ from sensor_msgs.msg import JointState
 
 from modcal_core.measurements.recording import Recording
 from modcal_msgs_py import layout as fields
-from modcal_msgs_py.layout import MessageLayout, jazzy, message_class
-from modcal_msgs_py.mcap_read import read_recording
+from modcal_msgs_py.layout import MessageLayout, OneMessage, jazzy, message_class, serialise
+from modcal_msgs_py.mcap_read import _of_own_layout, read_recording
 from modcal_msgs_py.messages import RecordingBuilder
+from modcal_msgs_py.topics import WRENCH, role_of
 from modcal_msgs_py.track_rows import JointStateBytes, JointStateView, TrackRows
 
 Message = tuple[str, str, Any]
@@ -74,10 +75,13 @@ def written(path: Path, messages: list[Message], **how: Any) -> Path:
 
 
 def one_by_one(messages: list[Message]) -> Recording:
-    """The recording of these messages, each taken as an object."""
+    """The recording of these messages, each taken as an object; signals, which no object gives, each by its layout."""
     builder = RecordingBuilder()
     for i, (topic, type_name, message) in enumerate(messages):
-        builder.add(topic, type_name, message, 1e-9 * (10**18 + i * 10**6))
+        said: Any = OneMessage(message)
+        if role_of(topic, type_name) in (None, WRENCH):
+            said = _of_own_layout(fields.fields_of(type_name, {}), serialise(message, type_name))
+        builder.take(topic, type_name, said, np.array([1e-9 * (10**18 + i * 10**6)]))
     return builder.recording()
 
 

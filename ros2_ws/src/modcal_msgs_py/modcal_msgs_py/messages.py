@@ -17,7 +17,7 @@ from modcal_core.errors import BadRecording, BadTable, ModcalError
 from modcal_core.geometry import Array
 from modcal_core.measurements import PART, JointTrack, Listed, ReadingTrack, Recording, elsewhen
 from modcal_core.measurements.kinds import kinds
-from modcal_msgs_py.layout import Messages, OneMessage
+from modcal_msgs_py.layout import MessageRows, Messages, OneMessage
 from modcal_msgs_py.readings import Transforms, columns_of, stated_in
 from modcal_msgs_py.topics import (
     ADDED,
@@ -190,7 +190,7 @@ class RecordingBuilder:
         elif role in ADDED and isinstance(said, OneMessage):
             for one in ADDED[role].take(said.message):
                 self._take_said(topic, one, stamps, received)
-        else:
+        elif isinstance(said, MessageRows):
             numbers = list(said.signals())
             for path, numbers_of in numbers:
                 part = f"{PART}{path}" if len(numbers) > 1 else ""

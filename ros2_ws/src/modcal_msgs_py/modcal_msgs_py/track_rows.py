@@ -12,14 +12,14 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.geometry import Array
 from modcal_core.measurements import JointTrack, ReadingTrack, SignalTrack
-from modcal_msgs_py.layout import KNOWN, MessageLayout, MessageRows, Messages
+from modcal_msgs_py.layout import KNOWN, Column, MessageLayout, MessageRows, Messages
 
 _MAX_GROWTH = 16  # times the rows that there are, where more are expected: an index that lies fills no memory
 
@@ -103,33 +103,26 @@ def signal_track(name: str, rows: TrackRows, topic: str) -> SignalTrack:
 
 
 _PLAIN = b"\0\1"  # little-endian CDR, as DDS sends it on every machine that ROS 2 runs on
-_BODY = 4  # bytes that say how the rest is encoded; alignment counts from there
-_STAMP = struct.Struct("<iI")
-_COUNT, _DOUBLE = 4, 8  # bytes
-_SPARE = 2 * _DOUBLE  # bytes that rclpy leaves behind a message for velocities and efforts that are not there
-_AFTER_STAMP = _BODY + _STAMP.size
+_STAMP, _STAMP_AT = struct.Struct("<iI"), 4
+_SPARE = 16  # bytes that rclpy leaves behind a message for velocities and efforts that are not there
 _MAX = 16  # layouts of one subscription, of as many publishers; others take the long way
-_EMPTY = np.empty(0)
 
 
-@dataclass(frozen=True, slots=True)
-class Stamp:
+class Stamp(NamedTuple):
     """Same fields as builtin_interfaces/Time."""
 
     sec: int
     nanosec: int
 
 
-@dataclass(frozen=True, slots=True)
-class Header:
+class Header(NamedTuple):
     """Same fields as std_msgs/Header."""
 
     stamp: Stamp
     frame_id: str
 
 
-@dataclass(frozen=True, slots=True)
-class JointStateView:
+class JointStateView(NamedTuple):
     """Same fields as sensor_msgs/JointState, with read-only arrays. Similar messages share one tuple of names."""
 
     header: Header
@@ -139,27 +132,13 @@ class JointStateView:
     effort: Array
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """head: the bytes from the stamp to the first number, as they were first. same, mask: of these, as one number; what
-    only fills up may be anything. spans: of positions, velocities, efforts. counts: of the latter two, where they
-    stand and what.
-    """
+class _Known(NamedTuple):
+    """A layout that was met. columns: of positions, velocities, efforts."""
 
+    layout: MessageLayout
     frame: str
     names: tuple[str, ...]
-    head: bytes
-    same: int
-    mask: int
-    spans: tuple[tuple[int, int], ...]
-    counts: tuple[tuple[int, bytes], ...]
-
-    def fits(self, cdr: bytes) -> bool:
-        head = cdr[_AFTER_STAMP : self.spans[0][0]]
-        if head != self.head and int.from_bytes(head, "little") & self.mask != self.same:
-            return False
-        (a, velocities), (b, efforts) = self.counts
-        return cdr.startswith(velocities, a) and cdr.startswith(efforts, b)
+    columns: tuple[Column, ...]
 
 
 class JointStateBytes:
@@ -167,15 +146,16 @@ class JointStateBytes:
 
     def __init__(self, otherwise: Callable[[bytes], Any]) -> None:
         self._otherwise = otherwise
-        self._layouts: dict[int, list[_Layout]] = {}
+        self._layouts: dict[int, list[_Known]] = {}  # by the length of a message
 
     def __call__(self, cdr: bytes) -> Any:
         """The message."""
-        layout = self._layout_of(cdr)
-        if layout is None:
+        known = self._layout_of(cdr)
+        if known is None:
             return self._otherwise(cdr)
-        q, v, e = (np.frombuffer(cdr[start:end]) if end > start else _EMPTY for start, end in layout.spans)
-        return JointStateView(Header(Stamp(*_STAMP.unpack_from(cdr, _BODY)), layout.frame), layout.names, q, v, e)
+        q, v, e = (np.frombuffer(cdr, count=c.count, offset=c.at) for c in known.columns)
+        header = Header(Stamp(*_STAMP.unpack_from(cdr, _STAMP_AT)), known.frame)
+        return JointStateView(header, known.names, q, v, e)
 
     def needed(self, told: Sequence[bytes], replaced: Callable[[float], bool]) -> list[bytes]:
         """The messages that must be read, in order. replaced: whether a message with this stamp [s] is obsolete once a
@@ -183,46 +163,31 @@ class JointStateBytes:
         """
         out, later = list[bytes](), set[int]()
         for cdr in reversed(told):
-            layout = self._layout_of(cdr)
-            if layout is not None and id(layout) in later:
-                sec, nanosec = _STAMP.unpack_from(cdr, _BODY)
+            known = self._layout_of(cdr)
+            if known is not None and id(known) in later:
+                sec, nanosec = _STAMP.unpack_from(cdr, _STAMP_AT)
                 if replaced(sec + 1e-9 * nanosec):
                     continue
             out.append(cdr)
-            later.add(id(layout))
+            later.add(id(known))
         return out[::-1]
 
-    def _layout_of(self, cdr: bytes) -> _Layout | None:
+    def _layout_of(self, cdr: bytes) -> _Known | None:
         """The layout of a message; None for bytes that this cannot read."""
-        for one in self._layouts.get(len(cdr), ()):
-            if one.fits(cdr):
-                return one if cdr.startswith(_PLAIN) else None
-        return self._learn(cdr)
-
-    def _learn(self, cdr: bytes) -> _Layout | None:
-        known = sum(map(len, self._layouts.values()))
-        layout = _layout(cdr) if known < _MAX and cdr.startswith(_PLAIN) else None
-        if layout is not None:
-            self._layouts.setdefault(len(cdr), []).append(layout)
-        return layout
-
-
-def _layout(cdr: bytes) -> _Layout | None:
-    """Where everything stands; None for bytes that are no whole JointState."""
-    made = MessageLayout.of(KNOWN[JOINT_STATE], cdr, _SPARE)
-    if made is None:
-        return None
-    columns = [made.columns[name] for name in ("position", "velocity", "effort")]
-    spans = tuple((c.at, c.at + c.count * _DOUBLE) for c in columns)
-    counted = bytearray(len(cdr))  # 255 for each byte that says something
-    for start, stop in made.fixed:
-        counted[start:stop] = b"\xff" * (stop - start)
-    first = spans[0][0]
-    head, mask = cdr[_AFTER_STAMP:first], int.from_bytes(counted[_AFTER_STAMP:first], "little")
-    counts = tuple((at, cdr[at : at + _COUNT]) for at in (-(-end // _COUNT) * _COUNT for _, end in spans[:2]))
-    names = MessageRows(made, np.empty((0, 0), np.uint8)).texts("name")
-    same = int.from_bytes(head, "little") & mask
-    return _Layout(made.texts["header/frame_id"], names, head, same, mask, spans, counts)
+        if not cdr.startswith(_PLAIN):
+            return None
+        alike = self._layouts.get(len(cdr), ())
+        if (known := next((one for one in alike if one.layout.fits_one(cdr)), None)) is not None:
+            return known
+        if sum(map(len, self._layouts.values())) >= _MAX:
+            return None
+        if (made := MessageLayout.of(KNOWN[JOINT_STATE], cdr, _SPARE)) is None:
+            return None
+        names = MessageRows(made, np.empty((0, 0), np.uint8)).texts("name")
+        columns = tuple(made.columns[path] for path in ("position", "velocity", "effort"))
+        known = _Known(made, made.texts["header/frame_id"], names, columns)
+        self._layouts.setdefault(len(cdr), []).append(known)
+        return known
 
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
