@@ -181,8 +181,8 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
     grid = np.arange(max(t[0], track.stamps.min() - SEARCH), min(t[-1], track.stamps.max() + SEARCH), STEP)[:_LONGEST]
     if len(grid) < _MIN:
         return None  # they hardly overlap, which cutting stations will say
-    order = np.argsort(track.stamps, kind="stable")
-    stamps, position = track.stamps[order], track.values[order, :3]
+    track = track.in_order()
+    stamps, position = track.stamps, track.values[:, :3]
     seen = _speed(grid, stamps, position)
     apart = np.diff(np.unique(t))  # some recorders note each state twice
     every = max(1, int(_FINE * STEP / float(np.median(apart)))) if len(apart) else 1  # more states say nothing more

@@ -244,8 +244,8 @@ def dwells_of(t: Array, q: Array, tracks: Sequence[ReadingTrack], rules: Station
 
 def _settled(track: ReadingTrack, bounds: Array) -> bool | None:
     """Whether readings between the first two of bounds (d, 3) are like those behind; None where there are none."""
-    order = np.argsort(track.stamps, kind="stable")
-    parts = np.searchsorted(track.stamps[order], bounds).tolist()
+    track = track.in_order()
+    parts = np.searchsorted(track.stamps, bounds).tolist()
     if all(first == start for first, start, _ in parts):
         return None
     width = min(3, track.values.shape[1])
@@ -254,7 +254,7 @@ def _settled(track: ReadingTrack, bounds: Array) -> bool | None:
         m, k = start - first, end - start
         if m == 0 or k < _SCATTER:
             continue
-        values = track.values[order[first:end], :width]
+        values = track.values[first:end, :width]
         right = inliers(values)
         early, late = values[:m][right[:m]], values[m:][right[m:]]
         if len(early) == 0 or len(late) < _SCATTER:

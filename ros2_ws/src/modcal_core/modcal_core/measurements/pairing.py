@@ -224,11 +224,10 @@ def _widest(t: Array, q: Array, rules: StationRules) -> float:
 
 def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSamples:
     """One sample a dwell: means on the manifold, and the standard deviations of those means."""
-    order = np.argsort(track.stamps, kind="stable")
-    stamps = track.stamps[order]
+    track = track.in_order()
     out: list[tuple[Array, float, Array, Array, float, float, tuple[float, float]]] = []
     for start, end in dwells:
-        rows = order[slice(*np.searchsorted(stamps, (start, end)))]
+        rows = np.arange(*np.searchsorted(track.stamps, (start, end)))
         joint_rows = slice(*np.searchsorted(t, (start, end)))
         if len(rows) == 0 or joint_rows.start == joint_rows.stop:
             continue
