@@ -14,7 +14,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
-from modcal_msgs_py.tables import import_tables, read_tables
+from modcal_msgs_py.tables import import_tables
 from modcal_nodes.cli.main import run
 
 TABLE = """time;j1;j2;x;y;z;a;b;c;t
@@ -136,7 +136,7 @@ ENTRY: dict[str, Any] = {
 def read(folder: Path, text: str, **changes: Any) -> Any:
     (folder / "t.csv").write_text(text)
     entry = {key: value for key, value in {**ENTRY, **changes}.items() if value is not None}
-    return read_tables({"tables": [entry]}, folder, "m.yaml")
+    return import_tables({"tables": [entry]}, folder, "m.yaml")
 
 
 ROWS = "t,a,x,y,z\n1,10,1000,0,0\n2,20,nan,0,0\n3,30,1000,0,\n4,40,1000,0,7\n"
@@ -179,8 +179,7 @@ def test_velocity_effort_commanded_and_signals_reach_the_bag(tmp_path: Path) -> 
         "effort": {"columns": {"a": "e"}},
         "commanded": {"columns": {"a": "c"}},
     }
-    tables = read(tmp_path, text, joints=joints, signals={"plc/pressure": "p"})
-    write_recording(tables.recording, tmp_path / "bag", commanded=tables.commanded)
+    write_recording(read(tmp_path, text, joints=joints, signals={"plc/pressure": "p"}), tmp_path / "bag")
     back = read_recording(tmp_path / "bag")
     (track,) = [t for t in back.joints if t.topic == "/joint_states"]
     assert track.velocity[:, 0] == pytest.approx([np.pi / 2, -np.pi / 2])

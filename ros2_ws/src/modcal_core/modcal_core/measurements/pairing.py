@@ -16,7 +16,6 @@ import numpy as np
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements.dwells import (
-    TRAVEL,
     StationRules,
     deviation_of_mean,
     dwells_of,
@@ -26,13 +25,14 @@ from modcal_core.measurements.dwells import (
 )
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.path import at_samples
+from modcal_core.measurements.path import TRAVEL, at_samples, came_by
 from modcal_core.measurements.recording import (
     POSE,
     ReadingTrack,
     Recording,
     following,
     joints_by_time,
+    means_between,
 )
 
 if TYPE_CHECKING:
@@ -248,46 +248,15 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSam
     return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, still, still, False, spans)
 
 
-_LOOK_BACK = 64  # joint states; doubled until every joint has moved
-_NEXT = 16  # messages that are looked at of all samples at once: most stations tell what each joint did last
-
-
 def _approach(stamps: Array, at: Array, velocity: Array, moving: np.ndarray, t: Array, q: Array) -> Array:
     """The direction in which each joint last moved before each sample at postures ``at``, −1, 0 or 1, (N, n).
 
     What a joint did belongs to the station although it came before it. Where only stations were recorded, the arm is
     taken to have come straight from the one before.
     """
-    out = np.sign(np.nan_to_num(velocity))
-    still = np.flatnonzero(~moving)
-    end = np.searchsorted(t, stamps[still] + 1e-9)
-    still, end = still[end > 0], end[end > 0]
-    out[still], closed = _last_moved(at[still], q, end)
-    for i, last in zip(still[~closed], end[~closed].tolist(), strict=True):
-        back = _LOOK_BACK
-        while True:
-            apart = at[i] - q[max(0, last - back) : last]
-            moved = np.abs(apart) > TRAVEL
-            if moved.any(axis=0).all() or back >= last:
-                break
-            back *= 4
-        at_last = len(apart) - 1 - np.argmax(moved[::-1], axis=0)
-        out[i] = np.where(moved.any(axis=0), np.sign(apart[at_last, np.arange(q.shape[1])]), 0.0)
-    return out
-
-
-def _last_moved(at: Array, q: Array, end: np.ndarray) -> tuple[Array, np.ndarray]:
-    """The directions (N, n) from the last few messages before each end (N,), all samples at once, and where these told
-    of every joint, or there are no others, (N,).
-    """
-    out = np.zeros(at.shape)
-    closed = np.zeros(len(at), bool)
-    for k in range(1, _NEXT + 1):
-        some = np.flatnonzero(~closed)
-        apart = at[some] - q[end[some] - k]
-        told = np.where((out[some] == 0.0) & (np.abs(apart) > TRAVEL), np.sign(apart), out[some])
-        out[some], closed[some] = told, (told != 0.0).all(axis=1) | (end[some] == k)
-    return out, closed
+    way = came_by(at_samples(stamps, at, t, q, np.array([TRAVEL]))[..., 0])
+    told = moving | (np.searchsorted(t, stamps + 1e-9) == 0)
+    return np.where(told[:, None], np.sign(np.nan_to_num(velocity)), way)
 
 
 def _held(stamps: Array, moving: np.ndarray, t: Array, effort: Array, rules: StationRules) -> Array:
@@ -298,13 +267,8 @@ def _held(stamps: Array, moving: np.ndarray, t: Array, effort: Array, rules: Sta
     first = np.searchsorted(t, stamps - 0.5 * rules.window)
     last = np.searchsorted(t, stamps + 0.5 * rules.window, side="right")
     nearest = np.clip(np.searchsorted(t, stamps), 0, len(t) - 1)
-    known = np.isfinite(effort)
-    none = np.zeros((1, effort.shape[1]))
-    total = np.concatenate([none, np.cumsum(np.where(known, effort, 0.0), axis=0)])
-    count = np.concatenate([none, np.cumsum(known, axis=0)])
-    within = count[last] - count[first]
-    mean = np.where(within > 0, (total[last] - total[first]) / np.maximum(within, 1), effort[nearest])
-    return np.where(moving[:, None], effort[nearest], mean)
+    mean = means_between(effort, first, last)
+    return np.where(moving[:, None] | np.isnan(mean), effort[nearest], mean)
 
 
 def _why_nothing(tracks: list[ReadingTrack], t: Array, dwells: Array) -> str:

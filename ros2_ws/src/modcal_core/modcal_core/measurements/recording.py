@@ -260,20 +260,23 @@ def following(tracks: Sequence[JointTrack], names: Sequence[str], t: Array, q: A
     t: stamps of joint states, sorted, (m,); q: positions (m, n). It is averaged over the joint states in a span, and
     interpolated to a span of no length, which is one stamp.
     """
-    out = np.full((len(spans), len(names)), np.nan)
     if not len(t) or not any(name in track.names for track in tracks for name in names):
-        return out
+        return np.full((len(spans), len(names)), np.nan)
     apart = _apart(tracks, names, t, q)
     apart[np.abs(apart) > _FARTHEST] = np.nan
     first, last = np.searchsorted(t, spans[:, 0]), np.searchsorted(t, spans[:, 1], side="right")
-    long = last - first > 1
-    for j, column in enumerate(apart.T):
-        known = np.isfinite(column)
-        total, count = (np.r_[0.0, np.cumsum(x)] for x in (np.where(known, column, 0.0), known))
-        within = (count[last] - count[first])[long]
-        out[long, j] = (total[last] - total[first])[long] / np.where(within > 0, within, np.nan)
-        out[~long, j] = np.interp(spans[~long].mean(axis=1), t, column, left=np.nan, right=np.nan)
-    return out
+    at = spans.mean(axis=1)
+    once = np.stack([np.interp(at, t, column, left=np.nan, right=np.nan) for column in apart.T], axis=1)
+    return np.where((last - first > 1)[:, None], means_between(apart, first, last), once)
+
+
+def means_between(x: Array, first: np.ndarray, last: np.ndarray) -> Array:
+    """Means of the finite ones among rows first … last − 1 of columns (m, n), (N, n); NaN where there are none."""
+    known, none = np.isfinite(x), np.zeros((1, x.shape[1]))
+    parts = np.where(known, x, 0.0), known
+    total, count = (np.concatenate([none, np.cumsum(part, axis=0)]) for part in parts)
+    within = count[last] - count[first]
+    return np.asarray((total[last] - total[first]) / np.where(within > 0.0, within, np.nan))
 
 
 def _apart(tracks: Sequence[JointTrack], names: Sequence[str], t: Array, q: Array) -> Array:
