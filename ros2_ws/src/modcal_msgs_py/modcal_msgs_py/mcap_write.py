@@ -15,7 +15,7 @@ import contextlib
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from queue import SimpleQueue
 from types import TracebackType
@@ -178,11 +178,9 @@ class BagWriter:
         except OSError as error:
             folder.rmdir()
             raise _refused(self.file, error) from error
-        try:
+        with self._writing():
             self._writer = Writer(self._disk, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
             self._writer.start(profile="ros2", library=LIBRARY)
-        except OSError as error:
-            raise self._failed(error) from error
 
     def add_topic(self, topic: str, type_name: str, qos: list[dict[str, Any]] | None = None) -> None:
         """Announce a topic and the QoS its publishers offer; of a topic that is known, only new QoS is noted."""
@@ -205,10 +203,8 @@ class BagWriter:
         known = self._topics[topic]
         known.count += 1
         published = received_ns if published_ns is None else published_ns
-        try:
+        with self._writing():
             self._writer.add_message(self._channels[topic], received_ns, cdr, published, known.count)
-        except OSError as error:
-            raise self._failed(error) from error
         self._seen.add(received_ns)
         self.flush_if_due()
 
@@ -243,17 +239,15 @@ class BagWriter:
     def flush(self, sync: bool = False) -> int:
         """Messages that the system has taken once this returns, which is all of them; with ``sync``, those on disk."""
         self._finish_chunk()
-        try:
+        with self._writing():
             self._disk.drain(sync)
-        except OSError as error:
-            raise self._failed(error) from error
         return self.count
 
     def close(self) -> None:
         """Write the index and metadata.yaml; harmless when closed already, or when the disk has refused before."""
         if not self._open:
             return
-        try:
+        with self._writing():
             self._writer.add_metadata("rosbag2", {"serialized_metadata": to_yaml(self._information())})
             self._writer.finish()
             self._disk.close()
@@ -261,28 +255,27 @@ class BagWriter:
             temporary = self.folder / ".metadata.yaml"
             temporary.write_text(to_yaml(whole), encoding="utf-8")
             os.replace(temporary, self.folder / "metadata.yaml")
-        except OSError as error:
-            raise self._failed(error) from error
         self._open = False
 
     def _finish_chunk(self) -> None:
         self._flushed = time.monotonic()
-        try:
+        with self._writing():
             self._disk.check()
             self._writer.flush()
-        except OSError as error:
-            raise self._failed(error) from error
 
     def _information(self) -> dict[str, Any]:
         return information(self._topics.values(), [self._seen])
 
-    def _failed(self, error: OSError) -> BadRecording:
-        # nothing more is written: the last whole message on disk must stay the last
-        self._open = False
-        self.broken = True
-        with contextlib.suppress(OSError):
-            self._disk.close()
-        return _refused(self.file, error)
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            # nothing more is written: the last whole message on disk must stay the last
+            self._open, self.broken = False, True
+            with contextlib.suppress(OSError):
+                self._disk.close()
+            raise _refused(self.file, error) from error
 
     def __enter__(self) -> BagWriter:
         return self

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -206,17 +205,14 @@ class Transforms:
     def _way(self) -> list[tuple[tuple[str, str], bool]] | None:
         """Pairs from parent to child, each with whether it is gone from its parent to its child."""
         ways: dict[str, list[tuple[tuple[str, str], bool]]] = {self.parent: []}
-        front = [self.parent]
-        while front and self.child not in ways:
-            front = [there for here in front for there in self._next(here, ways)]
+        reached = [self.parent]
+        for here in reached:  # which grows meanwhile
+            for a, b in self._edges:
+                there = b if a == here else a if b == here else here
+                if there not in ways:
+                    ways[there] = [*ways[here], ((a, b), a == here)]
+                    reached.append(there)
         return ways.get(self.child)
-
-    def _next(self, here: str, ways: dict[str, list[tuple[tuple[str, str], bool]]]) -> Iterator[str]:
-        for a, b in self._edges:
-            there = b if a == here else a if b == here else None
-            if there is not None and there not in ways:
-                ways[there] = [*ways[here], ((a, b), a == here)]
-                yield there
 
 
 def _at(own: Array, values: Array, stamps: Array) -> Array:

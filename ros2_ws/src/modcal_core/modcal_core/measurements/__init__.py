@@ -5,7 +5,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.measurements.alignment import LIMIT, align
+    from modcal_core.measurements.alignment import BURST, LIMIT, LONGEST_PAUSE, SMALLEST_BURST, align, at_steady_rate
     from modcal_core.measurements.checks import joint_limits, remedies_of, require_usable
     from modcal_core.measurements.dropouts import BETWEEN, DAY, ELSEWHEN, GLITCHES, MAX_GLITCHES, UNUSABLE, Cleaned
     from modcal_core.measurements.dropouts import Dropped, Hung, cleaned, dropped, elsewhen, hung, together, unexpected
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged, efforts_at_rest
     from modcal_core.measurements.path import TRAVEL, UNKNOWN, WIDTHS, ahead, went_on
-    from modcal_core.measurements.rates import BURST, LONGEST_PAUSE, SMALLEST_BURST, at_steady_rate
     from modcal_core.measurements.recording import APART, BEARING, IMPORTED, ORDER_ONLY, PART, POINT, POSE, RANGE, RAY
     from modcal_core.measurements.recording import SOCKETS, TARGETS, TOUCH, UNREAD, JointTrack, Listed, ReadingTrack
     from modcal_core.measurements.recording import Recording, SignalTrack, Stretch, commanded_at, following, is_told

@@ -20,11 +20,11 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
+from modcal_core.measurements.alignment import without_bursts
 from modcal_core.measurements.checks import joint_limits
 from modcal_core.measurements.dwells import LEFT, StationRules, dwells_of, inliers
 from modcal_core.measurements.kinds.kind import farthest
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.rates import without_bursts
 from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack, joints_by_time
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots import Mechanism

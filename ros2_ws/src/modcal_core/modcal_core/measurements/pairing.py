@@ -8,7 +8,7 @@ and each reading becomes a sample with the posture interpolated to its stamp.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,15 +49,13 @@ class TrackSamples:
     R: Array
     sigma_position: Array
     sigma_rotation: Array
-    velocity: Array
-    acceleration: Array
-    mean_acceleration: Array
-    mean_jerk: Array
+    motion: Array  # (4, N, n): velocity, acceleration, acceleration and jerk over a while
     moving: bool
     spans: Array  # (N, 2) [s], over which it was averaged
 
 
-_COLUMNS = tuple(f.name for f in fields(TrackSamples) if f.name not in ("moving", "spans"))
+_COLUMNS = ("q", "stamps", "reading", "R", "sigma_position", "sigma_rotation")
+_MOTION = ("velocity", "acceleration", "mean_acceleration", "mean_jerk")
 _MIN_DWELLS = 3  # fewer are a pause, not a recording that goes from station to station
 _PAIRED = 0.5  # share of the readings that must fall on joint states to be taken as pairs: most of them
 _MIN_COURSE = 20  # joint states from which it is told how well a spline through them interpolates
@@ -87,6 +85,7 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
         raise BadRecording("joint states and readings", _why_nothing(tracks, t, dwells), remedy)
     frames = tuple(dict.fromkeys(track.frame for track in tracks))
     whole: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in pieces]) for name in _COLUMNS}
+    whole |= zip(_MOTION, np.concatenate([p.motion for p in pieces], axis=1), strict=True)
     moving = np.repeat([p.moving for p in pieces], counts)
     return {
         **whole,
@@ -151,8 +150,7 @@ def _as_is(track: ReadingTrack, rows: np.ndarray, q: Array, motion: Array, movin
     unknown = np.full(len(rows), np.nan)
     stamps = track.stamps[rows]
     once = np.stack([stamps, stamps], axis=1)
-    velocity, acceleration, mean, jerk = motion
-    return TrackSamples(q, stamps, position, R, unknown, unknown, velocity, acceleration, mean, jerk, moving, once)
+    return TrackSamples(q, stamps, position, R, unknown, unknown, motion, moving, once)
 
 
 def _nothing(track: ReadingTrack, joints: int) -> TrackSamples:
@@ -244,8 +242,7 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSam
     if not out:
         return _nothing(track, q.shape[1])
     q_mean, stamp, p, R, deviation_p, deviation_r, spans = (np.array(c) for c in zip(*out, strict=True))
-    still = np.zeros_like(q_mean)
-    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, still, still, False, spans)
+    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, np.zeros((4, *q_mean.shape)), False, spans)
 
 
 def _approach(stamps: Array, at: Array, velocity: Array, moving: np.ndarray, t: Array, q: Array) -> Array:

@@ -38,8 +38,8 @@ PART = "#"  # between the topic and the field, in the name of a signal that is o
 class _Track:
     """What has a row for each message in all of its arrays, stamps among them."""
 
-    def rows(self, keep: NDArray[Any]) -> Self:
-        """The track with these rows only, by a mask or by their numbers."""
+    def rows(self, keep: NDArray[Any] | slice) -> Self:
+        """The track with these rows only, by a mask, their numbers or a slice."""
         return replace(self, **{name: x[keep] for name, x in vars(self).items() if isinstance(x, np.ndarray)})
 
     def in_order(self) -> Self:
