@@ -22,7 +22,7 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.path import TRAVEL, UNKNOWN, came_by, went_on
+from modcal_core.measurements.path import PLAY, TRAVEL, UNKNOWN, came_by, went_on
 from modcal_core.measurements.recording import ReadingTrack
 
 # --- Some rows of many, spread evenly over them, that no raster of postures meets
@@ -278,15 +278,15 @@ class Approach:
 
     direction: Array = field(default_factory=lambda: np.empty(0))
     path: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
-    _near: Array = field(default_factory=lambda: np.empty((0, 2)))  # the same of followers whose play is TRAVEL
+    _near: Array = field(default_factory=lambda: np.empty((0, 2)))  # the same of followers whose play is PLAY
     _last: Array = field(default_factory=lambda: np.empty(0))
 
     def update(self, q: Array) -> Array:
         """The directions (n,), −1, 0 (unknown) or 1, now that the joints are at q (n,)."""
         if self._last.shape != q.shape:
-            self._last, self._near = q, np.tile([-TRAVEL, TRAVEL], (len(q), 1))
+            self._last, self._near = q, np.tile([-PLAY, PLAY], (len(q), 1))
             self.path = np.tile(UNKNOWN, (len(q), 1, 1))
-        self._near = np.clip(self._near + (q - self._last)[:, None], -TRAVEL, TRAVEL)
+        self._near = np.clip(self._near + (q - self._last)[:, None], -PLAY, PLAY)
         self.path, self._last, self.direction = self.path_at(q), q.copy(), came_by(self._near)
         return self.direction
 

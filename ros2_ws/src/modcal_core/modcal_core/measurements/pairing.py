@@ -25,7 +25,7 @@ from modcal_core.measurements.dwells import (
 )
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.path import TRAVEL, at_samples, came_by
+from modcal_core.measurements.path import PLAY, at_samples, came_by
 from modcal_core.measurements.recording import (
     POSE,
     ReadingTrack,
@@ -251,7 +251,7 @@ def _approach(stamps: Array, at: Array, velocity: Array, moving: np.ndarray, t: 
     What a joint did belongs to the station although it came before it. Where only stations were recorded, the arm is
     taken to have come straight from the one before.
     """
-    way = came_by(at_samples(stamps, at, t, q, np.array([TRAVEL]))[..., 0])
+    way = came_by(at_samples(stamps, at, t, q, np.array([PLAY]))[..., 0])
     told = moving | (np.searchsorted(t, stamps + 1e-9) == 0)
     return np.where(told[:, None], np.sign(np.nan_to_num(velocity)), way)
 

@@ -13,7 +13,8 @@ from modcal_core.geometry import Array
 
 # rad or m, half the slack: 0.6° to 115°, so close that sums of them are smooth
 WIDTHS: Array = np.asarray(0.01 * 1.7 ** np.arange(11), dtype=np.float64)
-TRAVEL = 5e-4  # rad or m; a joint that is this far from where it was has come from there
+TRAVEL = 5e-4  # rad or m; a joint that is farther from where it was has come from there
+PLAY = (1.0 + 1e-6) * TRAVEL  # of a follower that tells it, a little more, so that to be just as far is not enough
 UNKNOWN = np.stack([-WIDTHS, WIDTHS])  # of a joint of whose path nothing is known
 
 
@@ -56,7 +57,7 @@ def at_samples(stamps: Array, at: Array, t: Array, q: Array, widths: Array = WID
 
 
 def came_by(behind: Array) -> Array:
-    """Which way each joint last went, −1, 0 (unknown) or 1, (..., n), by followers whose play is TRAVEL, (..., n, 2).
+    """Which way each joint last went, −1, 0 (unknown) or 1, (..., n), by followers whose play is PLAY, (..., n, 2).
 
     A joint is ahead of such a follower until it has gone back by more than that.
     """
