@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from modcal_nodes.calibrating.intake import Buffer, CommandSubscription, Intake, KnownArm, lacking, listen, policy
     from modcal_nodes.calibrating.state import StateFolder
     from modcal_nodes.calibrating.watching import SentinelWatch
-    from modcal_nodes.calibrating.worker import CheckService, Publishers, SolveWorker, Solved, condense, solve
+    from modcal_nodes.calibrating.worker import Publishers, SolveWorker, Solved, condense, live_check, solve
 else:
     from modcal_core.lazy import lazy_face
 

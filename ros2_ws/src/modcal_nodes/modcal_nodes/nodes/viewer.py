@@ -11,7 +11,6 @@ from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from modcal_core.calibration import Calibration
@@ -58,7 +57,7 @@ class Viewer(ros.GuardedNode):
         self._ellipsoids = self.create_publisher(MarkerArray, "~/uncertainty", 10)
         self._inputs = self._listen()
         self._health = ros.Health(self, self._report)
-        self.create_service(Trigger, "~/reset", self._reset)
+        self.offer("~/reset", self._reset)
         self.create_timer(1.0 / chosen["rate_hz"], self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _listen(self) -> list[ros.MonitoredSubscription]:
@@ -144,11 +143,10 @@ class Viewer(ros.GuardedNode):
         require_version(message, "change")
         self._change, self._dirty = message.sentence, True
 
-    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         self._stations.clear()
         self._dirty = True
-        response.success, response.message = True, "stations forgotten"
-        return response
+        return True, "stations forgotten"
 
     def _take_joints(self, message: JointState) -> None:
         if not self._names.issuperset(message.name):

@@ -6,6 +6,7 @@ until the node says how its work has ended.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
@@ -13,9 +14,11 @@ from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import GoalEvent, ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
 from rclpy.timer import Timer
+from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadTable, ModcalError
 from modcal_msgs_py import require_version
@@ -48,29 +51,45 @@ class Action:
         begin: Callable[[], str],
         cancel: Callable[[], None],
         progress: Callable[[Any], None],
+        trigger: bool = False,
     ) -> None:
         """kind: such as Solve, whose name below the node's is ~/solve. begin: returns why it cannot, or nothing; what
-        has begun ends with a call of :meth:`end`. cancel: makes it end soon. progress: fills the feedback.
+        has begun ends with a call of :meth:`end`. cancel: makes it end soon. progress: fills the feedback. trigger:
+        whether a Trigger of the same name is answered with the end of what it begins.
         """
         self._node, self._type, self.name = node, interface(kind), f"~/{kind.lower()}"
         self._begin, self._cancel, self._progress = begin, cancel, progress
         self._goal: ServerGoalHandle | None = None
         self._waiting: Future | None = None
         self._timer: Timer | None = None
+        self._begun = 0.0
         self._server = ActionServer(
             node, self._type, self.name, lambda _: None,
             handle_accepted_callback=self._accept, cancel_callback=self._ask_to_cancel,
         )  # fmt: skip
+        if trigger:
+            # a group of its own: while an end is awaited, its group takes no other callback
+            node.create_service(Trigger, self.name, self._await, callback_group=ReentrantCallbackGroup())
 
     @property
     def active(self) -> bool:
         """Whether a goal is pursued."""
         return self._goal is not None
 
-    def ended(self) -> Future:
-        """Done with the result, when what has begun has ended."""
+    @property
+    def elapsed(self) -> float:
+        """Seconds since something was begun by it."""
+        return time.monotonic() - self._begun
+
+    async def _await(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._begun = time.monotonic()
+        if refusal := self._node.idle or self._begin():
+            response.success, response.message = False, refusal
+            return response
         self._waiting = Future(executor=self._node.executor)
-        return self._waiting
+        result = await self._waiting
+        response.success, response.message = result.outcome == DONE, result.message
+        return response
 
     def end(self, outcome: int, message: str, **fields: Any) -> None:
         """What was going on has ended so. fields: of the result, beside outcome and message."""
@@ -90,7 +109,7 @@ class Action:
         if self._goal is not None:
             self._close(goal, self._type.Result(outcome=REFUSED, message=f"{self.name}: another goal is active"))
             return
-        self._goal = goal
+        self._goal, self._begun = goal, time.monotonic()
         try:
             require_version(goal.request, self.name)
             if refusal := self._node.idle or self._begin():

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStamped
-from rclpy.lifecycle import LifecycleNode
+from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -122,13 +122,12 @@ def require_changeable(new: Mapping[str, Any], now: Mapping[str, Any], configure
 class SetpointPublishers:
     """One setpoint in the forms that controllers take: pose, wrench and stiffness, or joint references."""
 
-    def __init__(self, node: LifecycleNode) -> None:
-        self._node = node
-        self._pose = node.create_lifecycle_publisher(PoseStamped, "~/target_pose", 1)
-        self._wrench = node.create_lifecycle_publisher(WrenchStamped, "~/target_wrench", 1)
-        self._stiffness = node.create_lifecycle_publisher(WrenchStamped, "~/target_stiffness", 1)
-        self._references = node.create_lifecycle_publisher(JointTrajectoryPoint, "~/joint_references", 1)
-        self._trajectory = node.create_lifecycle_publisher(JointTrajectory, "~/joint_trajectory", 1)
+    def __init__(self, node: Node) -> None:
+        self._pose = node.create_publisher(PoseStamped, "~/target_pose", 1)
+        self._wrench = node.create_publisher(WrenchStamped, "~/target_wrench", 1)
+        self._stiffness = node.create_publisher(WrenchStamped, "~/target_stiffness", 1)
+        self._references = node.create_publisher(JointTrajectoryPoint, "~/joint_references", 1)
+        self._trajectory = node.create_publisher(JointTrajectory, "~/joint_trajectory", 1)
 
     @property
     def stiffness_taken(self) -> bool:
@@ -152,8 +151,3 @@ class SetpointPublishers:
             self._wrench.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.wrench))
         if self._stiffness.get_subscription_count():
             self._stiffness.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.stiffness))
-
-    def close(self) -> None:
-        """Take the topics away."""
-        for publisher in (self._pose, self._wrench, self._stiffness, self._references, self._trajectory):
-            self._node.destroy_lifecycle_publisher(publisher)
