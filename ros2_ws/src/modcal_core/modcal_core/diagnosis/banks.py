@@ -18,7 +18,7 @@ from typing import Protocol
 
 import numpy as np
 
-from modcal_core.diagnosis.spectra import Key, KnownSums, Parts, Spectrum, squared
+from modcal_core.diagnosis.spectra import Key, KnownSums, Parts, Spectrum
 from modcal_core.effects import Effect
 from modcal_core.geometry import Array
 
@@ -50,10 +50,6 @@ class Bank(Protocol):
 
     def gram(self, columns: Mapping[Key, Array]) -> Array:
         """Products of each candidate's columns with each other (C, m, m). columns: unit columns (6, N) of each key."""
-        ...
-
-    def gram_of_sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
-        """Products with each other, (C, m, m), of the sums with the columns of the matrices (N, k)."""
         ...
 
 
@@ -94,19 +90,6 @@ class WaveBank:
         """See :class:`Bank`."""
         return self.spectrum.gram(self.which, np.sum(columns[self.key] ** 2, axis=0))
 
-    def gram_of_sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
-        """See :class:`Bank`."""
-        columns = of[self.key]
-        squares = known.once("squares", self.spectrum, columns, lambda: self.spectrum.squares(columns))
-        out = np.empty((len(self.which), self.width, self.width))
-        for a, rows in enumerate(self._ranges):
-            out[:, 2 * a, 2 * a], out[:, 2 * a + 1, 2 * a + 1] = squares.sine[rows], squares.cosine[rows]
-            out[:, 2 * a, 2 * a + 1] = out[:, 2 * a + 1, 2 * a] = squares.both[rows]
-        if self.which.shape[1] > 1:  # of a wave and that of twice as many cycles
-            out[:, :2, 2:] = squares.doubled[:, :, self._ranges[0]].transpose(2, 0, 1)
-            out[:, 2:, :2] = out[:, :2, 2:].transpose(0, 2, 1)
-        return out
-
 
 @dataclass(frozen=True)
 class StepBank:
@@ -135,10 +118,6 @@ class StepBank:
         columns = [of[key] for key in self.keys]
         each = [self._part(known.once("running", self.parts, x, partial(self.parts.running, x))) for x in columns]
         return sign * np.stack(each, axis=1)
-
-    def gram_of_sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
-        """See :class:`Bank`."""
-        return squared(self.sums(of, known))
 
     def gram(self, columns: Mapping[Key, Array]) -> Array:
         """See :class:`Bank`."""
@@ -186,10 +165,6 @@ class NumberBank:
     def groups(self) -> dict[Key, list[int]]:
         """The columns of each key."""
         return {one: [a for a, key in enumerate(self.of_columns) if key == one] for one in self.keys}
-
-    def gram_of_sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
-        """See :class:`Bank`."""
-        return squared(self.sums(of, known))
 
     def gram(self, columns: Mapping[Key, Array]) -> Array:
         """See :class:`Bank`."""
@@ -283,10 +258,6 @@ class GatheredBank:
     def gram(self, columns: Mapping[Key, Array]) -> Array:
         """See :class:`Bank`."""
         return np.concatenate([part.gram(columns) for part in self.parts])
-
-    def gram_of_sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
-        """See :class:`Bank`."""
-        return squared(self.sums(of, known))
 
     @cached_property
     def _rows(self) -> np.ndarray:

@@ -36,7 +36,7 @@ from modcal_core.diagnosis.banks import (
     wave_step,
 )
 from modcal_core.diagnosis.space import Space
-from modcal_core.diagnosis.spectra import Key, Parts, Spectrum
+from modcal_core.diagnosis.spectra import Key, Parts, Spectrum, squared
 from modcal_core.effects import (
     AXIS,
     LENGTH,
@@ -214,7 +214,7 @@ class Scanner:
         total = np.sum(left.Q**2, axis=(0, 1)) + 1e-300
         share, score, best = [np.zeros(0)], [np.zeros(0)], np.zeros(len(signs))
         for bank, (gram, own) in zip(self.banks, self._grams(space), strict=True):
-            taken = bank.gram_of_sums(more.against, more.sums) if beside else 0.0
+            taken = squared(bank.sums(more.against, more.sums)) if beside else 0.0
             inverse, sizes = inverses(gram - taken, own)
             shares = explained(inverse, bank.sums(left.against, left.sums)) / total
             share.append(shares[:, 0])
@@ -273,7 +273,7 @@ class Scanner:
             fitted.against.update(fitted.contract(columns))
             for bank in self.banks:
                 gram = bank.gram(columns)
-                along = bank.gram_of_sums(fitted.against, fitted.sums)
+                along = squared(bank.sums(fitted.against, fitted.sums))
                 space.grams.append((gram - along, np.einsum("cii->ci", gram).copy()))
         return space.grams
 

@@ -10,7 +10,6 @@ the waves is quicker still, for a product of matrices goes through it once for a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
@@ -28,20 +27,6 @@ _NODES = 40  # of the quadrature for the kernel's transform
 _AT_ONCE = 64  # columns, whose grids then stay near the processor
 _T = TypeVar("_T")
 Key = tuple[int, object]  # a place, and a direction there or what else moves
-
-
-@dataclass(frozen=True)
-class SquaredSums:
-    """Products of sums with many columns, summed over the columns, for every wave.
-
-    sine, cosine: of a wave's sums with themselves, (K + 1,). both: of the one with the other. doubled: of sine and
-    cosine (first index) with sine and cosine (second) of the wave of twice the number, (2, 2, K // 2 + 1).
-    """
-
-    sine: Array
-    cosine: Array
-    both: Array
-    doubled: Array
 
 
 class Spectrum:
@@ -62,18 +47,6 @@ class Spectrum:
         for some, waves in self._grid.waves(columns):
             out[:, 0, some], out[:, 1, some] = -waves.imag, waves.real
         return out
-
-    def squares(self, columns: Array) -> SquaredSums:
-        """Products of the sums with columns (N, m), summed over these; without keeping a sum."""
-        squares = _Squares(self.most)
-        if len(self._angle) <= _FEW:
-            for first in range(0, columns.shape[1], _AT_ONCE):
-                sums = self.sums(columns[:, first : first + _AT_ONCE])
-                squares.add(sums[:, 0], sums[:, 1])
-        else:
-            for _, waves in self._grid.waves(columns):
-                squares.add(-waves.imag, waves.real)
-        return squares.all()
 
     def gram(self, which: np.ndarray, weight: Array) -> Array:
         """Products with each other, (C, 2 w, 2 w), of sine and cosine of w waves, (C, w) numbers, times a weight (N,).
@@ -126,27 +99,6 @@ class _Grid:
             yield some, scipy.fft.rfft(grid, axis=0, overwrite_x=True)[: self._most + 1] * self._share
 
 
-class _Squares:
-    """Products of sums, some columns at a time."""
-
-    def __init__(self, most: int) -> None:
-        self._own, self._doubled = np.zeros((3, most + 1)), np.zeros((4, most // 2 + 1))
-
-    def add(self, sine: Array, cosine: Array) -> None:
-        """Add the squares of columns (most + 1, some)."""
-        for out, one, other in zip(self._own, (sine, cosine, sine), (sine, cosine, cosine), strict=True):
-            out += np.einsum("km,km->k", one, other)
-        few = slice(self._doubled.shape[1])
-        pairs = [(one[few], other[::2]) for one in (sine, cosine) for other in (sine, cosine)]
-        for out, (one, other) in zip(self._doubled, pairs, strict=True):
-            out += np.einsum("km,km->k", one, other)
-
-    def all(self) -> SquaredSums:
-        """The products."""
-        sine, cosine, both = self._own
-        return SquaredSums(sine, cosine, both, self._doubled.reshape(2, 2, -1))
-
-
 def _kernel(z: Array) -> Array:
     steep = _STEEP * (1.0 - 0.5 / _FINER)
     return np.asarray(np.exp(steep * (np.sqrt(np.maximum(1.0 - z * z, 0.0)) - 1.0)))
@@ -192,7 +144,10 @@ class Parts:
 
 
 def squared(sums: Array) -> Array:
-    """``sums sumsᵀ`` of each candidate, (C, m, m): without a product of small matrices for each where m is small."""
-    if sums.shape[1] == 1:
-        return np.asarray(np.einsum("cmk,cmk->c", sums, sums)[:, None, None])
-    return np.asarray(sums @ sums.transpose(0, 2, 1))
+    """``sums sumsᵀ`` of each candidate, (C, m, m), pair by pair: a product of small matrices for each is slower."""
+    C, m, _ = sums.shape
+    out = np.empty((C, m, m))
+    for a in range(m):
+        for b in range(a + 1):
+            out[:, a, b] = out[:, b, a] = np.einsum("ck,ck->c", sums[:, a], sums[:, b])
+    return out
