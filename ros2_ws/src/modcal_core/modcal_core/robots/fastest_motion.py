@@ -174,9 +174,8 @@ def constant_bounds(windows: Window, weights: ArrayLike | None = None) -> tuple[
     of them cannot be held.
     """
     windows.require_held()
-    n = len(windows.names)
-    matrix, *sides = windows.matrix.reshape(1, -1, n), windows.lower.reshape(1, -1), windows.upper.reshape(1, -1)
-    lower, upper = largest_box(matrix, *sides, weights)
+    matrix = windows.matrix.reshape(1, -1, len(windows.names))
+    lower, upper = largest_box(matrix, windows.lower.reshape(1, -1), windows.upper.reshape(1, -1), weights)
     return lower[0], upper[0]
 
 
