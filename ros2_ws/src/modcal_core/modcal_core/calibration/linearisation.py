@@ -356,20 +356,6 @@ class RowView:
         if self.sights is not None:
             self.sights.look_through(position)
 
-    def wrench(self, place: int, weighted: Array, frames: Sequence[int] = ()) -> Array:
-        """Products of weighted residuals (3 N + 3 M,) with the motions of the tool per unit of each of the six
-        directions of a place of a serial arm, (6,). frames: of whose samples; all by default.
-        """
-        N = self.position.shape[1]
-        force, torque = weighted[: 3 * N].reshape(3, N), np.zeros((3, N))
-        torque[:, self.pose] = weighted[3 * N :].reshape(3, -1)
-        torque += so3.cross(self.f.p[-1] - self.f.p[place], force)
-        if len(frames):
-            here = np.isin(self.samples.frame, frames)
-            force, torque = force * here, torque * here
-        flat = self.f.axes[place].reshape(3, 3 * N)
-        return np.concatenate([flat @ force.ravel(), flat @ torque.ravel()])
-
     def constant_column(self, place: int, constant: int, out: Array) -> None:
         """Write the motion of the tool, (3 N + 3 M,), per unit of what a place's arm has of its own."""
         N, M = self.position.shape[1], self.rotation.shape[1]

@@ -2,9 +2,8 @@
 
 ``frames`` gives the frames just *before* each joint's motion (where a link error sits), the joint's axis as z, and the
 tip. Jacobian columns follow from them: a twist e at a frame T moves the tip by ``Ad(T) e`` seen from the base.
-Everything that needs a chain's kinematics asks here, but for the sweeps of a fit
-(:mod:`modcal_core.calibration.kernels`) and the descents of many different arms (:mod:`modcal_core.modules.targets`),
-which tests hold to this, to twelve digits.
+Everything that needs a chain's kinematics asks here, but for the descents of many different arms
+(:mod:`modcal_core.modules.targets`), which tests hold to this, to twelve digits.
 """
 
 from __future__ import annotations
