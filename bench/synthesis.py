@@ -27,7 +27,8 @@ import harness
 import itertools
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -35,9 +36,11 @@ import yaml
 from harness import over
 
 from modcal_core.modules.coding import BASES, Coding
-from modcal_core.modules.evaluation import Effort, Evaluator, SearchSettings, evolve, uses_of, valid
-from modcal_core.modules.library import chain_of, published
+from modcal_core.modules.evaluation import Evaluator, SearchSettings, Verdicts, evolve, uses_of, valid
+from modcal_core.modules.library import Assembly, chain_of, published
+from modcal_core.modules.requirements import BuiltArm
 from modcal_core.modules.synthesis import SynthesisTask, task_from_data
+from modcal_core.modules.targets import Arms
 from modcal_core.robots.kinematics import chain_forward
 
 LIBRARY = published()
@@ -89,11 +92,25 @@ def at_random(task: SynthesisTask, seed: int, budget: int) -> harness.Result:
     return searched(task, evaluator, batches, budget, [])
 
 
+class AsPrinted(Evaluator):
+    """One descent for each target, whatever the limits, and of postures that are whole turns apart the one near 0."""
+
+    STARTS, AGAIN, HOPELESS = 1, 0, np.inf
+
+    def arms(self, assemblies: Sequence[Assembly]) -> Arms:
+        arms = super().arms(assemblies)
+        free = np.full_like(arms.lower, np.inf)
+        return arms._replace(lower=-free, upper=free)
+
+    def choose(self, out: Verdicts, i: int, arm: BuiltArm, found: np.ndarray) -> None:
+        q = np.where(arm.chain.revolute, np.angle(np.exp(1j * arm.q)), arm.q)
+        super().choose(out, i, replace(arm, q=q), found)
+
+
 def as_published(task: SynthesisTask, seed: int, budget: int) -> harness.Result:
     weights = {u.name: {**u.options, "weight": u.weight} for u in task.uses if u.weight}
     uses = uses_of({"structure": {}, "reachability": {"tolerance": 0.01}, **weights})
-    plain = Effort(starts=1, again=0, hopeless=np.inf, within_limits=False)
-    evaluator, verdicts = Evaluator(LIBRARY, task.targets, uses, seed, plain), []
+    evaluator, verdicts = AsPrinted(LIBRARY, task.targets, uses, seed), []
     batches = printed_search(np.random.default_rng([seed, JOINTS]), verdicts)
     return searched(task, evaluator, batches, budget, verdicts, Evaluator(LIBRARY, task.targets, task.uses, seed))
 

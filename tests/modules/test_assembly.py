@@ -332,7 +332,7 @@ FAULTS: list[tuple[dict[str, Any], str]] = [
     (with_row("LP", "", "1,3,0", "1,3,0", "", "", ""), "row LP, column 2: holds 1,3,0, the arm 1,2,0"),
     (with_row("LR-II", "", "", "1,3,0", "1,4,0", "2,5,2", "2,6,0"), "column 6: holds 2,6,0, the arm 2,1,0"),
     (with_row("LP", "", "1,2,4", "1,3,0", "", "", ""), "turned by 4 quarter turns"),
-    (with_row("LP", "", "0,2,0", "0,3,0", "", "", ""), "row LP: has numbers 0: number them 1 to 1"),
+    (with_row("LP", "", "0,2,0", "0,3,0", "", "", ""), "row LP, column 2: holds 0,2,0, the arm 1,2,0"),
     (with_row("LP", "", "1,2,0", "", "", "", ""), "0 links lead from column 2 to the next"),
     (with_row("LC", "", "1,2,0", "1,3,0", "", "", ""), "2 links lead from column 2 to the next"),
     ({**AIM, "sizes": {"LP": [7, 7]}}, "LP 2: is described but not in the matrix"),

@@ -16,7 +16,7 @@ from modcal_core.errors import BadTable, NotReachable
 from modcal_core.geometry import se3, so3
 from modcal_core.modules import targets as reaching
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.evaluation import Archive, Effort, Evaluator, SearchSettings, evolve
+from modcal_core.modules.evaluation import Archive, Evaluator, SearchSettings, evolve
 from modcal_core.modules.library import chain_of
 from modcal_core.modules.requirements import REQUIREMENTS
 from modcal_core.modules.synthesis import SynthesisTask, allowed, synthesize, task_from_data, to_data, to_markdown
@@ -196,8 +196,11 @@ def test_tasks_that_cannot_be_used(changes: dict[str, Any], words: str) -> None:
 def test_the_published_answer_turns_its_last_joint_for_nothing() -> None:
     """In this library: the frames in the modules are not printed. docs/synthesis.md says so."""
     genome = CODING.parse("00001 0·01·10·100·00 0·00·01·111·10 0·00·01·111·10 0·10·11·111·10 0·01·00·110·01")
-    evaluator = Evaluator(LIBRARY, example().targets, example().uses, 0, Effort(starts=60, hopeless=np.inf))
-    verdict = evaluator(genome[None])
+
+    class Thorough(Evaluator):
+        STARTS, HOPELESS = 60, np.inf
+
+    verdict = Thorough(LIBRARY, example().targets, example().uses, 0)(genome[None])
     assert verdict.level[0] == 2
     assert verdict.amount[0] > 1e-3
     chain = chain_of(CODING.assembly(genome), LIBRARY)

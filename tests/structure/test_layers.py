@@ -59,7 +59,7 @@ OUTSIDE_WHEN_CALLED = {
     "files": {"yaml"},
     "camera/": {"cv2"},
     "report/": {"jinja2", "yaml"},
-    "modules/": {"matplotlib", "yaml"},
+    "modules/": {"yaml"},
 }
 
 

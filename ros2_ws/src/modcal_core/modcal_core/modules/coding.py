@@ -28,7 +28,6 @@ from modcal_core.modules.library import JOINT, LINK, SIZES, TURNS, Assembly, Lib
 from modcal_core.schema import TEXT, list_of, record, require, stated
 
 BASES = SIZES * TURNS
-FIELDS = ("joint", "turn", "link", "length", "next turn")
 DOT = "·"
 
 
@@ -55,7 +54,7 @@ class Coding:
 
     @cached_property
     def shape(self) -> tuple[int, int, int, int, int]:
-        """How many codes each field of a gene has, in the order of ``FIELDS``."""
+        """How many codes each field of a gene has: joint, turn, link, length, next turn."""
         return len(self.joints), TURNS, len(self.links), SIZES, TURNS
 
     @property
@@ -190,19 +189,16 @@ def _assembly_of(matrix: Mapping[str, Any], library: Library, name: str, source:
             said = f"{len(following)} links lead from column {c + 1} to the next"
             raise BadTable(source, said, "give one link an entry in both, with the same number")
         keys += following
-    for row in rows:
-        numbers = sorted(number for kind, number in keys if kind == row)
-        if numbers != list(range(1, len(numbers) + 1)):
-            said = f"has numbers {', '.join(map(str, numbers))}"
-            raise BadTable(f"{source}: row {row}", said, f"number them 1 to {len(numbers)}")
-        for what in ("sizes", "serials"):
-            if len(numbers) < (described := len(matrix.get(what, {}).get(row, ()))):
-                raise BadTable(f"{source}: {row} {described}", "is described but not in the matrix", "leave it out")
+    for what in ("sizes", "serials"):
+        for row, described in matrix.get(what, {}).items():
+            if row != "columns" and len(described) > sum(kind == row for kind, _ in keys):
+                offender = f"{source}: row {row} {len(described)}"
+                raise BadTable(offender, "is described but not in the matrix", "leave it out")
     serials = matrix.get("serials", {})
     modules: list[Module] = []
     for i, (row, number) in enumerate(keys):
         own = turns.get((row, number), {})
-        size, serial = (_nth(matrix.get(what, {}).get(row), number - 1) for what in ("sizes", "serials"))
+        size, serial = (_nth(matrix.get(what, {}).get(row), max(number, 1) - 1) for what in ("sizes", "serials"))
         modules.append(Module(row, size or 0, own.get(i - 1, 0), _serial(serial)))
         modules.append(Module(columns[i], 0, own.get(i, 0), _serial(_nth(serials.get("columns"), i))))
     assembly = Assembly(tuple(modules), name).checked(library, source)

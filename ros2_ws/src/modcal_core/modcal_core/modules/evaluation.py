@@ -40,20 +40,6 @@ class Use:
 
 
 @dataclass(frozen=True)
-class Effort:
-    """How hard the inverse kinematics tries.
-
-    starts: of the first look; again: of the second, at what reaches every target. hopeless: who is farther off after
-    the first steps [m and rad] is not followed. within_limits: whether limits are kept on the way.
-    """
-
-    starts: int = 12
-    again: int = 10
-    hopeless: float = 0.2
-    within_limits: bool = True
-
-
-@dataclass(frozen=True)
 class Verdicts:
     """What N candidates are worth. Rows belong to the genomes in the order given.
 
@@ -87,15 +73,18 @@ class Verdicts:
 
 
 class Evaluator:
-    """Judges genomes of one task. Equal genomes get equal verdicts, whatever stands beside them."""
+    """Judges genomes of one task. Equal genomes get equal verdicts, whatever stands beside them.
 
-    def __init__(
-        self, library: Library, targets: Sequence[Target], uses: Sequence[Use], seed: int, effort: Effort | None = None
-    ) -> None:
+    STARTS: of the first look; AGAIN: of the second, at what reaches every target. HOPELESS: who is farther off after
+    the first steps [m and rad] is not followed.
+    """
+
+    STARTS, AGAIN, HOPELESS = 12, 10, 0.2
+
+    def __init__(self, library: Library, targets: Sequence[Target], uses: Sequence[Use], seed: int) -> None:
         self.coding = Coding(library)
         self.targets = tuple(targets)
         self.uses = tuple(uses)
-        self.effort = effort or Effort()
         self._seed = seed
         self._index = {use.name: i for i, use in enumerate(self.uses)}
         self._tolerance = float(self.uses[self._index[REACH]].options["tolerance"])
@@ -125,23 +114,22 @@ class Evaluator:
 
     def _reach(self, out: Verdicts, which: np.ndarray, assemblies: Sequence[Assembly]) -> None:
         """Fills in postures; who reaches every target is judged."""
-        arms, at = self._arms(assemblies), self._index[REACH]
+        arms, at = self.arms(assemblies), self._index[REACH]
         short = np.max([arms.too_short(t) for t in self.targets], axis=0)
-        left = self._reject(out, which, at, np.where(short > 0.0, short + self.effort.hopeless, 0.0), 2)
+        left = self._reject(out, which, at, np.where(short > 0.0, short + self.HOPELESS, 0.0), 2)
         if not len(left):
             return
         arms = arms.take(np.flatnonzero(short <= 0.0))
-        q, miss = self._descend(arms, self._unit(out.q.shape[-1], self.effort.starts))
-        out.descents[left] = self.effort.starts * len(self.targets)
+        q, miss = self._descend(arms, self._unit(out.q.shape[-1], self.STARTS))
+        out.descents[left] = self.STARTS * len(self.targets)
         out.q[left] = q
         left = self._reject(out, left, at, np.where(miss > self._tolerance, miss, 0.0), 2)
         if len(left):
             self._judge(out, left, [assembly for i, assembly in zip(which, assemblies, strict=True) if i in left])
 
-    def _arms(self, assemblies: Sequence[Assembly]) -> Arms:
-        arms = Arms.of(assemblies, self.coding.library)
-        free = np.full_like(arms.lower, np.inf)
-        return arms if self.effort.within_limits else arms._replace(lower=-free, upper=free)
+    def arms(self, assemblies: Sequence[Assembly]) -> Arms:
+        """The arms whose postures are sought."""
+        return Arms.of(assemblies, self.coding.library)
 
     def _unit(self, n: int, count: int, skip: int = 0) -> Array:
         """Starts in the unit cube; the same for all arms of n joints, so that a verdict depends on the arm alone."""
@@ -152,10 +140,10 @@ class Evaluator:
         first = [reach(arms, t, arms.starts(unit), _FIRST_STEPS) for t in self.targets]
         left = np.stack([f.left.min(axis=1) for f in first], axis=1)
         q = np.stack([np.take_along_axis(f.q, f.left.argmin(axis=1)[:, None, None], 1)[:, 0] for f in first], axis=1)
-        on = np.flatnonzero((left.max(axis=1) < self.effort.hopeless) & (left.max(axis=1) > self._tolerance))
+        on = np.flatnonzero((left.max(axis=1) < self.HOPELESS) & (left.max(axis=1) > self._tolerance))
         for k, target in enumerate(self.targets):
             # once one target is out of reach the others do not matter
-            on = on[(left[on] < self.effort.hopeless).all(axis=1)]
+            on = on[(left[on] < self.HOPELESS).all(axis=1)]
             if not len(on):
                 break
             best = np.argsort(first[k].left[on], axis=1, kind="stable")[:, :_KEPT]
@@ -168,21 +156,17 @@ class Evaluator:
 
     def _judge(self, out: Verdicts, which: np.ndarray, assemblies: Sequence[Assembly]) -> None:
         """Fills in everything else, for those who reach every target."""
-        arms = self._arms(assemblies)
-        q = out.q[which][:, :, None]
-        found = np.ones(q.shape[:3], bool)
-        if self.effort.again:
-            unit = self._unit(q.shape[-1], self.effort.again, self.effort.starts)
-            more = [reach(arms, t, arms.starts(unit), _STEPS) for t in self.targets]
-            q = np.concatenate([q, np.stack([m.q for m in more], axis=1)], axis=2)
-            found = np.concatenate([found, np.stack([m.left <= self._tolerance for m in more], axis=1)], axis=2)
-            out.descents[which] += self.effort.again * len(self.targets)
-        if not self.effort.within_limits:  # of postures that are whole turns apart the one nearest zero
-            q = np.where(arms.revolute.T[:, None, None], np.angle(np.exp(1j * q)), q)
+        arms, first = self.arms(assemblies), out.q[which][:, :, None]
+        unit = self._unit(first.shape[-1], self.AGAIN, self.STARTS)
+        more = [reach(arms, t, arms.starts(unit), _STEPS) for t in self.targets]
+        q = np.concatenate([first, np.stack([m.q for m in more], axis=1)], axis=2)
+        left = np.stack([m.left for m in more], axis=1)
+        found = np.concatenate([np.ones(first.shape[:3], bool), left <= self._tolerance], axis=2)
+        out.descents[which] += self.AGAIN * len(self.targets)
         for i, assembly, postures, good in zip(which, assemblies, q, found, strict=True):
-            self._choose(out, int(i), BuiltArm(assembly, self.coding.library, self.targets, postures), good)
+            self.choose(out, int(i), BuiltArm(assembly, self.coding.library, self.targets, postures), good)
 
-    def _choose(self, out: Verdicts, i: int, arm: BuiltArm, found: np.ndarray) -> None:
+    def choose(self, out: Verdicts, i: int, arm: BuiltArm, found: np.ndarray) -> None:
         """Enters the best posture for each target, and what the arm is worth with these. found: which reach, (K, S)."""
         measured = {}
         for r, use in enumerate(self.uses):

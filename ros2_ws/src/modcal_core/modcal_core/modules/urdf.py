@@ -7,12 +7,11 @@ joints gets the constants of the chain. The tip is ``tool0``, the gripper's outp
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from html import escape
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -33,10 +32,6 @@ from modcal_core.modules.library import (
     module_frames,
 )
 from modcal_core.robots import added, joint_element, number, origin_element, rotation_to_axis, urdf_text
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 # --- What the modules look like and weigh: a tube from flange to flange, round every corner, as heavy as stated
 
@@ -171,76 +166,57 @@ def _link(robot: ET.Element, name: str, kind: ModuleType, size: int, empty: bool
                 added(shape, "material", name=kind.role)
 
 
-# --- A picture of an assembly, as SVG text. Matplotlib is imported only when one is drawn
+# --- A picture of an assembly, as SVG text
 
 _PICTURE_COLOURS = {"base": "#40454d", "joint": "#1f6feb", "link": "#b0b7c3", "gripper": "#e08a26"}
-_POINTS_PER_RADIUS = 160.0  # line width per metre of radius, for an arm one metre high
-_AXIS = 0.10  # m
+_VIEWS = ((22.0, -55.0), (0.0, -90.0))  # degrees: askew, and from the side; elevation, azimuth
+_SIDE, _HEAD = 320.0, 28.0  # px, of a view, and of what stands above
+_BESIDE = 0.12  # m, of room around the arm
+_AXIS, _TOOL, _BAR = 0.10, 0.06, 0.1  # m, half a joint's axis, one of the tool's, and the bar that gives the scale
 
 
 def picture(assembly: Assembly, library: Library, q: Array | None = None, title: str = "") -> str:
-    """The arm at a posture q (n,) [rad, m], default zero, from the side and askew, joints numbered on their axes."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 4.4))
-    figure.subplots_adjust(0.0, 0.02, 0.97, 0.94, 0.05)
+    """The arm at a posture q (n,) [rad, m], default zero, askew and from the side, joints numbered on their axes: whole
+    where they turn, dashed where they slide.
+    """
     frames = module_frames(assembly, library, q)
-    high = max(float(np.ptp(frames[:, :3, 3], axis=0).max()), 0.2)
-    for place, (elevation, azimuth) in enumerate(((22.0, -55.0), (0.0, -90.0))):
-        axes: Any = figure.add_subplot(1, 2, place + 1, projection="3d", computed_zorder=False)
-        axes.set_proj_type("ortho")
-        axes.view_init(elev=elevation, azim=azimuth)
-        joint = 0
-        for module, T in zip(assembly.modules, frames[:-1], strict=True):
-            kind = library.types[module.kind]
-            _draw(axes, kind, path(kind, module.size), T, high)
-            if kind.role == JOINT:
-                joint += 1
-                _mark(axes, kind, T, joint)
-        for direction, colour in zip(frames[-1, :3, :3].T, ("#d1495b", "#3a7d44", "#1f6feb"), strict=True):
-            axes.plot(*np.stack([frames[-1, :3, 3], frames[-1, :3, 3] + 0.06 * direction]).T, color=colour, lw=1.5)
-        _scale(axes, frames, high)
-        if elevation == 0.0:  # seen along y, its numbers lie on top of each other
-            axes.set_yticks([])
-            axes.set_ylabel("")
+    low, high = frames[:, :3, 3].min(axis=0), frames[:, :3, 3].max(axis=0)
+    scale = _SIDE / (max(float((high - low).max()), 0.2) + 2.0 * _BESIDE)
     names = " ".join(m.kind + (f"({m.size})" if m.size else "") for m in assembly.modules)
-    figure.suptitle(title or f"{assembly.name}: {names}", fontsize=9)
-    return _svg(figure)
+    numbers = list[str]()
+    drawn = [_text(title or f"{assembly.name}: {names}", _SIDE, 0.6 * _HEAD, "#20242b")]
+    for k, (elevation, azimuth) in enumerate(np.radians(_VIEWS)):
+        (up, along), (side, back) = (np.sin(elevation), np.cos(elevation)), (np.sin(azimuth), np.cos(azimuth))
+        across = scale * np.array([[-side, back, 0.0], [up * back, up * side, -along]])
+        middle = np.array([_SIDE * (k + 0.5), _HEAD + 0.5 * _SIDE]) - across @ (0.5 * (low + high))
+
+        def line(
+            points: Array, colour: str, wide: float, more: str = "", to: Array = across, at: Array = middle
+        ) -> Array:
+            seen = points @ to.T + at
+            way = "L".join(f"{x:.1f} {y:.1f}" for x, y in seen)
+            drawn.append(f'<path d="M{way}" stroke="{colour}" stroke-width="{wide:.1f}" {more}/>')
+            return seen
+
+        for i, (module, T) in enumerate(zip(assembly.modules, frames[:-1], strict=True)):
+            kind = library.types[module.kind]
+            body_line = se3.apply(T, path(kind, module.size))
+            line(body_line, _PICTURE_COLOURS[kind.role], 2.0 * scale * kind.radius)
+            for flange in body_line[[0, -1]]:
+                line(np.stack([flange, flange]), "#20242b", 0.5 * scale * kind.radius, 'stroke-linecap="round"')
+            if kind.role == JOINT:
+                axis = T[:3, 3] + 0.5 * T[:3, :3] @ kind.output.at(0.0) + np.outer([-_AXIS, _AXIS], T[:3, 2])
+                x, y = line(axis, "#d1495b", 1.0, "" if kind.revolute else 'stroke-dasharray="4 3"')[1]
+                numbers.append(_text(str((i + 1) // 2), x, y - 2.0, "#d1495b"))
+        for direction, colour in zip(frames[-1, :3, :3].T, ("#d1495b", "#3a7d44", "#1f6feb"), strict=True):
+            line(frames[-1, :3, 3] + np.outer([0.0, _TOOL], direction), colour, 1.5)
+    y = _HEAD + _SIDE - 8.0
+    drawn.append(f'<path d="M8 {y}h{scale * _BAR:.1f}" stroke="#20242b" stroke-width="2"/>')
+    drawn.append(_text(f"{_BAR:g} m", 8.0 + 0.5 * scale * _BAR, y - 5.0, "#20242b"))
+    size = f'width="{2.0 * _SIDE:g}" height="{_HEAD + _SIDE:g}" viewBox="0 0 {2.0 * _SIDE:g} {_HEAD + _SIDE:g}"'
+    look = 'fill="none" stroke-linejoin="round" font-family="sans-serif" font-size="10" text-anchor="middle"'
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {size} {look}>{"".join(drawn + numbers)}</svg>\n'
 
 
-def _draw(axes: Any, kind: ModuleType, points: Array, T: Array, high: float) -> None:
-    world = se3.apply(T, points)
-    width = 2.0 * _POINTS_PER_RADIUS * kind.radius / high
-    axes.plot(*world.T, color=_PICTURE_COLOURS[kind.role], lw=width, solid_capstyle="butt", solid_joinstyle="round")
-    for p in world[[0, -1]]:  # flanges
-        axes.plot(*p[:, None], "o", color="#20242b", ms=0.25 * width)
-
-
-def _mark(axes: Any, kind: ModuleType, T: Array, number: int) -> None:
-    """A joint's axis, whole where it turns, dashed where it slides."""
-    middle = T[:3, 3] + 0.5 * T[:3, :3] @ kind.output.at(0.0)
-    ends = middle + np.outer([-_AXIS, _AXIS], T[:3, 2])
-    axes.plot(*ends.T, color="#d1495b", lw=1.0, ls="-" if kind.revolute else "--")
-    axes.text(*ends[1], str(number), color="#d1495b", fontsize=8)
-
-
-def _scale(axes: Any, frames: Array, high: float) -> None:
-    """The same scale along all axes, in metres."""
-    p = frames[:, :3, 3]
-    middle, half = 0.5 * (p.min(axis=0) + p.max(axis=0)), 0.5 * high + 0.06
-    for name, m in zip("xyz", middle, strict=True):
-        getattr(axes, f"set_{name}lim")(m - half, m + half)
-        getattr(axes, f"set_{name}label")(f"{name}, m", fontsize=7)
-    axes.set_box_aspect((1.0, 1.0, 1.0))
-    axes.tick_params(labelsize=6)
-
-
-def _svg(figure: Figure) -> str:
-    import matplotlib
-
-    # fixed ids and no date: the same assembly gives the same bytes
-    with matplotlib.rc_context({"svg.hashsalt": "modcal", "svg.fonttype": "none"}):
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    svg = text.getvalue()
-    return svg[svg.index("<svg") :]
+def _text(said: str, x: float, y: float, colour: str) -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" fill="{colour}">{escape(said)}</text>'

@@ -304,11 +304,6 @@ class Window:
         remedy = "reduce the payload or the speed, or use another posture"
         raise Overloaded(f"joint {self.names[joint]}{where}", said, remedy)
 
-    def together(self) -> Window:
-        """The accelerations that are within all N windows, as one window with all their rows, (1, N n, n)."""
-        n = len(self.names)
-        return Window(self.names, self.matrix.reshape(1, -1, n), self.lower.reshape(1, -1), self.upper.reshape(1, -1))
-
 
 # --- An arm with what it carries and what its drives may give: from a URDF and a few numbers
 

@@ -164,7 +164,7 @@ def with_payload(inertias: Inertias, chain: Chain, payload: Payload) -> Inertias
         inertia[-1] += reduced * (between @ between * np.eye(3) - np.outer(between, between))
     inertia[-1] += R @ payload.inertia @ R.T
     mass[-1] = total
-    return sealed(Inertias(mass, com, inertia))
+    return sealed(replace(inertias, mass=mass, com=com, inertia=inertia))
 
 
 @dataclass(frozen=True)
@@ -345,12 +345,9 @@ def _found(chain: Chain, inertias: Inertias, x: Array) -> Inertias:
     mass = np.maximum(inertias.mass + changed[:, 0], 0.0)
     moment = inertias.mass[:, None] * inertias.com + changed[:, 1:]
     com = np.where(mass[:, None] > 0.0, moment / np.maximum(mass[:, None], 1e-12), inertias.com)
-    T = chain.origins[-1]
-    total = max(float(mass[-1] + x[0]), 0.0)
-    if total > 0.0:  # the payload may be lighter than nothing, where the last body is heavier than stated
-        com[-1] = (mass[-1] * com[-1] + x[0] * T[:3, 3] + T[:3, :3] @ x[1:4]) / total
-    mass[-1] = total
-    return replace(inertias, mass=mass, com=com)
+    # the payload may be lighter than nothing, where the last body is heavier than stated
+    payload = Payload(max(float(x[0]), -float(mass[-1])), x[1:4] / x[0])
+    return with_payload(replace(inertias, mass=mass, com=com), chain, payload)
 
 
 def _require_torques(chain: Chain, own: Array, more: Array, effort: Array, unsure: float) -> None:

@@ -113,7 +113,7 @@ class Delta:
             said = "names three arms, and perhaps a shaft, each once"
             raise BadRobot(f"delta with joints {', '.join(names) or 'none'}", f"it {said}", "correct the names")
         rows = [np.broadcast_to(row, ARMS) for row in (zero, ratio, azimuth, offset, proximal, distal)]
-        wide, far = np.r_[np.tile(_LIMITS[linear], (ARMS, 1)), np.tile([-np.pi, np.pi], (n - ARMS, 1))].T
+        wide, far = usual_limits(n, linear)
         out = cls(
             tuple(names),
             read_only(rows),
@@ -224,6 +224,11 @@ class Delta:
         ends = np.abs(self.constants[RATIO]) * np.maximum(np.abs(self.lower), np.abs(self.upper))[:ARMS]
         arm = ends + np.abs(self.constants[ZERO]) if self.linear else self.constants[PROXIMAL]
         return float((np.sum(np.abs(self.constants[[OFFSET, DISTAL]]), axis=0) + arm).max())
+
+
+def usual_limits(joints: int, linear: bool) -> Array:
+    """Least and largest positions of so many joints, (2, joints) [rad, m], where none are stated."""
+    return np.array([_LIMITS[linear]] * ARMS + [(-np.pi, np.pi)] * (joints - ARMS)).T
 
 
 def _require_sound(delta: Delta) -> None:
@@ -377,8 +382,9 @@ def tilted_loops(stand: Stand, distal: Array, rates: Array, ends: Array, base: A
 # --- A Delta as plain data, the way its YAML file holds it: docs/delta.md describes every key
 
 _FORMAT = 1
-_ROWS = ("zero_rad", "ratio", "azimuth_rad", "offset_m", "proximal_m", "distal_m")  # in the order of constants
-_TOWER_ROWS = ("zero_m", "ratio", "azimuth_rad", "offset_m", "lean_rad", "distal_m")
+_ROWS, _TOWER_ROWS = (  # in the order of constants
+    tuple(name if unit == "1" else f"{name}_{unit}" for name, unit in units.items()) for units in (_OF_ARM, _OF_TOWER)
+)
 _RADII = ("fixed_radius_m", "platform_radius_m")
 _EACH: Schema = {"type": ["number", "array"], "items": NUMBER, "minItems": ARMS, "maxItems": ARMS}
 _LIMITED: Schema = {"type": "object", "additionalProperties": list_of(NUMBER, 2, 2)}
@@ -425,9 +431,13 @@ def delta_from_data(data: Any, source: str) -> Delta:
     constants = {key.partition("_")[0]: arms[key] for key in (*_ROWS, *_TOWER_ROWS) if key in arms}
     if linear:
         constants["proximal"] = constants.pop("lean", np.zeros(ARMS))
-    made = Delta.build(
+    usual = zip(names, *usual_limits(len(names), linear), strict=True)
+    lower, upper = np.array([limits.get(name, ends) for name, *ends in usual], dtype=float).T
+    return Delta.build(
         names,
         **constants,
+        lower=lower,
+        upper=upper,
         tool=[*tool.get("position_m", (0.0,) * 3), *tool.get("rotation_rad", (0.0,) * 3)],
         shaft_ratio=float(top.get("shaft_ratio", 1.0)),
         base=top.get("base", "base"),
@@ -435,11 +445,6 @@ def delta_from_data(data: Any, source: str) -> Delta:
         platform_radius=float(radius),
         linear=linear,
     )
-    usual = zip(made.lower, made.upper, strict=True)
-    ends = np.array([limits.get(name, pair) for name, pair in zip(names, usual, strict=True)], dtype=float)
-    limited = made.with_limits(*ends.T)
-    _require_sound(limited)
-    return limited
 
 
 def delta_to_data(delta: Delta) -> dict[str, Any]:

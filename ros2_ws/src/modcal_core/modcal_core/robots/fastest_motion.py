@@ -26,7 +26,7 @@ from scipy.sparse import coo_array
 
 from modcal_core.errors import BadTable, Overloaded
 from modcal_core.geometry import Array
-from modcal_core.robots.acceleration import LoadedArm, Window, bias_of
+from modcal_core.robots.acceleration import LoadedArm, Window, bias_of, largest_box
 from modcal_core.robots.bodies import Bodies
 
 # --- A path through joint positions without a time: how far along each joint stands, and its first two derivatives
@@ -174,7 +174,8 @@ def constant_bounds(windows: Window, weights: ArrayLike | None = None) -> tuple[
     of them cannot be held.
     """
     windows.require_held()
-    lower, upper = windows.together().box(weights)
+    matrix = windows.matrix.reshape(1, -1, len(windows.names))
+    lower, upper = largest_box(matrix, windows.lower.reshape(1, -1), windows.upper.reshape(1, -1), weights)
     return lower[0], upper[0]
 
 

@@ -130,7 +130,7 @@ def _loads(cells: Cells, arm: MonitoredArm) -> _Loads | None:
     load = weight + motion
     carried = []
     for payload in held:
-        loaded = replace(robots.with_payload(bodies, chain, payload), down=bodies.down, held=bodies.held)
+        loaded = robots.with_payload(bodies, chain, payload)
         carried.append(robots.torque(chain, loaded, q, cells["v"], cells["a"], down) - whole)
     return _Loads(weight, motion, by_body, np.stack(by_joint, axis=2), np.stack(carried), _rests(load))
 
