@@ -195,9 +195,9 @@ class Stretch:
 def joints_by_time(recording: Recording, names: tuple[str, ...], *more: str) -> tuple[Array, ...]:
     """Stamps (m,), in their order, and positions (m, n) of the named joints, whichever publishers they came from.
 
-    more: "velocity" and "effort", whose columns follow. All are to be read only: they may be the recording's own. Joints
-    spread over several publishers are interpolated onto the stamps of the one that carries most of them. Missing joints
-    are left to the caller's checks: their columns are NaN.
+    more: "velocity" and "effort", whose columns follow. All are to be read only: they may be the recording's own.
+    Joints spread over several publishers are interpolated onto the stamps of the one that carries most of them. Missing
+    joints are left to the caller's checks: their columns are NaN.
     """
     tracks = sorted(_of_one_order(recording.joints), key=lambda t: (-sum(n in t.names for n in names), -len(t.stamps)))
     if not tracks:
