@@ -9,7 +9,6 @@ import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from modcal_core.articulation import NONE, JointModel, StampOrder, Tracker, TrackerSettings, TrackerState, describe
@@ -55,6 +54,9 @@ class ArticulationEstimator(ros.ManagedNode):
             known = f"use {_JOINTS}, {', '.join(_POSES)}"
             raise BadCommand(f"parameter input {new['input']!r}", "is not an input", known)
 
+    def _serve(self) -> None:
+        self.offer("~/reset", self._reset)
+
     def _configure(self) -> None:
         chosen = self._chosen
         self._tracker = Tracker(
@@ -90,7 +92,6 @@ class ArticulationEstimator(ros.ManagedNode):
             needed = not chosen["robot_description"]
             take = self._take_description
             self._inputs.append(self.hear(String, "robot_description", take, ros.LATCHED, needed=needed))
-        self.create_service(Trigger, "~/reset", self._reset)
 
     def _deactivate(self) -> None:
         """What is held is another object, or another grasp of it, when the node is active again."""
@@ -112,13 +113,12 @@ class ArticulationEstimator(ros.ManagedNode):
         self._before = 0.0
         self._way = 1.0
 
-    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         self._forget()
         self._rest.clear()
         self._description.publish(String(data=""))
         self._health.publish()
-        response.success, response.message = True, "forgotten"
-        return response
+        return True, "forgotten"
 
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
