@@ -195,21 +195,26 @@ class Stretch:
 def joints_by_time(recording: Recording, names: tuple[str, ...], *more: str) -> tuple[Array, ...]:
     """Stamps (m,), in their order, and positions (m, n) of the named joints, whichever publishers they came from.
 
-    more: "velocity" and "effort", whose columns follow. Joints spread over several publishers are interpolated onto the
-    stamps of the one that carries most of them. Missing joints are left to the caller's checks: their columns are NaN.
+    more: "velocity" and "effort", whose columns follow. All are to be read only: they may be the recording's own.
+    Joints spread over several publishers are interpolated onto the stamps of the one that carries most of them. Missing
+    joints are left to the caller's checks: their columns are NaN.
     """
     tracks = sorted(_of_one_order(recording.joints), key=lambda t: (-sum(n in t.names for n in names), -len(t.stamps)))
-    stamps = tracks[0].stamps if tracks else np.empty(0)
-    order = np.argsort(stamps, kind="stable")
-    out = [stamps[order]]
+    if not tracks:
+        return (np.empty(0), *(np.empty((0, len(names))) for _ in ("position", *more)))
+    first = tracks[0] if (np.diff(tracks[0].stamps) >= 0.0).all() else tracks[0].in_order()
+    out = [first.stamps]
     for what in ("position", *more):
-        columns = np.full((len(stamps), len(names)), np.nan)
+        if first.names == names:
+            out.append(getattr(first, what))
+            continue
+        columns = np.full((len(first.stamps), len(names)), np.nan)
         for j, name in enumerate(names):
-            track = next((track for track in tracks if name in track.names), None)
+            track = next((track for track in (first, *tracks[1:]) if name in track.names), None)
             if track is not None:
                 column = getattr(track, what)[:, track.names.index(name)]
-                columns[:, j] = column if track is tracks[0] else np.interp(stamps, track.stamps, column)
-        out.append(columns[order])
+                columns[:, j] = column if track is first else np.interp(first.stamps, track.stamps, column)
+        out.append(columns)
     return tuple(out)
 
 
