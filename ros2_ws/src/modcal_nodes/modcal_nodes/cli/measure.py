@@ -13,7 +13,7 @@ import numpy as np
 
 from modcal_core.calibration import errors
 from modcal_core.errors import BadTable, about
-from modcal_core.files import parse_yaml, read_yaml
+from modcal_core.files import read_yaml
 from modcal_core.measurements import POINT, POSE
 from modcal_core.outcome import counted, readmitted_note
 from modcal_core.planning import (
@@ -125,22 +125,7 @@ def parameter(text: str) -> tuple[str, Any]:
     if not equals or name not in SIMULATED_CELL or name in _OF_THE_NODE:
         names = ", ".join(n for n in SIMULATED_CELL if n not in _OF_THE_NODE)
         raise BadTable(f"-p {text}", "is not a NAME=VALUE of the simulated cell", f"names are {names}")
-    parameter = SIMULATED_CELL[name]
-    kind, value = type(parameter.default), parse_yaml(written, f"-p {name}")
-    try:
-        if kind is list:
-            value = [float(item) for item in (value if isinstance(value, list) else [value])]
-        elif kind is float and not isinstance(value, bool):
-            value = float(value)
-        fits = type(value) is kind and (kind in (str, bool) or bool(np.isfinite(value).all()))
-    except (TypeError, ValueError):
-        fits = False
-    if not fits:
-        raise BadTable(f"-p {text}", f"is no {'list of numbers' if kind is list else kind.__name__}", "write one")
-    low, high = parameter.low, parameter.high
-    if low is not None and high is not None and not low <= value <= high:
-        raise BadTable(f"-p {text}", f"{low:g} to {high:g} is allowed", "choose a value between")
-    return name, value
+    return name, SIMULATED_CELL[name].parsed(f"-p {name}=", written)
 
 
 _BY_HAND = 4  # stations at once, since whoever fills in a table gives the command again for each lot

@@ -18,12 +18,12 @@ from modcal_nodes import ros
 from modcal_nodes.vision import Coach, annotated, board_pose, detect, grey_of, lens_from_data
 
 
-class BoardDetector(ros.GuardedNode):
+class BoardDetector(ros.HealthyNode):
     """Corners, pose, coaching and an annotated image for each image that it has time for."""
 
     def __init__(self) -> None:
-        super().__init__("board_detector")
-        chosen = ros.declare(self, ros.BOARD_DETECTOR)
+        super().__init__("board_detector", ros.BOARD_DETECTOR)
+        chosen = self._chosen
         if not chosen["target"]:
             raise BadTable("parameter target", "names no file", "set it to the target.yaml of modcal target")
         self._target = read_target(Path(chosen["target"]))
@@ -38,14 +38,10 @@ class BoardDetector(ros.GuardedNode):
         self._coaching = self.create_publisher(String, "~/coaching", 10)
         self._annotated = self.create_publisher(Image, "~/annotated", 2)
         self._images = [
-            ros.MonitoredSubscription(self, Image, "image", self._image, ros.FRESH, single=True),
-            ros.MonitoredSubscription(self, CompressedImage, "image/compressed", self._image, ros.FRESH, single=True),
+            self.hear(Image, "image", self._image, ros.FRESH, single=True),
+            self.hear(CompressedImage, "image/compressed", self._image, ros.FRESH, single=True),
         ]
-        self._inputs = [
-            *self._images,
-            ros.MonitoredSubscription(self, CameraInfo, "camera_info", self._info, ros.FRESH),
-        ]
-        self._health = ros.Health(self, self._report)
+        self._inputs = [*self._images, self.hear(CameraInfo, "camera_info", self._info, ros.FRESH)]
 
     def _info(self, message: CameraInfo) -> None:
         """What the camera says of its lens; without it no pose is published, and coaching guesses."""
@@ -113,7 +109,7 @@ class BoardDetector(ros.GuardedNode):
         self._annotated.publish(out)
 
     def _report(self) -> list[ros.Status]:
-        heard = ros.subscription_status(self._inputs)
+        heard = ros.subscription_status(self._inputs, self._refusals)
         facts = {"images": self._seen, "with the target": self._found}
         if not any(subscription.count for subscription in self._images):
             topics = " and ".join(subscription.topic for subscription in self._images)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from ament_index_python.packages import get_package_share_directory
@@ -27,14 +28,11 @@ _KINDS = ("door", "drawer")
 _PACED = ("publish_clock:=true", "keep_step:=true", "clock_rate_hz:=250.0")
 
 
-class DoorDemo(ros.GuardedNode):
+class DoorDemo(ros.HealthyNode):
     """Opens a simulated door or drawer by the other nodes; ends when it is over, exit code 0 if it is open."""
 
     def __init__(self) -> None:
-        super().__init__("door_demo")
-        self._chosen = ros.declare(self, ros.DOOR_DEMO)
-        if self._chosen["kind"] not in _KINDS:
-            raise BadTable(f"kind '{self._chosen['kind']}'", "is neither door nor drawer", "set one of them")
+        super().__init__("door_demo", ros.DOOR_DEMO)
         self._opened, self._pulls, self._over = 0.0, False, False
         self._record = PullRecord()
         self._begun = self._asked = time.monotonic()
@@ -45,10 +43,14 @@ class DoorDemo(ros.GuardedNode):
         self.create_subscription(String, "robot_description", lambda m: self._record.describe(m.data), ros.LATCHED)
         self.create_subscription(JointState, "joint_states", self._hear_joints, ros.FRESH)
         self._children = self._start() if self._chosen["start"] else []
-        ros.Health(
-            self, lambda: [ros.Status("demo", ros.OK, "pulls" if self._pulls else "waiting for the pull to begin")]
-        )
         self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _check(self, new: dict[str, Any]) -> None:
+        if new["kind"] not in _KINDS:
+            raise BadTable(f"kind '{new['kind']}'", "is neither door nor drawer", "set one of them")
+
+    def _report(self) -> list[ros.Status]:
+        return [ros.Status("demo", ros.OK, "pulls" if self._pulls else "waiting for the pull to begin")]
 
     def _start(self) -> list[subprocess.Popen[bytes]]:
         """The other nodes, as the launch file would start them, in processes of their own."""

@@ -19,13 +19,12 @@ from modcal_nodes import ros
 _PERIOD = 0.1  # s
 
 
-class TrajectorySender(ros.GuardedNode):
+class TrajectorySender(ros.HealthyNode):
     """Waits for joint states and for a controller, sends the trajectory once to ``~/joint_trajectory``, and ends."""
 
     def __init__(self) -> None:
-        super().__init__("trajectory_sender")
-        self._chosen = chosen = ros.declare(self, ros.TRAJECTORY_SENDER)
-        file = Path(chosen["trajectory"])
+        super().__init__("trajectory_sender", ros.TRAJECTORY_SENDER)
+        file = Path(self._chosen["trajectory"])
         if not file.is_file():
             raise BadTable(
                 f"trajectory '{file}'", "is not a file", "set the parameter to the one that modcal plan wrote"
@@ -35,13 +34,8 @@ class TrajectorySender(ros.GuardedNode):
         self._at = self._begun = time.monotonic()
         unlimited = np.full(len(self._planned.names), np.inf)
         self._joints = JointInput(self._planned.names, -unlimited, unlimited)
-        self._refusals = ros.Refusals(self)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
-        heard = self._refusals.guarded("joint_states", self._take_joints)
-        self._inputs = [
-            ros.MonitoredSubscription(self, JointState, "joint_states", heard, ros.FRESH, needed=True, single=True)
-        ]
-        self._health = ros.Health(self, self._report)
+        self._inputs = [self.hear(JointState, "joint_states", self._take_joints, ros.FRESH, needed=True, single=True)]
         self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _take_joints(self, message: JointState) -> None:

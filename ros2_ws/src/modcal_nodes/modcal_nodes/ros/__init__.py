@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, Refusals
     from modcal_nodes.ros.launch_files import LAUNCHES
-    from modcal_nodes.ros.lifecycle import DONE, FAILED, REFUSED, Action, ManagedNode, declare, follow, interface
+    from modcal_nodes.ros.lifecycle import DONE, FAILED, REFUSED, Action, HealthyNode, ManagedNode, interface
     from modcal_nodes.ros.parameters import ACCELERATION_LIMITS, ARTICULATION_ESTIMATOR, BOARD_DETECTOR, CALIBRATOR
     from modcal_nodes.ros.parameters import CORRECTOR, DOOR_DEMO, IMPEDANCE_SETPOINT, RECORDER, SIMULATED_CELL
     from modcal_nodes.ros.parameters import SIMULATED_FURNITURE, STATION_RUNNER, TRAJECTORY_SENDER, VIEWER, Parameter
