@@ -37,7 +37,7 @@ from modcal_core.planning import (
 from modcal_core.robot import Robot
 from modcal_core.robots import other_tips
 from modcal_msgs_py import write_recording
-from modcal_nodes.cli.console import EXISTING, UNMET, WRITTEN, Decimal, Output, Whole, given, speaking, written
+from modcal_nodes.cli.console import EXISTING, UNMET, WRITTEN, Decimal, Output, Whole, given, speaks, written
 from modcal_nodes.cli.inputs import arm_line, chain_line, read_robot
 from modcal_nodes.io import ChainOptions, Watch, opened, option, read_cell, repeated
 from modcal_nodes.measuring import (
@@ -78,7 +78,7 @@ _STATIONS = 60
     "--returns", type=Whole(0, 1000), default=RETURNS,
     help="Number of these postures that are visited twice, so that the noise floor is known.",
 )  # fmt: skip
-@speaking
+@speaks()
 def simulate_command(
     robot: Path, out: Path, given: tuple[str, ...], later: tuple[tuple[float, str], ...], returns: int, output: Output
 ) -> None:
@@ -192,7 +192,7 @@ class MeasureOptions(ChainOptions):
 @click.command("measure")
 @click.argument("robot", type=EXISTING)
 @given(MeasureOptions)
-@speaking
+@speaks()
 def measure_command(robot: Path, output: Output, options: MeasureOptions) -> int:
     """Measure ROBOT (a URDF), station after station, until an accuracy is proven or cannot be reached.
 

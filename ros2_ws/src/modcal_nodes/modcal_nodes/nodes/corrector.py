@@ -39,7 +39,7 @@ from modcal_msgs_py import (
     set_seconds,
 )
 from modcal_nodes import ros
-from modcal_nodes.io import calibration_of, read_calibration, read_delta
+from modcal_nodes.io import calibration_of, read_delta
 
 # The newest is all that counts: a queue would only make it old.
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
@@ -88,7 +88,7 @@ class Corrector(ros.ManagedNode):
             self.hear(ros.interface("Calibration"), "calibration", self._take_calibration, ros.LATCHED),
         ]
         if self._chosen["calibration"]:
-            self._calibration = read_calibration(Path(self._chosen["calibration"]))
+            self._calibration = Calibration.load(Path(self._chosen["calibration"]))
         self._meet()
 
     def _activate(self) -> None:
@@ -128,7 +128,7 @@ class Corrector(ros.ManagedNode):
         self._drop("reset, and no calibration since")
         try:
             if self._chosen["calibration"]:
-                self._calibration = read_calibration(Path(self._chosen["calibration"]))
+                self._calibration = Calibration.load(Path(self._chosen["calibration"]))
                 self._meet()
             done, said = True, self._refusal or "read again"
         except ModcalError as error:

@@ -120,7 +120,8 @@ class StationRunner(ros.ManagedNode):
             self._see_end()
 
     def _send(self, motion: TimedMotion) -> None:
-        message = JointTrajectory(joint_names=list(self._sequence.names))  # without a stamp: from now on
+        assert self._sequence.chain is not None
+        message = JointTrajectory(joint_names=list(self._sequence.chain.names))  # without a stamp: from now on
         for after, q, v in zip(motion.t[1:], motion.q[1:], motion.v[1:], strict=True):
             point = JointTrajectoryPoint(positions=q.tolist(), velocities=v.tolist())
             set_seconds(point.time_from_start, float(after))

@@ -181,6 +181,9 @@ class GuardedNode(Node):
     def _now(self) -> float:
         return 1e-9 * self.get_clock().now().nanoseconds
 
+    def close(self) -> None:
+        """End what is going on, before the node is taken away."""
+
     def destroy_node(self) -> None:
         """Same as in Node, with the actions, which Node forgets."""
         for waitable in list(self.waitables):

@@ -12,7 +12,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
@@ -39,7 +38,7 @@ class Status:
 class Health:
     """Publishes a node's statuses. ``report`` is asked for them."""
 
-    def __init__(self, node: Node, report: Callable[[], Iterable[Status]]) -> None:
+    def __init__(self, node: GuardedNode, report: Callable[[], Iterable[Status]]) -> None:
         self._node, self._of = node, report
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._levels: tuple[bytes, ...] = ()
@@ -48,8 +47,6 @@ class Health:
 
     def _report(self) -> list[Status]:
         """What the node says, and what went wrong inside of it; a fault of the telling itself is told too."""
-        if not isinstance(self._node, GuardedNode):
-            return list(self._of())
         statuses: list[Status] = []
         try:
             statuses.extend(self._of())
