@@ -21,8 +21,10 @@ from modcal_nodes.vision import Coach, annotated, board_pose, detect, grey_of, l
 class BoardDetector(ros.HealthyNode):
     """Corners, pose, coaching and an annotated image for each image that it has time for."""
 
+    executable = "board_detector"
+
     def __init__(self) -> None:
-        super().__init__("board_detector", ros.BOARD_DETECTOR)
+        super().__init__()
         chosen = self._chosen
         if not chosen["target"]:
             raise BadTable("parameter target", "names no file", "set it to the target.yaml of modcal target")
@@ -91,10 +93,8 @@ class BoardDetector(ros.HealthyNode):
 
     def _publish_pose(self, view: BoardView, lens: Lens, message: Any) -> None:
         T, cov = board_pose(view, self._target, lens)
-        out = PoseWithCovarianceStamped()
-        out.header = message.header
-        fill_pose(out.pose.pose, T)
-        out.pose.covariance = cov.ravel().tolist()
+        out = PoseWithCovarianceStamped(header=message.header)
+        fill_pose(out.pose, T, cov)
         self._pose.publish(out)
 
     def _say(self, said: str, grey: np.ndarray | None, view: BoardView | None, message: Any) -> None:
@@ -118,8 +118,3 @@ class BoardDetector(ros.HealthyNode):
         if self._refusal:
             return [heard, ros.Status("target", ros.WARN, f"{self._said}; camera_info: {self._refusal}", facts)]
         return [heard, ros.Status("target", level, self._said, facts)]
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(BoardDetector)

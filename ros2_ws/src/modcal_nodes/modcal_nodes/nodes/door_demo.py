@@ -10,16 +10,15 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from ament_index_python.packages import get_package_share_directory
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import ActionClient
-from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from modcal_core.errors import BadCommand, BadTable
+from modcal_msgs_py import seconds, wrench_numbers
 from modcal_nodes import ros
 from modcal_nodes.simulation import PullRecord
 
@@ -31,8 +30,10 @@ _PACED = ("publish_clock:=true", "keep_step:=true", "clock_rate_hz:=250.0")
 class DoorDemo(ros.HealthyNode):
     """Opens a simulated door or drawer by the other nodes; ends when it is over, exit code 0 if it is open."""
 
+    executable = "door_demo"
+
     def __init__(self) -> None:
-        super().__init__("door_demo", ros.DOOR_DEMO)
+        super().__init__()
         self._opened, self._pulls, self._over = 0.0, False, False
         self._record = PullRecord()
         self._begun = self._asked = time.monotonic()
@@ -43,7 +44,7 @@ class DoorDemo(ros.HealthyNode):
         self.create_subscription(String, "robot_description", lambda m: self._record.describe(m.data), ros.LATCHED)
         self.create_subscription(JointState, "joint_states", self._hear_joints, ros.FRESH)
         self._children = self._start() if self._chosen["start"] else []
-        self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(_PERIOD, self._look)
 
     def _check(self, new: dict[str, Any]) -> None:
         if new["kind"] not in _KINDS:
@@ -82,13 +83,11 @@ class DoorDemo(ros.HealthyNode):
         self._opened = float(message.position[0])
 
     def _hear_force(self, message: WrenchStamped) -> None:
-        force = message.wrench.force
-        self._record.feel(np.array([force.x, force.y, force.z]))
+        self._record.feel(wrench_numbers(message)[:3])
 
     def _hear_joints(self, message: JointState) -> None:
         if not self._over:
-            stamp = message.header.stamp
-            self._record.take(list(message.name), list(message.position), stamp.sec + 1e-9 * stamp.nanosec)
+            self._record.take(list(message.name), list(message.position), seconds(message.header.stamp))
 
     def _look(self) -> None:
         if self._over:
@@ -141,8 +140,3 @@ class DoorDemo(ros.HealthyNode):
                 child.wait(10.0)
             except subprocess.TimeoutExpired:
                 child.kill()
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(DoorDemo)

@@ -19,10 +19,12 @@ _DEPTH = 2000  # messages a publisher keeps for a subscriber that is behind
 class SimulatedCell(simulation.SpeakingNode):
     """Publishes joint_states, tracker/pose or tracker/point and robot_description; follows joint_trajectory."""
 
+    executable = "simulated_cell"
+
     _plant: simulation.Plant
 
     def __init__(self) -> None:
-        super().__init__("simulated_cell", ros.SIMULATED_CELL)
+        super().__init__()
         chosen = self._chosen
         self._plant = plant = simulation.Plant(chosen)
         points = chosen["measurement"] == "point"
@@ -126,8 +128,3 @@ class SimulatedCell(simulation.SpeakingNode):
                 self.get_logger().info(
                     f"{name}: {before} -> {switches.value(name)}, {self._done:.3f} s after the start"
                 )
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(SimulatedCell)

@@ -31,10 +31,12 @@ _NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT, durabil
 class SimulatedFurniture(simulation.SpeakingNode):
     """Publishes joint_states, wrench, robot_description and the truth; follows joint_references, joint_trajectory."""
 
+    executable = "simulated_furniture"
+
     _at_once, _lost = 0.1, 5.0  # s of physics between two looks at what came in; that are not made up for
 
     def __init__(self) -> None:
-        super().__init__("simulated_furniture", ros.SIMULATED_FURNITURE)
+        super().__init__()
         chosen = self._chosen
         file = Path(chosen["urdf"])
         if not file.is_file():
@@ -141,8 +143,3 @@ def _filled(message: WrenchStamped, when: simulation.When, wrench: Array) -> Wre
     force, torque = message.wrench.force, message.wrench.torque
     force.x, force.y, force.z, torque.x, torque.y, torque.z = wrench.tolist()
     return message
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(SimulatedFurniture)

@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -22,8 +21,10 @@ _PERIOD = 0.1  # s
 class TrajectorySender(ros.HealthyNode):
     """Waits for joint states and for a controller, sends the trajectory once to ``~/joint_trajectory``, and ends."""
 
+    executable = "trajectory_sender"
+
     def __init__(self) -> None:
-        super().__init__("trajectory_sender", ros.TRAJECTORY_SENDER)
+        super().__init__()
         file = Path(self._chosen["trajectory"])
         if not file.is_file():
             raise BadTable(
@@ -36,7 +37,7 @@ class TrajectorySender(ros.HealthyNode):
         self._joints = JointInput(self._planned.names, -unlimited, unlimited)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
         self._inputs = [self.hear(JointState, "joint_states", self._take_joints, ros.FRESH, needed=True, single=True)]
-        self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(_PERIOD, self._look)
 
     def _take_joints(self, message: JointState) -> None:
         self._joints.receive(message, self._now(), self._chosen["timeout_s"])
@@ -97,8 +98,3 @@ class TrajectorySender(ros.HealthyNode):
                 "trajectory", ros.OK, f"sent, {time.monotonic() - self._at:.0f} of {self._sent.t[-1]:.0f} s ago"
             )
         return [ros.subscription_status(self._inputs, self._refusals), line]
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(TrajectorySender)

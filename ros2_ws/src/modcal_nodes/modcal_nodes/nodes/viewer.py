@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
@@ -23,7 +22,6 @@ from modcal_nodes.calibrating import KnownArm
 from modcal_nodes.io import calibration_of
 from modcal_nodes.viewing import JudgedStations, Stations
 
-_REST = 0.003  # s
 _LIFETIME = 2.0  # s that axes and ellipsoids outlive this node by
 _CALIBRATION = "calibrator/calibration"
 _NOTHING_YET = f"no calibration yet: run a calibrator beside this node, or remap {_CALIBRATION}"
@@ -33,8 +31,11 @@ _NO_ARM_YET = "publish robot_description (latched) and joint_states"
 class Viewer(ros.HealthyNode):
     """Publishes pictures of residuals, stations, joint axes and uncertainty in the arm's base link."""
 
+    executable = "viewer"
+    rest = 0.003  # s
+
     def __init__(self) -> None:
-        super().__init__("viewer", ros.VIEWER)
+        super().__init__()
         chosen = self._chosen
         self._urdf, self._names = chosen["robot_description"], frozenset[str]()
         self._calibration: Calibration | None = None
@@ -64,7 +65,7 @@ class Viewer(ros.HealthyNode):
             hear(String, "robot_description", self._take_description, ros.LATCHED, needed=not described),
         ]
         self.offer("~/reset", self._reset)
-        self.create_timer(1.0 / chosen["rate_hz"], self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(1.0 / chosen["rate_hz"], self._tick)
 
     def _take_temperature(self, message: Temperature) -> None:
         self._signals.hear_temperature(message, self._now())
@@ -243,8 +244,3 @@ class Viewer(ros.HealthyNode):
             strange = ", ".join(f"'{name}'" for name in self._judged.strangers)
             said = f"readings in frame {strange} are not shown: the calibration knows {known}: calibrate with them"
         return ros.Status("view", ros.WARN if said else ros.OK, said or "is drawn", facts)
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(Viewer, rest=_REST)

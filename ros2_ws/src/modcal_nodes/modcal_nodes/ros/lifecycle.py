@@ -23,7 +23,6 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import GoalEvent, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
@@ -37,6 +36,7 @@ from modcal_core.errors import BadTable, ModcalError
 from modcal_msgs_py import require_version
 from modcal_nodes.ros.guarded import GuardedNode, Refusals, described
 from modcal_nodes.ros.parameters import NODES, Parameter
+from modcal_nodes.ros.running import run
 from modcal_nodes.ros.subscriptions import OK, WARN, Health, Status
 from modcal_nodes.ros.subscriptions import MonitoredSubscription as Monitored
 
@@ -135,7 +135,7 @@ class Action:
         except Exception as error:
             self.end(FAILED, self._node.faults.note(f"action {self.name}", error))
         if self._goal is goal:
-            self._timer = self._node.create_timer(_FEEDBACK, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            self._timer = self._node.every(_FEEDBACK, self._tell)
 
     def _tell(self) -> None:
         if self._goal is not None:
@@ -215,16 +215,23 @@ def _warn_of_unknown(node: Node, parameters: dict[str, Parameter]) -> None:
 class HealthyNode(GuardedNode):
     """A node with parameters, which it follows while it runs, with health, and with refusals of what it hears."""
 
+    executable: str  # its name, by which its parameters are known
+    rest = 0.0  # s between two looks for messages, see run
     configured = True
 
-    def __init__(self, name: str, parameters: dict[str, Parameter]) -> None:
-        super().__init__(name)
-        self._chosen = declare(self, parameters)
+    def __init__(self) -> None:
+        super().__init__(self.executable)
+        self._chosen = declare(self, NODES[self.executable])
         self._check(self._chosen)
         self.add_on_set_parameters_callback(self._judge)
         self.add_post_set_parameters_callback(self._apply)
         self._health = Health(self, self._statuses)
         self._refusals = Refusals(self, self._health.publish_if_changed)
+
+    @classmethod
+    def main(cls) -> None:
+        """Entry point of the executable."""
+        run(cls, rest=cls.rest)
 
     def _check(self, new: dict[str, Any]) -> None:
         """Raises ModcalError for parameters that cannot be, all of them as they would be."""
@@ -295,8 +302,8 @@ class ManagedNode(HealthyNode, LifecycleNode):
     active = configured = False
     _own: frozenset[int] | None = None  # entities of every state, by id
 
-    def __init__(self, name: str, parameters: dict[str, Parameter]) -> None:
-        super().__init__(name, parameters)
+    def __init__(self) -> None:
+        super().__init__()
         changes = self._service_change_state
         self._change_state = changes.callback.callback  # without its guard: what is illegal is no fault
         changes.callback = self.guarded_service("change_state", self._transit)
