@@ -31,7 +31,7 @@ from modcal_msgs_py import (
     JointInput,
     desired_pose,
     fill_point,
-    fill_target,
+    fill_posed,
     fill_wrench,
     seconds,
     set_seconds,
@@ -361,7 +361,7 @@ class SetpointPublishers:
             trajectory.points = [fill_point(JointTrajectoryPoint(), setpoint, horizon, with_speed=False)]
             self._trajectory.publish(trajectory)
         if self._pose.get_subscription_count():
-            self._pose.publish(fill_target(PoseStamped(), setpoint, now))
+            self._pose.publish(fill_posed(PoseStamped(), setpoint.frame, round(1e9 * now), setpoint.pose))
         if self._wrench.get_subscription_count():
             self._wrench.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.wrench))
         if self._stiffness.get_subscription_count():

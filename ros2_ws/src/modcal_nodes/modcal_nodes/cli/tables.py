@@ -40,7 +40,7 @@ from modcal_core.robots import (
     xacro_origins,
 )
 from modcal_msgs_py import write_recording
-from modcal_msgs_py.tables import MeasuredArm, Proposal, find, json_schema, read_tables
+from modcal_msgs_py.tables import MeasuredArm, Proposal, find, import_tables, json_schema
 from modcal_nodes.cli.console import EXISTING, WRITTEN, Output, given, speaks
 from modcal_nodes.cli.inputs import described, read_robot, read_table
 from modcal_nodes.io import ChainOptions, option
@@ -401,8 +401,7 @@ def _kinematic_table(path: Path) -> Mapping[str, Any] | None:
 def _import(mapping: Path, options: ImportOptions, out: Path, output: Output) -> None:
     stated, folder, urdf = read_yaml(mapping), options.data or mapping.parent, options.urdf
     with output.working() as watch:
-        tables = read_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
-        recording = tables.recording
+        recording = import_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
         recording = replace(recording, warnings=(f"{IMPORTED}{mapping.name}.", *recording.warnings))
         delta = options.delta or _stated_robot("delta", stated, mapping, folder)
         urdf = urdf or _stated_robot("urdf", stated, mapping, folder)
@@ -412,7 +411,7 @@ def _import(mapping: Path, options: ImportOptions, out: Path, output: Output) ->
             watch("comparing conventions")
             with remedies_of(recording.warnings):
                 recording = _proved(recording, stated, arm)
-        write_recording(recording, out, partial(watch, f"writing {out.name}"), tables.commanded)
+        write_recording(recording, out, partial(watch, f"writing {out.name}"))
     frames = list(recording.frames)
     stations = sum(len(r.stamps) for r in recording.readings)
     left_out = [note for note in recording.warnings if "left out" in note]

@@ -18,11 +18,11 @@ from modcal_core.impedance import Load
 from modcal_core.robots import Chain, chain_forward, read_chain
 from modcal_msgs_py import (
     JointInput,
-    fill_expected,
     fill_identity,
     fill_markers,
     fill_object_state,
     fill_object_status,
+    fill_posed,
     nanoseconds,
     seen,
     status_values,
@@ -237,7 +237,7 @@ class ArticulationEstimator(ros.ManagedNode):
             self._way, self._before = float(np.sign(a - self._before)), a
         ahead = self._chosen["lookahead_m"] / length
         T = model.pose(a + self._way * ahead) if model.moves else model.start
-        self._expected.publish(fill_expected(PoseStamped(), self._frame, self._exact, T))
+        self._expected.publish(fill_posed(PoseStamped(), self._frame, self._exact, T))
         assert self._state is not None
         reach = (self._ends[0] - ahead, self._ends[1] + ahead)
         if self._axis.get_subscription_count():  # a picture that nobody looks at is not drawn
