@@ -31,7 +31,6 @@ from modcal_core import BadRecording
 from modcal_core.calibration.store import Calibration
 from modcal_core.correction import ArmState, Correction
 from modcal_msgs_py.mcap_walk import McapFile
-from modcal_nodes.io.inputs import read_calibration
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation import Plant
 
@@ -252,7 +251,7 @@ def report(folder: Path, every: list[Subject], codes: dict[str, int], answers: d
     rows.append(("recorder: longest silence after a start, s", silent, "", True))
     rows += [(f"{name}: solve", answer, "", True) for name, answer in answers.items()]
     try:
-        disturbed, calm = (read_calibration(folder / name) for name in ("disturbed", "calm"))
+        disturbed, calm = (Calibration.load(folder / name) for name in ("disturbed", "calm"))
         defaults = {name: parameter.default for name, parameter in SIMULATED_CELL.items()}
         truth = Plant({**defaults, "urdf": CELL["urdf"], "seed": CELL["seed"], "stations": 10})
         apart, best, wrong = deviations(disturbed, calm), off(calm, truth), off(disturbed, truth)

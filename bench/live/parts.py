@@ -20,7 +20,7 @@ import sys
 import time
 from collections import Counter, defaultdict, deque
 from functools import partial
-from importlib import import_module
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -217,7 +217,8 @@ def node(name: str, log: str, seed: str) -> None:
 
     Guarded.__call__ = called  # type: ignore[method-assign]
     sys.argv = [name, *sys.argv[5:]]
-    import_module(f"modcal_nodes.nodes.{name}").main()
+    (executable,) = entry_points(group="console_scripts", name=name)
+    executable.load()()
 
 
 def bare(way: str, out: str) -> None:

@@ -88,8 +88,8 @@ class Opened:
 
 
 def executables() -> list[str]:
-    """Names of the package's nodes, in the order of its setup.py: each is the main of a module of its name."""
-    return re.findall(r"(\w+) = \{PACKAGE\}\.nodes\.\1:main", (PACKAGE / "setup.py").read_text(encoding="utf-8"))
+    """Names of the package's nodes, in the order of its setup.py: each is in a module of its name."""
+    return re.findall(r"(\w+) = \{PACKAGE\}\.nodes\.\1:\w+\.main", (PACKAGE / "setup.py").read_text(encoding="utf-8"))
 
 
 def page() -> str:
@@ -182,8 +182,7 @@ def _started(name: str, parameters: dict[str, str]) -> Iterator[Node]:
         try:
             yield node
         finally:
-            if hasattr(node, "close"):
-                node.close()
+            node.close()
             node.destroy_node()
             rclpy.try_shutdown()
 

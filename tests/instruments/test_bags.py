@@ -12,13 +12,14 @@ from cli.recordings import URDF
 from instruments import worlds
 from instruments.test_recovery import CELLS, LASER, Device, postures
 
+from modcal_core.calibration import Calibration
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import ReadingTrack, Recording
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
-from modcal_nodes.io.inputs import read_calibration, read_cell
+from modcal_nodes.io.inputs import read_cell
 
 
 def recording(devices: list[Device], count: int = 100, seed: int = 1) -> Recording:
@@ -72,7 +73,7 @@ def test_mixed_instruments_in_one_calibration(tmp_path: Path) -> None:
     assert report["error_mm"]["final"]["rms"] < 0.2 * report["error_mm"]["nominal"]["rms"]
     assert "instrument wire_0/target_x" in [p["name"] for p in report["parameters"]]
     assert {p["unit"] for p in report["parameters"] if p["name"].startswith("instrument wire_0")} == {"m"}
-    calibration = read_calibration(tmp_path / "out")
+    calibration = Calibration.load(tmp_path / "out")
     assert [i.kind for i in calibration.calibrated.instruments] == ["range", "bearing"]
     assert calibration.noise.others["range"] == pytest.approx(2e-4, rel=0.3)
     out = ["--out", str(tmp_path / "scored")]

@@ -21,7 +21,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.held_box import FACES, Scan, measure_box
 from modcal_msgs_py.readings import set_seconds
 from modcal_nodes.cli.main import run
-from modcal_nodes.ros.actions import interface
+from modcal_nodes.ros.lifecycle import interface
 
 pytestmark = pytest.mark.slow
 

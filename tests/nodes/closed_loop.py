@@ -25,6 +25,7 @@ from nodes.processes import ROOT, Process, Wait, fresh_domain, listener, running
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from modcal_core.calibration import Calibration
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
@@ -34,7 +35,6 @@ from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.commands import fill_pose
 from modcal_msgs_py.readings import seconds, set_seconds
 from modcal_nodes.cli.main import run
-from modcal_nodes.io.inputs import read_calibration
 from modcal_nodes.simulation.mjcf import World
 from modcal_nodes.simulation.plant import make_world
 
@@ -180,7 +180,7 @@ def close_the_loop(
             assert recorder.stop() == 0
             say(f"recorded {stations} stations")
             assert run(["calibrate", str(folder / "bag"), "--out", str(folder / "calibration")]) == 0
-            calibration = read_calibration(folder / "calibration")
+            calibration = Calibration.load(folder / "calibration")
             effects = tuple(f"{e.family} {e.place}" for e in calibration.calibrated.effects)
             say(f"calibrated: {', '.join(effects)}")
 

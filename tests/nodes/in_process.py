@@ -11,15 +11,15 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nodes.processes import MUTUAL, SLOWER, fresh_domain
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 
+from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.running import spin_once
 
 
 class Pair:
     """A node under test, and a partner in the same domain; ``wait`` spins both."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: GuardedNode) -> None:
         self.node, self.partner = node, rclpy.create_node("test_partner", use_global_arguments=False)
         self._clients: dict[str, Any] = {}
         self._executors = []
@@ -71,14 +71,13 @@ class Pair:
 
     def close(self) -> None:
         """As running.py closes a node."""
-        with contextlib.suppress(AttributeError):
-            self.node.close()  # type: ignore[attr-defined]
+        self.node.close()
         self.partner.destroy_node()
         self.node.destroy_node()
 
 
 @contextlib.contextmanager
-def spun(make: Callable[[], Node], **parameters: Any) -> Iterator[Pair]:
+def spun(make: Callable[[], GuardedNode], **parameters: Any) -> Iterator[Pair]:
     """A node made by ``make`` with these parameters, in a domain of its own."""
     settings = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
     rclpy.init(args=["--ros-args", *settings] if settings else [], domain_id=fresh_domain())

@@ -21,10 +21,10 @@ from nodes.processes import SLOWER, Goal, Process, beside, fresh_domain, listene
 from nodes.talking import Diagnostics
 from std_msgs.msg import Bool, Float64
 
+from modcal_core.calibration import Calibration as Kept
 from modcal_core.geometry import se3
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.typed import calibration_data
-from modcal_nodes.io.inputs import read_calibration
 
 pytestmark = pytest.mark.dds
 
@@ -52,7 +52,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_solve_is_published_kept_and_gone_on_with_after_a_restart(saved: Path, tmp_path: Path) -> None:
     shutil.copytree(saved, tmp_path / "state")
     domain, whole = fresh_domain(), stations(64)
-    kept = read_calibration(tmp_path / "state")
+    kept = Kept.load(tmp_path / "state")
 
     second = Process("calibrator", domain, tmp_path, effects=False, state=tmp_path / "state")
     with running(second), listener(domain) as (node, wait):

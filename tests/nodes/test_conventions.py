@@ -162,7 +162,7 @@ FILES += [("board_detector", "target"), ("trajectory_sender", "trajectory")]
         ("recorder", {"out": "bag", "min_free_mb": 1e11}, "less than min_free_mb = 1e+11: make room"),
         ("simulated_cell", {"urdf": "no_such.urdf"}, "urdf 'no_such.urdf': is not a file"),
         ("simulated_cell", {"urdf": URDF, "joint_compliance_rad_per_nm": "[1e-5, 2e-5]"}, "1 or 6 numbers"),
-        ("simulated_cell", {"urdf": URDF, "publish_clock": True, "use_sim_time": True}, "the cell would wait for itself"),
+        ("simulated_cell", {"urdf": URDF, "publish_clock": True, "use_sim_time": True}, "it would wait for itself"),
         ("simulated_cell", {"joint_rate_hz": 1e9}, "joint_rate_hz"),
         ("corrector", {"calibration": "nowhere"}, "nowhere: does not exist"),
         *((name, {file: "nowhere.yaml"}, "nowhere.yaml") for name, file in FILES),

@@ -39,16 +39,18 @@ def test_one_command_opens_a_simulated_door(tmp_path: Path) -> None:
     assert done.stdout.endswith("Also in door: articulation.json, nodes.log, object.urdf, pull.json\n")
 
 
-@pytest.mark.parametrize("asked", ["impedance_setpoint", "modcal door"])
-def test_without_the_interfaces_one_line_says_what_to_do(asked: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("from modcal_nodes.nodes.impedance_setpoint import ImpedanceSetpoint as node; node.main()", []),
+        ("from modcal_nodes.cli.main import main; main()", ["door"]),
+    ],
+)
+def test_without_the_interfaces_one_line_says_what_to_do(code: str, words: list[str], tmp_path: Path) -> None:
     (tmp_path / "hidden" / "modcal_interfaces").mkdir(parents=True)
     (tmp_path / "hidden" / "modcal_interfaces" / "__init__.py").touch()
-    node, _, verb = asked.partition(" ")
-    python = MODCAL.with_name("python")
-    module = "cli" if verb else "nodes"
-    code = f"from modcal_nodes.{module}.{'main' if verb else node} import main; main()"
     around = {**os.environ, "PYTHONPATH": str(tmp_path / "hidden")}
-    words = [python, "-c", code, *([verb] if verb else [])]
+    words = [str(MODCAL.with_name("python")), "-c", code, *words]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, env=around, timeout=60)
     assert done.returncode == 2
     assert done.stderr.startswith("modcal: package modcal_interfaces: is not built: run make build")

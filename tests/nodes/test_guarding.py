@@ -176,9 +176,9 @@ def test_the_beat_of_a_simulation_goes_on_after_a_fault() -> None:
     make, parameters = NODES["simulated_cell"]
     with spun(make, **parameters) as pair:
         node: Any = pair.node
-        sent = node._beat._call.callback
-        node._beat._call.callback = boom
+        sent = node._beat.callback
+        node._beat.callback = boom
         pair.wait(lambda: node.faults.counts["beat"] > 3, 10.0)
-        node._beat._call.callback = sent
-        count = node._joint_grid.count
-        pair.wait(lambda: node._joint_grid.count > count + 10, 10.0)
+        node._beat.callback = sent
+        count = node._grids["joint_states"].count
+        pair.wait(lambda: node._grids["joint_states"].count > count + 10, 10.0)

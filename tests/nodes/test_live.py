@@ -18,13 +18,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from modcal_core.calibration import Calibration as Kept
 from modcal_core.calibration.model import Model
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.typed import calibration_data
 from modcal_nodes.cli.main import run
-from modcal_nodes.io.inputs import read_calibration
 from modcal_nodes.simulation.mjcf import World
 from modcal_nodes.simulation.plant import make_world
 
@@ -104,7 +104,7 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
     # against the simulator's truth
     chain = read_chain(URDF.read_text())
     world = make_world(chain, np.random.default_rng(SEED), 5e-4, 1e-3)
-    live = read_calibration(tmp_path / "live")
+    live = Kept.load(tmp_path / "live")
     assert miss(live.calibrated, world) < 3e-5
     assert miss(live.nominal, world) > 2e-4
     report: Any = heard["report"]
@@ -119,7 +119,7 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
 
     # the recorded bag gives the same
     assert run(["calibrate", str(tmp_path / "bag"), "--out", str(tmp_path / "replay")]) == 0
-    replayed = read_calibration(tmp_path / "replay")
+    replayed = Kept.load(tmp_path / "replay")
     assert [p[0] for p in replayed.parameters] == [p[0] for p in live.parameters]
     values = np.array([[p[1] for p in c.parameters] for c in (live, replayed)])
     assert np.abs(values[0] - values[1]).max() < 1e-9

@@ -23,7 +23,6 @@ from modcal_core.errors import BadTable, ModcalError
 from modcal_core.files import write_folder
 from modcal_core.geometry import Array
 from modcal_core.measurements import SHARED, Samples, SignalTrack
-from modcal_nodes.io import read_calibration
 
 _SAMPLES = "samples.npz"
 _LOCK = ".in_use"
@@ -87,7 +86,7 @@ class StateFolder:
             return State(samples=samples)
         texts = (file for file in self.path.iterdir() if file.suffix in _TEXTS)
         files = {file.name: file.read_text(encoding="utf-8") for file in texts}
-        return State(read_calibration(self.path), files, samples)
+        return State(Calibration.load(self.path), files, samples)
 
     def write(self, files: Mapping[str, str], samples: Samples | None = None) -> None:
         """Keep the files of the trusted calibration, and samples, of either what there is."""

@@ -42,7 +42,7 @@ from modcal_core.modules import (
 from modcal_core.preprocess import prepare
 from modcal_core.report import Summary, SummaryLine, TableBlock, VerbResult, explained
 from modcal_msgs_py import read_recording
-from modcal_nodes.cli.console import EXISTING, Output, Whole, given, saving, speaking
+from modcal_nodes.cli.console import EXISTING, Output, Whole, given, speaks
 from modcal_nodes.io import TopicOptions, read_assembly, read_library
 
 _COLUMNS = {
@@ -63,7 +63,7 @@ _PICTURES = 5  # of the ranking; the best gets one at each target
 @click.option("--seed", type=Whole(min=0), default=0, help="Seed of the search.")
 @click.option("--workers", type=Whole(min=1, max=256), help="Processes. Default: one per processor.")
 @click.option("--thorough", is_flag=True, help="Search longer for an assembly of lower cost.")
-@saving()
+@speaks("Folder of the results.")
 def synthesize_command(
     task_file: Path,
     library_file: Path | None,
@@ -148,7 +148,7 @@ _PARTS = {
     "--modules", "store", type=EXISTING, metavar="STORE",
     help="File written by modcal modules learn: the URDF includes the known errors of these physical modules.",
 )  # fmt: skip
-@saving()
+@speaks("Folder of the results.")
 def assemble_command(spec: Path, library_file: Path | None, store: Path | None, output: Output) -> None:
     """Build a robot from SPEC, a YAML list of modules, an incidence matrix or a code: robot.urdf, matrix, picture."""
     assembly, library = read_assembly(spec, library_file)
@@ -194,7 +194,7 @@ def modules_command() -> None:
 @click.option("--accept", is_flag=True, help="Learn also from an assembly that is not as its modules were known.")
 @_LIBRARY
 @given(TopicOptions)
-@speaking
+@speaks()
 def learn_command(
     spec: Path, bag: Path, store: Path, accept: bool, library_file: Path | None, output: Output, options: TopicOptions
 ) -> None:

@@ -21,7 +21,7 @@ from modcal_core.report import VerbResult, calibration_files, checkup_report, re
 from modcal_core.robots import is_serial_arm, read_chain
 from modcal_nodes.cli.camera_input import CameraOptions, by_camera, calibrate_images
 from modcal_nodes.cli.certificate import CertifiedOptions, exit_code
-from modcal_nodes.cli.console import EXISTING, Output, given, saving
+from modcal_nodes.cli.console import EXISTING, Output, given, speaks
 from modcal_nodes.cli.inputs import arm_line, chain_line
 from modcal_nodes.io import (
     FrozenOptions,
@@ -58,7 +58,7 @@ class EvaluateOptions(CertifiedOptions, SplitOptions):
 )  # fmt: skip
 @given(CalibrateOptions)
 @given(CameraOptions, "camera")
-@saving()
+@speaks("Folder of the results.")
 @click.pass_context
 def calibrate_command(
     ctx: click.Context,
@@ -90,7 +90,7 @@ def calibrate_command(
 @click.argument("calibration", type=EXISTING)
 @click.argument("bag", type=EXISTING)
 @given(EvaluateOptions)
-@saving()
+@speaks("Folder of the results.")
 def evaluate_command(calibration: Path, bag: Path, output: Output, options: EvaluateOptions) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
     options.particulars()
@@ -134,7 +134,7 @@ def _say(report: Outcome, arm: str, folder: str, files: Mapping[str, str], outpu
     help="Robot description to write the repaired one from. Default: that of the calibration's folder, or in BAG.",
 )  # fmt: skip
 @given(CertifiedOptions)
-@saving()
+@speaks("Folder of the results.")
 def check_command(calibration: Path, bag: Path, urdf: Path | None, output: Output, options: CertifiedOptions) -> int:
     """Say what has changed since CALIBRATION (a folder or calibration.yaml), from ten or more stations in BAG.
 

@@ -253,29 +253,20 @@ def _bar(console: Console) -> Iterator[Watch]:
         yield watch
 
 
-def speaking(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with ``--json`` and ``-v``; it is handed the output that they ask for."""
+def speaks(out: str = "") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """A decorator: the command with ``--json`` and ``-v``; it is handed the output that they ask for.
 
-    @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-    @click.option("-v", "--verbose", is_flag=True, help="Report on stderr what was done, and how long it took.")
-    @functools.wraps(command)
-    def spoken(*arguments: Any, as_json: bool, verbose: bool, **options: Any) -> Any:
-        return command(*arguments, output=Output(as_json, verbose), **options)
-
-    return spoken
-
-
-def saving(text: str = "Folder of the results.") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """A decorator: as ``speaking``, and with ``--out``. text: its help."""
+    out: the help of ``--out``, where there is one, which names the folder of a result.
+    """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        @click.option("--out", type=WRITTEN, help=text)
-        @speaking
+        @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+        @click.option("-v", "--verbose", is_flag=True, help="Report on stderr what was done, and how long it took.")
         @functools.wraps(command)
-        def saved(*arguments: Any, out: Path | None, output: Output, **options: Any) -> Any:
-            output.out = out
-            return command(*arguments, output=output, **options)
+        def spoken(*arguments: Any, as_json: bool, verbose: bool, **options: Any) -> Any:
+            folder = options.pop("out") if out else None
+            return command(*arguments, output=Output(as_json, verbose, folder), **options)
 
-        return saved
+        return click.option("--out", type=WRITTEN, help=out)(spoken) if out else spoken
 
     return decorate

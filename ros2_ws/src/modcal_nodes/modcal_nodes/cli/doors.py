@@ -14,6 +14,7 @@ import click
 import numpy as np
 
 from modcal_core.articulation import Track, choose, require_convention
+from modcal_core.calibration import Calibration
 from modcal_core.errors import BadCommand, BadRecording, about
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POINT, POSE, ReadingTrack, Recording, cleaned, joints_by_time
@@ -21,9 +22,9 @@ from modcal_core.report import URDF, Articulation, articulation_report
 from modcal_core.robots import chain_forward
 from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
 from modcal_msgs_py.tables import read_track
-from modcal_nodes.cli.console import EXISTING, WRITTEN, Decimal, Output, Whole, given, saving, speaking, written
+from modcal_nodes.cli.console import EXISTING, WRITTEN, Decimal, Output, Whole, given, speaks, written
 from modcal_nodes.cli.inputs import arm_line, chain_line, described, whole_rows
-from modcal_nodes.io import ChainOptions, option, read_calibration, repeated
+from modcal_nodes.io import ChainOptions, option, repeated
 
 _MAX = 2000  # samples; of more, evenly chosen ones say the same
 
@@ -62,7 +63,7 @@ class ArticulateOptions(ChainOptions):
 @click.command("articulate")
 @click.argument("bag", type=EXISTING)
 @given(ArticulateOptions)
-@saving()
+@speaks("Folder of the results.")
 def articulate_command(bag: Path, output: Output, options: ArticulateOptions) -> None:
     """Identify how the handle in BAG moves: fixed, sliding, turning, a screw, or none of these; and write it as a URDF.
 
@@ -128,7 +129,7 @@ def _of_bag(recording: Recording, topic: str | None, options: ArticulateOptions)
     if not recording.joints:
         raise BadRecording(recording.source, "shows no handle: no poses, points or joint states", "record one of them")
     if calibration is not None:
-        chain = read_calibration(calibration).calibrated.serial
+        chain = Calibration.load(calibration).calibrated.serial
         arm = chain_line(chain.base, chain.tip, chain.n)
     else:
         robot = described(recording, None, urdf, options.base, options.tip)
@@ -156,7 +157,7 @@ _DOMAINS = 100  # of them every system has ports for; 0 is the one that robots u
 )
 @click.option("--domain", type=Whole(0, 232), help="ROS_DOMAIN_ID of the nodes. Default: one of its own.")
 @click.option("--out", type=WRITTEN, help="Folder of the results. Default: KIND_demo.")
-@speaking
+@speaks()
 def door_command(kind: str, seed: int, patience: float, domain: int | None, out: Path | None, output: Output) -> None:
     """Open a simulated door or drawer from start to end, and report what was learned of it.
 

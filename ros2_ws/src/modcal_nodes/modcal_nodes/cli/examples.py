@@ -13,7 +13,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from modcal_core.errors import BadCommand
-from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.console import Output, speaks
 
 _KEPT = "share/modcal/"  # where pyproject.toml puts them, below the prefix of the installation
 _FIRST = (
@@ -24,7 +24,7 @@ _FIRST = (
 
 @click.command("examples")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path), default=".")
-@speaking
+@speaks()
 def examples_command(folder: Path, output: Output) -> None:
     """Copy the example tables, robots, scripts and a recording into FOLDER. Default: the current one.
 

@@ -18,7 +18,7 @@ from modcal_core.moves import series_of, values_of
 from modcal_core.outcome import offsets_of
 from modcal_core.report import History, HistoryEntry, Side, VerbResult, compare, history_report, sentinel_report
 from modcal_core.schema import require
-from modcal_nodes.cli.console import EXISTING, UNMET, Decimal, Output, given, saving
+from modcal_nodes.cli.console import EXISTING, UNMET, Decimal, Output, given, speaks
 from modcal_nodes.io import SentinelOptions, judge_arm
 
 _DATED = re.compile(r"(\d{4}-\d{2}-\d{2})")
@@ -28,7 +28,7 @@ _DEPTH = 3  # folders below the one that is given
 
 @click.command("history")
 @click.argument("folder", type=EXISTING)
-@saving("Folder of history.json. Default: FOLDER.")
+@speaks("Folder of history.json. Default: FOLDER.")
 def history_command(folder: Path, output: Output) -> None:
     """Show how a robot changes over time, by all calibrations and checks below FOLDER.
 
@@ -112,7 +112,7 @@ def _json(path: Path) -> dict[str, Any]:
     "--tolerance-mm", type=Decimal(min=0.0, min_open=True), metavar="MM",
     help="How far the two may differ at the tool, 95th percentile; exit code 3 if it is more, or cannot be told.",
 )  # fmt: skip
-@saving("Folder of comparison.json.")
+@speaks("Folder of comparison.json.")
 def compare_command(first: Path, second: Path, tolerance_mm: float | None, output: Output) -> int:
     """Compare two calibrations, or two reports: what differs between A and B, and whether it matters.
 
@@ -158,7 +158,7 @@ def _report(path: Path) -> dict[str, Any]:
 @click.command("sentinel")
 @click.argument("bags", type=EXISTING, nargs=-1, required=True)
 @given(SentinelOptions)
-@saving("Folder of the results. Default: sentinel.")
+@speaks("Folder of the results. Default: sentinel.")
 def sentinel_command(bags: tuple[Path, ...], output: Output, options: SentinelOptions) -> int:
     """Say whether an arm has changed, from ordinary recordings BAGS of its work: joint states with efforts, commands
     (or a leader, --topic joint_commands=/leader/joint_states), a fixed tag seen by a camera on the hand, sockets.

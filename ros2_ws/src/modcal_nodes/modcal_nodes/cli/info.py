@@ -14,7 +14,7 @@ from modcal_core.measurements import Recording, inspect
 from modcal_core.report import Summary, SummaryLine, TableBlock
 from modcal_core.robot import Robot
 from modcal_msgs_py import read_recording, repair_bag
-from modcal_nodes.cli.console import EXISTING, WRITTEN, Output, given, speaking
+from modcal_nodes.cli.console import EXISTING, WRITTEN, Output, given, speaks
 from modcal_nodes.cli.inputs import chain_line, described
 from modcal_nodes.io import ChainOptions, TopicOptions, option
 
@@ -35,7 +35,7 @@ class InfoOptions(ChainOptions, TopicOptions):
 @click.command("info")
 @click.argument("bag", type=EXISTING)
 @given(InfoOptions)
-@speaking
+@speaks()
 def info_command(bag: Path, output: Output, options: InfoOptions) -> None:
     """Show what is in BAG, what it can be used for, and what looks wrong."""
     arm = (options.delta, options.urdf, options.base, options.tip)
@@ -113,7 +113,7 @@ def _said(role: str) -> str:
 @click.command("repair")
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
 @click.option("--out", type=WRITTEN, help="The new bag. Default: BAG_repaired.")
-@speaking
+@speaks()
 def repair_command(bag: Path, out: Path | None, output: Output) -> None:
     """Repair BAG, which was truncated: killed recorder, full disk, power failure.
 

@@ -18,7 +18,7 @@ from modcal_core.report import LimitsFound, Quantity, Summary, SummaryLine, limi
 from modcal_core.robot import Robot
 from modcal_core.robots import Chain, JointPath, LoadedArm, Payload, Stands, Weighed, random_postures, weigh
 from modcal_msgs_py import SUFFIXES, read_recording
-from modcal_nodes.cli.console import EXISTING, Output, given, saving, speaking
+from modcal_nodes.cli.console import EXISTING, Output, given, speaks
 from modcal_nodes.cli.inputs import arm_line, described, numbers_by_joint, read_stations, whole_rows
 from modcal_nodes.io import ChainOptions, TopicOptions, option, repeated
 
@@ -71,7 +71,7 @@ class LimitsOptions(ChainOptions, TopicOptions):
 @click.command("limits")
 @click.argument("source", type=EXISTING)
 @given(LimitsOptions)
-@saving("Folder of limits.json, joint_limits.yaml and report.html.")
+@speaks("Folder of limits.json, joint_limits.yaml and report.html.")
 def limits_command(source: Path, output: Output, options: LimitsOptions) -> None:
     """Compute how fast each joint may accelerate within the torque of its drive.
 
@@ -188,7 +188,7 @@ class PayloadOptions(ChainOptions, TopicOptions):
 @click.command("payload")
 @click.argument("bag", type=EXISTING)
 @given(PayloadOptions)
-@speaking
+@speaks()
 def payload_command(bag: Path, output: Output, options: PayloadOptions) -> None:
     """Weigh what the arm carries by the torques of its joints at rest: mass and centre, with their uncertainty.
 
@@ -284,7 +284,7 @@ class HeldOptions(TopicOptions):
 @click.argument("calibration", type=EXISTING)
 @click.argument("bag", type=EXISTING)
 @given(HeldOptions)
-@speaking
+@speaks()
 def measure_object_command(calibration: Path, bag: Path, output: Output, options: HeldOptions) -> int:
     """Measure the box in the gripper: pose in the tip link and size, with their uncertainty; with --stack, the pose
     of the tip that puts it down.

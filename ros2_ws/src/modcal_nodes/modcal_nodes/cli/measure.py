@@ -13,7 +13,7 @@ import numpy as np
 
 from modcal_core.calibration import errors
 from modcal_core.errors import BadTable, about
-from modcal_core.files import parse_yaml, read_yaml
+from modcal_core.files import read_yaml
 from modcal_core.measurements import POINT, POSE
 from modcal_core.outcome import counted, readmitted_note
 from modcal_core.planning import (
@@ -37,7 +37,7 @@ from modcal_core.planning import (
 from modcal_core.robot import Robot
 from modcal_core.robots import other_tips
 from modcal_msgs_py import write_recording
-from modcal_nodes.cli.console import EXISTING, UNMET, WRITTEN, Decimal, Output, Whole, given, speaking, written
+from modcal_nodes.cli.console import EXISTING, UNMET, WRITTEN, Decimal, Output, Whole, given, speaks, written
 from modcal_nodes.cli.inputs import arm_line, chain_line, read_robot
 from modcal_nodes.io import ChainOptions, Watch, opened, option, read_cell, repeated
 from modcal_nodes.measuring import (
@@ -78,7 +78,7 @@ _STATIONS = 60
     "--returns", type=Whole(0, 1000), default=RETURNS,
     help="Number of these postures that are visited twice, so that the noise floor is known.",
 )  # fmt: skip
-@speaking
+@speaks()
 def simulate_command(
     robot: Path, out: Path, given: tuple[str, ...], later: tuple[tuple[float, str], ...], returns: int, output: Output
 ) -> None:
@@ -125,22 +125,7 @@ def parameter(text: str) -> tuple[str, Any]:
     if not equals or name not in SIMULATED_CELL or name in _OF_THE_NODE:
         names = ", ".join(n for n in SIMULATED_CELL if n not in _OF_THE_NODE)
         raise BadTable(f"-p {text}", "is not a NAME=VALUE of the simulated cell", f"names are {names}")
-    parameter = SIMULATED_CELL[name]
-    kind, value = type(parameter.default), parse_yaml(written, f"-p {name}")
-    try:
-        if kind is list:
-            value = [float(item) for item in (value if isinstance(value, list) else [value])]
-        elif kind is float and not isinstance(value, bool):
-            value = float(value)
-        fits = type(value) is kind and (kind in (str, bool) or bool(np.isfinite(value).all()))
-    except (TypeError, ValueError):
-        fits = False
-    if not fits:
-        raise BadTable(f"-p {text}", f"is no {'list of numbers' if kind is list else kind.__name__}", "write one")
-    low, high = parameter.low, parameter.high
-    if low is not None and high is not None and not low <= value <= high:
-        raise BadTable(f"-p {text}", f"{low:g} to {high:g} is allowed", "choose a value between")
-    return name, value
+    return name, SIMULATED_CELL[name].parsed(f"-p {name}=", written)
 
 
 _BY_HAND = 4  # stations at once, since whoever fills in a table gives the command again for each lot
@@ -207,7 +192,7 @@ class MeasureOptions(ChainOptions):
 @click.command("measure")
 @click.argument("robot", type=EXISTING)
 @given(MeasureOptions)
-@speaking
+@speaks()
 def measure_command(robot: Path, output: Output, options: MeasureOptions) -> int:
     """Measure ROBOT (a URDF), station after station, until an accuracy is proven or cannot be reached.
 

@@ -9,6 +9,7 @@ from typing import Any
 import click
 import numpy as np
 
+from modcal_core.calibration import Calibration
 from modcal_core.errors import BadTable, NotEnoughData, NotRepresentable
 from modcal_core.files import read_yaml, to_yaml
 from modcal_core.geometry import se3
@@ -33,9 +34,9 @@ from modcal_core.planning import (
 )
 from modcal_core.report import VerbResult, plan_report, sensitivity_report
 from modcal_core.robots import Mechanism, is_serial_arm, vector
-from modcal_nodes.cli.console import EXISTING, Output, given, saving
+from modcal_nodes.cli.console import EXISTING, Output, given, speaks
 from modcal_nodes.cli.inputs import arm_line, read_robot, read_stations
-from modcal_nodes.io import ChainOptions, Options, option, read_calibration, repeated
+from modcal_nodes.io import ChainOptions, Options, option, repeated
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class SensitivityOptions(ChainOptions):
 @click.command("sensitivity")
 @click.argument("robot", type=EXISTING)
 @given(SensitivityOptions)
-@saving()
+@speaks("Folder of the results.")
 def sensitivity_command(robot: Path, output: Output, options: SensitivityOptions) -> None:
     """Report which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
     arm = read_robot(robot, options.base, options.tip)
@@ -117,7 +118,7 @@ def _tolerances(path: Path | None) -> dict[str, float]:
 def _decide(options: PlanOptions, report: Path, site: Site, output: Output) -> None:
     """Propose the stations that tell explanations apart, say what they are worth, and write plan.yaml."""
     folder = report if report.is_dir() else report.parent
-    calibration = read_calibration(folder)
+    calibration = Calibration.load(folder)
     ties = sum(map(len, calibration.rivals))
     if not ties:
         raise NotEnoughData(str(report), "no effect in it has a rival", "there is nothing to decide: use it as it is")
@@ -213,7 +214,7 @@ class PlanOptions(ChainOptions):
 @click.command("plan")
 @click.argument("robot", type=EXISTING, required=False)
 @given(PlanOptions)
-@saving("Folder of plan.yaml.")
+@speaks("Folder of plan.yaml.")
 def plan_command(robot: Path | None, output: Output, options: PlanOptions) -> None:
     """Choose the best stations to calibrate ROBOT (a URDF, or a YAML table), or stations that separate explanations."""
     if any(one is not None for one in (options.camera, options.joints, options.target)):

@@ -38,7 +38,7 @@ from modcal_msgs_py import (
     offered_topics,
     set_nanoseconds,
 )
-from modcal_nodes.cli.console import EXISTING, UNMET, Decimal, Output, Terminal, Whole, speaking
+from modcal_nodes.cli.console import EXISTING, UNMET, Decimal, Output, Terminal, Whole, speaks
 from modcal_nodes.ros import MUTUAL, interrupt, joined, passing, stopped_by, type_of
 from modcal_nodes.watching import Changes, Heard, Listener, table
 
@@ -199,7 +199,7 @@ _SAID = ("outcome", "message", "success")  # of a result, in the first line
 @click.argument("name", metavar="SERVICE|ACTION")
 @click.option("--goal", "written", default="{}", metavar="YAML", help="Fields of the goal, or of the request.")
 @click.option("--patience", type=Decimal(0.1), default=10.0, metavar="S", help="Time in which NODE must be found.")
-@speaking
+@speaks()
 def call_command(node: str, name: str, written: str, patience: float, output: Output) -> int:
     """Call a service or an action of a running NODE, and print the answer.
 
@@ -341,7 +341,7 @@ _ACKNOWLEDGED = 5.0  # s in which the last messages must have arrived
 @click.option("--start", type=Decimal(0.0), default=0.0, metavar="S", help="Begin there; what is latched is kept.")
 @click.option("--topics", "chosen", multiple=True, metavar="TOPIC", help="Only this topic. Repeatable.")
 @click.option("--remap", "remaps", multiple=True, metavar="A:=B", help="Publish topic A as B. Repeatable.")
-@speaking
+@speaks()
 def play_command(
     bag: Path,
     clock: float | None,

@@ -41,9 +41,9 @@ from modcal_core.robots import (
 )
 from modcal_msgs_py import write_recording
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, import_tables, json_schema
-from modcal_nodes.cli.console import EXISTING, WRITTEN, Output, given, speaking
+from modcal_nodes.cli.console import EXISTING, WRITTEN, Output, given, speaks
 from modcal_nodes.cli.inputs import described, read_robot, read_table
-from modcal_nodes.io import ChainOptions, option, read_calibration
+from modcal_nodes.io import ChainOptions, option
 
 _MODELS = ("calibrated", "geometric", "nominal")
 _OF_URDF = ("kinematics", "xacro")  # formats of a URDF's joints, each by itself
@@ -89,7 +89,7 @@ class ExportOptions(ChainOptions):
 @click.argument("source", type=EXISTING)
 @given(ExportOptions)
 @click.option("--out", type=WRITTEN, help="File; .csv for CSV. Default: SOURCE_TO.yaml.")
-@speaking
+@speaks()
 def export_command(source: Path, out: Path | None, output: Output, options: ExportOptions) -> None:
     """Write the kinematics of SOURCE as a table, as a URDF without bodies, or for a maker's description.
 
@@ -171,7 +171,7 @@ def _origins(source: Path, options: ExportOptions) -> _Export:
     form, base, tip, factory = options.to, options.base, options.tip, options.factory_kinematics
     urdf, left_out = source, tuple[str, ...]()
     if source.is_dir():
-        calibration = read_calibration(source)
+        calibration = Calibration.load(source)
         whole = calibration.calibrated.chain
         base, tip = base or whole.base, tip or whole.tip
         left_out = _of_calibration(calibration, "calibrated", False)[1][:-1]
@@ -192,7 +192,7 @@ def _offsets(source: Path) -> _Export:
     """The joint offsets of a calibration for ros2_control."""
     from modcal_core.outcome import offsets_of  # the fit's parameters, which tables do without
 
-    calibration = read_calibration(source)
+    calibration = Calibration.load(source)
     found = offsets_of(calibration)
     if found is None or not found.found:
         raise BadTable(str(source), "determines no joint offset", "give the calibration of a serial arm")
@@ -208,7 +208,7 @@ def _mount(source: Path, link: str | None) -> _Export:
     """The origin of the joint by which a camera is mounted on the tip, or beside the arm."""
     if link is None or not source.is_dir():
         raise BadTable(f"--to {_MOUNT}", "needs the folder of a calibration and the camera's link", "give --link LINK")
-    model = read_calibration(source).calibrated
+    model = Calibration.load(source).calibrated
     chain, tree = model.serial, parse((source / "calibrated.urdf").read_text(encoding="utf-8"))
     above, held = tree.link(link), list[str]()
     while above in tree.above and above not in (chain.tip, chain.base) and not tree.above[above].moves:
@@ -227,7 +227,7 @@ def _mount(source: Path, link: str | None) -> _Export:
 def _read(source: Path, options: ExportOptions) -> _Source:
     which, tool = options.which, options.tool
     if source.is_dir():
-        return _of_calibration(read_calibration(source), which, tool)
+        return _of_calibration(Calibration.load(source), which, tool)
     if source.suffix in (".yaml", ".yml"):
         data = read_yaml(source)
         if isinstance(data, Mapping) and "modcal_calibration" in data:
@@ -337,7 +337,7 @@ class ImportOptions(ChainOptions):
     callback=_print_schema,
     help="Print the JSON schema of MAPPING, for editors.",
 )
-@speaking
+@speaks()
 def import_command(sources: tuple[Path, ...], output: Output, options: ImportOptions) -> None:
     """Convert CSV tables into a bag, as described by MAPPING (a YAML file).
 

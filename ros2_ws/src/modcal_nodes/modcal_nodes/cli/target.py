@@ -13,7 +13,7 @@ import click
 
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file, write_folder
-from modcal_nodes.cli.console import WRITTEN, Output, given, speaking, written
+from modcal_nodes.cli.console import WRITTEN, Output, given, speaks, written
 from modcal_nodes.io import option
 
 _PAPERS = ("A4", "A3", "A2", "letter")
@@ -74,7 +74,7 @@ class TargetOptions:
 @click.command("target")
 @given(TargetOptions)
 @click.option("--out", type=WRITTEN, default=Path("target"), help="Folder of the results.")
-@speaking
+@speaks()
 def target_command(out: Path, output: Output, options: TargetOptions) -> None:
     """Write a target to print, as PDF, and its description for calibrate --target.
 

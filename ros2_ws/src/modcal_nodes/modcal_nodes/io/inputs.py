@@ -104,11 +104,6 @@ SCHEMA = record(
 )
 
 
-def read_calibration(path: Path) -> Calibration:
-    """The calibration in a file, or in the folder that ``modcal calibrate`` wrote."""
-    return Calibration.load(path)
-
-
 def calibration_of(message: Any, source: str) -> Calibration:
     """The calibration in a message of modcal_interfaces; raises BadTable or BadCommand, naming the source."""
     return from_data(calibration_data(message), source)

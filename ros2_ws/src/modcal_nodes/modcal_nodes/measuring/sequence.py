@@ -178,7 +178,8 @@ _BLIND = 20  # stations in a row that the instrument does not see, after which i
 
 class StationSequence:
     """chosen: the parameters of ``station_runner``, as they are now. send: gives a motion to the controller. tell: says
-    something, with its level. clock: seconds in which joint states are stamped.
+    something, with its level. clock: seconds in which joint states are stamped. running: whether it goes from station
+    to station. advice: what was chosen last, and how far the accuracy is proven.
     """
 
     def __init__(
@@ -191,9 +192,9 @@ class StationSequence:
         self._chosen, self._send, self._tell, self._clock = chosen, send, tell, clock
         self._worker = Worker()
         self._place: Place | None = None
-        self._advice: Advice | None = None
+        self.advice: Advice | None = None
         self._summary, self._shown = "", False
-        self._active = self._running = self._begun = False
+        self._active = self.running = self._begun = False
         self._blind, self._again = 0, -np.inf
 
     # what it is asked
@@ -225,11 +226,11 @@ class StationSequence:
             raise BadCommand("start", f"there is no dry run yet: {said}", "wait for it, and look at ~/dry_run")
         if not (self._shown or self._chosen["yes"]):
             raise BadCommand("start", "nobody has looked at the dry run", "call ~/dry_run first, or set yes")
-        if self._running:
+        if self.running:
             raise BadCommand("start", "it is measuring already", "call ~/stop first")
         self._place.joints.require_fresh(self._stale)
         self._place.runner.release()
-        self._running, self._begun, self._blind = True, True, 0
+        self.running, self._begun, self._blind = True, True, 0
         self._tell(OK, "measuring")
 
     def stop(self) -> bool:
@@ -241,7 +242,7 @@ class StationSequence:
 
     def halt(self, why: str) -> None:
         """Hold whatever moves, and begin nothing more."""
-        self._running = False
+        self.running = False
         if self._place is not None and self._place.runner.busy:
             self._send_hold(self._place.runner.hold(self._place.joints.position, why, time.monotonic()))
             self._tell(WARN, f"held: {why}")
@@ -299,8 +300,8 @@ class StationSequence:
             c["timeout_s"], c["tracking_rad"], c["tolerance_rad"], c["settle_s"], c["patience_s"], int(c["readings"])
         )
         answer = runner.tick(time.monotonic(), place.joints.now())
-        if self._running and runner.phase == HELD:
-            self._running = False
+        if self.running and runner.phase == HELD:
+            self.running = False
             self._send_hold(answer if isinstance(answer, Hold) else None)
             self._tell(ERROR, f"held: {runner.why}; clear the cause, then call ~/start")
         elif isinstance(answer, Done):
@@ -308,12 +309,12 @@ class StationSequence:
 
     def _next(self, place: Place) -> None:
         """What to think about, or where to go, now that nothing is being thought about."""
-        here, advice = place.joints.now(), self._advice
+        here, advice = place.joints.now(), self.advice
         if place.runner.busy or here is None or (advice is not None and advice.outcome is not None):
             return
         speed = self._chosen["speed_rad_s"]
         if advice is None or not place.session.pending:
-            if advice is None or self._running:
+            if advice is None or self.running:
                 self._tell(OK, "fitting and choosing")
                 self._worker.begin(place.kept.advise, lambda found: self._advised(place, found))
         elif not self._summary:
@@ -321,15 +322,15 @@ class StationSequence:
         else:
             if self._chosen["yes"] and self._active and not self._begun:
                 self.start("")
-            if self._running and place.runner.phase == IDLE:
+            if self.running and place.runner.phase == IDLE:
                 number = place.session.pending[0]
                 way = partial(place.way, number, here.q, speed)
                 self._worker.begin(way, lambda motion: self._go(place, number, motion))
 
     def _advised(self, place: Place, advice: Advice) -> None:
-        self._advice = advice
+        self.advice = advice
         if advice.outcome is not None:
-            self._running = False
+            self.running = False
             self._tell(OK, advice.outcome.sentence)
             self._worker.begin(lambda: place.kept.finish(advice), lambda _: None)
         else:
@@ -344,7 +345,7 @@ class StationSequence:
         if motion is None:
             self._tell(WARN, f"station {number + 1} is skipped: no free way to it was found")
             place.kept.note(number, replace(station, state=SKIPPED))
-        elif self._running and place.runner.phase == IDLE and here is not None:
+        elif self.running and place.runner.phase == IDLE and here is not None:
             if np.abs(here.q - motion.q[0]).max() > self._chosen["tolerance_rad"]:
                 return  # somebody else moved the arm: another way is looked for
             place.runner.begin(number, station, motion, time.monotonic())
@@ -358,7 +359,7 @@ class StationSequence:
         if unseen:
             self._tell(WARN, f"station {done.number + 1} was not seen by the instrument: it is passed over")
         if self._blind >= _BLIND:
-            self._running = False
+            self.running = False
             said = f"the instrument saw nothing at {_BLIND} stations in a row: look at it, then call ~/start"
             self._tell(ERROR, said)
 
@@ -376,31 +377,16 @@ class StationSequence:
         return None if self._place is None else self._place.robot.mechanism
 
     @property
-    def running(self) -> bool:
-        """Whether it goes from station to station."""
-        return self._running
-
-    @property
-    def advice(self) -> Advice | None:
-        """What was chosen last, and how far the accuracy is proven."""
-        return self._advice
-
-    @property
     def measured(self) -> int:
         """Stations so far."""
         return len(self._place.session.rows()) if self._place is not None else 0
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the joints, in the order of all postures; empty while the description is not known."""
-        return () if self._place is None else tuple(self._place.robot.names)
-
-    @property
     def facts(self) -> dict[str, object]:
         """Where the measurement stands, for the diagnostics."""
         facts: dict[str, object] = {"phase": "" if self._place is None else self._place.runner.phase}
-        if self._advice is not None:
-            status, ended = self._advice.status, self._advice.outcome
+        if self.advice is not None:
+            status, ended = self.advice.status, self.advice.outcome
             facts |= {
                 "stations measured": self.measured,
                 "expected mm": "" if status.expected is None else f"{1e3 * status.expected:.4f}",

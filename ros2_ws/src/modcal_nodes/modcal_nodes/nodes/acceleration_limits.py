@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -16,17 +15,16 @@ from modcal_nodes import ros
 from modcal_nodes.cli import numbers_by_joint
 
 _DRIVES = {"torque": "torque", "friction": "coulomb", "damping": "viscous", "rotor": "rotor"}
-_REST = 0.004  # s
 _NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
 class AccelerationLimits(ros.ManagedNode):
     """Publishes upper and lower bounds of every joint's acceleration from joint states and a payload."""
 
-    _described: LoadedArm | None = None
+    executable = "acceleration_limits"
+    rest = 0.004  # s
 
-    def __init__(self) -> None:
-        super().__init__("acceleration_limits", ros.ACCELERATION_LIMITS)
+    _described: LoadedArm | None = None
 
     def _configure(self) -> None:
         self._described = None
@@ -49,9 +47,7 @@ class AccelerationLimits(ros.ManagedNode):
     def _activate(self) -> None:
         # apart from the subscriptions: a machine that is too busy for this rate must not work through old ticks
         tick = self._refusals.guarded("limits", self._tick)
-        self.create_timer(
-            1.0 / self._chosen["rate_hz"], lambda: tick(None), clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self.every(1.0 / self._chosen["rate_hz"], lambda: tick(None))
 
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
@@ -133,8 +129,3 @@ def _with(arm: LoadedArm, chosen: dict[str, Any]) -> LoadedArm:
     loaded = arm.carrying(_payload(chosen)).using(chosen["torque_share"], chosen["gravity"]).with_drives(**drives)
     loaded.drives.require_torque()
     return loaded
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(AccelerationLimits, rest=_REST)

@@ -38,7 +38,6 @@ _POSES: dict[str, type] = {
 _MEASURED = ("tracker/pose", "tracker/point")
 _JOINTS = "joint_states"
 _HANDLE = "object_handle"
-_REST = 0.004  # s
 _SILENT = 1.0  # s without a pose, after which the estimate is said to be old
 _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
 
@@ -46,8 +45,8 @@ _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pull
 class ArticulationEstimator(ros.ManagedNode):
     """Publishes the object as a one-joint URDF, its state, its axis, where it will be, and whether to trust it."""
 
-    def __init__(self) -> None:
-        super().__init__("articulation_estimator", ros.ARTICULATION_ESTIMATOR)
+    executable = "articulation_estimator"
+    rest = 0.004  # s
 
     def _check(self, new: dict[str, Any]) -> None:
         if new["input"] not in (_JOINTS, *_POSES):
@@ -299,8 +298,3 @@ def _alike(one: JointModel, other: JointModel) -> bool:
     T, S = one.pose(a), other.pose(a)
     shifted = float(np.abs(T[:, :3, 3] - S[:, :3, 3]).max())
     return shifted < 2e-4 and float(np.abs(T[:, :3, :3] - S[:, :3, :3]).max()) < 1.7e-3
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(ArticulationEstimator, rest=_REST)

@@ -18,12 +18,14 @@ from modcal_nodes import ros
 from modcal_nodes.vision import Coach, annotated, board_pose, detect, grey_of, lens_from_data
 
 
-class BoardDetector(ros.GuardedNode):
+class BoardDetector(ros.HealthyNode):
     """Corners, pose, coaching and an annotated image for each image that it has time for."""
 
+    executable = "board_detector"
+
     def __init__(self) -> None:
-        super().__init__("board_detector")
-        chosen = ros.declare(self, ros.BOARD_DETECTOR)
+        super().__init__()
+        chosen = self._chosen
         if not chosen["target"]:
             raise BadTable("parameter target", "names no file", "set it to the target.yaml of modcal target")
         self._target = read_target(Path(chosen["target"]))
@@ -38,14 +40,10 @@ class BoardDetector(ros.GuardedNode):
         self._coaching = self.create_publisher(String, "~/coaching", 10)
         self._annotated = self.create_publisher(Image, "~/annotated", 2)
         self._images = [
-            ros.MonitoredSubscription(self, Image, "image", self._image, ros.FRESH, single=True),
-            ros.MonitoredSubscription(self, CompressedImage, "image/compressed", self._image, ros.FRESH, single=True),
+            self.hear(Image, "image", self._image, ros.FRESH, single=True),
+            self.hear(CompressedImage, "image/compressed", self._image, ros.FRESH, single=True),
         ]
-        self._inputs = [
-            *self._images,
-            ros.MonitoredSubscription(self, CameraInfo, "camera_info", self._info, ros.FRESH),
-        ]
-        self._health = ros.Health(self, self._report)
+        self._inputs = [*self._images, self.hear(CameraInfo, "camera_info", self._info, ros.FRESH)]
 
     def _info(self, message: CameraInfo) -> None:
         """What the camera says of its lens; without it no pose is published, and coaching guesses."""
@@ -95,10 +93,8 @@ class BoardDetector(ros.GuardedNode):
 
     def _publish_pose(self, view: BoardView, lens: Lens, message: Any) -> None:
         T, cov = board_pose(view, self._target, lens)
-        out = PoseWithCovarianceStamped()
-        out.header = message.header
-        fill_pose(out.pose.pose, T)
-        out.pose.covariance = cov.ravel().tolist()
+        out = PoseWithCovarianceStamped(header=message.header)
+        fill_pose(out.pose, T, cov)
         self._pose.publish(out)
 
     def _say(self, said: str, grey: np.ndarray | None, view: BoardView | None, message: Any) -> None:
@@ -113,7 +109,7 @@ class BoardDetector(ros.GuardedNode):
         self._annotated.publish(out)
 
     def _report(self) -> list[ros.Status]:
-        heard = ros.subscription_status(self._inputs)
+        heard = ros.subscription_status(self._inputs, self._refusals)
         facts = {"images": self._seen, "with the target": self._found}
         if not any(subscription.count for subscription in self._images):
             topics = " and ".join(subscription.topic for subscription in self._images)
@@ -122,8 +118,3 @@ class BoardDetector(ros.GuardedNode):
         if self._refusal:
             return [heard, ros.Status("target", ros.WARN, f"{self._said}; camera_info: {self._refusal}", facts)]
         return [heard, ros.Status("target", level, self._said, facts)]
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(BoardDetector)

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from std_msgs.msg import String
 
 from modcal_core.calibration import to_data
@@ -21,7 +20,6 @@ from modcal_nodes import calibrating, ros
 from modcal_nodes.io import read_cell, read_delta
 
 _POLL = 0.1  # s
-_REST = 0.005  # s
 _SOLVE, _CHECK = "solve", "check"
 _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
@@ -32,8 +30,8 @@ class Calibrator(ros.ManagedNode):
     ``~/check`` says by a few stations what has changed since. As a sentinel it watches the arm at its work.
     """
 
-    def __init__(self) -> None:
-        super().__init__("calibrator", ros.CALIBRATOR)
+    executable = "calibrator"
+    rest = 0.005  # s
 
     def _check(self, new: dict[str, Any]) -> None:
         calibrating.policy(new)
@@ -91,9 +89,8 @@ class Calibrator(ros.ManagedNode):
 
     def _activate(self) -> None:
         self._outputs.hold()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_POLL, self._poll, clock=steady)
-        self.create_timer(1.0, self._look, clock=steady)
+        self.every(_POLL, self._poll)
+        self.every(1.0, self._look)
 
     def _deactivate(self) -> None:
         """End what the worker does; the stations so far are kept."""
@@ -402,8 +399,3 @@ class Calibrator(ros.ManagedNode):
                 "tf", ros.ERROR if trouble else ros.OK, trouble or "frames of the trusted model are published"
             )
         yield calibrating.sample_status(self._supervisor, self._intake.refused, self._arm.stream, self._intake.times)
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(Calibrator, rest=_REST)

@@ -39,13 +39,12 @@ from modcal_msgs_py import (
     set_seconds,
 )
 from modcal_nodes import ros
-from modcal_nodes.io import calibration_of, read_calibration, read_delta
+from modcal_nodes.io import calibration_of, read_delta
 
 # The newest is all that counts: a queue would only make it old.
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 _MOST_RANGES = 20_000  # readings of range sensors that are kept
 _SECONDS = 1.0  # of them that count for a box, where a request does not say
-_REST = 0.004  # s, little beside the tenth of a second that a setpoint looks ahead
 _NOTHING_YET = "no calibration yet: set the parameter calibration, or publish the topic calibration"
 _NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
@@ -53,8 +52,8 @@ _NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or s
 class Corrector(ros.ManagedNode):
     """Publishes true poses, effective joint states, the corrected URDF, and commands for desired true poses."""
 
-    def __init__(self) -> None:
-        super().__init__("corrector", ros.CORRECTOR)
+    executable = "corrector"
+    rest = 0.004  # s, little beside the tenth of a second that a setpoint looks ahead
 
     def _serve(self) -> None:
         self.offer("~/reset", self._reset)
@@ -88,7 +87,7 @@ class Corrector(ros.ManagedNode):
             self.hear(ros.interface("Calibration"), "calibration", self._take_calibration, ros.LATCHED),
         ]
         if self._chosen["calibration"]:
-            self._calibration = read_calibration(Path(self._chosen["calibration"]))
+            self._calibration = Calibration.load(Path(self._chosen["calibration"]))
         self._meet()
 
     def _activate(self) -> None:
@@ -128,7 +127,7 @@ class Corrector(ros.ManagedNode):
         self._drop("reset, and no calibration since")
         try:
             if self._chosen["calibration"]:
-                self._calibration = read_calibration(Path(self._chosen["calibration"]))
+                self._calibration = Calibration.load(Path(self._chosen["calibration"]))
                 self._meet()
             done, said = True, self._refusal or "read again"
         except ModcalError as error:
@@ -347,8 +346,3 @@ def _settings(chosen: dict[str, Any]) -> CommanderSettings:
         switch_step=chosen["switch_step_rad"],
         blend=chosen["blend_s"],
     )
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(Corrector, rest=_REST)

@@ -8,17 +8,17 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 from ament_index_python.packages import get_package_share_directory
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import ActionClient
-from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from modcal_core.errors import BadCommand, BadTable
+from modcal_msgs_py import seconds, wrench_numbers
 from modcal_nodes import ros
 from modcal_nodes.simulation import PullRecord
 
@@ -27,14 +27,13 @@ _KINDS = ("door", "drawer")
 _PACED = ("publish_clock:=true", "keep_step:=true", "clock_rate_hz:=250.0")
 
 
-class DoorDemo(ros.GuardedNode):
+class DoorDemo(ros.HealthyNode):
     """Opens a simulated door or drawer by the other nodes; ends when it is over, exit code 0 if it is open."""
 
+    executable = "door_demo"
+
     def __init__(self) -> None:
-        super().__init__("door_demo")
-        self._chosen = ros.declare(self, ros.DOOR_DEMO)
-        if self._chosen["kind"] not in _KINDS:
-            raise BadTable(f"kind '{self._chosen['kind']}'", "is neither door nor drawer", "set one of them")
+        super().__init__()
         self._opened, self._pulls, self._over = 0.0, False, False
         self._record = PullRecord()
         self._begun = self._asked = time.monotonic()
@@ -45,10 +44,14 @@ class DoorDemo(ros.GuardedNode):
         self.create_subscription(String, "robot_description", lambda m: self._record.describe(m.data), ros.LATCHED)
         self.create_subscription(JointState, "joint_states", self._hear_joints, ros.FRESH)
         self._children = self._start() if self._chosen["start"] else []
-        ros.Health(
-            self, lambda: [ros.Status("demo", ros.OK, "pulls" if self._pulls else "waiting for the pull to begin")]
-        )
-        self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(_PERIOD, self._look)
+
+    def _check(self, new: dict[str, Any]) -> None:
+        if new["kind"] not in _KINDS:
+            raise BadTable(f"kind '{new['kind']}'", "is neither door nor drawer", "set one of them")
+
+    def _report(self) -> list[ros.Status]:
+        return [ros.Status("demo", ros.OK, "pulls" if self._pulls else "waiting for the pull to begin")]
 
     def _start(self) -> list[subprocess.Popen[bytes]]:
         """The other nodes, as the launch file would start them, in processes of their own."""
@@ -80,13 +83,11 @@ class DoorDemo(ros.GuardedNode):
         self._opened = float(message.position[0])
 
     def _hear_force(self, message: WrenchStamped) -> None:
-        force = message.wrench.force
-        self._record.feel(np.array([force.x, force.y, force.z]))
+        self._record.feel(wrench_numbers(message)[:3])
 
     def _hear_joints(self, message: JointState) -> None:
         if not self._over:
-            stamp = message.header.stamp
-            self._record.take(list(message.name), list(message.position), stamp.sec + 1e-9 * stamp.nanosec)
+            self._record.take(list(message.name), list(message.position), seconds(message.header.stamp))
 
     def _look(self) -> None:
         if self._over:
@@ -139,8 +140,3 @@ class DoorDemo(ros.GuardedNode):
                 child.wait(10.0)
             except subprocess.TimeoutExpired:
                 child.kill()
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(DoorDemo)

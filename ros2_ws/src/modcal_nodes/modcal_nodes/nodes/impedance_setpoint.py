@@ -31,7 +31,6 @@ from modcal_nodes.setpoint import (
 
 _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes
-_REST = 0.004  # s, while nothing is pulled
 _LATE = 1.5  # periods between two ticks
 _BEGUN = "weighing the tool, then pulling"
 
@@ -39,11 +38,11 @@ _BEGUN = "weighing the tool, then pulling"
 class ImpedanceSetpoint(ros.ManagedNode):
     """Publishes what an arm is to do while it pulls; nothing while it is inactive, and nothing that it should not."""
 
+    executable = "impedance_setpoint"
+    rest = 0.004  # s, while nothing is pulled
+
     _arm: ArmInputs | None = None
     _operation: Operation | None = None
-
-    def __init__(self) -> None:
-        super().__init__("impedance_setpoint", ros.IMPEDANCE_SETPOINT)
 
     def _serve(self) -> None:
         self._action = ros.Action(self, "Pull", self._begin_pull, partial(self._let_go, "cancelled"), self._progress)
@@ -273,8 +272,3 @@ class ImpedanceSetpoint(ros.ManagedNode):
             ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "no recent refusal", trusted),
             ros.Status("pull", hearing.level if deaf else self.level, said, facts),
         ]
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(ImpedanceSetpoint, rest=_REST)

@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from rclpy.clock import Clock, ClockType
 from rclpy.logging import get_logger
 
 from modcal_core.errors import BadRecording, ModcalError
@@ -15,7 +14,6 @@ from modcal_msgs_py import FLUSH_SECONDS, READINGS, BagWriter
 from modcal_nodes import ros
 
 _LOOK_SECONDS = 0.1
-_REST = 0.01  # s; the middleware stamps what comes meanwhile, only simulated time is read after it
 _MEASURE_SECONDS = 1.0
 _FEW_MINUTES = 10.0
 _MB = 1e6
@@ -25,12 +23,12 @@ _ROOM = "make room on the disk, or lower min_free_mb"
 class Recorder(ros.ManagedNode):
     """Subscribes to topics as they appear, with every QoS that their publishers offer. Each activation begins a bag."""
 
+    executable = "recorder"
+    rest = 0.01  # s; the middleware stamps what comes meanwhile, only simulated time is read after it
+
     _bag: BagWriter
     _bags = 0  # begun so far
     _trouble: ModcalError | None = None
-
-    def __init__(self) -> None:
-        super().__init__("recorder", ros.RECORDER)
 
     def _serve(self) -> None:
         self.offer("~/save", self._save)
@@ -55,10 +53,8 @@ class Recorder(ros.ManagedNode):
         if (shortage := self._shortage()) is not None:
             raise shortage
         self._open(_next_bag(self._base) if self._bags or not self._chosen["out"] else BagWriter(self._base))
-        # a simulation that stands still must not keep messages from the disk
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_LOOK_SECONDS, self._tick, clock=steady)
-        self.create_timer(_MEASURE_SECONDS, self._measure, clock=steady)
+        self.every(_LOOK_SECONDS, self._tick)
+        self.every(_MEASURE_SECONDS, self._measure)
 
     def _open(self, bag: BagWriter) -> None:
         """Record into this bag from now on; what is latched is true there too."""
@@ -249,8 +245,3 @@ def _free_bytes(place: Path) -> int:
     while not place.exists():
         place = place.parent
     return shutil.disk_usage(place).free
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(Recorder, rest=_REST)

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -19,8 +18,6 @@ from modcal_core.geometry import Array
 from modcal_core.robots import read_chain
 from modcal_nodes import ros, simulation
 
-_MAX_AT_ONCE = 0.1  # s of physics between two looks at what came in
-_LOST = 5.0  # s that are not made up for: the node's clock was set
 _LONGEST = 0.02  # s of wall time in one step of a simulated time, which waits where the machine does not keep up
 _DEPTH = 100
 _START = 1000.0  # s that a simulated time begins with
@@ -31,12 +28,16 @@ HANDLE = "handle"  # frame of the true grasp
 _NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
-class SimulatedFurniture(ros.GuardedNode):
+class SimulatedFurniture(simulation.SpeakingNode):
     """Publishes joint_states, wrench, robot_description and the truth; follows joint_references, joint_trajectory."""
 
+    executable = "simulated_furniture"
+
+    _at_once, _lost = 0.1, 5.0  # s of physics between two looks at what came in; that are not made up for
+
     def __init__(self) -> None:
-        super().__init__("simulated_furniture")
-        chosen = ros.declare(self, ros.SIMULATED_FURNITURE)
+        super().__init__()
+        chosen = self._chosen
         file = Path(chosen["urdf"])
         if not file.is_file():
             raise BadTable(f"urdf '{file}'", "is not a file", "set the parameter urdf")
@@ -50,7 +51,7 @@ class SimulatedFurniture(ros.GuardedNode):
         self._world = simulation.Pulling.of(text, chain, scene, noise, servo, chosen["noise_n"], chosen["noise_nm"])
         if chosen["approach_s"] > 0.0:
             self._world.approach(chosen["approach_s"])
-        self._refused, self._reports_effort = "", chosen["publish_effort"]
+        self._refused = ""
 
         self._joints = self.create_publisher(JointState, "joint_states", _DEPTH)
         self._wrench = self.create_publisher(WrenchStamped, "wrench", _DEPTH)
@@ -61,84 +62,55 @@ class SimulatedFurniture(ros.GuardedNode):
         self._states, self._truths = simulation.States(chain.names), simulation.States(self._world.object_joints)
         self._felt, self._grasp = WrenchStamped(), WrenchStamped()
         self._felt.header.frame_id, self._grasp.header.frame_id = chain.tip, HANDLE
-        simulated, self._factor = chosen["publish_clock"], chosen["time_factor"]
-        if simulated and self.get_parameter("use_sim_time").value:
-            raise BadTable("publish_clock with use_sim_time", "it would wait for itself", "leave one of them out")
-        self._clock_topic = self.create_publisher(ClockMessage, "/clock", _DEPTH) if simulated else None
-        self._speakers: list[tuple[simulation.Grid, Callable[[tuple[int, int]], None]]] = [
-            (simulation.Grid(chosen["joint_rate_hz"]), self._send_joints),
-            (
-                simulation.Grid(chosen["wrench_rate_hz"]),
-                lambda when: self._wrench.publish(_filled(self._felt, when, self._world.wrench())),
-            ),
-            (simulation.Grid(chosen["truth_rate_hz"]), self._send_truth),
-        ]
-        self._rates = simulation.Rates({"joint_states": self._speakers[0][0], "wrench": self._speakers[1][0]}, 1.0)
-        if simulated:
-            self._speakers.insert(0, (simulation.Grid(chosen["clock_rate_hz"]), self._send_clock))
-        self._time, self._begun, self._done, self._offset = (
-            simulation.CellTime(self, 0.0, simulated, _START),
-            False,
-            0.0,
-            0.0,
-        )
-        self._wall, self._own = time.monotonic(), 0.0
-        self._keeps_step = bool(simulated and chosen["keep_step"])
-        self._referred = (-_SILENCE, 0.0)  # wall and own time of the last reference
-        ros.Health(self, lambda: [self._rates.status()])
-        fastest = max(chosen["joint_rate_hz"], chosen["wrench_rate_hz"])
-        self._beat = simulation.Beat(
-            1.0 / (fastest * (self._factor if simulated else 1.0)), self.guarded("beat", self._go_on), self.context.ok
-        )
         self.create_subscription(JointTrajectoryPoint, "joint_references", self._refer, _NEWEST)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._follow, _NEWEST)
         goal = f"{np.degrees(scene.goal):.0f}°" if scene.turns else f"{100.0 * scene.goal:.0f} cm"
         self.get_logger().info(f"a {scene.kind} held by a {scene.grasp}: {goal} would be open")
-        self._beat.start()
+        self._own = self._offset = 0.0
+        self._referred = (-_SILENCE, 0.0)  # wall and own time of the last reference
+        speakers = {
+            "joint_states": (simulation.Grid(chosen["joint_rate_hz"]), self._send_joints),
+            "wrench": (simulation.Grid(chosen["wrench_rate_hz"]), self._send_wrench),
+            "truth": (simulation.Grid(chosen["truth_rate_hz"]), self._send_truth),
+        }
+        self._begin(speakers, _START, chosen["time_factor"], 0.0)
 
     def close(self) -> None:
         """Stand still, and say how far the object came."""
-        self._beat.stop()
+        super().close()
         self.get_logger().info(f"opened {self._world.opened:.4f}")
 
-    def _now(self) -> float:
+    def _own_time(self) -> float:
         """Seconds since it began: the clock's, or simulated ones, which wait for a machine that is busy."""
-        if self._clock_topic is None:
-            return self._time.now()
+        if not self._simulated:
+            return super()._own_time()
         wall = time.monotonic()
         own = self._own + min(wall - self._wall, _LONGEST) * self._factor
-        if self._keeps_step and wall - self._referred[0] < _SILENCE:
+        if self._chosen["keep_step"] and wall - self._referred[0] < _SILENCE:
             own = max(self._own, min(own, self._referred[1] + _AHEAD))
         self._own, self._wall = own, wall
         return self._own
 
-    def _go_on(self) -> None:
-        """Let the world come up to the clock, and say what falls due on the way."""
-        if not self._begun:
-            self._begun = self._time.begin()
-            return
-        now = self._now()
-        if not -_LOST < now - self._done < _LOST:
-            self.get_logger().warning(f"the clock jumped by {now - self._done:.3f} s: continuing from there")
-            self._offset += now - self._done
-            self._done = now
-            for grid, _ in self._speakers:
-                grid.start(now)
-        self._rates.note(now - self._done)
-        until = min(now, self._done + _MAX_AT_ONCE)
-        due = [(t, speak) for grid, speak in self._speakers for t in grid.take(until)]
-        for t, speak in sorted(due, key=lambda one: one[0]):
-            self._world.advance(max(t - self._offset - self._world.time, 0.0))
-            speak(self._time.stamp(t))
-        self._done = max(until, self._done)
+    def _jump(self, now: float) -> None:
+        self._offset += now - self._done
+        super()._jump(now)
+
+    def _reach(self, t: float) -> simulation.When:
+        """Let the world come up to a time [s]; returns its stamp."""
+        self._world.advance(max(t - self._offset - self._world.time, 0.0))
+        return self._stamp(t)
+
+    def _say_time(self, t: float) -> None:
+        self._reach(t)
+        super()._say_time(t)
 
     def _refer(self, point: JointTrajectoryPoint) -> None:
-        with self._beat.lock:
+        with self.lock:
             self._referred = time.monotonic(), self._done
             self._obey(lambda: self._world.refer(np.array(point.positions, dtype=float)))
 
     def _follow(self, trajectory: JointTrajectory) -> None:
-        with self._beat.lock:
+        with self.lock:
             self._obey(lambda: self._world.follow(simulation.legs(self._world.chain, trajectory)))
 
     def _obey(self, act: Callable[[], None]) -> None:
@@ -150,29 +122,24 @@ class SimulatedFurniture(ros.GuardedNode):
                 self.get_logger().error(f"not followed: {error}")
             self._refused = error.limit
 
-    def _send_clock(self, when: tuple[int, int]) -> None:
-        assert self._clock_topic is not None
-        message = ClockMessage()
-        message.clock.sec, message.clock.nanosec = when
-        self._clock_topic.publish(message)
-
-    def _send_joints(self, when: tuple[int, int]) -> None:
+    def _send_joints(self, t: float) -> None:
+        when = self._reach(t)
         q, v = self._world.joints()
-        self._joints.publish(self._states.fill(when, q, v, self._world.efforts() if self._reports_effort else None))
+        efforts = self._world.efforts() if self._chosen["publish_effort"] else None
+        self._joints.publish(self._states.fill(when, q, v, efforts))
 
-    def _send_truth(self, when: tuple[int, int]) -> None:
+    def _send_wrench(self, t: float) -> None:
+        self._wrench.publish(_filled(self._felt, self._reach(t), self._world.wrench()))
+
+    def _send_truth(self, t: float) -> None:
+        when = self._reach(t)
         self._contact.publish(_filled(self._grasp, when, self._world.peak()))
         self._world.forget()
         self._truth.publish(self._truths.fill(when, *self._world.object_state(), None))
 
 
-def _filled(message: WrenchStamped, when: tuple[int, int], wrench: Array) -> WrenchStamped:
+def _filled(message: WrenchStamped, when: simulation.When, wrench: Array) -> WrenchStamped:
     simulation.stamp(message, when)
     force, torque = message.wrench.force, message.wrench.torque
     force.x, force.y, force.z, torque.x, torque.y, torque.z = wrench.tolist()
     return message
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(SimulatedFurniture)

@@ -5,29 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import BadTable, ModcalError
 from modcal_core.planning import TimedMotion
-from modcal_msgs_py import fill_identity, seconds, set_seconds
+from modcal_msgs_py import fill_identity, reading_of, seconds, set_seconds
 from modcal_nodes import ros
 from modcal_nodes.measuring import StationSequence
 
 _NOT_REACHED = 5  # outcome of Measure: it has ended, and the accuracy is not proven
 _READINGS = {"pose": (PoseStamped, "tracker/pose"), "point": (PointStamped, "tracker/point")}
-_STEADY = Clock(clock_type=ClockType.STEADY_TIME)  # a simulated time that stands must not keep an arm from being held
 
 
 class StationRunner(ros.ManagedNode):
     """Moves an arm from station to station. Nothing moves at launch, and nothing before a dry run was accepted."""
 
-    def __init__(self) -> None:
-        super().__init__("station_runner", ros.STATION_RUNNER)
+    executable = "station_runner"
 
     def _check(self, new: dict[str, Any]) -> None:
         if new["measurement"] not in _READINGS:
@@ -60,7 +56,7 @@ class StationRunner(ros.ManagedNode):
     def _activate(self) -> None:
         """Check every period from here on: it makes its dry run, and moves nothing."""
         self._sequence.activate()
-        self.create_timer(1.0 / self._chosen["rate_hz"], self._tick, clock=_STEADY)
+        self.every(1.0 / self._chosen["rate_hz"], self._tick)
 
     def _deactivate(self) -> None:
         """Hold the arm; a new dry run has to be accepted before it moves again. What was measured is in the folder."""
@@ -98,12 +94,7 @@ class StationRunner(ros.ManagedNode):
         self._action.end(ended, self.said, stations=self._sequence.measured, proven_m=proven, about=about)
 
     def _take_reading(self, message: Any) -> None:
-        if isinstance(message, PointStamped):
-            p = message.point
-            reading = np.array([p.x, p.y, p.z])
-        else:
-            p, r = message.pose.position, message.pose.orientation
-            reading = np.array([p.x, p.y, p.z, r.x, r.y, r.z, r.w])
+        reading = reading_of(self._chosen["measurement"], message)
         self._sequence.take_reading(reading, seconds(message.header.stamp) or self._now())
 
     def _tick(self) -> None:
@@ -120,7 +111,8 @@ class StationRunner(ros.ManagedNode):
             self._see_end()
 
     def _send(self, motion: TimedMotion) -> None:
-        message = JointTrajectory(joint_names=list(self._sequence.names))  # without a stamp: from now on
+        assert self._sequence.chain is not None
+        message = JointTrajectory(joint_names=list(self._sequence.chain.names))  # without a stamp: from now on
         for after, q, v in zip(motion.t[1:], motion.q[1:], motion.v[1:], strict=True):
             point = JointTrajectoryPoint(positions=q.tolist(), velocities=v.tolist())
             set_seconds(point.time_from_start, float(after))
@@ -138,8 +130,3 @@ class StationRunner(ros.ManagedNode):
 
 def _known(value: float | None) -> float:
     return float("nan") if value is None else float(value)
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(StationRunner)

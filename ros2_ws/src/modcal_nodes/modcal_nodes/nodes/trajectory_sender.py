@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -19,13 +18,14 @@ from modcal_nodes import ros
 _PERIOD = 0.1  # s
 
 
-class TrajectorySender(ros.GuardedNode):
+class TrajectorySender(ros.HealthyNode):
     """Waits for joint states and for a controller, sends the trajectory once to ``~/joint_trajectory``, and ends."""
 
+    executable = "trajectory_sender"
+
     def __init__(self) -> None:
-        super().__init__("trajectory_sender")
-        self._chosen = chosen = ros.declare(self, ros.TRAJECTORY_SENDER)
-        file = Path(chosen["trajectory"])
+        super().__init__()
+        file = Path(self._chosen["trajectory"])
         if not file.is_file():
             raise BadTable(
                 f"trajectory '{file}'", "is not a file", "set the parameter to the one that modcal plan wrote"
@@ -35,14 +35,9 @@ class TrajectorySender(ros.GuardedNode):
         self._at = self._begun = time.monotonic()
         unlimited = np.full(len(self._planned.names), np.inf)
         self._joints = JointInput(self._planned.names, -unlimited, unlimited)
-        self._refusals = ros.Refusals(self)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
-        heard = self._refusals.guarded("joint_states", self._take_joints)
-        self._inputs = [
-            ros.MonitoredSubscription(self, JointState, "joint_states", heard, ros.FRESH, needed=True, single=True)
-        ]
-        self._health = ros.Health(self, self._report)
-        self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._inputs = [self.hear(JointState, "joint_states", self._take_joints, ros.FRESH, needed=True, single=True)]
+        self.every(_PERIOD, self._look)
 
     def _take_joints(self, message: JointState) -> None:
         self._joints.receive(message, self._now(), self._chosen["timeout_s"])
@@ -103,8 +98,3 @@ class TrajectorySender(ros.GuardedNode):
                 "trajectory", ros.OK, f"sent, {time.monotonic() - self._at:.0f} of {self._sent.t[-1]:.0f} s ago"
             )
         return [ros.subscription_status(self._inputs, self._refusals), line]
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(TrajectorySender)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
@@ -24,18 +22,21 @@ from modcal_nodes.calibrating import KnownArm
 from modcal_nodes.io import calibration_of
 from modcal_nodes.viewing import JudgedStations, Stations
 
-_REST = 0.003  # s
 _LIFETIME = 2.0  # s that axes and ellipsoids outlive this node by
-_NOTHING_YET = "no calibration yet: run a calibrator beside this node, or remap calibrator/calibration"
+_CALIBRATION = "calibrator/calibration"
+_NOTHING_YET = f"no calibration yet: run a calibrator beside this node, or remap {_CALIBRATION}"
 _NO_ARM_YET = "publish robot_description (latched) and joint_states"
 
 
-class Viewer(ros.GuardedNode):
+class Viewer(ros.HealthyNode):
     """Publishes pictures of residuals, stations, joint axes and uncertainty in the arm's base link."""
 
+    executable = "viewer"
+    rest = 0.003  # s
+
     def __init__(self) -> None:
-        super().__init__("viewer")
-        self._chosen = chosen = ros.declare(self, ros.VIEWER)
+        super().__init__()
+        chosen = self._chosen
         self._urdf, self._names = chosen["robot_description"], frozenset[str]()
         self._calibration: Calibration | None = None
         self._heard: Any = None  # the last message of a calibration
@@ -48,38 +49,23 @@ class Viewer(ros.GuardedNode):
         self._shapes: dict[float, tuple[Array, Array]] = {}  # ellipsoids at the last stations, by their stamps
         self._around_stations: list[Marker] = []
         self._look_at(chosen["base"], chosen["tip"])
-        ros.follow(self, ros.VIEWER, chosen, take=self._take_parameters)
-        self._refusals = ros.Refusals(self, lambda: self._health.publish_if_changed())
 
         self._residuals = self.create_publisher(MarkerArray, "~/residuals", ros.LATCHED)
         self._dots = self.create_publisher(MarkerArray, "~/stations", ros.LATCHED)
         self._axes = self.create_publisher(MarkerArray, "~/axes", 10)
         self._ellipsoids = self.create_publisher(MarkerArray, "~/uncertainty", 10)
-        self._inputs = self._listen()
-        self._health = ros.Health(self, self._report)
-        self.offer("~/reset", self._reset)
-        self.create_timer(1.0 / chosen["rate_hz"], self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    def _listen(self) -> list[ros.MonitoredSubscription]:
-        guarded = self._refusals.guarded
-        heard: dict[str, tuple[type, Callable[[Any], None], Any]] = {  # by topic: message, what takes it, its QoS
-            "joint_states": (JointState, self._take_joints, ros.SENSOR),
-            "tracker/pose": (PoseStamped, guarded("tracker/pose", partial(self._take_reading, POSE)), ros.SENSOR),
-            "tracker/point": (PointStamped, guarded("tracker/point", partial(self._take_reading, POINT)), ros.SENSOR),
-            "temperature": (Temperature, guarded("temperature", self._take_temperature), ros.SENSOR),
-            "calibrator/calibration": (ros.interface("Calibration"), self._take_calibration, ros.LATCHED),
-            "calibrator/change": (ros.interface("Change"), guarded("change", self._take_change), ros.LATCHED),
-            "robot_description": (String, self._take_description, ros.LATCHED),
-        }
-        options: dict[str, dict[str, Any]] = {
-            "joint_states": {"needed": True, "single": True},
-            "calibrator/calibration": {"single": True},
-            "robot_description": {"needed": not self._chosen["robot_description"]},
-        }
-        return [
-            ros.MonitoredSubscription(self, message, topic, take, qos, **options.get(topic, {}))
-            for topic, (message, take, qos) in heard.items()
+        hear, described = self.hear, bool(chosen["robot_description"])
+        self._inputs = [
+            hear(JointState, "joint_states", self._take_joints, ros.SENSOR, needed=True, single=True),
+            hear(PoseStamped, "tracker/pose", partial(self._take_reading, POSE), ros.SENSOR),
+            hear(PointStamped, "tracker/point", partial(self._take_reading, POINT), ros.SENSOR),
+            hear(Temperature, "temperature", self._take_temperature, ros.SENSOR),
+            hear(ros.interface("Calibration"), _CALIBRATION, self._take_calibration, ros.LATCHED, single=True),
+            hear(ros.interface("Change"), "calibrator/change", self._take_change, ros.LATCHED),
+            hear(String, "robot_description", self._take_description, ros.LATCHED, needed=not described),
         ]
+        self.offer("~/reset", self._reset)
+        self.every(1.0 / chosen["rate_hz"], self._tick)
 
     def _take_temperature(self, message: Temperature) -> None:
         self._signals.hear_temperature(message, self._now())
@@ -114,7 +100,7 @@ class Viewer(ros.GuardedNode):
             return
         self._heard = message
         try:
-            self._calibration = calibration_of(message, "topic calibrator/calibration")
+            self._calibration = calibration_of(message, f"topic {_CALIBRATION}")
         except ModcalError as error:
             self._refusals.refuse("calibration", str(error))  # the one in use was made for this robot, and stays
             return
@@ -156,16 +142,14 @@ class Viewer(ros.GuardedNode):
             return
         if len(message.position) != len(message.name):
             count = f"{len(message.position)} positions for {len(message.name)} names"
-            self._refusals.refuse("joint_states", f"joint_states: {count}: send one for every name")
-            return
+            raise BadCommand("joint_states", count, "send one for every name")
         try:
             self._arm.joint_state(message)
             self._joints.receive(message, self._now(), self._chosen["timeout_s"])
             if not self._joints.missing():
                 self._approach.update(self._joints.position)
-        except ModcalError as error:
-            self._refusals.refuse("joint_states", str(error))
-        self._collect()
+        finally:
+            self._collect()
 
     def _take_reading(self, kind: str, message: Any) -> None:
         self._arm.reading(kind, message)
@@ -260,8 +244,3 @@ class Viewer(ros.GuardedNode):
             strange = ", ".join(f"'{name}'" for name in self._judged.strangers)
             said = f"readings in frame {strange} are not shown: the calibration knows {known}: calibrate with them"
         return ros.Status("view", ros.WARN if said else ros.OK, said or "is drawn", facts)
-
-
-def main() -> None:
-    """Entry point of the executable."""
-    ros.run(Viewer, rest=_REST)

@@ -45,6 +45,7 @@ def waiting(subscription: Subscription, most: int, raw: bool = False) -> list[tu
     return out
 
 
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _AGAIN = 1.0  # s after a fault until a latched message is handled once more
 _RECENT = 10.0  # s in which a fault counts as recent
 _THROTTLE = 1.0  # s between two lines in the log about the same place
@@ -181,6 +182,9 @@ class GuardedNode(Node):
     def _now(self) -> float:
         return 1e-9 * self.get_clock().now().nanoseconds
 
+    def close(self) -> None:
+        """End what is going on, before the node is taken away."""
+
     def destroy_node(self) -> None:
         """Same as in Node, with the actions, which Node forgets."""
         for waitable in list(self.waitables):
@@ -242,7 +246,7 @@ class GuardedNode(Node):
                 timer.cancel()
                 plain(message)
 
-            timer = self.create_timer(_AGAIN, retry, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            timer = self.every(_AGAIN, retry)
 
         return Guarded(self, topic, callback, again)
 
@@ -251,6 +255,10 @@ class GuardedNode(Node):
         inner = getattr(callback, "func", callback)
         place = f"timer {getattr(inner, '__name__', type(inner).__name__).lstrip('_')}"
         return super().create_timer(timer_period_sec, self.guarded(place, callback), *args, **options)
+
+    def every(self, seconds: float, act: Callable[[], object]) -> Any:
+        """A timer of the wall's time: a simulated one may stand, and what would say so, or hold an arm, must not."""
+        return self.create_timer(seconds, act, clock=_STEADY)
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, *args: Any, **options: Any) -> Any:
         """Same as in Node, guarded: after a fault the caller is told, if the response has a field for it."""

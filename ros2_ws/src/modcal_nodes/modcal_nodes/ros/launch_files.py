@@ -7,17 +7,16 @@ nothing of theirs is more specific, or later, than what the user says.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from modcal_core.errors import BadTable
-from modcal_nodes.ros.parameters import NODES
+from modcal_nodes.ros.parameters import NODES, Parameter
 
 _LEVELS = ("debug", "info", "warn", "error", "fatal")
-_YES_NO = {"true": True, "1": True, "false": False, "0": False}
+_SIMULATED = Parameter(False, "Whether /clock is used.")  # of every node
 
 
 @dataclass(frozen=True)
@@ -172,12 +171,12 @@ def nodes(launch: str, chosen: Mapping[str, str], share: Path) -> list[dict[str,
     for node in plan.nodes:
         given: dict[str, Any] = {}
         if chosen["use_sim_time"]:
-            given["use_sim_time"] = _boolean("use_sim_time", chosen["use_sim_time"])
+            given["use_sim_time"] = _SIMULATED.parsed("use_sim_time:=", chosen["use_sim_time"])
         for argument in plan.arguments:
             for place in argument.parameters:
                 who, _, name = place.partition(".")
                 if who == node and chosen[argument.name]:
-                    given[name] = _typed(node, name, chosen[argument.name])
+                    given[name] = NODES[node][name].parsed(f"{argument.name}:=", chosen[argument.name])
         remaps = [(topic, chosen[a.name]) for a in plan.arguments for who, topic in a.remaps if who == node]
         config = share / "config" / f"{node}.yaml"
         fixed = {k: str(share / v) if k == "urdf" else v for k, v in plan.fixed.get(node, {}).items()}
@@ -199,24 +198,6 @@ def nodes(launch: str, chosen: Mapping[str, str], share: Path) -> list[dict[str,
             }
         )
     return out
-
-
-def _boolean(name: str, text: str) -> bool:
-    if text.lower() not in _YES_NO:
-        raise BadTable(f"{name}:={text}", "is neither true nor false", "use one of them")
-    return _YES_NO[text.lower()]
-
-
-def _typed(node: str, name: str, text: str) -> Any:
-    default = NODES[node][name].default
-    try:
-        if isinstance(default, bool):
-            return _boolean(name, text)
-        if isinstance(default, list):
-            return [type(default[0])(value) for value in json.loads(text)]
-        return type(default)(text)
-    except (TypeError, ValueError) as error:
-        raise BadTable(f"{name}:={text}", f"is not of type {type(default).__name__}", f"see {node} --help") from error
 
 
 def described(launch: str) -> Any:

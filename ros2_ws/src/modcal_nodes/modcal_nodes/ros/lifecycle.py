@@ -23,7 +23,6 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import GoalEvent, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
@@ -37,6 +36,7 @@ from modcal_core.errors import BadTable, ModcalError
 from modcal_msgs_py import require_version
 from modcal_nodes.ros.guarded import GuardedNode, Refusals, described
 from modcal_nodes.ros.parameters import NODES, Parameter
+from modcal_nodes.ros.running import run
 from modcal_nodes.ros.subscriptions import OK, WARN, Health, Status
 from modcal_nodes.ros.subscriptions import MonitoredSubscription as Monitored
 
@@ -135,7 +135,7 @@ class Action:
         except Exception as error:
             self.end(FAILED, self._node.faults.note(f"action {self.name}", error))
         if self._goal is goal:
-            self._timer = self._node.create_timer(_FEEDBACK, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            self._timer = self._node.every(_FEEDBACK, self._tell)
 
     def _tell(self) -> None:
         if self._goal is not None:
@@ -212,32 +212,58 @@ def _warn_of_unknown(node: Node, parameters: dict[str, Parameter]) -> None:
         node.parameters_without_effect = text
 
 
-def follow(
-    node: GuardedNode,
-    parameters: dict[str, Parameter],
-    chosen: dict[str, Any],
-    check: Callable[[dict[str, Any]], object] = lambda new: None,
-    take: Callable[[], object] = lambda: None,
-) -> None:
-    """Keep ``chosen`` as the parameters are while the node runs.
+class HealthyNode(GuardedNode):
+    """A node with parameters, which it follows while it runs, with health, and with refusals of what it hears."""
 
-    check: raises ModcalError for values that cannot be, given all of them as they would be. take: called after a
-    change.
-    """
+    executable: str  # its name, by which its parameters are known
+    rest = 0.0  # s between two looks for messages, see run
+    configured = True
 
-    def judge(changed: list[Any]) -> SetParametersResult:
+    def __init__(self) -> None:
+        super().__init__(self.executable)
+        self._chosen = declare(self, NODES[self.executable])
+        self._check(self._chosen)
+        self.add_on_set_parameters_callback(self._judge)
+        self.add_post_set_parameters_callback(self._apply)
+        self._health = Health(self, self._statuses)
+        self._refusals = Refusals(self, self._health.publish_if_changed)
+
+    @classmethod
+    def main(cls) -> None:
+        """Entry point of the executable."""
+        run(cls, rest=cls.rest)
+
+    def _check(self, new: dict[str, Any]) -> None:
+        """Raises ModcalError for parameters that cannot be, all of them as they would be."""
+
+    def _take_parameters(self) -> object:
+        """Called after a change of parameters while the node is configured."""
+
+    def _report(self) -> Iterable[Status]:
+        """The health of a configured node."""
+        return ()
+
+    def hear(self, kind: type, topic: str, take: Callable[[Any], None], qos: QoSProfile, **options: Any) -> Monitored:
+        """A subscription whose refusals are said and counted. options: of MonitoredSubscription."""
+        return Monitored(self, kind, topic, self._refusals.guarded(topic, take), qos, **options)
+
+    def _statuses(self) -> Iterable[Status]:
+        return self._report()
+
+    def _changed(self, parameters: list[Any]) -> dict[str, Any]:
+        return {p.name: p.value for p in parameters if p.name in self._chosen}
+
+    def _judge(self, parameters: list[Any]) -> SetParametersResult:
         try:
-            check({**chosen, **{p.name: p.value for p in changed if p.name in parameters}})
+            self._check({**self._chosen, **self._changed(parameters)})
         except ModcalError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def apply(changed: list[Any]) -> None:
-        chosen.update({p.name: p.value for p in changed if p.name in parameters})
-        take()
-
-    node.add_on_set_parameters_callback(judge)
-    node.add_post_set_parameters_callback(apply)
+    def _apply(self, parameters: list[Any]) -> None:
+        self._chosen.update(self._changed(parameters))
+        if self.configured:
+            self._take_parameters()
 
 
 def _transition(name: str, act: str, refused: Any = TransitionCallbackReturn.FAILURE) -> Any:
@@ -264,7 +290,7 @@ def _transition(name: str, act: str, refused: Any = TransitionCallbackReturn.FAI
 _HEARING = ("timer", "subscription", "publisher")
 
 
-class ManagedNode(GuardedNode, LifecycleNode):
+class ManagedNode(HealthyNode, LifecycleNode):
     """Base of a managed node: parameters, health, refusals, services and actions are there in every state.
 
     A subclass makes its services and actions in :meth:`_serve`, and everything else in :meth:`_configure`; what is to
@@ -276,21 +302,15 @@ class ManagedNode(GuardedNode, LifecycleNode):
     active = configured = False
     _own: frozenset[int] | None = None  # entities of every state, by id
 
-    def __init__(self, name: str, parameters: dict[str, Parameter]) -> None:
-        super().__init__(name)
+    def __init__(self) -> None:
+        super().__init__()
         changes = self._service_change_state
         self._change_state = changes.callback.callback  # without its guard: what is illegal is no fault
         changes.callback = self.guarded_service("change_state", self._transit)
-        self._chosen = declare(self, parameters)
-        self._check(self._chosen)
-        take = lambda: self.configured and self._take_parameters()  # noqa: E731
-        follow(self, parameters, self._chosen, self._check, take)
         self.held = ExitStack()
         self._why: Exception | None = None  # of the last transition that failed
         self._outcome = ""
         self._ticking: set[Any] = set()
-        self._health = Health(self, self._statuses)
-        self._refusals = Refusals(self, self._health.publish_if_changed)
         self.said, self.level = "", OK  # of what is going on
         self._serve()
         self._own = frozenset(id(entity) for kind in _HEARING for entity in getattr(self, f"{kind}s"))
@@ -298,12 +318,6 @@ class ManagedNode(GuardedNode, LifecycleNode):
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != TransitionCallbackReturn.SUCCESS and self._why is not None:
                     raise self._why
-
-    def _check(self, new: dict[str, Any]) -> None:
-        """Raises ModcalError for parameters that cannot be."""
-
-    def _take_parameters(self) -> object:
-        """Called after a change of parameters while the node is configured."""
 
     def _serve(self) -> None:
         """Make services and actions."""
@@ -316,14 +330,6 @@ class ManagedNode(GuardedNode, LifecycleNode):
 
     def _deactivate(self) -> None:
         """End what is going on; nothing is published afterwards."""
-
-    def _report(self) -> Iterable[Status]:
-        """The health of a configured node."""
-        return ()
-
-    def hear(self, kind: type, topic: str, take: Callable[[Any], None], qos: QoSProfile, **options: Any) -> Monitored:
-        """A subscription whose refusals are said and counted. options: of MonitoredSubscription."""
-        return Monitored(self, kind, topic, self._refusals.guarded(topic, take), qos, **options)
 
     def _tell(self, level: bytes, said: str) -> None:
         """Say what is going on, and log it where it is news; each severity has a line of its own for rclpy."""

@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from modcal_core.errors import BadTable
+from modcal_core.files import parse_yaml
 from modcal_core.planning import RETURNS
 
 
@@ -20,6 +24,28 @@ class Parameter:
     low: float | None = None
     high: float | None = None
     live: bool = False
+
+    def parsed(self, where: str, written: str) -> Any:
+        """The value that a text says, of the default's type and within the bounds. where: what stands before it.
+
+        Raises BadTable.
+        """
+        kind = type(self.default)
+        value: Any = written if kind is str else parse_yaml(written, where)
+        try:
+            if kind is list:
+                value = [type(self.default[0])(item) for item in (value if isinstance(value, list) else [value])]
+            elif (kind is bool and value in (0, 1)) or (kind is float and not isinstance(value, bool)):
+                value = kind(value)
+            fits = type(value) is kind and (kind in (str, bool) or bool(np.isfinite(value).all()))
+        except (TypeError, ValueError):
+            fits = False
+        if not fits:
+            said = {list: "is no list of numbers", bool: "is neither true nor false"}
+            raise BadTable(f"{where}{written}", said.get(kind, f"is no {kind.__name__}"), "write one")
+        if self.low is not None and self.high is not None and not self.low <= value <= self.high:
+            raise BadTable(f"{where}{written}", f"{self.low:g} to {self.high:g} is allowed", "choose a value between")
+        return value
 
 
 def _live(default: Any, description: str, low: float | None = None, high: float | None = None) -> Parameter:

@@ -39,7 +39,6 @@ from rclpy.executors import (
     await_or_execute,
 )
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
@@ -60,7 +59,7 @@ _LONGEST = 1.0  # s until a timer of a node that has none
 class RestingExecutor(SingleThreadedExecutor):
     """One node's executor. rest: seconds between two looks for messages; 0: as rclpy's."""
 
-    def __init__(self, node: Node, rest: float = 0.0) -> None:
+    def __init__(self, node: GuardedNode, rest: float = 0.0) -> None:
         super().__init__()
         self._node, self._rest = node, rest
         self._answered = self._looked = self._heard = 0.0
@@ -68,7 +67,7 @@ class RestingExecutor(SingleThreadedExecutor):
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Handle what there is; without anything, wait for it."""
         node = self._node
-        if not self._rest or not isinstance(node, GuardedNode) or node.hurried:
+        if not self._rest or node.hurried:
             super().spin_once(timeout_sec)
             return
         heard = node.take_waiting()
@@ -244,7 +243,7 @@ SENSOR = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE, durabili
 FRESH = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
-def run(make: Callable[[], Node], rest: float = 0.0) -> None:
+def run(make: Callable[[], GuardedNode], rest: float = 0.0) -> None:
     """Spin the node until it is stopped (Ctrl-C, SIGTERM, shutdown), then close it, however often it is told.
 
     rest: seconds between two looks for messages, of a node that need not answer within a millisecond. A look of the
@@ -257,7 +256,7 @@ def run(make: Callable[[], Node], rest: float = 0.0) -> None:
         sys.exit(code)
     stopping = SignalGuard()
     code = 0
-    node: Node | None = None
+    node: GuardedNode | None = None
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = make()
@@ -286,14 +285,14 @@ def run(make: Callable[[], Node], rest: float = 0.0) -> None:
     sys.exit(code)
 
 
-def spin_once(executor: SingleThreadedExecutor, node: Node) -> None:
+def spin_once(executor: SingleThreadedExecutor, node: GuardedNode) -> None:
     """One look for messages. What fails outside of every guarded callback is noted as well, and the node goes on."""
     try:
         executor.spin_once()
     except (NodeEnds, ExternalShutdownException):
         raise
     except Exception as error:
-        if not node.context.ok() or not isinstance(node, GuardedNode):
+        if not node.context.ok():
             raise
         node.faults.note("executor", error)
         time.sleep(_PAUSE)
@@ -304,12 +303,11 @@ def _refused(error: Exception) -> int:
     return 2
 
 
-def _close(node: Node | None) -> int:
+def _close(node: GuardedNode | None) -> int:
     if node is None:
         return 0
     try:
-        if hasattr(node, "close"):
-            node.close()
+        node.close()
     except NodeEnds as end:
         return _refused(end.error)
     except ModcalError as error:

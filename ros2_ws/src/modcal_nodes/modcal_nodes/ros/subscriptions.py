@@ -9,10 +9,8 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
@@ -39,17 +37,14 @@ class Status:
 class Health:
     """Publishes a node's statuses. ``report`` is asked for them."""
 
-    def __init__(self, node: Node, report: Callable[[], Iterable[Status]]) -> None:
+    def __init__(self, node: GuardedNode, report: Callable[[], Iterable[Status]]) -> None:
         self._node, self._of = node, report
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._levels: tuple[bytes, ...] = ()
-        # wall time: a simulation that stands still must not silence the node that would say so
-        node.create_timer(_PERIOD, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.every(_PERIOD, self.publish)
 
     def _report(self) -> list[Status]:
         """What the node says, and what went wrong inside of it; a fault of the telling itself is told too."""
-        if not isinstance(self._node, GuardedNode):
-            return list(self._of())
         statuses: list[Status] = []
         try:
             statuses.extend(self._of())
@@ -104,7 +99,6 @@ _LESS = {
     QoSPolicyKind.DURABILITY: "received, but messages published before are missed; it should be transient local",
 }
 _READ = {JointState: JointStateBytes}  # of what comes a thousand times a second
-_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 class MonitoredSubscription:
@@ -181,7 +175,7 @@ class MonitoredSubscription:
         if self._less is None and kind in _LESS:
             self._node.get_logger().warning(f"{self.topic}: a publisher's {name} does not match: {_LESS[kind]}")
             # not from within its own event: a subscription cannot be taken away while it is being served
-            self._less = self._node.create_timer(0.0, partial(self._settle_for_less, kind), clock=_STEADY)
+            self._less = self._node.every(0.0, partial(self._settle_for_less, kind))
         elif kind not in _LESS:
             self.incompatible = f"a publisher's {name} does not match, nothing arrives: use the same on both sides"
             self._node.get_logger().error(f"{self.topic}: {self.incompatible}")

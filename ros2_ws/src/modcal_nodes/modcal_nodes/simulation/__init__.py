@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_nodes.simulation.furniture import draw
     from modcal_nodes.simulation.mjcf import Servo, World
-    from modcal_nodes.simulation.plant import SWITCHES, TRACKER, TRACKER_PHASE, Beat, CellTime, Grid, Plant, recorded
+    from modcal_nodes.simulation.plant import SWITCHES, TRACKER, TRACKER_PHASE, Grid, Plant, recorded
     from modcal_nodes.simulation.program import legs
     from modcal_nodes.simulation.pulling import PullRecord, Pulling, effort_limits
-    from modcal_nodes.simulation.rates import Rates
-    from modcal_nodes.simulation.spoken import Poses, States, stamp
+    from modcal_nodes.simulation.speaking import Poses, SpeakingNode, States, When, stamp
 else:
     from modcal_core.lazy import lazy_face
 
