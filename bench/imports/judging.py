@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from sheet import Array, Written
 
-from modcal_msgs_py.tables import import_tables, read_tables
+from modcal_msgs_py.tables import import_tables
 
 KINDS = {"range": "range", "bearing": "bearing", "plane": "touch", "pose": "pose", "body": "pose", "point": "point"}
 
@@ -76,8 +76,7 @@ def judged(written: Written, mapping: dict[str, Any], folder: Path) -> str:
 
 def columns_judged(written: Written, mapping: dict[str, Any], folder: Path) -> tuple[str, list[str]]:
     """("right", "less" or "wrong", reasons). less: columns that were not used; wrong: used, and not what they are."""
-    tables = read_tables(mapping, folder, "bench")
-    recording, truth = tables.recording, written.recorded
+    recording, truth = import_tables(mapping, folder, "bench"), written.recorded
     (joints,) = recording.joints
     wrong, less = list[str](), list[str]()
     if set(joints.names) != set(truth.names):
@@ -109,7 +108,7 @@ def columns_judged(written: Written, mapping: dict[str, Any], folder: Path) -> t
     compare("joints", used(joints, joints.position), truth.q[every], 1e-4)
     compare("velocity", used(joints, joints.velocity), v, near, told)
     compare("effort", used(joints, joints.effort), effort, 2e-3)
-    found = tables.commanded
+    found = next(iter(recording.commands), None)
     compare("commanded", None if found is None else used(found, found.position), commands, 1e-4)
     kinds = {kind: [r for r in recording.readings if r.kind == KINDS[kind]] for kind in written.readings}
     if sum(map(len, kinds.values())) != len(recording.readings):

@@ -63,7 +63,7 @@ def _lagging(folder: Path) -> Path:
     behind = rng.normal(0, 1.5e-3, track.position.shape)
     told = replace(track, position=track.position + behind, received=track.stamps, topic="/joint_commands")
     late = replace(track, position=track.position - rng.uniform(0.3, 1.0, cell.arm.n) * behind)
-    write_recording(replace(recording, joints=(late,)), folder / "bag", commanded=told)
+    write_recording(replace(recording, joints=(late,), commands=(told,)), folder / "bag")
     return folder / "bag"
 
 

@@ -15,10 +15,8 @@ from modcal_core.calibration import fit as fitting
 from modcal_core.calibration import noise as distributions
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.distances import Distance, distance_rows
-from modcal_core.calibration.equations import PlainSystem, nonnegative
+from modcal_core.calibration.equations import System, nonnegative
 from modcal_core.calibration.fit import Curvature, identify
-from modcal_core.calibration.kernels import serial
-from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ordered_candidates
@@ -97,55 +95,27 @@ def test_distances_between_frames() -> None:
     assert_jacobian(lambda v: -distance_rows(model, parameters, v, known).residual, rows.J.T, x)
 
 
-KINDS = [("pose",), ("point",), ("point", "point"), ("pose", "pose", "pose")]
-
-
-def compare(model: Model, samples: Samples, seed: int) -> None:
-    """Both ways at values and weights drawn from a seed, some samples rejected."""
+@pytest.mark.parametrize("block", [3, 20_000])
+@pytest.mark.parametrize(("kinds", "leaders"), [(("pose",), ()), (("point", "point"), ()), (("pose",) * 3, (0, 1, 0))])
+def test_normal_equations_are_those_of_the_derivatives(
+    kinds: tuple[str, ...], leaders: tuple[int, ...], block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many samples are taken at once, with weights of their own, of which some are nothing."""
+    monkeypatch.setattr("modcal_core.calibration.equations.BLOCK", block)
+    model, samples = cell(ur10(), kinds)
+    model = replace(model, leaders=leaders)
     parameters = ordered_candidates(model.chain, model.frames, views_of(samples))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(2)
     values = rng.normal(size=len(parameters)) * [TURN if p.turns else SHIFT for p in parameters]
     own = rng.uniform(0.1, 2.0, len(samples)) * (rng.random(len(samples)) > 0.2)
-    turned = (own * rng.uniform(0.5, 2.0, len(samples)))[samples.is_pose]
-    weight = np.concatenate([np.tile(own, 3), np.tile(turned, 3)])
-    assert is_serial(model, samples, parameters)
-    plain = PlainSystem(model, parameters, samples, model.drivers(samples))
-    quick = SerialSystem(model, parameters, samples)
-    a, b = plain.residuals(values), quick.residuals(values)
-    assert np.abs(a.position - b.position).max() < 1e-12
-    assert np.abs(a.rotation - b.rotation).max(initial=0.0) < 1e-12
-    H, g = plain.normal_equations(values, weight)
-    H_quick, g_quick = quick.normal_equations(values, weight)
-    assert np.abs(H - H_quick).max() < 1e-12 * np.abs(H).max()
-    assert np.abs(g - g_quick).max() < 1e-12 * np.abs(g).max()
-    assert np.abs(g - quick.gradient(values, weight)).max() < 1e-12 * np.abs(g).max()
-
-
-@pytest.mark.parametrize("chain", [ur10(), slider_arm()], ids=["ur10", "sliders"])
-@pytest.mark.parametrize("kinds", KINDS, ids="-".join)
-def test_quick_and_plain_equations_are_one(chain: Chain, kinds: tuple[str, ...]) -> None:
-    compare(*cell(chain, kinds), seed=2)
-
-
-@pytest.mark.parametrize("kinds", KINDS[1:], ids="-".join)
-def test_blocks_make_no_difference(kinds: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Several blocks of which the last is short; sweeps that are kept, and sweeps that are made again."""
-    for kept in (0, 100):
-        monkeypatch.setattr(serial, "BLOCK", 7)
-        monkeypatch.setattr(serial, "COLUMNS", 3)
-        monkeypatch.setattr(serial, "_KEPT", kept)
-        compare(*cell(ur10(), kinds), seed=3)
-
-
-def test_frames_that_share_their_error() -> None:
-    model, samples = cell(ur10(), ("pose", "pose", "pose"))
-    compare(replace(model, leaders=(0, 1, 0)), samples, seed=4)
-
-
-def test_orientations_that_are_far_off() -> None:
-    model, samples = cell(ur10(), ("pose",))
-    about = samples.R[:, :, [1, 2, 0]]  # a third of a turn
-    compare(model, replace(samples, R=np.where(np.arange(8)[:, None, None] % 2, about, samples.R)), seed=5)
+    weight = np.concatenate([np.tile(own, 3), np.tile(own[samples.is_pose], 3)])
+    at = linearise(model, parameters, values, samples)
+    system = System(model, parameters, samples, model.drivers(samples))
+    assert np.abs(system.residuals(values).residual - at.residual).max() < 1e-14
+    H, g = system.normal_equations(values, weight)
+    expected = (at.J * weight) @ at.J.T
+    assert np.abs(H - expected).max() < 1e-12 * np.abs(expected).max()
+    assert np.abs(g - (at.J * weight) @ at.residual).max() < 1e-12 * np.abs(g).max()
 
 
 @pytest.mark.parametrize("kind", ["point", "pose"])

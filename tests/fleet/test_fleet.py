@@ -16,9 +16,9 @@ import pytest
 from fleet.robots import write_fleet
 
 from modcal_core.errors import BadRecording, BadTable
+from modcal_nodes import fleet
 from modcal_nodes.cli.main import run
-from modcal_nodes.fleet import recordings as fleet
-from modcal_nodes.fleet.recordings import find_bags, names_of
+from modcal_nodes.fleet import find_bags, names_of
 from modcal_nodes.io.options import Options
 
 GOOD = {"robot_1/week_0", "robot_1/week_1", "robot_2/week_0"}

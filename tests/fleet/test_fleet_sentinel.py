@@ -26,7 +26,7 @@ def test_each_robot_is_judged_by_its_own_history(tmp_path: Path, capsys: pytest.
         if robot != "new":
             BagHistory(tmp_path / "histories" / robot, ARM).add(days, "reference")
         made = WORLD.record(20, 30.0, 0, change)
-        write_recording(made, tmp_path / "today" / robot / "morning", commanded=made.commands[0])
+        write_recording(made, tmp_path / "today" / robot / "morning")
     fleet = ["fleet", f"{tmp_path}/today", "--sentinel", str(tmp_path / "histories"), "--out", str(tmp_path / "out")]
     assert run([*fleet, "--jobs", "1"]) == 2
     assert "1 of 3 robots were not judged; new refused: reference: holds 0 recordings" in capsys.readouterr().err

@@ -205,19 +205,10 @@ def test_a_tracker_that_ran_longer_or_paused_is_not() -> None:
     track = whole.joints[0]
     some = track.stamps < np.quantile(track.stamps, 0.6)
     longer = whole.readings[0].stamps.max()
-    fewer = with_joint_rows(whole, some)
+    fewer = replace(whole, joints=(track.rows(some),))
     assert longer > fewer.joints[0].stamps.max() + 5.0
     assert prepare(fewer, ur10()).doubts == ()
     stamps = whole.readings[0].stamps
     low, high = np.quantile(stamps, [0.3, 0.6])
-    assert prepare(with_readings_of(whole, (stamps < low) | (stamps > high)), ur10()).doubts == ()
-
-
-def with_joint_rows(recording: Recording, keep: np.ndarray) -> Recording:
-    track = recording.joints[0]
-    columns = {name: getattr(track, name)[keep] for name in ("stamps", "position", "velocity", "effort", "received")}
-    return replace(recording, joints=(replace(track, **columns), *recording.joints[1:]))
-
-
-def with_readings_of(recording: Recording, keep: np.ndarray) -> Recording:
-    return replace(recording, readings=(recording.readings[0].rows(keep), *recording.readings[1:]))
+    paused = whole.readings[0].rows((stamps < low) | (stamps > high))
+    assert prepare(replace(whole, readings=(paused,)), ur10()).doubts == ()

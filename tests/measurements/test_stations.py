@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cells import ur10
-from cli.recordings import START, recorded, stations, streams, with_joints, with_reading
+from cli.recordings import START, recorded, stations, streams, with_reading
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
@@ -86,9 +86,7 @@ def test_pairs_are_recognised_where_one_topic_was_heard_for_longer(joints: int, 
     """A recording may be looked at while it comes in, a topic in one go; what both cover are pairs all the same."""
     whole = stations(80)
     track, reading = whole.joints[0], whole.readings[0]
-    cut = {k: getattr(track, k)[:joints] for k in ("stamps", "position", "velocity", "effort", "received")}
-    heard = with_joints(whole, **cut)
-    heard = with_reading(heard, stamps=reading.stamps[:readings], values=reading.values[:readings])
+    heard = replace(whole, joints=(track.rows(slice(joints)),), readings=(reading.rows(slice(readings)),))
     samples = cut_stations(heard, ur10().names)
     assert len(samples) == min(joints, readings)
     assert not samples.moving.any()
@@ -125,8 +123,6 @@ def test_joints_come_by_name() -> None:
     recording = stations(10)
     shuffled = [3, 1, 0, 5, 4, 2]
     track = recording.joints[0]
-    from dataclasses import replace
-
     other = replace(
         track,
         names=(*[NAMES[j] for j in shuffled], "gripper"),
@@ -163,8 +159,7 @@ def test_silence_in_motion_tells_no_offset() -> None:
     s = recording.readings[0].stamps
     speed = np.interp(s, t[1:], np.abs(np.diff(q, axis=0)).max(axis=1))
     still = speed == 0.0
-    quiet = with_reading(recording, stamps=s[still], values=recording.readings[0].values[still], received=s[still])
-    assert clock_offset(quiet.readings[0], t, q, tip) is None
+    assert clock_offset(recording.readings[0].rows(still), t, q, tip) is None
 
 
 def findings(recording: Recording) -> str:
@@ -178,8 +173,7 @@ def test_each_fault_is_found() -> None:
     jump[300:] -= 5.0
     assert "jumps back 1 times, by up to" in findings(with_reading(clean, stamps=jump))
     gap = np.r_[0:300, 400 : len(jump)]
-    cut = with_reading(clean, stamps=reading.stamps[gap], values=reading.values[gap], received=reading.received[gap])
-    assert "silent 1 times for up to 2.0" in findings(cut)
+    assert "silent 1 times for up to 2.0" in findings(replace(clean, readings=(reading.rows(gap),)))
     stuck = reading.values.copy()
     stuck[100:120] = stuck[100]
     assert "the target may have been lost" in findings(with_reading(clean, values=stuck))
@@ -207,17 +201,11 @@ def test_stations_that_were_written_twice_are_stations_and_no_motion() -> None:
     recording = stations(60)
     twice = np.repeat(np.arange(60), 2)
     later = recording.joints[0].stamps[twice] + np.tile([0.0, 1e-3], 60)
-    joints, reading = recording.joints[0], recording.readings[0]
-    unknown = np.full((120, 6), np.nan)
-    spoiled = with_reading(
-        with_joints(
-            recording, stamps=later, position=joints.position[twice], velocity=unknown, effort=unknown, received=later
-        ),
-        stamps=later,
-        values=reading.values[twice],
-        received=later,
+    joints, reading = (
+        replace(track.rows(twice), stamps=later, received=later)
+        for track in (recording.joints[0], recording.readings[0])
     )
-    prepared = prepare(spoiled, ur10())
+    prepared = prepare(replace(recording, joints=(joints,), readings=(reading,)), ur10())
     assert not prepared.notes
     assert len(prepared.samples) == 120
     assert not prepared.samples.moving.any()

@@ -18,7 +18,6 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.modules.coding import Coding, assembly_from_data, assembly_to_data, matrix_of, matrix_text
 from modcal_core.modules.library import Assembly, Module, chain_of, library_from_data, origins, published_text
-from modcal_core.modules.targets import Catalogue
 from modcal_core.modules.urdf import body, urdf_of
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
@@ -259,23 +258,6 @@ def test_a_library_with_other_modules_has_its_own_genes() -> None:
         coding.assembly(coding.parse("00110 11·01·01·000·11"))
     with pytest.raises(BadTable, match="length code is 1"):
         coding.assembly(coding.parse("00110 10·01·01·001·11"))
-    Catalogue(coding)  # holes are no trouble
-
-
-def test_tables_hold_the_same_arms(rng: np.random.Generator) -> None:
-    catalogue = Catalogue(CODING)
-    for n in range(1, 8):
-        assemblies = [random_assembly(rng, n) for _ in range(10)]
-        genomes = np.stack([CODING.genome(a) for a in assemblies])
-        arms, bodies = catalogue.arms(genomes), catalogue.bodies(genomes)
-        for i, assembly in enumerate(assemblies):
-            chain = chain_of(assembly, LIBRARY)
-            assert np.abs(arms.origins[i] - chain.origins).max() < 1e-15
-            assert np.array_equal(arms.revolute[i], chain.revolute)
-            assert np.array_equal([arms.lower[i], arms.upper[i]], [chain.lower, chain.upper])
-            kinds = [(LIBRARY.types[m.kind], m.size) for m in assembly.modules[1:]]
-            total = sum(body(*kind).mass for kind in kinds)
-            assert bodies.mass[i].sum() == pytest.approx(total)
 
 
 # A matrix of the paper's form: five revolute joints, and a kind of link (LC) that is not used.

@@ -20,7 +20,7 @@ from modcal_core.modules.evaluation import Archive, Effort, Evaluator, SearchSet
 from modcal_core.modules.library import chain_of
 from modcal_core.modules.requirements import REQUIREMENTS
 from modcal_core.modules.synthesis import SynthesisTask, allowed, synthesize, task_from_data, to_data, to_markdown
-from modcal_core.modules.targets import Catalogue, Target
+from modcal_core.modules.targets import Target
 from modcal_core.robots.kinematics import chain_forward
 
 CODING = Coding(LIBRARY)
@@ -80,10 +80,10 @@ def test_poses_that_arms_are_in_are_reached(mask: list[int], rng: np.random.Gene
     for _ in range(10):
         assembly = random_assembly(rng, 6)
         chain = chain_of(assembly, LIBRARY)
-        arms = Catalogue(CODING).arms(CODING.genome(assembly)[None])
+        arms = reaching.Arms.of([assembly], LIBRARY)
         T = chain_forward(chain, 0.8 * rng.uniform(chain.lower, chain.upper))
         goal = Target.build(T[:3, :3], T[:3, 3], mask)
-        found = reaching.reach(arms, goal, reaching.starts(arms, rng.random((30, 6))), 60)
+        found = reaching.reach(arms, goal, arms.starts(rng.random((30, 6))), 60)
         good = found.left[0] < 1e-8
         assert (found.q[0] >= chain.lower - 1e-12).all()
         assert (found.q[0] <= chain.upper + 1e-12).all()

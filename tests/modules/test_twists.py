@@ -21,6 +21,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.library import Assembly, chain_of, module_frames
 from modcal_core.modules.requirements import (
+    BuiltArm,
     dexterity,
     farthest_reach,
     joint_range,
@@ -29,36 +30,34 @@ from modcal_core.modules.requirements import (
     structure,
     upright,
 )
-from modcal_core.modules.targets import Catalogue, Target, TargetPostures, frames
+from modcal_core.modules.targets import Target
 from modcal_core.modules.urdf import path, urdf_of
 from modcal_core.robots.bodies import chain_gravity_wrench, payload_wrench
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import body_jacobian
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.mechanism import random_postures
 from modcal_core.robots.urdf_inertias import read_inertias
 
 CODING = Coding(LIBRARY)
-CATALOGUE = Catalogue(CODING)
 
 
-def at_random(rng: np.random.Generator, n: int = 5, count: int = 6) -> tuple[list[Assembly], TargetPostures]:
+def at_random(rng: np.random.Generator, n: int = 5, count: int = 6) -> list[BuiltArm]:
     """Some arms, each at four postures for each of two targets."""
-    assemblies = [random_assembly(rng, n) for _ in range(count)]
-    genomes = np.stack([CODING.genome(a) for a in assemblies])
-    arms = CATALOGUE.arms(genomes)
-    q = rng.uniform(arms.lower[:, None, None], arms.upper[:, None, None], (count, 2, 4, n))
     masks = ([1, 1, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1])
     targets = tuple(Target.build(so3.exp(rng.normal(size=3)), rng.normal(size=3), mask) for mask in masks)
-    return assemblies, TargetPostures(arms, CATALOGUE.bodies(genomes), targets, q)
+    assemblies = [random_assembly(rng, n) for _ in range(count)]
+    chains = [chain_of(assembly, LIBRARY) for assembly in assemblies]
+    q = [rng.uniform(chain.lower, chain.upper, (2, 4, n)) for chain in chains]
+    return [BuiltArm(assembly, LIBRARY, targets, at) for assembly, at in zip(assemblies, q, strict=True)]
 
 
 def broken(*parts: tuple[str, str]) -> float:
     assembly = Assembly.build((0, 0), [(joint, 0, link, 0, 0) for joint, link in parts])
-    return float(structure(CODING.genome(assembly)[None], CODING, {})[0])
+    return float(structure(CODING.genome(assembly)[None], CODING)[0])
 
 
 def test_structure_by_the_printed_rules() -> None:
-    assert structure(CODING.genome(five_joints())[None], CODING, {}) == 0.0
+    assert structure(CODING.genome(five_joints())[None], CODING) == 0.0
     assert broken(("JR", "LC"), ("JR", "LP")) == 1  # two axes in line
     assert broken(("JP", "LC"), ("JP", "LP")) == 1
     assert broken(("JR", "LC"), ("JP", "LP")) == 0
@@ -69,57 +68,54 @@ def test_structure_by_the_printed_rules() -> None:
 
 
 def test_joint_range_as_printed(rng: np.random.Generator) -> None:
-    _, at = at_random(rng)
-    limit = np.where(at.arms.revolute, 2.967, 0.06)[:, None, None]
-    K = np.abs(at.q) / limit
-    over, cost = joint_range(at, {})
-    assert not over.any()
-    assert cost == pytest.approx(np.where(K < 0.5, 0.0, np.exp(K - 0.5)).sum(axis=-1))
-    beyond = TargetPostures(at.arms, at.bodies, at.targets, 1.5 * limit * np.ones_like(at.q))
-    assert joint_range(beyond, {})[0] == pytest.approx(0.5)
+    for arm in at_random(rng):
+        limit = np.where(arm.chain.revolute, 2.967, 0.06)
+        K = np.abs(arm.q) / limit
+        over, cost = joint_range(arm, {})
+        assert not np.any(over)
+        assert cost == pytest.approx(np.where(K < 0.5, 0.0, np.exp(K - 0.5)).sum(axis=-1))
+        assert joint_range(replace(arm, q=1.5 * limit * np.ones_like(arm.q)), {})[0] == pytest.approx(0.5)
 
 
 def test_dexterity_is_the_volume_of_the_masked_jacobian(rng: np.random.Generator) -> None:
-    assemblies, at = at_random(rng)
-    _, cost = dexterity(at, {})
-    for i, assembly in enumerate(assemblies):
-        chain = chain_of(assembly, LIBRARY)
-        for k, target in enumerate(at.targets):
-            J = body_jacobian(chain, at.q[i, k])
-            across = np.swapaxes(target.T[:3, :3], 0, 1) @ at.tip[i, k, :, :3, :3]
-            rows = np.concatenate([across @ J[:, 3:], across @ J[:, :3]], axis=1)[:, target.mask]
-            volume = np.linalg.svd(rows, compute_uv=False).prod(axis=1)
-            assert -cost[i, k] == pytest.approx(volume, abs=1e-12)
+    """By differences of the tool's pose, in the axes of the target."""
+    for arm in at_random(rng):
+        _, cost = dexterity(arm, {})
+        for k, target in enumerate(arm.targets):
+            T = chain_forward(arm.chain, arm.q[k])
+            moved = chain_forward(arm.chain, arm.q[k][:, None] + 1e-6 * np.eye(5))
+            turn = so3.log(moved[..., :3, :3] @ np.swapaxes(T[:, None, :3, :3], -1, -2))
+            rows = np.concatenate([turn, moved[..., :3, 3] - T[:, None, :3, 3]], axis=-1) / 1e-6
+            rows = (rows.reshape(4, 5, 2, 3) @ target.T[:3, :3]).reshape(4, 5, 6)[..., target.mask]
+            volume = np.linalg.svd(rows, compute_uv=False).prod(axis=-1)
+            assert -np.asarray(cost)[k] == pytest.approx(volume, rel=1e-3, abs=1e-5)
 
 
 def test_payload_as_gravity_and_the_urdf_have_it(rng: np.random.Generator) -> None:
-    assemblies, at = at_random(rng)
     mass = 1.7
-    over, share = payload(at, {"mass_kg": mass})
-    for i, assembly in enumerate(assemblies):
-        chain = chain_of(assembly, LIBRARY)
-        inertias = read_inertias(urdf_of(assembly, LIBRARY), chain)
-        q = at.q[i].reshape(-1, 5)
+    for arm in at_random(rng):
+        chain = arm.chain
+        over, share = payload(arm, {"mass_kg": mass})
+        inertias = read_inertias(urdf_of(arm.assembly, LIBRARY), chain)
+        q = arm.q.reshape(-1, 5)
         wrench = chain_gravity_wrench(chain, inertias, q) + mass * payload_wrench(chain, q)
-        row = np.where(chain.revolute, 5, 2)
-        needed = np.abs(wrench[np.arange(5), row])
+        needed = np.abs(wrench[np.arange(5), np.where(chain.revolute, 5, 2)])
         effort = np.where(chain.revolute, 40.0, 400.0)
         expected = (needed / effort[:, None]).max(axis=0).reshape(2, 4)
-        assert share[i] == pytest.approx(expected, rel=1e-6)
-        assert over[i] == pytest.approx(np.maximum(0.0, expected - 1.0), rel=1e-6, abs=1e-9)
+        assert share == pytest.approx(expected, rel=1e-6)
+        assert over == pytest.approx(np.maximum(0.0, expected - 1.0), rel=1e-6, abs=1e-9)
 
 
 def test_clearance_against_points_along_the_tubes(rng: np.random.Generator) -> None:
     """Many points on the middle line of every module, straight from the library."""
-    assemblies, at = at_random(rng, count=3)
     spheres = [{"center_m": [0.3, 0.2, 0.4], "radius_m": 0.1}, {"center_m": [-0.4, 0.1, 0.1], "radius_m": 0.05}]
-    over, cost = obstacles(at, {"spheres": spheres, "margin_m": 0.02})
-    assert np.array_equal(over, np.maximum(0.0, 0.02 + cost))
-    for i, assembly in enumerate(assemblies):
+    for arm in at_random(rng, count=3):
+        over, cost = (np.asarray(value) for value in obstacles(arm, {"spheres": spheres, "margin_m": 0.02}))
+        assert np.array_equal(over, np.maximum(0.0, 0.02 + cost))
         for k, s in ((0, 0), (1, 3)):
             least = np.inf
-            T = module_frames(assembly, LIBRARY, at.q[i, k, s])
-            for module, frame in zip(assembly.modules, T[:-1], strict=True):
+            T = module_frames(arm.assembly, LIBRARY, arm.q[k, s])
+            for module, frame in zip(arm.assembly.modules, T[:-1], strict=True):
                 kind = LIBRARY.types[module.kind]
                 corners = se3.apply(frame, path(kind, module.size))
                 share = np.linspace(0.0, 1.0, 400)[:, None]
@@ -127,26 +123,21 @@ def test_clearance_against_points_along_the_tubes(rng: np.random.Generator) -> N
                 for sphere in spheres:
                     away = np.linalg.norm(line - sphere["center_m"], axis=1)
                     least = min(least, float(away.min()) - float(sphere["radius_m"]) - kind.radius)
-            assert -cost[i, k, s] == pytest.approx(least, abs=5e-4)
+            assert -cost[k, s] == pytest.approx(least, abs=5e-4)
 
 
 def test_upright_and_reach(rng: np.random.Generator) -> None:
-    assemblies, at = at_random(rng, count=4)
-    home = np.stack([chain_of(a, LIBRARY).home for a in assemblies])
-    assert upright(at.arms, {})[1] == pytest.approx(np.hypot(home[:, 0, 3], home[:, 1, 3]), abs=1e-12)
-    farthest = farthest_reach(at.arms)
-    longest = np.linalg.norm(at.arms.origins[:, 1:, :3, 3], axis=-1).sum(axis=1) + 0.06 * (~at.arms.revolute).sum(
-        axis=1
-    )
-    assert (farthest <= longest + 1e-9).all()
-    q = rng.uniform(at.arms.lower[:, None], at.arms.upper[:, None], (4, 3000, 5))
-    tip = frames(at.arms, q)[2][..., :3, 3] - at.arms.origins[:, None, 0, :3, 3]
-    assert (farthest >= np.linalg.norm(tip, axis=-1).max(axis=1) - 1e-6).all()
+    for arm in at_random(rng, count=4):
+        chain = arm.chain
+        assert upright(arm, {})[1] == pytest.approx(np.hypot(*chain.home[:2, 3]), abs=1e-12)
+        farthest = farthest_reach(chain)
+        longest = np.linalg.norm(chain.origins[1:, :3, 3], axis=-1).sum() + 0.06 * (~chain.revolute).sum()
+        tip = chain_forward(chain, rng.uniform(chain.lower, chain.upper, (3000, 5)))[:, :3, 3]
+        assert np.linalg.norm(tip - chain.origins[0, :3, 3], axis=1).max() - 1e-6 <= farthest <= longest + 1e-9
     # two parallel links and a gripper, all in a plane: stretched out, and the heights on top of each other
     planar = Assembly.build((0, 0), [("JR", 0, "LP", 0, 0), ("JR", 0, "LP", 4, 0)])
-    arm = CATALOGUE.arms(CODING.genome(planar)[None])
     height = 2 * 0.11 + 2 * 0.08 + 0.12
-    assert farthest_reach(arm)[0] == pytest.approx(np.hypot(0.18 + 0.20, height), abs=1e-9)
+    assert farthest_reach(chain_of(planar, LIBRARY)) == pytest.approx(np.hypot(0.18 + 0.20, height), abs=1e-9)
 
 
 PARALLEL = Assembly.build(  # joints 2, 3 and 4 are parallel

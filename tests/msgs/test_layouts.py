@@ -20,9 +20,10 @@ from sensor_msgs.msg import JointState
 
 from modcal_core.measurements.recording import Recording
 from modcal_msgs_py import layout as fields
-from modcal_msgs_py.layout import MessageLayout, jazzy, message_class
-from modcal_msgs_py.mcap_read import read_recording
+from modcal_msgs_py.layout import MessageLayout, OneMessage, jazzy, message_class, serialise
+from modcal_msgs_py.mcap_read import _of_own_layout, read_recording
 from modcal_msgs_py.messages import RecordingBuilder
+from modcal_msgs_py.topics import WRENCH, role_of
 from modcal_msgs_py.track_rows import JointStateBytes, JointStateView, TrackRows
 
 Message = tuple[str, str, Any]
@@ -74,10 +75,13 @@ def written(path: Path, messages: list[Message], **how: Any) -> Path:
 
 
 def one_by_one(messages: list[Message]) -> Recording:
-    """The recording of these messages, each taken as an object."""
+    """The recording of these messages, each taken as an object; signals, which no object gives, each by its layout."""
     builder = RecordingBuilder()
     for i, (topic, type_name, message) in enumerate(messages):
-        builder.add(topic, type_name, message, 1e-9 * (10**18 + i * 10**6))
+        said: Any = OneMessage(message)
+        if role_of(topic, type_name) in (None, WRENCH):
+            said = _of_own_layout(fields.fields_of(type_name, {}), serialise(message, type_name))
+        builder.take(topic, type_name, said, np.array([1e-9 * (10**18 + i * 10**6)]))
     return builder.recording()
 
 
@@ -286,6 +290,7 @@ def test_what_a_later_message_of_the_same_joints_replaces() -> None:
 
 
 WIDTH = 3
+_PLACES: tuple[Any, ...] = (0, 1, slice(2, 3), slice(3, None))  # of stamps, received, a and b
 
 
 @given(
@@ -294,32 +299,28 @@ WIDTH = 3
 )
 def test_rows_are_those_that_were_added(steps: list[tuple[str, int]], expected: int) -> None:
     """In their order, whatever number was expected; also what was looked at before more came."""
-    rows, truth = TrackRows(WIDTH, expected), np.empty((0, 2 + WIDTH))
+    rows, truth = TrackRows(expected), np.empty((0, 2 + WIDTH))
     seen: list[tuple[np.ndarray, np.ndarray]] = []
     count = 0
     for what, n in steps:
         new = 10.0 * np.arange(count, count + n)[:, None] + np.arange(2 + WIDTH)
         if what == "extend":
-            rows.extend(new[:, 0], new[:, 1], new[:, 2:3].astype(">f8"), new[:, 3:].astype(np.float32))
+            rows.extend(stamps=new[:, 0], received=new[:, 1], a=new[:, 2:3].astype(">f8"), b=new[:, 3:].astype("f4"))
             truth, count = np.vstack([truth, new]), count + n
         elif what == "look":
-            stamps, received, values = rows.columns()
-            seen.append((np.column_stack([stamps, received, values]), truth))
-            seen.append((values, truth[:, 2:]))  # the same memory as the rows'
+            seen += [(x, truth[:, k]) for x, k in zip(rows.columns().values(), _PLACES, strict=False)]  # same memory
         elif len(truth):
             border = truth[len(truth) // 2, 1]
             rows.forget_before(border)
             truth = truth[truth[:, 1] >= border]
         assert len(rows) == len(truth)
-    stamps, received, values = rows.columns()
-    assert values.shape == (len(truth), WIDTH)
-    seen.append((np.column_stack([stamps, received, values]), truth))
+    seen += [(x, truth[:, k]) for x, k in zip(rows.columns().values(), _PLACES, strict=False)]
     assert all(np.array_equal(there, then) for there, then in seen)
 
 
 def test_a_number_that_was_wrongly_expected_takes_no_memory() -> None:
-    rows = TrackRows(1, expected=10**15)
-    rows.extend(np.zeros(100), np.zeros(100), np.zeros((100, 1)))
-    values = rows.columns()[2]
+    rows = TrackRows(expected=10**15)
+    rows.extend(stamps=np.zeros(100), received=np.zeros(100), values=np.zeros((100, 1)))
+    values = rows.columns()["values"]
     assert values.base is not None
     assert np.asarray(values.base).nbytes < 100_000

@@ -17,7 +17,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.measurements.recording import Recording
 from modcal_core.robots.mechanism import forward
-from modcal_msgs_py.tables import import_tables, read_tables
+from modcal_msgs_py.tables import import_tables
 from modcal_msgs_py.tables.labels import Label, grouped
 from modcal_msgs_py.tables.propose import Proposal, find
 from modcal_msgs_py.tables.sheet import sniff
@@ -63,7 +63,7 @@ def test_commanded_joints_in_another_unit(tmp_path: Path, rng: np.random.Generat
         tmp_path, {**joints(q), **points(seen(q, rng)), **named("cmd1 cmd2 cmd3 cmd4 cmd5 cmd6", np.degrees(wanted))}
     )
     assert entry["joints"]["commanded"]["unit"] == "deg"
-    commanded = read_tables(dict(made.mapping), tmp_path, "m").commanded
+    (commanded,) = read(made, tmp_path).commands
     assert np.abs(commanded.position - wanted).max() < 1e-6
 
 

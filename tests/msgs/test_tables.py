@@ -14,7 +14,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
-from modcal_msgs_py.tables import import_tables, read_tables
+from modcal_msgs_py.tables import import_tables
 from modcal_nodes.cli.main import run
 
 TABLE = """time;j1;j2;x;y;z;a;b;c;t
@@ -136,14 +136,14 @@ ENTRY: dict[str, Any] = {
 def read(folder: Path, text: str, **changes: Any) -> Any:
     (folder / "t.csv").write_text(text)
     entry = {key: value for key, value in {**ENTRY, **changes}.items() if value is not None}
-    return read_tables({"tables": [entry]}, folder, "m.yaml")
+    return import_tables({"tables": [entry]}, folder, "m.yaml")
 
 
 ROWS = "t,a,x,y,z\n1,10,1000,0,0\n2,20,nan,0,0\n3,30,1000,0,\n4,40,1000,0,7\n"
 
 
 def test_rows_that_lack_something_are_skipped_and_counted_if_that_is_stated(tmp_path: Path) -> None:
-    recording = read(tmp_path, ROWS, missing="skip").recording
+    recording = read(tmp_path, ROWS, missing="skip")
     assert recording.readings[0].stamps.tolist() == [1.0, 4.0]
     assert recording.joints[0].stamps.tolist() == [1.0, 2.0, 3.0, 4.0]  # of the joints nothing is missing
     assert any("1 row was left out: no number in column x" in note for note in recording.warnings)
@@ -179,8 +179,7 @@ def test_velocity_effort_commanded_and_signals_reach_the_bag(tmp_path: Path) -> 
         "effort": {"columns": {"a": "e"}},
         "commanded": {"columns": {"a": "c"}},
     }
-    tables = read(tmp_path, text, joints=joints, signals={"plc/pressure": "p"})
-    write_recording(tables.recording, tmp_path / "bag", commanded=tables.commanded)
+    write_recording(read(tmp_path, text, joints=joints, signals={"plc/pressure": "p"}), tmp_path / "bag")
     back = read_recording(tmp_path / "bag")
     (track,) = [t for t in back.joints if t.topic == "/joint_states"]
     assert track.velocity[:, 0] == pytest.approx([np.pi / 2, -np.pi / 2])
@@ -201,7 +200,7 @@ def test_matrices(by_rows: bool, tmp_path: Path) -> None:
     rows = [f"{i},0,1,2,3," + ",".join(f"{v:.6f}" for v in flat[i]) for i in range(3)]
     pose = {**ENTRY["point"], "matrix": {"columns": order}}
     text = f"t,a,x,y,z,{','.join(names)}\n" + "\n".join(rows)
-    reading = read(tmp_path, text, point=None, pose=pose).recording.readings[0]
+    reading = read(tmp_path, text, point=None, pose=pose).readings[0]
     assert np.abs(se3.from_pose(reading.values)[:, :3, :3] - R).max() < 3e-6
     with pytest.raises(BadTable, match="line 3, column r0: the nine numbers are not a rotation"):
         read(
@@ -212,7 +211,7 @@ def test_matrices(by_rows: bool, tmp_path: Path) -> None:
 def test_a_quaternion_of_zeros_is_a_lost_reading_where_those_are_skipped(tmp_path: Path) -> None:
     text = "t,a,x,y,z,i,j,k,w\n1,0,1,2,3,0,0,0,1\n2,0,0,0,0,0,0,0,0\n"
     pose = {**ENTRY["point"], "quaternion": {"columns": ["i", "j", "k", "w"]}}
-    assert len(read(tmp_path, text, point=None, pose=pose, missing="skip").recording.readings[0].stamps) == 1
+    assert len(read(tmp_path, text, point=None, pose=pose, missing="skip").readings[0].stamps) == 1
     with pytest.raises(BadTable, match="line 3, column i: a quaternion of zeros"):
         read(tmp_path, text, point=None, pose=pose)
 
@@ -220,7 +219,7 @@ def test_a_quaternion_of_zeros_is_a_lost_reading_where_those_are_skipped(tmp_pat
 def test_deviations_go_with_the_readings(tmp_path: Path) -> None:
     text = "t,a,x,y,z,s,r\n1,0,1,2,3,0.1,0.01\n2,0,1,2,4,0.2,0.02\n"
     point = {**ENTRY["point"], "std": {"position": "s"}}
-    recording = read(tmp_path, text, point=point).recording
+    recording = read(tmp_path, text, point=point)
     write_recording(recording, tmp_path / "bag")
     (back,) = read_recording(tmp_path / "bag").readings
     assert back.kind == "point"
@@ -234,7 +233,7 @@ def test_ranges_bearings_planes(tmp_path: Path) -> None:
         range={"frame": "wire", "unit": "mm", "column": "d"},
         bearing={"frame": "station", "unit": "deg", "azimuth": "az", "elevation": "el"},
         plane=[{"frame": "plate", "unit": "mm", "column": "h"}, {"frame": "touched"}],
-    ).recording  # fmt: skip
+    )  # fmt: skip
     by_frame = {r.frame: r for r in recording.readings}
     assert (by_frame["wire"].kind, by_frame["wire"].values.tolist()) == ("range", [[1.5], [1.6]])
     assert by_frame["station"].values == pytest.approx(np.array([[0, 1, 0], [0.5**0.5, 0, 0.5**0.5]]), abs=1e-12)
@@ -253,7 +252,7 @@ def test_three_targets_on_one_tool_are_a_pose(tmp_path: Path) -> None:
         f"{i},0," + ",".join(f"{v:.9f}" for v in points[i].ravel()) for i in range(5)
     )
     stated = {"frame": "tracker", "unit": "m", "points": {str(k): [f"x{k}", f"y{k}", f"z{k}"] for k in range(4)}}
-    found = se3.from_pose(read(tmp_path, text, point=None, targets=stated).recording.readings[0].values)
+    found = se3.from_pose(read(tmp_path, text, point=None, targets=stated).readings[0].values)
     tool = se3.inverse(T) @ found  # the same transform in every row
     assert np.abs(tool - tool[0]).max() < 1e-7
 
@@ -266,18 +265,16 @@ def test_files_joined_by_a_station_or_by_the_nearest_time(
     joined: dict[str, Any] = {"files": "robot.csv", "delimiter": ";", "decimal": ",", "by": by}
     if within:
         joined["within"] = within
-    recording = read(
-        tmp_path, "station,t,x,y,z\n1,1,1,2,3\n2,2,1,2,3\n3,3,1,2,3\n", joined=[joined], missing="skip"
-    ).recording
+    recording = read(tmp_path, "station,t,x,y,z\n1,1,1,2,3\n2,2,1,2,3\n3,3,1,2,3\n", joined=[joined], missing="skip")
     assert recording.joints[0].position[:, 0] == pytest.approx(np.radians([10.5, 30.5]))
     assert recording.joints[0].stamps.tolist() == [1.0, 3.0]
 
 
 def test_units_of_time_and_two_columns_of_a_date(tmp_path: Path) -> None:
     text = "t,d,h,a,x,y,z\n1700000000123,01.02.2024,12:00:00,0,1,2,3\n1700000000223,01.02.2024,12:00:05,0,1,2,3\n"
-    stamps = read(tmp_path, text, time={"seconds": "t", "unit": "ms"}).recording.joints[0].stamps
+    stamps = read(tmp_path, text, time={"seconds": "t", "unit": "ms"}).joints[0].stamps
     assert stamps == pytest.approx([1700000000.123, 1700000000.223])
-    dates = read(tmp_path, text, time={"column": ["d", "h"], "format": "%d.%m.%Y %H:%M:%S"}).recording.joints[0].stamps
+    dates = read(tmp_path, text, time={"column": ["d", "h"], "format": "%d.%m.%Y %H:%M:%S"}).joints[0].stamps
     assert dates.tolist() == [1706788800.0, 1706788805.0]
 
 

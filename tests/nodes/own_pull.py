@@ -22,7 +22,7 @@ from modcal_core.impedance.task import JointPositions, Stop
 from modcal_core.impedance.wrench import Load
 from modcal_core.robots.kinematics import chain_forward
 from modcal_nodes.ros.parameters import ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT
-from modcal_nodes.setpoint.arm import JointEfforts, JointSoftness, SensedArm, limits, task
+from modcal_nodes.setpoint import JointEfforts, JointSoftness, SensedArm, limits, task
 from modcal_nodes.simulation.pulling import Pulling
 
 _EVERY = round(IMPEDANCE_SETPOINT["rate_hz"].default / ARTICULATION_ESTIMATOR["rate_hz"].default)

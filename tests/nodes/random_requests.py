@@ -12,7 +12,7 @@ from nodes.processes import Wait, put
 from nodes.pulled_arm import NASTY, PulledArm, Witness
 
 from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT
-from modcal_nodes.setpoint.arm_inputs import WHILE_PULLING
+from modcal_nodes.setpoint import WHILE_PULLING
 
 _BY_ITSELF = 6.0  # s
 LIMIT, LET_GO = 60.0, 10.0  # N: 1.2 times max_force_n; what friction and a soft spring leave in a hand

@@ -19,8 +19,7 @@ from modcal_core.errors import BadCommand, ModcalError
 from modcal_msgs_py.commands import ObjectInput
 from modcal_msgs_py.readings import set_seconds
 from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT
-from modcal_nodes.setpoint.arm import JointSoftness, task
-from modcal_nodes.setpoint.arm_inputs import ArmInputs
+from modcal_nodes.setpoint import ArmInputs, JointSoftness, task
 
 CHOSEN: dict[str, Any] = {
     "base": "", "tip": PANDA.tip, "wrench_frame": "", "tool_mass": 0.0, "tool_centre": [0.0, 0.0, 0.0],

@@ -139,7 +139,7 @@ def test_an_executable_that_cannot_read_its_parameters_ends_with_2(install: Path
 @pytest.mark.dds
 def test_a_misspelt_parameter_is_said_with_the_one_that_is_meant(capfd: pytest.CaptureFixture[str]) -> None:
     """In the log and on /diagnostics; what is known is not."""
-    given = {"max_forse_n": 33.0, "colour": "red", "max_moment_nm": 7.0, "use_sim_time": True, "timeout_s": 0.2}
+    given = {"max_forse_n": 33.0, "colour": "red", "max_moment_nm": 17.0, "use_sim_time": True, "timeout_s": 0.2}
     said = "parameters without effect: colour is not known; max_forse_n is not known, max_force_n is"
     with spun(ImpedanceSetpoint, **given) as pair:
         heard = pair.told()

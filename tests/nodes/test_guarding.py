@@ -67,7 +67,7 @@ def pair(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
     make, parameters = NODES[request.param]
     with spun(make, **parameters) as made:
         if request.param == "impedance_setpoint":
-            made.wait(lambda: made.node._active, 10.0)
+            made.wait(lambda: made.node.active, 10.0)
         yield made
 
 

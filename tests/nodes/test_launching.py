@@ -17,10 +17,10 @@ from nodes.processes import fresh_domain
 from nodes.test_graph import graph, listed
 
 from modcal_core.errors import BadTable
+from modcal_nodes import viewing
 from modcal_nodes.nodes.corrector import Corrector
 from modcal_nodes.ros.launch_files import LAUNCHES, arguments, nodes
 from modcal_nodes.ros.parameters import NODES
-from modcal_nodes.viewing import drawing
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_nodes"
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "robots"
@@ -159,10 +159,10 @@ SHOWS = {
 }
 IN_3D = {"std_msgs/msg/String", *SHOWS.values()}
 SPACES = {
-    "/viewer/residuals": {drawing.CALIBRATED, drawing.NOMINAL, drawing.SCALE},
-    "/viewer/stations": {drawing.RECORDED, drawing.FITTING, drawing.REJECTED, drawing.WAITING},
-    "/viewer/axes": {drawing.CALIBRATED, drawing.NOMINAL},
-    "/viewer/uncertainty": {drawing.PRESENT, drawing.STATIONS},
+    "/viewer/residuals": {viewing.CALIBRATED, viewing.NOMINAL, viewing.SCALE},
+    "/viewer/stations": {viewing.RECORDED, viewing.FITTING, viewing.REJECTED, viewing.WAITING},
+    "/viewer/axes": {viewing.CALIBRATED, viewing.NOMINAL},
+    "/viewer/uncertainty": {viewing.PRESENT, viewing.STATIONS},
     "/articulation_estimator/object_axis": {"object"},
 }
 

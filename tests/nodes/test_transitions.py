@@ -85,7 +85,7 @@ def test_illegal_transitions_are_answered_in_every_state(cell: Cell) -> None:
             assert cell.state() == state
         if onwards is not None:
             assert arm.change(wait, onwards)
-    wait(lambda: "is refused in state active" in arm.health["inputs"].message, 10.0)
+    wait(lambda: "is refused in state active" in arm.health["lifecycle"].message, 10.0)
     assert arm.health["faults"].level == b"\0"
 
 

@@ -24,7 +24,7 @@ from modcal_core.report.tables import sentence
 from modcal_core.verdict.verdict import Verdict
 from modcal_nodes.calibrating.diagnostics import Standing, model_status, standing_of
 from modcal_nodes.ros.subscriptions import ERROR, OK, WARN, Status
-from modcal_nodes.watching.snapshot import OURS, Changes, Heard
+from modcal_nodes.watching import OURS, Changes, Heard
 
 COMMAND = str(EXECUTABLES / "modcal")
 

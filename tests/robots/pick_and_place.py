@@ -16,13 +16,12 @@ from robots.random_arms import Mujoco, inertial_link
 
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.acceleration import Drives, Window, read_drives, torque, window
-from modcal_core.robots.bodies import Payload, with_payload
+from modcal_core.robots.acceleration import Drives, LoadedArm, Window, torque
+from modcal_core.robots.bodies import Payload
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.fastest_motion import JointPath, Timing, constant_bounds, motion, within_bounds, within_torque
 from modcal_core.robots.mechanism import inverse
 from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
 URDF = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"
 SHARE = 0.95  # of the torque is planned with; the servo has the rest
@@ -65,12 +64,11 @@ class PickAndPlace:
 
     @cached_property
     def drives(self) -> Drives:
-        return read_drives(self.text, self.chain)
+        return self.arm.drives
 
     @cached_property
-    def inertias(self) -> Inertias:
-        bare = read_inertias(self.text, self.chain)
-        return with_payload(bare, self.chain, Payload.checked(self.payload_kg, (0.0, 0.0, 0.1), _BOX))
+    def arm(self) -> LoadedArm:
+        return LoadedArm.read(self.text).carrying(Payload.checked(self.payload_kg, (0.0, 0.0, 0.1), _BOX)).using(SHARE)
 
     @cached_property
     def path(self) -> JointPath:
@@ -84,12 +82,12 @@ class PickAndPlace:
         return JointPath.through(out)
 
     def by_torque(self) -> Timing:
-        return within_torque(self.chain, self.inertias, self.drives, self.path, SHARE)
+        return within_torque(self.arm, self.path)
 
     def windows(self, q: Array, rng: np.random.Generator | None) -> Window:
         """What the drives leave at these postures, at speeds drawn between the limits, or at rest."""
         v = None if rng is None else rng.uniform(-1.0, 1.0, q.shape) * self.drives.speed
-        return window(self.chain, self.inertias, self.drives, q, v, SHARE)
+        return self.arm.window(q, v)
 
     def by_constants(self, windows: Window, weights: Array | None = None, places: int = 500) -> Timing:
         """By the largest constant bounds that these windows have in common."""
@@ -109,7 +107,7 @@ class PickAndPlace:
         q, v, a = motion(self.path, timing, t)
         v[-1:], a[t > timing.duration] = 0.0, 0.0
         friction = self.drives.coulomb * np.sign(v) + self.drives.viscous * v
-        planned = torque(self.chain, self.inertias, q, v, a) + friction
+        planned = torque(self.chain, self.arm.loaded, q, v, a) + friction
         data.qpos[at], data.qvel[at] = q[0], 0.0
         given, miss = np.empty_like(q), 0.0
         for k in range(len(t)):

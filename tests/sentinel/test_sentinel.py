@@ -177,7 +177,7 @@ def test_a_history_keeps_what_it_has(tmp_path: Path) -> None:
 def test_the_verb_reads_bags_and_goes_on_with_a_history(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for day, change in [(d, Change()) for d in range(8)] + [(9, Change("zero", 2, np.radians(2.0)))]:
         made = WORLD.record(day, 14.0, 0, change)
-        write_recording(made, tmp_path / f"day{day}", commanded=made.commands[0])
+        write_recording(made, tmp_path / f"day{day}")
     reference = [word for day in range(8) for word in ("--reference", str(tmp_path / f"day{day}"))]
     folder, out = ["--history", str(tmp_path / "kept")], ["--out", str(tmp_path / "out"), "--json"]
     assert run(["sentinel", str(tmp_path / "day3"), *reference, *folder, *out]) == 0

@@ -21,7 +21,7 @@ READ = [
     SRC / "modcal_msgs_py" / "modcal_msgs_py" / "objects.py",
     SRC / "modcal_msgs_py" / "modcal_msgs_py" / "setpoints.py",
     SRC / "modcal_nodes" / "modcal_nodes" / "nodes" / "articulation_estimator.py",
-    SRC / "modcal_nodes" / "modcal_nodes" / "cli" / "articulate.py",
+    SRC / "modcal_nodes" / "modcal_nodes" / "cli" / "doors.py",
 ]
 
 

@@ -14,7 +14,7 @@ from nodes.test_launching import SPACES
 from rich.console import Console
 
 from modcal_nodes.cli.main import modcal
-from modcal_nodes.watching.snapshot import Changes, Heard, table
+from modcal_nodes.watching import Changes, Heard, table
 
 FACTS = {"state": "trusted", "samples rejected": "3", "messages of /joint_states": "17"}
 

@@ -198,14 +198,6 @@ def fill_wrench(message: Any, frame: str, stamp: float, numbers: Array) -> Any:
     return message
 
 
-def fill_target(message: Any, setpoint: ArmSetpoint, stamp: float) -> Any:
-    """A PoseStamped of where the tool shall be, in the base link."""
-    message.header.frame_id = setpoint.frame
-    set_seconds(message.header.stamp, stamp)
-    fill_pose(message.pose, setpoint.pose)
-    return message
-
-
 def fill_point(message: Any, setpoint: ArmSetpoint, after: float, with_speed: bool = True) -> Any:
     """A JointTrajectoryPoint of the joints, to be reached so many seconds after it was sent.
 
@@ -361,8 +353,8 @@ def status_values(state: TrackerState) -> dict[str, str]:
     }
 
 
-def fill_expected(message: Any, frame: str, stamp: int, T: Array) -> Any:
-    """A PoseStamped of the handle (4, 4)."""
+def fill_posed(message: Any, frame: str, stamp: int, T: Array) -> Any:
+    """A PoseStamped of a pose (4, 4)."""
     message.header.frame_id = frame
     set_nanoseconds(message.header.stamp, stamp)
     fill_pose(message.pose, T)
@@ -378,14 +370,11 @@ def fill_markers(message: Any, marker: Any, frame: str, stamp: int, model: Joint
     handle = model.start[:3, 3]
     at = model.point if model.turns else handle
     length = 0.3 if not model.turns else max(0.2, 0.5 * min(model.radius, 1.0))
-    arrow, line = marker(), marker()
-    for number, (one, shape) in enumerate(((arrow, marker.ARROW), (line, marker.LINE_STRIP))):
-        one.header.frame_id = frame
+    shapes, colour = (marker.ARROW, marker.LINE_STRIP), (*_COLOURS[trusted], 1.0)
+    arrow, line = (_shape(marker, shape, "object", colour) for shape in shapes)
+    for number, one in enumerate((arrow, line)):
+        one.header.frame_id, one.id, one.frame_locked = frame, number, False
         set_nanoseconds(one.header.stamp, stamp)
-        one.ns, one.id, one.type, one.action = "object", number, shape, marker.ADD
-        one.pose.orientation.w = 1.0
-        one.color.r, one.color.g, one.color.b = _COLOURS[trusted]
-        one.color.a = 1.0
     arrow.scale.x, arrow.scale.y, arrow.scale.z = 0.01, 0.02, 0.03  # shaft, head, length of the head
     line.scale.x = 0.005
     arrow.points = [as_point(arrow, at), as_point(arrow, at + length * model.axis)]

@@ -129,6 +129,13 @@ class MessageLayout:
         different = (rows.view(np.uint64)[:, self._words] & self._mask) != self._same
         return ~different.any(axis=1)
 
+    def fits_one(self, cdr: bytes) -> bool:
+        """Whether a message as long as the sample has this layout."""
+        if self._gaps is not None and all(cdr.startswith(same, at - _HEAD) for at, same in self._gaps):
+            return True
+        padded = np.frombuffer(bytes(_HEAD) + cdr + bytes(self.width), np.uint8)
+        return bool(self.fits(self.rows(padded, np.array([_HEAD])))[0])
+
     def numbers(self, rows: Bytes, path: str) -> NDArray[np.generic]:
         """The numbers of a field (n, count)."""
         column = self.columns[path]
@@ -212,15 +219,9 @@ def _aligned(at: int, size: int) -> int:
     return at + -(at - _HEAD) % size
 
 
+# Numbers below these are no signals: stamps, counters, names of something
 _NO_SIGNAL = frozenset(("header", "stamp", "sec", "nanosec", "seq", "id", "goal_id", "line", "level"))
-
-
 _MOST = 32  # numbers of an array that are signals
-
-
-def _is_signal(path: str) -> bool:
-    """Whether a number at this path may be a signal: no stamp, counter or name of something."""
-    return not _NO_SIGNAL & set(path.split("/"))
 
 
 @dataclass(frozen=True)
@@ -253,7 +254,7 @@ class MessageRows:
     def signals(self) -> Iterator[tuple[str, Array]]:
         """Every number that a signal is made of, by its path, (n,): none of the header, nor of arrays of messages."""
         for path, column in self.layout.columns.items():
-            if not _is_signal(path) or "]" in path or (column.many and column.count > _MOST):
+            if _NO_SIGNAL & set(path.split("/")) or "]" in path or (column.many and column.count > _MOST):
                 continue
             values = self.column(path)
             yield from ((f"{path}[{i}]" if column.many else path, values[:, i]) for i in range(column.count))
@@ -261,7 +262,7 @@ class MessageRows:
 
 @dataclass(frozen=True)
 class OneMessage:
-    """The same of one message object, of rclpy or decoded from a bag."""
+    """The same of one message object, of rclpy or decoded from a bag, but for signals."""
 
     message: Any
 
@@ -286,30 +287,11 @@ class OneMessage:
         """How many fields an array has."""
         return len(self._at(path) or ())
 
-    def signals(self) -> Iterator[tuple[str, Array]]:
-        """Every number that a signal is made of, by its path, (1,)."""
-        return self._signals(self.message, "")
-
     def _at(self, path: str) -> Any:
         value = self.message
         for name in _names(path):
             value = value[name] if isinstance(name, int) else getattr(value, name, None)
         return value
-
-    def _signals(self, message: Any, path: str) -> Iterator[tuple[str, Array]]:
-        fields = getattr(message, "__dataclass_fields__", None)
-        names = fields if fields is not None else getattr(message, "get_fields_and_field_types", dict)()
-        for name in names:
-            if not _is_signal(name) or (fields is not None and hasattr(type(message), name)):  # or a constant
-                continue
-            value, at = getattr(message, name), f"{path}{name}"
-            if isinstance(value, bool | int | float | np.number):
-                yield at, np.array([float(value)])
-            elif hasattr(value, "__dataclass_fields__") or hasattr(value, "get_fields_and_field_types"):
-                yield from self._signals(value, f"{at}/")
-            elif not isinstance(value, str | bytes) and hasattr(value, "__len__") and 0 < len(value) <= _MOST:
-                numbers = ((i, x) for i, x in enumerate(value) if isinstance(x, int | float | np.number))
-                yield from ((f"{at}[{i}]", np.array([float(x)])) for i, x in numbers)
 
 
 Messages: TypeAlias = MessageRows | OneMessage

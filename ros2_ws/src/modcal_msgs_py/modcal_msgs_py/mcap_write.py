@@ -15,8 +15,9 @@ import contextlib
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from queue import SimpleQueue
 from types import TracebackType
 from typing import Any
 
@@ -33,20 +34,20 @@ _MAX_WAITING = 256 * 2**20
 
 
 class DiskFile:
-    """A new file, written from a thread. Raises OSError, at the next call, when the disk refused what came before."""
+    """A new file, written from a thread. Raises OSError, at the next call, when the disk refused what came before.
+
+    on_disk: bytes that the system has brought onto the disk.
+    """
 
     def __init__(self, path: Path) -> None:
         """Create the file; raises FileExistsError when it is there already."""
         self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
         _sync_folder(path.parent)
-        self._changed = threading.Condition()
-        self._waiting: list[bytes] = []
-        self._given = 0
-        self._with_system = 0
-        self._on_disk = 0
-        self._sync_goal = 0  # bytes that somebody waits for to be on the disk
-        self._closing = self._complete = False  # complete: nothing more will be written
+        self._pieces: SimpleQueue[bytes] = SimpleQueue()  # nothing, b"", is the end
+        self._given = self._with_system = self.on_disk = 0
+        self._changed = threading.Condition()  # what the system has, and the error
         self._error: OSError | None = None
+        self._syncing, self._ended = threading.Lock(), threading.Event()
         self._threads = [
             threading.Thread(target=self._guarded, args=(work,), name=f"{name} {path.name}", daemon=True)
             for name, work in (("write", self._write_on), ("sync", self._sync_on))
@@ -56,13 +57,10 @@ class DiskFile:
 
     def write(self, data: bytes) -> int:
         """Hand over bytes, which must not change any more; their number."""
-        with self._changed:
-            self._changed.wait_for(lambda: self.waiting < _MAX_WAITING or self._error is not None)
-            self.check()
-            if data:
-                self._waiting.append(data)
-                self._given += len(data)
-                self._changed.notify_all()
+        self._wait(lambda: self.waiting < _MAX_WAITING)
+        if data:
+            self._given += len(data)
+            self._pieces.put(data)
         return len(data)
 
     def tell(self) -> int:
@@ -82,32 +80,29 @@ class DiskFile:
         """Bytes that the system has not taken yet."""
         return self._given - self._with_system
 
-    @property
-    def on_disk(self) -> int:
-        """Bytes that the system has brought onto the disk."""
-        return self._on_disk
-
     def drain(self, sync: bool = False) -> None:
         """Return when the system has taken everything; with ``sync``, when it is on the disk."""
-        with self._changed:
-            goal = self._given
-            self._sync_goal = goal if sync else self._sync_goal
-            self._changed.notify_all()
-            self._changed.wait_for(
-                lambda: self._error is not None or (self._on_disk if sync else self._with_system) >= goal
-            )
+        goal = self._given
+        self._wait(lambda: self._with_system >= goal)
+        if sync:
+            self._guarded(self._sync)
             self.check()
 
     def close(self) -> None:
         """Write and sync what is left, and close; harmless when closed already."""
-        with self._changed:
-            self._closing = True
-            self._changed.notify_all()
-        for thread in self._threads:
-            thread.join()
+        self._pieces.put(b"")
+        self._threads[0].join()
+        self._ended.set()
+        self._threads[1].join()
         if self._handle >= 0:
+            self._guarded(self._sync)
             os.close(self._handle)
             self._handle = -1
+        self.check()
+
+    def _wait(self, done: Callable[[], bool]) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._error is not None or done())
         self.check()
 
     def _guarded(self, work: Callable[[], None]) -> None:
@@ -116,48 +111,27 @@ class DiskFile:
         except OSError as error:
             with self._changed:
                 self._error = error
-                self._waiting = []
                 self._changed.notify_all()
 
     def _write_on(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._closing or self._error is not None)
-                data, self._waiting = self._waiting, []
-                if not data:
-                    self._complete = True
+        while rest := memoryview(self._pieces.get()):
+            while rest:
+                written = os.write(self._handle, rest)
+                rest = rest[written:]
+                with self._changed:
+                    self._with_system += written
                     self._changed.notify_all()
-                    return
-            for piece in data:
-                self._write_all(piece)
-
-    def _write_all(self, data: bytes) -> None:
-        rest = memoryview(data)
-        while rest:
-            written = os.write(self._handle, rest)
-            rest = rest[written:]
-            with self._changed:
-                self._with_system += written
-                self._changed.notify_all()
 
     def _sync_on(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(self._sync_due, SYNC_SECONDS)
-                if self._error is not None:
-                    return
-                goal, complete = self._with_system, self._complete
-            if goal > self._on_disk:
-                os.fdatasync(self._handle)
-            with self._changed:
-                self._on_disk = goal
-                self._changed.notify_all()
-            if complete:
-                return
+        while not self._ended.wait(SYNC_SECONDS):
+            self._sync()
 
-    def _sync_due(self) -> bool:
-        wanted = self._with_system >= self._sync_goal > self._on_disk
-        return wanted or self._complete or self._error is not None
+    def _sync(self) -> None:
+        with self._syncing:
+            goal = self._with_system
+            if goal > self.on_disk:
+                os.fdatasync(self._handle)
+                self.on_disk = goal
 
 
 def _sync_folder(folder: Path) -> None:
@@ -204,11 +178,9 @@ class BagWriter:
         except OSError as error:
             folder.rmdir()
             raise _refused(self.file, error) from error
-        try:
+        with self._writing():
             self._writer = Writer(self._disk, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
             self._writer.start(profile="ros2", library=LIBRARY)
-        except OSError as error:
-            raise self._failed(error) from error
 
     def add_topic(self, topic: str, type_name: str, qos: list[dict[str, Any]] | None = None) -> None:
         """Announce a topic and the QoS its publishers offer; of a topic that is known, only new QoS is noted."""
@@ -231,10 +203,8 @@ class BagWriter:
         known = self._topics[topic]
         known.count += 1
         published = received_ns if published_ns is None else published_ns
-        try:
+        with self._writing():
             self._writer.add_message(self._channels[topic], received_ns, cdr, published, known.count)
-        except OSError as error:
-            raise self._failed(error) from error
         self._seen.add(received_ns)
         self.flush_if_due()
 
@@ -269,17 +239,15 @@ class BagWriter:
     def flush(self, sync: bool = False) -> int:
         """Messages that the system has taken once this returns, which is all of them; with ``sync``, those on disk."""
         self._finish_chunk()
-        try:
+        with self._writing():
             self._disk.drain(sync)
-        except OSError as error:
-            raise self._failed(error) from error
         return self.count
 
     def close(self) -> None:
         """Write the index and metadata.yaml; harmless when closed already, or when the disk has refused before."""
         if not self._open:
             return
-        try:
+        with self._writing():
             self._writer.add_metadata("rosbag2", {"serialized_metadata": to_yaml(self._information())})
             self._writer.finish()
             self._disk.close()
@@ -287,28 +255,27 @@ class BagWriter:
             temporary = self.folder / ".metadata.yaml"
             temporary.write_text(to_yaml(whole), encoding="utf-8")
             os.replace(temporary, self.folder / "metadata.yaml")
-        except OSError as error:
-            raise self._failed(error) from error
         self._open = False
 
     def _finish_chunk(self) -> None:
         self._flushed = time.monotonic()
-        try:
+        with self._writing():
             self._disk.check()
             self._writer.flush()
-        except OSError as error:
-            raise self._failed(error) from error
 
     def _information(self) -> dict[str, Any]:
         return information(self._topics.values(), [self._seen])
 
-    def _failed(self, error: OSError) -> BadRecording:
-        # nothing more is written: the last whole message on disk must stay the last
-        self._open = False
-        self.broken = True
-        with contextlib.suppress(OSError):
-            self._disk.close()
-        return _refused(self.file, error)
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            # nothing more is written: the last whole message on disk must stay the last
+            self._open, self.broken = False, True
+            with contextlib.suppress(OSError):
+                self._disk.close()
+            raise _refused(self.file, error) from error
 
     def __enter__(self) -> BagWriter:
         return self

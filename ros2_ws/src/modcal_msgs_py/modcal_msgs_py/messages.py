@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,10 +16,10 @@ import numpy as np
 
 from modcal_core.errors import BadRecording, BadTable, ModcalError
 from modcal_core.geometry import Array
-from modcal_core.measurements import PART, JointTrack, Listed, ReadingTrack, Recording, elsewhen
+from modcal_core.measurements import PART, JointTrack, Listed, ReadingTrack, Recording, SignalTrack, elsewhen
 from modcal_core.measurements.kinds import kinds
-from modcal_msgs_py.layout import Messages, OneMessage
-from modcal_msgs_py.readings import Transforms, columns_of, stated_in
+from modcal_msgs_py.layout import MessageRows, Messages, OneMessage
+from modcal_msgs_py.readings import Transforms, stated_in, values_of
 from modcal_msgs_py.topics import (
     ADDED,
     COMMANDS,
@@ -38,7 +39,7 @@ from modcal_msgs_py.topics import (
     preferred,
     role_of,
 )
-from modcal_msgs_py.track_rows import Commands, TrackRows, joint_track, reading_track, signal_track
+from modcal_msgs_py.track_rows import Commands, TrackRows
 
 _MAX_DESCRIPTIONS = 8  # different ones that are kept of a topic
 
@@ -134,9 +135,9 @@ class RecordingBuilder:
         counts = {one.topic: one.count or 0 for one in (() if roles is None else roles.listed)}
         self._expected = {topic: n if longest is None else min(n, longest) for topic, n in counts.items()}
         self._transforms = None if roles is None or roles.tf is None else Transforms(*roles.tf)
-        self._joints: dict[tuple[str, tuple[str, ...]], TrackRows] = {}
-        self._readings: dict[tuple[str, str, str], TrackRows] = {}
-        self._signals: dict[tuple[str, str], TrackRows] = {}
+        self._joints: dict[tuple[str, tuple[str, ...]], TrackRows] = {}  # by topic and names
+        self._readings: dict[tuple[str, str, str], TrackRows] = {}  # by topic, kind and frame
+        self._signals: dict[tuple[str, str], TrackRows] = {}  # by topic and name
         self._commands = Commands()
         self._commanded: dict[str, int] = {}  # rank of each topic of commands
         self._descriptions = Descriptions()
@@ -175,12 +176,9 @@ class RecordingBuilder:
             self._commanded.setdefault(topic, _rank(topic, role))
             self._commands.take(topic, type_name, said, stamps, received)
         elif role in READINGS:
-            kind = READINGS[role]
-            values = columns_of(kind, type_name, said)
-            own = stated_in(type_name, len(stamps), said)
-            self._rows(self._readings, (topic, kind, frame), kinds()[kind].width + 2).extend(
-                stamps, received, *values, own
-            )
+            rows = self._rows(self._readings, (topic, READINGS[role], frame))
+            values, stated = values_of(READINGS[role], type_name, said), stated_in(type_name, len(stamps), said)
+            rows.extend(stamps=stamps, received=received, values=values, stated=stated)
         elif role == ROBOT_DESCRIPTION:
             self._descriptions.add(topic, said.text("data"))
         elif role == NOTES:
@@ -190,7 +188,7 @@ class RecordingBuilder:
         elif role in ADDED and isinstance(said, OneMessage):
             for one in ADDED[role].take(said.message):
                 self._take_said(topic, one, stamps, received)
-        else:
+        elif isinstance(said, MessageRows):
             numbers = list(said.signals())
             for path, numbers_of in numbers:
                 part = f"{PART}{path}" if len(numbers) > 1 else ""
@@ -221,7 +219,11 @@ class RecordingBuilder:
             for role, kind in READINGS.items()
         }
         chosen = {topic for topics in reading_topics.values() for topic in topics}
-        joints = tuple(joint_track(t, names, rows) for (t, names), rows in self._joints.items() if t in joint_topics)
+        joints = tuple(
+            JointTrack(names, topic=topic, **rows.columns())
+            for (topic, names), rows in self._joints.items()
+            if topic in joint_topics
+        )
         description, notes = self._descriptions.chosen(joints)
         warnings = [
             *notes,
@@ -245,7 +247,9 @@ class RecordingBuilder:
                     f"if it was measured, state --topic {role}={topic}."
                 )
                 continue
-            readings.append(reading_track(kind, frame, rows, topic, topic in by_type))
+            found_in = ReadingTrack(kind, frame, topic=topic, by_type=topic in by_type, **rows.columns())
+            said = found_in.stated is not None and bool(np.isfinite(found_in.stated).any())
+            readings.append(found_in if said else replace(found_in, stated=None))
         if self._transforms is not None:
             readings.append(self._transforms.track(description))
             warnings += self._transforms.notes
@@ -255,7 +259,11 @@ class RecordingBuilder:
         return Recording(
             joints=joints,
             readings=tuple(readings),
-            signals=tuple(signal_track(name, rows, topic) for (topic, name), rows in self._signals.items()),
+            signals=tuple(
+                SignalTrack(name, columns["stamps"], columns["values"], topic)
+                for (topic, name), rows in self._signals.items()
+                for columns in [rows.columns()]
+            ),
             robot_description=description,
             source=self._source,
             warnings=(*self._notes, *found, *warnings),
@@ -280,10 +288,10 @@ class RecordingBuilder:
             for one in (() if self._roles is None else self._roles.listed)
         )
 
-    def _rows(self, tracks: dict[Key, TrackRows], key: Key, width: int) -> TrackRows:
-        """The rows of a track, which begins here where there is none. Of readings, the last two numbers are stated."""
+    def _rows(self, tracks: dict[Key, TrackRows], key: Key) -> TrackRows:
+        """The rows of a track, which begins here where there is none."""
         if key not in tracks:
-            tracks[key] = TrackRows(width, self._expected.get(key[0], 0))
+            tracks[key] = TrackRows(self._expected.get(key[0], 0))
         return tracks[key]
 
     def _take_joints(
@@ -295,8 +303,9 @@ class RecordingBuilder:
             said = NO_POSITIONS if not positions else said
             raise BadRecording(f"{topic} at stamp {stamps[0]:.3f} s", said, "publish one position for every name")
         # a column that was not sent, or not for every joint, is unknown for all of them
-        known = [c if c.shape[1] == n else np.full((len(c), n), np.nan) for c in columns]
-        self._rows(self._joints, (topic, names), 3 * n).extend(stamps, received, *known)
+        position, velocity, effort = (c if c.shape[1] == n else np.full((len(c), n), np.nan) for c in columns)
+        rows = self._rows(self._joints, (topic, names))
+        rows.extend(stamps=stamps, received=received, position=position, velocity=velocity, effort=effort)
 
     def _take_transforms(self, topic: str, said: Messages, received: Array) -> None:
         if self._transforms is None:
@@ -317,13 +326,14 @@ class RecordingBuilder:
             columns = [np.atleast_2d(np.asarray(c, dtype=float)) for c in (said.position, said.velocity, said.effort)]
             self._take_joints(topic, tuple(said.name), stamps, received, columns)
         elif isinstance(said, Reading) and said.kind in kinds() and len(said.values) == kinds()[said.kind].width:
-            rows = self._rows(self._readings, (topic, said.kind, said.frame), kinds()[said.kind].width + 2)
-            rows.extend(stamps, received, np.array([[*map(float, said.values), math.nan, math.nan]]))
+            values, stated = np.array([[float(x) for x in said.values]]), np.full((1, 2), math.nan)
+            rows = self._rows(self._readings, (topic, said.kind, said.frame))
+            rows.extend(stamps=stamps, received=received, values=values, stated=stated)
         else:
             raise BadTable(f"topic {topic}", f"its package made {said!r} of one", "yield Signal, Joints or a Reading")
 
     def _take_signal(self, topic: str, name: str, stamps: Array, received: Array, values: Array) -> None:
-        self._rows(self._signals, (topic, name), 1).extend(stamps, received, values[:, None])
+        self._rows(self._signals, (topic, name)).extend(stamps=stamps, received=received, values=values[:, None])
 
     def _stamps(self, topic: str, said: Messages, received: Array) -> Array:
         """The stamps of messages (n,) [s], or when they were received where they have none."""

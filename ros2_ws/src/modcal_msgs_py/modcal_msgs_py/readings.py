@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +15,7 @@ from modcal_core.measurements import POSE, ReadingTrack, SignalTrack
 from modcal_core.measurements.kinds import kinds
 from modcal_msgs_py.layout import Messages, OneMessage
 from modcal_msgs_py.topics import POSES
+from modcal_msgs_py.track_rows import TrackRows
 
 _WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry")
 _PARTS = {  # where position and orientation stand
@@ -39,14 +39,14 @@ def paths_of(kind: str, type_name: str) -> list[str]:
     return [*(f"{p}/{a}" for a in "xyz"), *turn]
 
 
-def columns_of(kind: str, type_name: str, said: Messages) -> list[Array]:
-    """The columns, (n, 1) each, of readings of a kind, out of messages of this type."""
-    return [said.column(path) for path in paths_of(kind, type_name)]
+def values_of(kind: str, type_name: str, said: Messages) -> Array:
+    """The numbers (n, k) of readings of a kind, out of messages of this type."""
+    return np.hstack([said.column(path) for path in paths_of(kind, type_name)])
 
 
 def reading_of(kind: str, message: Any) -> Array:
     """The numbers (k,) of a reading of a kind, out of a message of the kind's own type."""
-    return np.hstack(columns_of(kind, kinds()[kind].message, OneMessage(message)))[0]
+    return np.asarray(values_of(kind, kinds()[kind].message, OneMessage(message))[0])
 
 
 def stated_in(type_name: str, n: int, said: Messages) -> Array:
@@ -136,47 +136,36 @@ _SHOWN = 8
 
 
 @dataclass
-class _Edge:
-    """One frame in another: stamps, times of reception [s], and x y z qx qy qz qw [m]."""
-
-    static: bool
-    stamps: list[Array] = field(default_factory=list)
-    received: list[Array] = field(default_factory=list)
-    values: list[Array] = field(default_factory=list)
-
-    def columns(self) -> tuple[Array, Array, Array]:
-        """Stamps (n,), received (n,), values (n, 7), in order, each stamp once."""
-        stamps, received = np.concatenate(self.stamps), np.concatenate(self.received)
-        _, first = np.unique(stamps, return_index=True)
-        return stamps[first], received[first], np.concatenate(self.values)[first]
-
-
-@dataclass
 class Transforms:
     """What /tf and /tf_static say; parent, child: frames that are asked for. notes: on the track, once it was made."""
 
     parent: str
     child: str
-    _edges: dict[tuple[str, str], _Edge] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    _edges: dict[tuple[str, str], TrackRows] = field(default_factory=dict)  # x y z qx qy qz qw [m] of one in another
+    _static: set[tuple[str, str]] = field(default_factory=set)
 
     def add(self, parent: str, child: str, stamps: Array, received: Array, values: Array, static: bool) -> None:
         """Take transforms (n, 7) of one frame in another."""
         key = parent.strip("/"), child.strip("/")
         if key not in self._edges and len(self._edges) >= _MAX_EDGES:
             return
-        edge = self._edges.setdefault(key, _Edge(static))
-        edge.stamps.append(np.where(stamps == 0.0, received, stamps))
-        edge.received.append(received)
-        edge.values.append(values)
+        if key not in self._edges and static:
+            self._static.add(key)
+        rows = self._edges.setdefault(key, TrackRows())
+        rows.extend(stamps=np.where(stamps == 0.0, received, stamps), received=received, values=values)
 
     def forget_before(self, received: float) -> None:
         """Forget what was received before this time [s], but for what is static."""
-        for edge in self._edges.values():
-            if not edge.static:
-                keep = [late >= received for late in edge.received]
-                for name in ("stamps", "values", "received"):
-                    setattr(edge, name, [v[k] for v, k in zip(getattr(edge, name), keep, strict=True)])
+        for key, rows in self._edges.items():
+            if key not in self._static:
+                rows.forget_before(received)
+
+    def _once(self, key: tuple[str, str]) -> tuple[Array, Array, Array]:
+        """Stamps (n,), received (n,), values (n, 7), in order, each stamp once."""
+        columns = self._edges[key].columns()
+        _, first = np.unique(columns["stamps"], return_index=True)
+        return columns["stamps"][first], columns["received"][first], columns["values"][first]
 
     def track(self, description: str | None) -> ReadingTrack:
         """The child in the parent at the stamps of the one part of the way that moves, or of the slower one of two.
@@ -188,7 +177,7 @@ class Transforms:
         if way is None:
             there = ", ".join(f"{a}:{b}" for a, b in list(self._edges)[:_SHOWN]) or "nothing"
             raise BadRecording(name, "are not connected", f"name two frames that are; there are {there}")
-        moving = {key: self._edges[key].columns() for key, _ in way if self._moves(key)}
+        moving = {key: self._once(key) for key, _ in way if self._moves(key)}
         links = set() if description is None else set(re.findall(r"<link[^>]*\bname\s*=\s*[\"']([^\"']+)", description))
         if any(parent in links and child in links for parent, child in moving):
             said = "follows the robot's own links: it was computed from the joints and is not a measurement"
@@ -202,7 +191,7 @@ class Transforms:
         stamps, received, _ = min(moving.values(), key=lambda columns: len(columns[0]))
         T = np.broadcast_to(np.eye(4), (len(stamps), 4, 4))
         for key, forward in way:
-            step = _at(*moving[key][::2], stamps) if key in moving else _fixed(self._edges[key].columns()[2][-1])
+            step = _at(*moving[key][::2], stamps) if key in moving else _fixed(self._once(key)[2][-1])
             T = T @ (step if forward else se3.inverse(step))
         poses = np.full((len(stamps), 7), np.nan)
         finite = np.isfinite(T).all(axis=(1, 2))
@@ -210,23 +199,20 @@ class Transforms:
         return ReadingTrack(POSE, self.parent, stamps, poses, received, "/tf")
 
     def _moves(self, key: tuple[str, str]) -> bool:
-        values = np.concatenate(self._edges[key].values)
-        return not self._edges[key].static and len(values) > 1 and bool((values != values[0]).any())
+        values = self._edges[key].columns()["values"]
+        return key not in self._static and len(values) > 1 and bool((values != values[0]).any())
 
     def _way(self) -> list[tuple[tuple[str, str], bool]] | None:
         """Pairs from parent to child, each with whether it is gone from its parent to its child."""
         ways: dict[str, list[tuple[tuple[str, str], bool]]] = {self.parent: []}
-        front = [self.parent]
-        while front and self.child not in ways:
-            front = [there for here in front for there in self._next(here, ways)]
+        reached = [self.parent]
+        for here in reached:  # which grows meanwhile
+            for a, b in self._edges:
+                there = b if a == here else a if b == here else here
+                if there not in ways:
+                    ways[there] = [*ways[here], ((a, b), a == here)]
+                    reached.append(there)
         return ways.get(self.child)
-
-    def _next(self, here: str, ways: dict[str, list[tuple[tuple[str, str], bool]]]) -> Iterator[str]:
-        for a, b in self._edges:
-            there = b if a == here else a if b == here else None
-            if there is not None and there not in ways:
-                ways[there] = [*ways[here], ((a, b), a == here)]
-                yield there
 
 
 def _at(own: Array, values: Array, stamps: Array) -> Array:

@@ -85,31 +85,23 @@ _TOPIC_OF = {kind: role for role, kind in READINGS.items()}
 _MANY = 500  # messages between two words of how far it is
 
 
-def write_recording(
-    recording: Recording,
-    folder: Path,
-    heard: Callable[[float], None] = lambda share: None,
-    commanded: JointTrack | None = None,
-) -> None:
-    """Write joint states, readings, temperatures, signals, the robot description and notes of a recording as a bag.
+def write_recording(recording: Recording, folder: Path, heard: Callable[[float], None] = lambda share: None) -> None:
+    """Write joint states, commands, readings, temperatures, signals, description and notes of a recording as a bag.
 
-    The folder appears at once and whole, or not at all. heard: is told the share that is written. commanded: joint
-    positions that were commanded, for a topic of their own. Signals of messages with one number are written.
-    Raises BadRecording when the folder exists already, or cannot be written.
+    The folder appears at once and whole, or not at all. heard: is told the share that is written. Signals of messages
+    with one number are written. Raises BadRecording when the folder exists already, or cannot be written.
     """
     with appearing(folder) as stage:
         try:
-            _write(recording, stage, heard, commanded)
+            _write(recording, stage, heard)
         except BadRecording as error:  # of a disk that refuses; nothing is left for a repair
             raise BadRecording(str(folder), error.limit, "make room on the disk, or write elsewhere") from error
 
 
-def _write(
-    recording: Recording, folder: Path, heard: Callable[[float], None], commanded: JointTrack | None = None
-) -> None:
+def _write(recording: Recording, folder: Path, heard: Callable[[float], None]) -> None:
     count = sum(len(t.stamps) for tracks in (recording.joints, recording.readings, recording.signals) for t in tracks)
     stamped = []
-    for message in _messages(recording, commanded):
+    for message in _messages(recording):
         stamped.append(message)
         if len(stamped) % _MANY == 0:
             heard(0.5 * len(stamped) / max(count, len(stamped)))
@@ -129,10 +121,10 @@ def _write(
 _Message = tuple[int, str, str, bytes]  # time [ns], topic, type, CDR bytes
 
 
-def _messages(recording: Recording, commanded: JointTrack | None) -> Iterator[_Message]:
+def _messages(recording: Recording) -> Iterator[_Message]:
     """Everything but texts."""
-    told = (*recording.commands, *(() if commanded is None else (commanded,)))
-    for topic, track in (*((f"/{JOINT_STATES}", t) for t in recording.joints), *((t.topic, t) for t in told)):
+    states = ((f"/{JOINT_STATES}", track) for track in recording.joints)
+    for topic, track in (*states, *((track.topic, track) for track in recording.commands)):
         for i, stamp in enumerate(track.stamps):
             velocity, effort = (
                 row if np.isfinite(row).all() else row[:0] for row in (track.velocity[i], track.effort[i])

@@ -12,124 +12,81 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.geometry import Array
-from modcal_core.measurements import JointTrack, ReadingTrack, SignalTrack
-from modcal_msgs_py.layout import KNOWN, MessageLayout, MessageRows, Messages
+from modcal_core.measurements import JointTrack
+from modcal_msgs_py.layout import KNOWN, Column, MessageLayout, MessageRows, Messages
 
 _MAX_GROWTH = 16  # times the rows that there are, where more are expected: an index that lies fills no memory
 
 
 class TrackRows:
-    """Growing columns of one track, eight bytes a number, however long a node listens.
+    """Growing columns of one track by their names, eight bytes a number, however long a node listens.
 
     What was handed out of them stays as it is: later rows are written behind it, or to a larger copy.
     """
 
-    def __init__(self, width: int, expected: int = 0) -> None:
-        """Rows of ``width`` numbers. expected: how many rows there may be, where that is known; it may be wrong."""
-        self.width = width
-        self._expected = expected
-        self._count = 0
-        self._stamps, self._received, self._values = np.empty(0), np.empty(0), np.empty((0, width))
+    def __init__(self, expected: int = 0) -> None:
+        """expected: how many rows there may be, where that is known; it may be wrong."""
+        self._expected, self._count = expected, 0
+        self._columns: dict[str, Array] = {}
 
     def __len__(self) -> int:
         """How many rows there are."""
         return self._count
 
-    def extend(self, stamps: Array, received: Array, *values: NDArray[Any]) -> None:
-        """Add rows: stamps and received (n,), and numbers side by side, (n, k) each and ``width`` together."""
-        begin, end = self._count, self._count + len(stamps)
-        if end > len(self._stamps):
-            room = max(2 * end, min(self._expected, _MAX_GROWTH * end))
-            self._stamps = _with_room(self._stamps[:begin], room)
-            self._received = _with_room(self._received[:begin], room)
-            self._values = _with_room(self._values[:begin], room)
-        self._stamps[begin:end] = stamps
-        self._received[begin:end] = received
-        left = 0
-        for numbers in values:
-            right = left + numbers.shape[1]
-            self._values[begin:end, left:right] = numbers
-            left = right
-        assert left == self.width
+    def extend(self, **columns: NDArray[Any]) -> None:
+        """Add rows to all columns, the same ones each time: ``stamps`` and ``received`` (n,), others (n,) or (n, k)."""
+        begin, end = self._count, self._count + len(columns["stamps"])
+        for name, numbers in columns.items():
+            known = self._columns.get(name)
+            if known is None or end > len(known):
+                room = max(2 * end, min(self._expected, _MAX_GROWTH * end))
+                known, old = np.empty((room, *numbers.shape[1:])), known  # what is not written yet takes no memory
+                if old is not None:
+                    known[:begin] = old[:begin]
+                self._columns[name] = known
+            known[begin:end] = numbers
         self._count = end
 
     def forget_before(self, received: float) -> None:
         """Forget all rows but those since the first that was received at this time or later."""
-        stamps, times, values = self.columns()
-        late = np.flatnonzero(times >= received)
-        first = int(late[0]) if len(late) else len(times)
-        kept = TrackRows(self.width, self._expected)
-        kept.extend(stamps[first:], times[first:], values[first:])
-        vars(self).update(vars(kept))
+        columns = self.columns()
+        late = np.flatnonzero(columns["received"] >= received).tolist() if columns else []
+        first = late[0] if late else self._count
+        self._columns = {name: column[first:].copy() for name, column in columns.items()}
+        self._count -= first
 
-    def columns(self) -> tuple[Array, Array, Array]:
-        """(stamps (N,), received (N,), values (N, width)) of the rows so far."""
-        return self._stamps[: self._count], self._received[: self._count], self._values[: self._count]
-
-
-def _with_room(rows: Array, room: int) -> Array:
-    """A copy of the rows with room for so many in all; what is not written yet takes no memory."""
-    out = np.empty((room, *rows.shape[1:]))
-    out[: len(rows)] = rows
-    return out
-
-
-def joint_track(topic: str, names: tuple[str, ...], rows: TrackRows) -> JointTrack:
-    """Joint states of one publisher: position, velocity and effort beside each other in a row."""
-    stamps, received, values = rows.columns()
-    position, velocity, effort = np.split(values, 3, axis=1)
-    return JointTrack(names, stamps, position, velocity, effort, received, topic)
-
-
-def reading_track(kind: str, frame: str, rows: TrackRows, topic: str, by_type: bool) -> ReadingTrack:
-    """Readings of one instrument: the last two numbers of a row are what it states of its own error."""
-    stamps, received, columns = rows.columns()
-    values, stated = columns[:, :-2], columns[:, -2:]
-    return ReadingTrack(
-        kind, frame, stamps, values, received, topic, stated if np.isfinite(stated).any() else None, by_type
-    )
-
-
-def signal_track(name: str, rows: TrackRows, topic: str) -> SignalTrack:
-    """One signal."""
-    stamps, _, values = rows.columns()
-    return SignalTrack(name, stamps, values, topic)
+    def columns(self) -> dict[str, Array]:
+        """The columns so far."""
+        return {name: column[: self._count] for name, column in self._columns.items()}
 
 
 _PLAIN = b"\0\1"  # little-endian CDR, as DDS sends it on every machine that ROS 2 runs on
-_BODY = 4  # bytes that say how the rest is encoded; alignment counts from there
-_STAMP = struct.Struct("<iI")
-_COUNT, _DOUBLE = 4, 8  # bytes
-_SPARE = 2 * _DOUBLE  # bytes that rclpy leaves behind a message for velocities and efforts that are not there
-_AFTER_STAMP = _BODY + _STAMP.size
+_STAMP, _STAMP_AT = struct.Struct("<iI"), 4
+_SPARE = 16  # bytes that rclpy leaves behind a message for velocities and efforts that are not there
 _MAX = 16  # layouts of one subscription, of as many publishers; others take the long way
-_EMPTY = np.empty(0)
 
 
-@dataclass(frozen=True, slots=True)
-class Stamp:
+class Stamp(NamedTuple):
     """Same fields as builtin_interfaces/Time."""
 
     sec: int
     nanosec: int
 
 
-@dataclass(frozen=True, slots=True)
-class Header:
+class Header(NamedTuple):
     """Same fields as std_msgs/Header."""
 
     stamp: Stamp
     frame_id: str
 
 
-@dataclass(frozen=True, slots=True)
-class JointStateView:
+class JointStateView(NamedTuple):
     """Same fields as sensor_msgs/JointState, with read-only arrays. Similar messages share one tuple of names."""
 
     header: Header
@@ -139,27 +96,13 @@ class JointStateView:
     effort: Array
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """head: the bytes from the stamp to the first number, as they were first. same, mask: of these, as one number; what
-    only fills up may be anything. spans: of positions, velocities, efforts. counts: of the latter two, where they
-    stand and what.
-    """
+class _Known(NamedTuple):
+    """A layout that was met. columns: of positions, velocities, efforts."""
 
+    layout: MessageLayout
     frame: str
     names: tuple[str, ...]
-    head: bytes
-    same: int
-    mask: int
-    spans: tuple[tuple[int, int], ...]
-    counts: tuple[tuple[int, bytes], ...]
-
-    def fits(self, cdr: bytes) -> bool:
-        head = cdr[_AFTER_STAMP : self.spans[0][0]]
-        if head != self.head and int.from_bytes(head, "little") & self.mask != self.same:
-            return False
-        (a, velocities), (b, efforts) = self.counts
-        return cdr.startswith(velocities, a) and cdr.startswith(efforts, b)
+    columns: tuple[Column, ...]
 
 
 class JointStateBytes:
@@ -167,15 +110,16 @@ class JointStateBytes:
 
     def __init__(self, otherwise: Callable[[bytes], Any]) -> None:
         self._otherwise = otherwise
-        self._layouts: dict[int, list[_Layout]] = {}
+        self._layouts: dict[int, list[_Known]] = {}  # by the length of a message
 
     def __call__(self, cdr: bytes) -> Any:
         """The message."""
-        layout = self._layout_of(cdr)
-        if layout is None:
+        known = self._layout_of(cdr)
+        if known is None:
             return self._otherwise(cdr)
-        q, v, e = (np.frombuffer(cdr[start:end]) if end > start else _EMPTY for start, end in layout.spans)
-        return JointStateView(Header(Stamp(*_STAMP.unpack_from(cdr, _BODY)), layout.frame), layout.names, q, v, e)
+        q, v, e = (np.frombuffer(cdr, count=c.count, offset=c.at) for c in known.columns)
+        header = Header(Stamp(*_STAMP.unpack_from(cdr, _STAMP_AT)), known.frame)
+        return JointStateView(header, known.names, q, v, e)
 
     def needed(self, told: Sequence[bytes], replaced: Callable[[float], bool]) -> list[bytes]:
         """The messages that must be read, in order. replaced: whether a message with this stamp [s] is obsolete once a
@@ -183,46 +127,31 @@ class JointStateBytes:
         """
         out, later = list[bytes](), set[int]()
         for cdr in reversed(told):
-            layout = self._layout_of(cdr)
-            if layout is not None and id(layout) in later:
-                sec, nanosec = _STAMP.unpack_from(cdr, _BODY)
+            known = self._layout_of(cdr)
+            if known is not None and id(known) in later:
+                sec, nanosec = _STAMP.unpack_from(cdr, _STAMP_AT)
                 if replaced(sec + 1e-9 * nanosec):
                     continue
             out.append(cdr)
-            later.add(id(layout))
+            later.add(id(known))
         return out[::-1]
 
-    def _layout_of(self, cdr: bytes) -> _Layout | None:
+    def _layout_of(self, cdr: bytes) -> _Known | None:
         """The layout of a message; None for bytes that this cannot read."""
-        for one in self._layouts.get(len(cdr), ()):
-            if one.fits(cdr):
-                return one if cdr.startswith(_PLAIN) else None
-        return self._learn(cdr)
-
-    def _learn(self, cdr: bytes) -> _Layout | None:
-        known = sum(map(len, self._layouts.values()))
-        layout = _layout(cdr) if known < _MAX and cdr.startswith(_PLAIN) else None
-        if layout is not None:
-            self._layouts.setdefault(len(cdr), []).append(layout)
-        return layout
-
-
-def _layout(cdr: bytes) -> _Layout | None:
-    """Where everything stands; None for bytes that are no whole JointState."""
-    made = MessageLayout.of(KNOWN[JOINT_STATE], cdr, _SPARE)
-    if made is None:
-        return None
-    columns = [made.columns[name] for name in ("position", "velocity", "effort")]
-    spans = tuple((c.at, c.at + c.count * _DOUBLE) for c in columns)
-    counted = bytearray(len(cdr))  # 255 for each byte that says something
-    for start, stop in made.fixed:
-        counted[start:stop] = b"\xff" * (stop - start)
-    first = spans[0][0]
-    head, mask = cdr[_AFTER_STAMP:first], int.from_bytes(counted[_AFTER_STAMP:first], "little")
-    counts = tuple((at, cdr[at : at + _COUNT]) for at in (-(-end // _COUNT) * _COUNT for _, end in spans[:2]))
-    names = MessageRows(made, np.empty((0, 0), np.uint8)).texts("name")
-    same = int.from_bytes(head, "little") & mask
-    return _Layout(made.texts["header/frame_id"], names, head, same, mask, spans, counts)
+        if not cdr.startswith(_PLAIN):
+            return None
+        alike = self._layouts.get(len(cdr), ())
+        if (known := next((one for one in alike if one.layout.fits_one(cdr)), None)) is not None:
+            return known
+        if sum(map(len, self._layouts.values())) >= _MAX:
+            return None
+        if (made := MessageLayout.of(KNOWN[JOINT_STATE], cdr, _SPARE)) is None:
+            return None
+        names = MessageRows(made, np.empty((0, 0), np.uint8)).texts("name")
+        columns = tuple(made.columns[path] for path in ("position", "velocity", "effort"))
+        known = _Known(made, made.texts["header/frame_id"], names, columns)
+        self._layouts.setdefault(len(cdr), []).append(known)
+        return known
 
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -257,7 +186,8 @@ class Commands:
         found = (said.column(path) for path in paths if said.has(path))
         told = next((values for values in found if values.shape[1]), None)
         if told is not None and names and told.shape[1] == len(names) == len(set(names)):
-            self._points.setdefault((topic, names), TrackRows(len(names))).extend(stamps, received, told)
+            rows = self._points.setdefault((topic, names), TrackRows())
+            rows.extend(stamps=stamps, received=received, position=told)
 
     def _plan(
         self, topic: str, names: tuple[str, ...], stamp: float, received: float, times: list[float], points: list[Any]
@@ -277,7 +207,7 @@ class Commands:
     def forget_before(self, received: float) -> None:
         """Forget what was received before this time [s], but for the last of each, which may hold still."""
         for rows in self._points.values():
-            last = rows.columns()[1][-1:]
+            last = rows.columns()["received"][-1:]
             rows.forget_before(min(received, float(last[0])) if len(last) else received)
         for key, plans in self._plans.items():
             late = [plan for plan in plans if plan[0] >= received]
@@ -285,7 +215,7 @@ class Commands:
 
     def tracks(self, order: Callable[[str], int]) -> tuple[JointTrack, ...]:
         """The commands as tracks of positions. order: of a topic, those of the lowest number first."""
-        found = [(topic, _track(topic, names, *rows.columns())) for (topic, names), rows in self._points.items()]
+        found = [(topic, _track(topic, names, **rows.columns())) for (topic, names), rows in self._points.items()]
         found += [(topic, _of_plans(topic, names, plans)) for (topic, names), plans in self._plans.items()]
         return tuple(track for topic, track in sorted(found, key=lambda pair: order(pair[0])))
 

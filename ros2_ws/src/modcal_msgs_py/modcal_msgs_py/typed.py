@@ -192,15 +192,10 @@ class _Leaf:
         self.value = value
 
 
-_FIELDS: dict[type, tuple[int, str]] = {
-    bool: (1, "bool_value"), int: (2, "integer_value"), float: (3, "double_value"), str: (4, "string_value"),
-}  # fmt: skip
-_ARRAYS: dict[type, tuple[int, str]] = {
-    bool: (6, "bool_array_value"), int: (7, "integer_array_value"), float: (8, "double_array_value"),
-    str: (9, "string_array_value"),
-}  # fmt: skip
-_READ = {code: name for code, name in (*_FIELDS.values(), *_ARRAYS.values())}
-_NOTHING, _EMPTY = 0, 5  # types of a value that is not set, and of an empty mapping
+_NOTHING, _EMPTY, _ARRAYS = 0, 5, 5  # types of a value that is not set, and of an empty mapping; of arrays so much more
+_KINDS: dict[type, tuple[int, str]] = {bool: (1, "bool"), int: (2, "integer"), float: (3, "double"), str: (4, "string")}
+_READ = {code: f"{name}_value" for code, name in _KINDS.values()}
+_READ |= {code + _ARRAYS: f"{name}_array_value" for code, name in _KINDS.values()}
 
 
 def _leaves(value: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -217,18 +212,17 @@ def _leaves(value: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str,
 def _alike(values: list[Any] | tuple[Any, ...]) -> bool:
     """Whether a list is an array of numbers or of texts; an empty one is."""
     kinds = {type(value) for value in values}
-    return not kinds or (len(kinds) == 1 and next(iter(kinds)) in _ARRAYS)
+    return not kinds or (len(kinds) == 1 and next(iter(kinds)) in _KINDS)
 
 
 def _put(into: Any, value: Any) -> None:
-    if isinstance(value, list | tuple):
-        into.type, name = _ARRAYS[type(value[0]) if value else str]
-        setattr(into, name, list(value))
-    elif isinstance(value, Mapping):
+    if isinstance(value, Mapping):
         into.type = _EMPTY
     elif value is not None:
-        into.type, name = _FIELDS[type(value)]
-        setattr(into, name, value)
+        many = isinstance(value, list | tuple)
+        one = (value[0] if value else "") if many else value
+        into.type = _KINDS[type(one)][0] + _ARRAYS * many
+        setattr(into, _READ[into.type], list(value) if many else value)
 
 
 def _got(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 model, parameters, structure: nominal chain, small twists at its places, effects; which of them instruments can show.
 initial, starts: base, tool and instruments without a guess.
-linearisation, equations, kernels: derivatives, sample by sample and in batches, and the steps solved.
+linearisation, equations: derivatives, sample by sample and in batches, and the steps solved.
 fit: ``identify(model, samples, parameters) -> Fit``. noise: the weights of its samples.
 cell, distances, known_distances, stated: what is known of the surroundings.
 data_split, final_fit: train, explain and held-out; the model to ship.

@@ -4,7 +4,7 @@ Damped Gauss–Newton steps on the minimal parameters (:mod:`modcal_core.geometr
 unit length, so the normal equations solved by Cholesky lose nothing that matters; a prior on the arm's own directions,
 as wide as robots are wrong, holds what the data does not show. Weights and the size of the noise are found again at
 every step (see :mod:`modcal_core.calibration.noise`). Many samples are begun with a few of them, so that all are gone
-through but two or three times; and near the end only the gradient is computed again, which alone decides where that is.
+through but two or three times.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import scipy
 
 from modcal_core.calibration.data_split import distinct
 from modcal_core.calibration.distances import AnyDistance, distance_cost, distance_rows
-from modcal_core.calibration.equations import system_of
+from modcal_core.calibration.equations import System
 from modcal_core.calibration.linearisation import Linearised, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import (
@@ -98,8 +98,6 @@ class Curvature:
 MAX_ITERATIONS = 300  # a fit that needs more says that it did not converge
 CONVERGED = 1e-5  # standard deviations that a fit is away from its end, far below anything a report shows
 FITTED = 1e-2  # the same for models with effects, some of which have many values
-# The curvature is computed again where a step has gained less or more than it promised, by this share of that
-_AGREES = 0.1
 _SHRINKING = 0.3  # of the last step, at least, that is expected of the next: robust weights settle no faster
 # A sample at the limit of rejection may go in and out for ever, each time by what the others then say of it: what is
 # rejected for the third time stays so
@@ -240,7 +238,7 @@ class _Cost:
         around = problem.start.drivers(problem.samples)
         self.problem, self._tolerance, self._hopeless, self._hopeful = problem, tolerance, hopeless, True
         self._centre, self._prior = priors(problem.fitted, problem.parameters, around)
-        self._equations = system_of(problem.start, problem.parameters, problem.samples, around)
+        self._equations = System(problem.start, problem.parameters, problem.samples, around)
         self._groups = Groups.of(problem.samples, bool(problem.start.instruments))
         held = [np.full(len(e.values), e.held is not None) for e in problem.fitted]
         self._held = np.concatenate([np.zeros(len(problem.parameters), bool), *held])
@@ -248,7 +246,7 @@ class _Cost:
         self._told = float((~self._held).sum())
         self._out = np.zeros(len(problem.samples), bool)
         self._times = np.zeros(len(problem.samples))  # that each sample was rejected
-        self._agrees, self._stale, self._tried = False, False, False
+        self._tried = False
         self.length = self._last = np.inf
         self.H = self.H_data = np.diag(self._prior**-2.0)
 
@@ -265,7 +263,7 @@ class _Cost:
 
     def curvature(self, here: _Place) -> tuple[Array, Array]:
         """(JᵀWJ, the same with the prior), (P, P), at a place; of independent samples."""
-        if self._stale or self.length > FITTED:
+        if self.length > FITTED:
             self._linearise(here)
         if has_shared_noise(self.problem.samples):
             self.H_data = self.H_data / shared_noise(self.problem.samples, here.left, self._row_weight)
@@ -278,30 +276,24 @@ class _Cost:
         out = self.weigh(here)[0] == 0.0
         self._times += out & ~self._out
         self._out = out
-        self._linearise(here, self._agrees and self._equations.quick_gradient)
+        self._linearise(here)
         self._last, self._tried = self.length, False
         return self._of(here)
 
-    def _linearise(self, here: _Place, near: bool = False) -> None:
-        """Gradient and curvature; near: with the last one, which takes far longer."""
-        problem, equations = self.problem, self._equations
-        if near:
-            H, g = equations.last_curvature(self._row_weight), equations.gradient(here.values, self._row_weight)
-        else:
-            H, g = equations.normal_equations(here.values, self._row_weight)
+    def _linearise(self, here: _Place) -> None:
+        """Gradient and curvature."""
+        problem = self.problem
+        H, g = self._equations.normal_equations(here.values, self._row_weight)
         if problem.distances:
             rows = distance_rows(problem.start, problem.parameters, here.values, problem.distances)
             H = H + (rows.J / rows.std**2) @ rows.J.T
             g = g + (rows.J / rows.std**2) @ rows.residual
         self.H_data, self.H = H, H + np.diag(self._prior**-2.0)
         self._g = g - (here.values - self._centre) * self._prior**-2.0
-        self._stale = near
 
     def _step(self, here: _Place, damping: float) -> tuple[_Place, float]:
-        if self._stale and self._tried:  # that curvature has done its service
-            self._linearise(here)
         curvature = Curvature.of(self.H, damping)
-        if self._held.any() and not (self._stale or self._tried):
+        if self._held.any() and not self._tried:
             told = curvature.variances()[self._held] / self._prior[self._held] ** 2
             self._told = len(here.values) - float(np.sum(told))
         step = curvature.solve(self._g)
@@ -320,7 +312,6 @@ class _Cost:
 
     def _ended(self, here: _Place, gain: float, cost: float) -> bool:
         """Whether all following steps together are too short to matter, if they become shorter as the last did."""
-        self._agrees = abs(gain - self.length**2) <= _AGREES * self.length**2
         self.length = float(np.sqrt(max(self.length**2, gain)))  # where the cost is no parabola, more is left
         rate = max(self.length / self._last, _SHRINKING) if self._last < np.inf else 1.0
         if self.length <= self._tolerance or (rate < 1.0 and self.length * rate <= self._tolerance * (1.0 - rate)):

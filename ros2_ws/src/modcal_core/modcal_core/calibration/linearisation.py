@@ -356,20 +356,6 @@ class RowView:
         if self.sights is not None:
             self.sights.look_through(position)
 
-    def wrench(self, place: int, weighted: Array, frames: Sequence[int] = ()) -> Array:
-        """Products of weighted residuals (3 N + 3 M,) with the motions of the tool per unit of each of the six
-        directions of a place of a serial arm, (6,). frames: of whose samples; all by default.
-        """
-        N = self.position.shape[1]
-        force, torque = weighted[: 3 * N].reshape(3, N), np.zeros((3, N))
-        torque[:, self.pose] = weighted[3 * N :].reshape(3, -1)
-        torque += so3.cross(self.f.p[-1] - self.f.p[place], force)
-        if len(frames):
-            here = np.isin(self.samples.frame, frames)
-            force, torque = force * here, torque * here
-        flat = self.f.axes[place].reshape(3, 3 * N)
-        return np.concatenate([flat @ force.ravel(), flat @ torque.ravel()])
-
     def constant_column(self, place: int, constant: int, out: Array) -> None:
         """Write the motion of the tool, (3 N + 3 M,), per unit of what a place's arm has of its own."""
         N, M = self.position.shape[1], self.rotation.shape[1]
@@ -379,24 +365,17 @@ class RowView:
         if self.sights is not None:
             self.sights.look_through(position)
 
-    def _put(self, moved: tuple[Array, Array | float], position: Array, rotation: Array) -> None:
-        """Write a shift (3, N) of the tool and its turn, (3, N) or none, into columns."""
-        shift, turn = moved
-        position[:] = shift
-        if isinstance(turn, float) or rotation.shape[1] == position.shape[1]:
-            rotation[:] = turn
-        else:
-            rotation[:] = turn[:, self.pose]
+    def _put(self, moved: tuple[Array, Array], position: Array, rotation: Array) -> None:
+        """Write a shift and a turn (3, N) of the tool into columns."""
+        position[:], turn = moved
+        rotation[:] = turn if rotation.shape[1] == position.shape[1] else turn[:, self.pose]
 
     def rods_column(self, place: int, direction: int, out: Array) -> None:
         """Write the motion of the tool, (3 N + 3 M,), per unit by which the rods of a place differ."""
         N, M = self.position.shape[1], self.rotation.shape[1]
         position, rotation = out[: 3 * N].reshape(3, N), out[3 * N :].reshape(3, M)
-        tilt = self.f.loops[place].tilt
-        assert tilt is not None
-        turn, shift = (tilt.turn, tilt.shift) if direction == RODS else tilt.more[direction - RODS - 1]
         p = self.f.p[-1] if self.sights is None else self.sights.watched
-        self._put((shift + so3.cross(turn, p - tilt.hub), turn), position, rotation)
+        self._put(self.f.loops[place].moved_by_rods(direction - RODS, p), position, rotation)
         if self.sights is not None:
             self.sights.look_through(position)
 

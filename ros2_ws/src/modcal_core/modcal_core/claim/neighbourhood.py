@@ -210,7 +210,7 @@ def _by_kind(
     out = np.zeros((S, K, K)), np.zeros((S, K)), np.zeros(S), np.zeros(S)
     for block in blocks_at(samples, model.drivers(samples)):
         part = block.part
-        here = linearise(model, parameters, values, part, drivers=block.at or model.drivers(part))
+        here = linearise(model, parameters, values, part, drivers=block.at)
         kind = np.searchsorted(names, part.kind)
         each = np.concatenate([np.tile(kind, 3), np.full(3 * int(part.is_pose.sum()), S - 1)])
         seen = np.concatenate([dimensions(part) - 3.0 * part.is_pose, np.full(int(part.is_pose.sum()), 3.0)])

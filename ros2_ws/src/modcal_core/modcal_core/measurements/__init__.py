@@ -5,19 +5,18 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.measurements.alignment import LIMIT, align
+    from modcal_core.measurements.alignment import BURST, LIMIT, LONGEST_PAUSE, SMALLEST_BURST, align, at_steady_rate
     from modcal_core.measurements.checks import joint_limits, remedies_of, require_usable
     from modcal_core.measurements.dropouts import BETWEEN, DAY, ELSEWHEN, GLITCHES, MAX_GLITCHES, UNUSABLE, Cleaned
     from modcal_core.measurements.dropouts import Dropped, Hung, cleaned, dropped, elsewhen, hung, together, unexpected
     from modcal_core.measurements.dwells import LATE_STEPS, LEFT, MIN_RETURNS, NOISE_FACTOR, SAME, SECOND_DIFFERENCE
-    from modcal_core.measurements.dwells import SHORTEST, TRAVEL, Approach, StationRules, dwells_of, find_dwells
+    from modcal_core.measurements.dwells import SHORTEST, Approach, StationRules, dwells_of, find_dwells
     from modcal_core.measurements.dwells import fitted_rules, inliers, posture_numbers, returns, spread_rows
     from modcal_core.measurements.held_box import FACES, Box, Scan, measure_box
     from modcal_core.measurements.inspection import inspect, out_of_time
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged, efforts_at_rest
-    from modcal_core.measurements.path import UNKNOWN, WIDTHS, ahead, went_on
-    from modcal_core.measurements.rates import BURST, LONGEST_PAUSE, SMALLEST_BURST, at_steady_rate
+    from modcal_core.measurements.path import TRAVEL, UNKNOWN, WIDTHS, ahead, went_on
     from modcal_core.measurements.recording import APART, BEARING, IMPORTED, ORDER_ONLY, PART, POINT, POSE, RANGE, RAY
     from modcal_core.measurements.recording import SOCKETS, TARGETS, TOUCH, UNREAD, JointTrack, Listed, ReadingTrack
     from modcal_core.measurements.recording import Recording, SignalTrack, Stretch, commanded_at, following, is_told

@@ -11,18 +11,20 @@ than its tracker does so in motion. It must last, and the arm must have been els
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
+from modcal_core.measurements.alignment import without_bursts
 from modcal_core.measurements.checks import joint_limits
 from modcal_core.measurements.dwells import LEFT, StationRules, dwells_of, inliers
 from modcal_core.measurements.kinds.kind import farthest
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.rates import without_bursts
 from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack, joints_by_time
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots import Mechanism
@@ -42,6 +44,8 @@ _WITHIN = 0.8  # share of the implausible readings that are plausible in another
 _NO_RATE = 1e6  # N m, N or per second; no actuator exerts so much
 _NO_DEGREES = 1e4  # rad or m; larger than any joint's position, in whatever unit
 DAY, _SPREADS = 86_400.0, 40.0  # s, and usual distances from the middle: a stamp farther off is of another time
+
+_AnyTrack = TypeVar("_AnyTrack", JointTrack, ReadingTrack)
 
 
 @dataclass(frozen=True)
@@ -66,21 +70,40 @@ def cleaned(recording: Recording, names: tuple[str, ...], chain: Mechanism | Non
     BadRecording where nothing is left of a track that is needed.
     """
     recording = _followed(recording, chain)
-    notes: list[str] = []
-    doubts: list[str] = []
-    lost = dict(recording.lost)
-    joints = tuple(_joints(track, names, chain, notes, lost, doubts) for track in recording.joints)
+    ledger = _Ledger(dict(recording.lost))
+    joints = tuple(_joints(track, names, chain, ledger) for track in recording.joints)
     reach = 0.0 if chain is None else chain.reach()
-    readings = tuple(_readings(track, reach, notes, lost, doubts) for track in recording.readings)
-    as_stamped = readings
-    readings = tuple(without_bursts(track, f"{track.topic} ({track.frame})", notes) for track in readings)
+    as_stamped = tuple(_readings(track, reach, ledger) for track in recording.readings)
+    readings = tuple(without_bursts(track, f"{track.topic} ({track.frame})", ledger.notes) for track in as_stamped)
     spread = tuple(old.frame for old, new in zip(as_stamped, readings, strict=True) if new is not old)
-    signals = tuple(_signals(track) for track in recording.signals)
-    before, after = (recording.joints, recording.readings, recording.signals), (joints, readings, signals)
-    if all(a is b for old, new in zip(before, after, strict=True) for a, b in zip(old, new, strict=True)):
-        return Cleaned(recording, (), tuple(lost.items()))
-    clean = replace(recording, joints=joints, readings=readings, signals=signals)
-    return Cleaned(clean, tuple(notes), tuple(lost.items()), tuple(doubts), spread)
+    clean = replace(recording, joints=joints, readings=readings, signals=tuple(map(_signals, recording.signals)))
+    return Cleaned(clean, tuple(ledger.notes), tuple(ledger.lost.items()), tuple(ledger.doubts), spread)
+
+
+@dataclass
+class _Ledger:
+    """What is left out of a recording: how many messages by reason, a sentence for each topic, and those sentences that
+    make a verdict open.
+    """
+
+    lost: dict[str, int]
+    notes: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+
+    def kept(self, track: _AnyTrack, name: str, faults: Mapping[str, tuple[np.ndarray, str]]) -> _AnyTrack:
+        """The track without faulty rows. faults: by reason the rows (m,) that have it, and what is said."""
+        wrong = np.any([rows for rows, _ in faults.values()], axis=0)
+        for reason, (rows, what) in faults.items():
+            if (count := int(rows.sum())) == 0:
+                continue
+            self.lost[reason] = self.lost.get(reason, 0) + count
+            much = f", {100.0 * rows.mean():.0f} % of them" if rows.mean() > _SAID else ""
+            first = float(track.stamps[int(np.argmax(rows))])
+            said = f"{name}: {what} in {count} of {len(rows)} messages{much}, first at {first:.3f} s: left out"
+            self.notes.append(f"{said}.")
+            if reason in (BEYOND, IMPLAUSIBLE) and count > MAX_GLITCHES * int((rows | ~wrong).sum()):
+                self.doubts.append(f"{said}, and too often for single wrong messages.")
+        return track.rows(~wrong) if wrong.any() else track
 
 
 def _followed(recording: Recording, chain: Mechanism | None) -> Recording:
@@ -118,42 +141,27 @@ def elsewhen(stamps: Array) -> np.ndarray:
     return far if far.sum() <= max(1.0, MAX_GLITCHES * len(stamps)) else np.zeros(len(stamps), dtype=np.bool_)
 
 
-def _joints(
-    track: JointTrack,
-    names: tuple[str, ...],
-    chain: Mechanism | None,
-    notes: list[str],
-    lost: dict[str, int],
-    doubts: list[str],
-) -> JointTrack:
+def _joints(track: JointTrack, names: tuple[str, ...], chain: Mechanism | None, ledger: _Ledger) -> JointTrack:
     """The rows of a track that say where the named joints are that it carries."""
     mine = [j for j, name in enumerate(track.names) if name in names]
-    position = track.position[:, mine]
-    bad = ~np.isfinite(position)
-    rows: np.ndarray = np.any(bad, axis=1)
-    if mine and rows.all() and len(rows):
-        worst = mine[int(np.argmax(bad.sum(axis=0)))]
-        said = f"position is not finite in any of {len(rows)} messages"
-        raise BadRecording(f"joint {track.names[worst]}", said, "correct the driver, or record again")
-    other = elsewhen(track.stamps) & ~rows
+    bad = ~np.isfinite(track.position[:, mine])
+
+    def worst(cells: np.ndarray) -> str:
+        return track.names[mine[int(np.argmax(cells.sum(axis=0)))]] if mine else ""
+
+    broken: np.ndarray = np.any(bad, axis=1)
+    if mine and broken.all() and len(broken):
+        said = f"position is not finite in any of {len(broken)} messages"
+        raise BadRecording(f"joint {worst(bad)}", said, "correct the driver, or record again")
+    other = elsewhen(track.stamps) & ~broken
     beyond = _beyond(track, mine, chain)
-    far: np.ndarray = beyond.any(axis=1) & ~rows & ~other
-    for reason, those, columns, what in (
-        (JOINTS, rows, bad, "no finite position"),
-        (f"joint states {ELSEWHEN}", other, None, ELSEWHEN),
-        (BEYOND, far, beyond, "a position beyond its range"),
-    ):
-        if those.any():
-            lost[reason] = lost.get(reason, 0) + int(those.sum())
-            of = "" if columns is None else f" of {track.names[mine[int(np.argmax(columns[those].sum(axis=0)))]]}"
-            notes.append(_sentence(track.topic, those, track.stamps, what + of))
-            if reason == BEYOND and those.mean() > MAX_GLITCHES:
-                doubts.append(_too_often(notes[-1]))
-    keep = ~(rows | other | far)
-    if not keep.all():
-        each = ("stamps", "position", "velocity", "effort", "received")
-        track = replace(track, **{name: getattr(track, name)[keep] for name in each})
-    return _with_rates(track, mine, notes)
+    far: np.ndarray = beyond.any(axis=1) & ~broken & ~other
+    faults = {
+        JOINTS: (broken, f"no finite position of {worst(bad)}"),
+        f"joint states {ELSEWHEN}": (other, ELSEWHEN),
+        BEYOND: (far, f"a position beyond its range of {worst(beyond[far])}"),
+    }
+    return _with_rates(ledger.kept(track, track.topic, faults), mine, ledger.notes)
 
 
 def _beyond(track: JointTrack, mine: list[int], chain: Mechanism | None) -> np.ndarray:
@@ -198,9 +206,7 @@ def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTr
     return replace(track, velocity=changed.get("velocity", track.velocity), effort=changed.get("effort", track.effort))
 
 
-def _readings(
-    track: ReadingTrack, reach: float, notes: list[str], lost: dict[str, int], doubts: list[str]
-) -> ReadingTrack:
+def _readings(track: ReadingTrack, reach: float, ledger: _Ledger) -> ReadingTrack:
     """The readings of a track that are finite and plausible, and that have an orientation where there is one."""
     if track.kind not in kinds() or not len(track.stamps):
         return track
@@ -209,33 +215,27 @@ def _readings(
     if track.kind == POSE:
         with np.errstate(invalid="ignore", over="ignore"):
             gone = ~broken & (np.linalg.norm(track.values[:, 3:], axis=1) < _LOST)
-    rows = broken | gone
+    whole = ~(broken | gone)
     name = f"{track.topic} ({track.frame})"
-    if rows.all():
+    if not whole.any():
         why = "not finite" if broken.all() else "not finite, or without a target,"
-        said = f"{why} in all of {len(rows)} readings"
+        said = f"{why} in all of {len(whole)} readings"
         raise BadRecording(name, said, "check that the instrument sees its target, and record again")
-    other = elsewhen(track.stamps) & ~rows
-    odd: np.ndarray = np.zeros(len(rows), dtype=np.bool_)
-    odd[~rows] = kinds()[track.kind].implausible(track.values[~rows], reach)
+    other = elsewhen(track.stamps) & whole
+    odd: np.ndarray = np.zeros(len(whole), dtype=np.bool_)
+    odd[whole] = kinds()[track.kind].implausible(track.values[whole], reach)
     odd &= ~other
-    if odd.sum() > _MAX * (~rows).sum():
+    if odd.sum() > _MAX * whole.sum():
         odd[:] = False  # what is wrong with them is said when they are checked
-    elif odd.sum() > MAX_GLITCHES * (~rows).sum():
-        _require_one_unit(track, ~rows, odd, reach)
-    for reason, those, what in (
-        (READINGS, broken, "not finite"),
-        (TARGETS, gone, "without a target"),
-        (f"readings {ELSEWHEN}", other, ELSEWHEN),
-        (IMPLAUSIBLE, odd, "too far away, or not of unit length,"),
-    ):
-        if those.any():
-            lost[reason] = lost.get(reason, 0) + int(those.sum())
-            notes.append(_sentence(name, those, track.stamps, what))
-            if reason == IMPLAUSIBLE and those.sum() > MAX_GLITCHES * (~(broken | gone)).sum():
-                doubts.append(_too_often(notes[-1]))
-    rows = rows | other | odd
-    return track.rows(~rows) if rows.any() else track
+    elif odd.sum() > MAX_GLITCHES * whole.sum():
+        _require_one_unit(track, whole, odd, reach)
+    faults = {
+        READINGS: (broken, "not finite"),
+        TARGETS: (gone, "without a target"),
+        f"readings {ELSEWHEN}": (other, ELSEWHEN),
+        IMPLAUSIBLE: (odd, "too far away, or not of unit length,"),
+    }
+    return ledger.kept(track, name, faults)
 
 
 def _require_one_unit(track: ReadingTrack, whole: np.ndarray, odd: np.ndarray, reach: float) -> None:
@@ -272,24 +272,10 @@ def _require_one_unit(track: ReadingTrack, whole: np.ndarray, odd: np.ndarray, r
     )
 
 
-def _too_often(note: str) -> str:
-    """What a verdict says of a note."""
-    return f"{note.removesuffix(': left out.')}: left out, and too often for single wrong messages."
-
-
 def _signals(track: SignalTrack) -> SignalTrack:
     """A signal without values that are not finite, and stamps of another time."""
     keep = np.isfinite(track.values).all(axis=1) & ~elsewhen(track.stamps)
-    if keep.all() or not keep.any():
-        return track
-    return replace(track, stamps=track.stamps[keep], values=track.values[keep])
-
-
-def _sentence(name: str, rows: np.ndarray, stamps: Array, what: str) -> str:
-    first = float(stamps[int(np.argmax(rows))])
-    share = rows.mean()
-    much = f", {100.0 * share:.0f} % of them" if share > _SAID else ""
-    return f"{name}: {what} in {int(rows.sum())} of {len(rows)} messages{much}, first at {first:.3f} s: left out."
+    return track if keep.all() or not keep.any() else track.rows(keep)
 
 
 # --- Readings of a tracker that hangs: the same pose to the last bit, with new stamps, while the joints go on
@@ -433,8 +419,8 @@ def _rows_of(track: ReadingTrack, samples: Samples, since: float, until: float) 
 
 def _in_dwells(track: ReadingTrack, stamps: Array, dwells: Array) -> tuple[int, int]:
     """Number of stamps of a track in dwells (d, 2), and number of those readings that are in no mean."""
-    order = np.argsort(track.stamps, kind="stable")
-    ordered, values, own = track.stamps[order], track.values[order, :3], np.sort(stamps)
+    track = track.in_order()
+    ordered, values, own = track.stamps, track.values[:, :3], np.sort(stamps)
     within, wrong = 0, 0
     for (first, last), rows in zip(np.searchsorted(own, dwells), np.searchsorted(ordered, dwells), strict=True):
         if last > first:

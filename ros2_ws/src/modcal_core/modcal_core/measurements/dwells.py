@@ -22,7 +22,7 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.path import UNKNOWN, went_on
+from modcal_core.measurements.path import PLAY, TRAVEL, UNKNOWN, came_by, went_on
 from modcal_core.measurements.recording import ReadingTrack
 
 # --- Some rows of many, spread evenly over them, that no raster of postures meets
@@ -244,8 +244,8 @@ def dwells_of(t: Array, q: Array, tracks: Sequence[ReadingTrack], rules: Station
 
 def _settled(track: ReadingTrack, bounds: Array) -> bool | None:
     """Whether readings between the first two of bounds (d, 3) are like those behind; None where there are none."""
-    order = np.argsort(track.stamps, kind="stable")
-    parts = np.searchsorted(track.stamps[order], bounds).tolist()
+    track = track.in_order()
+    parts = np.searchsorted(track.stamps, bounds).tolist()
     if all(first == start for first, start, _ in parts):
         return None
     width = min(3, track.values.shape[1])
@@ -254,7 +254,7 @@ def _settled(track: ReadingTrack, bounds: Array) -> bool | None:
         m, k = start - first, end - start
         if m == 0 or k < _SCATTER:
             continue
-        values = track.values[order[first:end], :width]
+        values = track.values[first:end, :width]
         right = inliers(values)
         early, late = values[:m][right[:m]], values[m:][right[m:]]
         if len(early) == 0 or len(late) < _SCATTER:
@@ -268,8 +268,6 @@ def _settled(track: ReadingTrack, bounds: Array) -> bool | None:
 
 # --- Which way each joint last went: backlash and friction depend on it, long after the joint has stopped
 
-TRAVEL = 5e-4  # rad or m; a joint that is this far from where it was has come from there
-
 
 @dataclass
 class Approach:
@@ -280,21 +278,16 @@ class Approach:
 
     direction: Array = field(default_factory=lambda: np.empty(0))
     path: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
+    _near: Array = field(default_factory=lambda: np.empty((0, 2)))  # the same of followers whose play is PLAY
     _last: Array = field(default_factory=lambda: np.empty(0))
-    _anchor: Array = field(default_factory=lambda: np.empty(0))
 
     def update(self, q: Array) -> Array:
         """The directions (n,), −1, 0 (unknown) or 1, now that the joints are at q (n,)."""
-        if self._anchor.shape != q.shape:
-            self._anchor, self._last, self.direction = q.copy(), q, np.zeros(len(q))
+        if self._last.shape != q.shape:
+            self._last, self._near = q, np.tile([-PLAY, PLAY], (len(q), 1))
             self.path = np.tile(UNKNOWN, (len(q), 1, 1))
-        self.path, self._last = self.path_at(q), q.copy()
-        way = q - self._anchor
-        moved = np.abs(way) > TRAVEL
-        self.direction = np.where(moved, np.sign(way), self.direction)
-        # while a joint goes on the same way its anchor goes with it, so that turning back is noticed at once
-        onward = moved | (way * self.direction > 0.0)
-        self._anchor = np.where(onward, q, self._anchor)
+        self._near = np.clip(self._near + (q - self._last)[:, None], -PLAY, PLAY)
+        self.path, self._last, self.direction = self.path_at(q), q.copy(), came_by(self._near)
         return self.direction
 
     def path_at(self, q: Array) -> Array:

@@ -14,11 +14,11 @@ import numpy as np
 
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array
+from modcal_core.measurements.alignment import at_steady_rate
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropouts import MAX_GLITCHES, cleaned
 from modcal_core.measurements.dwells import MIN_RETURNS, StationRules, find_dwells, returns
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.rates import at_steady_rate
 from modcal_core.measurements.recording import POINT, POSE, Recording, joints_by_time
 from modcal_core.robots import Mechanism
 

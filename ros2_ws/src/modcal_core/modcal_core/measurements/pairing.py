@@ -8,7 +8,7 @@ and each reading becomes a sample with the posture interpolated to its stamp.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +16,6 @@ import numpy as np
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements.dwells import (
-    TRAVEL,
     StationRules,
     deviation_of_mean,
     dwells_of,
@@ -26,13 +25,14 @@ from modcal_core.measurements.dwells import (
 )
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.path import at_samples
+from modcal_core.measurements.path import PLAY, at_samples, came_by
 from modcal_core.measurements.recording import (
     POSE,
     ReadingTrack,
     Recording,
     following,
     joints_by_time,
+    means_between,
 )
 
 if TYPE_CHECKING:
@@ -49,15 +49,13 @@ class TrackSamples:
     R: Array
     sigma_position: Array
     sigma_rotation: Array
-    velocity: Array
-    acceleration: Array
-    mean_acceleration: Array
-    mean_jerk: Array
+    motion: Array  # (4, N, n): velocity, acceleration, acceleration and jerk over a while
     moving: bool
     spans: Array  # (N, 2) [s], over which it was averaged
 
 
-_COLUMNS = tuple(f.name for f in fields(TrackSamples) if f.name not in ("moving", "spans"))
+_COLUMNS = ("q", "stamps", "reading", "R", "sigma_position", "sigma_rotation")
+_MOTION = ("velocity", "acceleration", "mean_acceleration", "mean_jerk")
 _MIN_DWELLS = 3  # fewer are a pause, not a recording that goes from station to station
 _PAIRED = 0.5  # share of the readings that must fall on joint states to be taken as pairs: most of them
 _MIN_COURSE = 20  # joint states from which it is told how well a spline through them interpolates
@@ -87,6 +85,7 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
         raise BadRecording("joint states and readings", _why_nothing(tracks, t, dwells), remedy)
     frames = tuple(dict.fromkeys(track.frame for track in tracks))
     whole: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in pieces]) for name in _COLUMNS}
+    whole |= zip(_MOTION, np.concatenate([p.motion for p in pieces], axis=1), strict=True)
     moving = np.repeat([p.moving for p in pieces], counts)
     return {
         **whole,
@@ -151,8 +150,7 @@ def _as_is(track: ReadingTrack, rows: np.ndarray, q: Array, motion: Array, movin
     unknown = np.full(len(rows), np.nan)
     stamps = track.stamps[rows]
     once = np.stack([stamps, stamps], axis=1)
-    velocity, acceleration, mean, jerk = motion
-    return TrackSamples(q, stamps, position, R, unknown, unknown, velocity, acceleration, mean, jerk, moving, once)
+    return TrackSamples(q, stamps, position, R, unknown, unknown, motion, moving, once)
 
 
 def _nothing(track: ReadingTrack, joints: int) -> TrackSamples:
@@ -224,11 +222,10 @@ def _widest(t: Array, q: Array, rules: StationRules) -> float:
 
 def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSamples:
     """One sample a dwell: means on the manifold, and the standard deviations of those means."""
-    order = np.argsort(track.stamps, kind="stable")
-    stamps = track.stamps[order]
+    track = track.in_order()
     out: list[tuple[Array, float, Array, Array, float, float, tuple[float, float]]] = []
     for start, end in dwells:
-        rows = order[slice(*np.searchsorted(stamps, (start, end)))]
+        rows = np.arange(*np.searchsorted(track.stamps, (start, end)))
         joint_rows = slice(*np.searchsorted(t, (start, end)))
         if len(rows) == 0 or joint_rows.start == joint_rows.stop:
             continue
@@ -245,12 +242,7 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSam
     if not out:
         return _nothing(track, q.shape[1])
     q_mean, stamp, p, R, deviation_p, deviation_r, spans = (np.array(c) for c in zip(*out, strict=True))
-    still = np.zeros_like(q_mean)
-    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, still, still, still, still, False, spans)
-
-
-_LOOK_BACK = 64  # joint states; doubled until every joint has moved
-_NEXT = 16  # messages that are looked at of all samples at once: most stations tell what each joint did last
+    return TrackSamples(q_mean, stamp, p, R, deviation_p, deviation_r, np.zeros((4, *q_mean.shape)), False, spans)
 
 
 def _approach(stamps: Array, at: Array, velocity: Array, moving: np.ndarray, t: Array, q: Array) -> Array:
@@ -259,36 +251,9 @@ def _approach(stamps: Array, at: Array, velocity: Array, moving: np.ndarray, t: 
     What a joint did belongs to the station although it came before it. Where only stations were recorded, the arm is
     taken to have come straight from the one before.
     """
-    out = np.sign(np.nan_to_num(velocity))
-    still = np.flatnonzero(~moving)
-    end = np.searchsorted(t, stamps[still] + 1e-9)
-    still, end = still[end > 0], end[end > 0]
-    out[still], closed = _last_moved(at[still], q, end)
-    for i, last in zip(still[~closed], end[~closed].tolist(), strict=True):
-        back = _LOOK_BACK
-        while True:
-            apart = at[i] - q[max(0, last - back) : last]
-            moved = np.abs(apart) > TRAVEL
-            if moved.any(axis=0).all() or back >= last:
-                break
-            back *= 4
-        at_last = len(apart) - 1 - np.argmax(moved[::-1], axis=0)
-        out[i] = np.where(moved.any(axis=0), np.sign(apart[at_last, np.arange(q.shape[1])]), 0.0)
-    return out
-
-
-def _last_moved(at: Array, q: Array, end: np.ndarray) -> tuple[Array, np.ndarray]:
-    """The directions (N, n) from the last few messages before each end (N,), all samples at once, and where these told
-    of every joint, or there are no others, (N,).
-    """
-    out = np.zeros(at.shape)
-    closed = np.zeros(len(at), bool)
-    for k in range(1, _NEXT + 1):
-        some = np.flatnonzero(~closed)
-        apart = at[some] - q[end[some] - k]
-        told = np.where((out[some] == 0.0) & (np.abs(apart) > TRAVEL), np.sign(apart), out[some])
-        out[some], closed[some] = told, (told != 0.0).all(axis=1) | (end[some] == k)
-    return out, closed
+    way = came_by(at_samples(stamps, at, t, q, np.array([PLAY]))[..., 0])
+    told = moving | (np.searchsorted(t, stamps + 1e-9) == 0)
+    return np.where(told[:, None], np.sign(np.nan_to_num(velocity)), way)
 
 
 def _held(stamps: Array, moving: np.ndarray, t: Array, effort: Array, rules: StationRules) -> Array:
@@ -299,13 +264,8 @@ def _held(stamps: Array, moving: np.ndarray, t: Array, effort: Array, rules: Sta
     first = np.searchsorted(t, stamps - 0.5 * rules.window)
     last = np.searchsorted(t, stamps + 0.5 * rules.window, side="right")
     nearest = np.clip(np.searchsorted(t, stamps), 0, len(t) - 1)
-    known = np.isfinite(effort)
-    none = np.zeros((1, effort.shape[1]))
-    total = np.concatenate([none, np.cumsum(np.where(known, effort, 0.0), axis=0)])
-    count = np.concatenate([none, np.cumsum(known, axis=0)])
-    within = count[last] - count[first]
-    mean = np.where(within > 0, (total[last] - total[first]) / np.maximum(within, 1), effort[nearest])
-    return np.where(moving[:, None], effort[nearest], mean)
+    mean = means_between(effort, first, last)
+    return np.where(moving[:, None] | np.isnan(mean), effort[nearest], mean)
 
 
 def _why_nothing(tracks: list[ReadingTrack], t: Array, dwells: Array) -> str:

@@ -13,6 +13,8 @@ from modcal_core.geometry import Array
 
 # rad or m, half the slack: 0.6° to 115°, so close that sums of them are smooth
 WIDTHS: Array = np.asarray(0.01 * 1.7 ** np.arange(11), dtype=np.float64)
+TRAVEL = 5e-4  # rad or m; a joint that is farther from where it was has come from there
+PLAY = (1.0 + 1e-6) * TRAVEL  # of a follower that tells it, a little more, so that to be just as far is not enough
 UNKNOWN = np.stack([-WIDTHS, WIDTHS])  # of a joint of whose path nothing is known
 
 
@@ -43,12 +45,21 @@ def ahead(path: Array, widths: Array, rows: np.ndarray) -> Array:
     return np.asarray(path[rows][..., None, None] - np.clip(begin[which], *ends[:, :, :, None]))
 
 
-def went_on(behind: Array, way: Array) -> Array:
-    """The same, (..., n, 2, widths), of :data:`WIDTHS`, once the joints have gone straight on by a way (..., n)."""
-    return np.clip(behind + way[..., None, None], -WIDTHS, WIDTHS)
+def went_on(behind: Array, way: Array, widths: Array = WIDTHS) -> Array:
+    """The same, (..., n, 2, widths), once the joints have gone straight on by a way (..., n)."""
+    return np.clip(behind + way[..., None, None], -widths, widths)
 
 
-def at_samples(stamps: Array, at: Array, t: Array, q: Array) -> Array:
+def at_samples(stamps: Array, at: Array, t: Array, q: Array, widths: Array = WIDTHS) -> Array:
     """What samples at postures ``at`` (N, n) are ahead of the followers of joint states q (T, n), (N, n, 2, widths)."""
     rows = np.maximum(np.searchsorted(t, stamps + 1e-9) - 1, 0)
-    return went_on(ahead(q, WIDTHS, rows), at - q[rows])
+    return went_on(ahead(q, widths, rows), at - q[rows], widths)
+
+
+def came_by(behind: Array) -> Array:
+    """Which way each joint last went, −1, 0 (unknown) or 1, (..., n), by followers whose play is PLAY, (..., n, 2).
+
+    A joint is ahead of such a follower until it has gone back by more than that.
+    """
+    least, most = np.sign(behind[..., 0]), np.sign(behind[..., 1])
+    return np.asarray(np.where(least == most, most, 0.0))

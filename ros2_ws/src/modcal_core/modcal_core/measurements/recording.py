@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,7 +35,32 @@ PART = "#"  # between the topic and the field, in the name of a signal that is o
 
 
 @dataclass(frozen=True)
-class JointTrack:
+class _Track:
+    """What has a row for each message in all of its arrays, stamps among them."""
+
+    def rows(self, keep: NDArray[Any] | slice) -> Self:
+        """The track with these rows only, by a mask, their numbers or a slice."""
+        return replace(self, **{name: x[keep] for name, x in vars(self).items() if isinstance(x, np.ndarray)})
+
+    def in_order(self) -> Self:
+        """The track in the order of its stamps."""
+        return self.rows(np.argsort(vars(self)["stamps"], kind="stable"))
+
+    def followed_by(self, *others: Self) -> Self:
+        """The track with the rows of others behind its own; what only some of them state is NaN in the rest."""
+        columns: dict[str, Any] = {}
+        counts = [len(vars(track)["stamps"]) for track in (self, *others)]
+        for name in vars(self):
+            parts = [vars(track)[name] for track in (self, *others)]
+            width = next((x.shape[1:] for x in parts if isinstance(x, np.ndarray)), None)
+            if width is not None:
+                parts = [np.full((n, *width), np.nan) if x is None else x for n, x in zip(counts, parts, strict=True)]
+                columns[name] = np.concatenate(parts)
+        return replace(self, **columns)
+
+
+@dataclass(frozen=True)
+class JointTrack(_Track):
     """Joint states of one publisher: the same names in every row.
 
     stamps (m,) [s]; position, velocity, effort (m, n) [rad or m, per s, N m or N], NaN columns where not sent;
@@ -52,7 +77,7 @@ class JointTrack:
 
 
 @dataclass(frozen=True)
-class ReadingTrack:
+class ReadingTrack(_Track):
     """Readings of one instrument in one frame.
 
     kind: one of measurements/kinds, of which pose, point, range, bearing, touch and ray have names here. values: (m, 7)
@@ -70,15 +95,9 @@ class ReadingTrack:
     stated: Array | None = None
     by_type: bool = False
 
-    def rows(self, keep: NDArray[Any]) -> ReadingTrack:
-        """The track with these readings only."""
-        stated = None if self.stated is None else self.stated[keep]
-        columns = {name: getattr(self, name)[keep] for name in ("stamps", "values", "received")}
-        return replace(self, stated=stated, **columns)
-
 
 @dataclass(frozen=True)
-class SignalTrack:
+class SignalTrack(_Track):
     """Any other recorded numbers that an error may depend on. values (m, k)."""
 
     name: str
@@ -203,18 +222,13 @@ def _of_one_order(tracks: tuple[JointTrack, ...]) -> list[JointTrack]:
 
 
 def _merged(tracks: list[JointTrack]) -> JointTrack:
-    names = tracks[0].names
-    stamps = np.concatenate([t.stamps for t in tracks])
-    order = np.argsort(stamps, kind="stable")
-
-    def column(what: str) -> Array:
-        parts = [getattr(t, what)[:, [t.names.index(n) for n in names]] for t in tracks]
-        return np.concatenate(parts)[order]
-
-    received = np.concatenate([t.received for t in tracks])[order]
-    return JointTrack(
-        names, stamps[order], column("position"), column("velocity"), column("effort"), received, tracks[0].topic
-    )
+    """One track in the order of stamps, of tracks that name the same joints in different orders."""
+    names, columns = tracks[0].names, list[JointTrack]()
+    for track in tracks:
+        order = [track.names.index(name) for name in names]
+        position, velocity, effort = (x[:, order] for x in (track.position, track.velocity, track.effort))
+        columns.append(replace(track, names=names, position=position, velocity=velocity, effort=effort))
+    return columns[0].followed_by(*columns[1:]).in_order()
 
 
 # --- What joints were told beside what they reported: commanded − measured at each sample
@@ -246,20 +260,23 @@ def following(tracks: Sequence[JointTrack], names: Sequence[str], t: Array, q: A
     t: stamps of joint states, sorted, (m,); q: positions (m, n). It is averaged over the joint states in a span, and
     interpolated to a span of no length, which is one stamp.
     """
-    out = np.full((len(spans), len(names)), np.nan)
     if not len(t) or not any(name in track.names for track in tracks for name in names):
-        return out
+        return np.full((len(spans), len(names)), np.nan)
     apart = _apart(tracks, names, t, q)
     apart[np.abs(apart) > _FARTHEST] = np.nan
     first, last = np.searchsorted(t, spans[:, 0]), np.searchsorted(t, spans[:, 1], side="right")
-    long = last - first > 1
-    for j, column in enumerate(apart.T):
-        known = np.isfinite(column)
-        total, count = (np.r_[0.0, np.cumsum(x)] for x in (np.where(known, column, 0.0), known))
-        within = (count[last] - count[first])[long]
-        out[long, j] = (total[last] - total[first])[long] / np.where(within > 0, within, np.nan)
-        out[~long, j] = np.interp(spans[~long].mean(axis=1), t, column, left=np.nan, right=np.nan)
-    return out
+    at = spans.mean(axis=1)
+    once = np.stack([np.interp(at, t, column, left=np.nan, right=np.nan) for column in apart.T], axis=1)
+    return np.where((last - first > 1)[:, None], means_between(apart, first, last), once)
+
+
+def means_between(x: Array, first: np.ndarray, last: np.ndarray) -> Array:
+    """Means of the finite ones among rows first … last − 1 of columns (m, n), (N, n); NaN where there are none."""
+    known, none = np.isfinite(x), np.zeros((1, x.shape[1]))
+    parts = np.where(known, x, 0.0), known
+    total, count = (np.concatenate([none, np.cumsum(part, axis=0)]) for part in parts)
+    within = count[last] - count[first]
+    return np.asarray((total[last] - total[first]) / np.where(within > 0.0, within, np.nan))
 
 
 def _apart(tracks: Sequence[JointTrack], names: Sequence[str], t: Array, q: Array) -> Array:

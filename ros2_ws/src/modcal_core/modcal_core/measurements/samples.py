@@ -255,12 +255,8 @@ class Samples:
         """The samples with since <= stamp < until [s], and the signals of that time."""
         if since == -np.inf and until == np.inf:
             return self
-        signals = []
-        for track in self.signals:
-            rows = (track.stamps >= since) & (track.stamps < until)
-            signals.append(replace(track, stamps=track.stamps[rows], values=track.values[rows]))
-        own = self.select((self.stamps >= since) & (self.stamps < until))
-        return replace(own, signals=tuple(signals))
+        signals = tuple(track.rows((track.stamps >= since) & (track.stamps < until)) for track in self.signals)
+        return replace(self.select((self.stamps >= since) & (self.stamps < until)), signals=signals)
 
     def join(self, *others: Samples) -> Samples:
         """These samples and others of the same recording, in the order of their stamps; stations keep their numbers."""
@@ -274,11 +270,7 @@ class Samples:
         index = np.array([frames.index(name) for name in other.frames])
         tracks = {track.name: track for track in self.signals}
         for track in other.signals:
-            before = tracks.get(track.name)
-            if before is not None:
-                stamps = np.r_[before.stamps, track.stamps]
-                track = replace(track, stamps=stamps, values=np.concatenate([before.values, track.values]))
-            tracks[track.name] = track
+            tracks[track.name] = tracks[track.name].followed_by(track) if track.name in tracks else track
         station = other.station + self.station.max(initial=-1) + 1
         signals = tuple(tracks.values())
         numbered = replace(other, frames=frames, frame=index[other.frame], station=station, signals=signals)
@@ -407,9 +399,9 @@ def _rounded_marks(samples: Samples) -> np.ndarray:
     return _numbered(np.column_stack([samples.q[rows] / _POSTURE, samples.reading[rows] / _TENTH])) + np.uint64(1)
 
 
-def _marks(samples: Samples) -> np.ndarray:
+def _marks(samples: Samples, timed: bool = True) -> np.ndarray:
     """An even number for each sample, (N,): of its posture, its reading, and the time if that is one."""
-    time = samples.stamps[:, None] if samples.clock else np.empty((len(samples), 0))
+    time = samples.stamps[:, None] if samples.clock and timed else np.empty((len(samples), 0))
     return _numbered(np.concatenate([samples.q, samples.reading, samples.R.reshape(-1, 9), time], axis=1) / _FINEST)
 
 
@@ -452,16 +444,10 @@ def require_new(other: Samples, before: Samples, name: str) -> None:
     No instrument reads the same twice: it is the same recording, or a part of it, given again. Its stations would
     count as returns that repeat perfectly, and as witnesses of what they were fitted to.
     """
-    known = {row.tobytes() for row in _told_of_all(before)}
-    copies = sum(row.tobytes() in known for row in _told_of_all(other))
+    copies = int(np.isin(_marks(other, False), _marks(before, False)).sum())
     if copies > _COPIES * len(other):
         said = f"is a copy: {copies} of its {len(other)} readings are those of a recording before it, to the last digit"
         raise BadRecording(f"--also {name}", said, "give each recording once")
-
-
-def _told_of_all(samples: Samples) -> np.ndarray:
-    """Posture and reading of each sample, (N, n + 12)."""
-    return np.ascontiguousarray(np.column_stack([samples.q, samples.reading, samples.R.reshape(-1, 9)]))
 
 
 def between(before: Samples, other: Samples) -> float:
@@ -498,20 +484,22 @@ def other_joints(recording: Recording, samples: Samples) -> tuple[SignalTrack, .
 
 def others_at(samples: Samples) -> Array:
     """Positions of these joints at the samples, (N, K); K is 0 where there are none."""
-    tracks = [track for track in samples.signals if _MARK in track.name]
-    columns = [np.interp(samples.stamps, track.stamps, track.values[:, 0]) for track in tracks]
+    columns = [np.interp(samples.stamps, track.stamps, track.values[:, 0]) for track in _others(samples)]
     return np.stack(columns, axis=1) if columns else np.empty((len(samples), 0))
 
 
 def others_by_name(samples: Samples) -> dict[str, Array]:
     """Positions of these joints at the samples, (N,), by the joint's name."""
-    tracks = [track for track in samples.signals if _MARK in track.name]
-    return {spoken_name(t.name): np.interp(samples.stamps, t.stamps, t.values[:, 0]) for t in tracks}
+    return dict(zip(moving_beside(samples), others_at(samples).T, strict=True))
 
 
 def moving_beside(samples: Samples) -> tuple[str, ...]:
     """Names of the joints that were recorded moving and are none of the arm's."""
-    return tuple(spoken_name(track.name) for track in samples.signals if _MARK in track.name)
+    return tuple(spoken_name(track.name) for track in _others(samples))
+
+
+def _others(samples: Samples) -> list[SignalTrack]:
+    return [track for track in samples.signals if _MARK in track.name]
 
 
 def spoken_name(signal: str) -> str:

@@ -15,15 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.modules.coding import BASES, Coding
-from modcal_core.modules.library import Library
-from modcal_core.modules.requirements import ARM, CODE, POSTURE, REACH, REQUIREMENTS, Options, structure
-from modcal_core.modules.targets import Arms, Catalogue, Target, TargetPostures, reach, starts
+from modcal_core.modules.library import Assembly, Library
+from modcal_core.modules.requirements import REACH, REQUIREMENTS, STRUCTURE, BuiltArm, Options, structure
+from modcal_core.modules.targets import Arms, Target, reach
 
 MET = -1  # no requirement is broken
 _KEPT = 3  # starts that go on after the first steps
@@ -94,16 +93,12 @@ class Evaluator:
         self, library: Library, targets: Sequence[Target], uses: Sequence[Use], seed: int, effort: Effort | None = None
     ) -> None:
         self.coding = Coding(library)
-        self.catalogue = Catalogue(self.coding)
         self.targets = tuple(targets)
         self.uses = tuple(uses)
         self.effort = effort or Effort()
         self._seed = seed
         self._index = {use.name: i for i, use in enumerate(self.uses)}
         self._tolerance = float(self.uses[self._index[REACH]].options["tolerance"])
-
-    def _at(self, looks_at: str) -> list[tuple[int, Use]]:
-        return [(i, use) for i, use in enumerate(self.uses) if REQUIREMENTS[use.name].looks_at == looks_at]
 
     def __call__(self, genomes: np.ndarray) -> Verdicts:
         """Verdicts on genomes (N, n + 1)."""
@@ -117,13 +112,9 @@ class Evaluator:
             q=np.full((count, len(self.targets), n), np.nan),
             descents=np.zeros(count, int),
         )
-        left = np.arange(count)
-        for i, use in self._at(CODE):
-            left = self._reject(out, left, i, _measure(use)(genomes[left], self.coding, use.options), 3)
+        left = self._reject(out, np.arange(count), self._index[STRUCTURE], structure(genomes, self.coding), 3)
         if len(left):
-            left = self._reach(out, left, genomes)
-        if len(left):
-            self._judge(out, left, genomes)
+            self._reach(out, left, [self.coding.assembly(genome) for genome in genomes[left]])
         return out
 
     def _reject(self, out: Verdicts, which: np.ndarray, requirement: int, amount: Array, level: int) -> np.ndarray:
@@ -132,25 +123,25 @@ class Evaluator:
         out.broken[which[bad]], out.level[which[bad]], out.amount[which[bad]] = requirement, level, amount[bad]
         return which[~bad]
 
-    def _reach(self, out: Verdicts, which: np.ndarray, genomes: np.ndarray) -> np.ndarray:
-        """Fills in postures; gives back who reaches every target."""
-        at = self._index[REACH]
-        arms = self._arms(genomes[which])
-        short = np.max([too_short(arms, t) for t in self.targets], axis=0)
+    def _reach(self, out: Verdicts, which: np.ndarray, assemblies: Sequence[Assembly]) -> None:
+        """Fills in postures; who reaches every target is judged."""
+        arms, at = self._arms(assemblies), self._index[REACH]
+        short = np.max([arms.too_short(t) for t in self.targets], axis=0)
         left = self._reject(out, which, at, np.where(short > 0.0, short + self.effort.hopeless, 0.0), 2)
         if not len(left):
-            return left
-        arms = self._arms(genomes[left])
-        q, miss = self._descend(arms, self._unit(arms.n, self.effort.starts))
+            return
+        arms = arms.take(np.flatnonzero(short <= 0.0))
+        q, miss = self._descend(arms, self._unit(out.q.shape[-1], self.effort.starts))
         out.descents[left] = self.effort.starts * len(self.targets)
         out.q[left] = q
-        return self._reject(out, left, at, np.where(miss > self._tolerance, miss, 0.0), 2)
+        left = self._reject(out, left, at, np.where(miss > self._tolerance, miss, 0.0), 2)
+        if len(left):
+            self._judge(out, left, [assembly for i, assembly in zip(which, assemblies, strict=True) if i in left])
 
-    def _arms(self, genomes: np.ndarray) -> Arms:
-        arms = self.catalogue.arms(genomes)
-        if self.effort.within_limits:
-            return arms
-        return Arms(arms.origins, arms.revolute, np.full_like(arms.lower, -np.inf), np.full_like(arms.upper, np.inf))
+    def _arms(self, assemblies: Sequence[Assembly]) -> Arms:
+        arms = Arms.of(assemblies, self.coding.library)
+        free = np.full_like(arms.lower, np.inf)
+        return arms if self.effort.within_limits else arms._replace(lower=-free, upper=free)
 
     def _unit(self, n: int, count: int, skip: int = 0) -> Array:
         """Starts in the unit cube; the same for all arms of n joints, so that a verdict depends on the arm alone."""
@@ -158,7 +149,7 @@ class Evaluator:
 
     def _descend(self, arms: Arms, unit: Array) -> tuple[Array, Array]:
         """The best posture for each target (N, K, n), and what the worst target is missed by, (N,)."""
-        first = [reach(arms, t, starts(arms, unit), _FIRST_STEPS) for t in self.targets]
+        first = [reach(arms, t, arms.starts(unit), _FIRST_STEPS) for t in self.targets]
         left = np.stack([f.left.min(axis=1) for f in first], axis=1)
         q = np.stack([np.take_along_axis(f.q, f.left.argmin(axis=1)[:, None, None], 1)[:, 0] for f in first], axis=1)
         on = np.flatnonzero((left.max(axis=1) < self.effort.hopeless) & (left.max(axis=1) > self._tolerance))
@@ -175,69 +166,44 @@ class Evaluator:
             on = on[left[on, k] <= self._tolerance] if k + 1 < len(self.targets) else on
         return q, left.max(axis=1)
 
-    def _judge(self, out: Verdicts, which: np.ndarray, genomes: np.ndarray) -> None:
+    def _judge(self, out: Verdicts, which: np.ndarray, assemblies: Sequence[Assembly]) -> None:
         """Fills in everything else, for those who reach every target."""
-        arms = self._arms(genomes[which])
+        arms = self._arms(assemblies)
         q = out.q[which][:, :, None]
         found = np.ones(q.shape[:3], bool)
         if self.effort.again:
-            more = [
-                reach(arms, t, starts(arms, self._unit(arms.n, self.effort.again, self.effort.starts)), _STEPS)
-                for t in self.targets
-            ]
+            unit = self._unit(q.shape[-1], self.effort.again, self.effort.starts)
+            more = [reach(arms, t, arms.starts(unit), _STEPS) for t in self.targets]
             q = np.concatenate([q, np.stack([m.q for m in more], axis=1)], axis=2)
             found = np.concatenate([found, np.stack([m.left <= self._tolerance for m in more], axis=1)], axis=2)
             out.descents[which] += self.effort.again * len(self.targets)
         if not self.effort.within_limits:  # of postures that are whole turns apart the one nearest zero
-            q = np.where(arms.revolute[:, None, None], np.angle(np.exp(1j * q)), q)
-        limits = self.catalogue.arms(genomes[which])
-        self._choose(out, which, TargetPostures(limits, self.catalogue.bodies(genomes[which]), self.targets, q), found)
+            q = np.where(arms.revolute.T[:, None, None], np.angle(np.exp(1j * q)), q)
+        for i, assembly, postures, good in zip(which, assemblies, q, found, strict=True):
+            self._choose(out, int(i), BuiltArm(assembly, self.coding.library, self.targets, postures), good)
 
-    def _choose(self, out: Verdicts, which: np.ndarray, postures: TargetPostures, found: np.ndarray) -> None:
-        measured = {i: _measure(use)(postures, use.options) for i, use in self._at(POSTURE)}
-        over, cost = np.zeros(found.shape), np.zeros(found.shape)
-        for i, (amount, soft) in measured.items():
-            over += amount if self.uses[i].hard else 0.0
-            cost += self.uses[i].weight * soft
-        # the best posture for each target: nothing broken before all, then the cost
+    def _choose(self, out: Verdicts, i: int, arm: BuiltArm, found: np.ndarray) -> None:
+        """Enters the best posture for each target, and what the arm is worth with these. found: which reach, (K, S)."""
+        measured = {}
+        for r, use in enumerate(self.uses):
+            if (measure := REQUIREMENTS[use.name].measure) is not None:
+                measured[r] = [np.broadcast_to(value, found.shape) for value in measure(arm, use.options)]
+        over = np.sum([amount for r, (amount, _) in measured.items() if self.uses[r].hard], axis=0)
+        cost = np.sum([self.uses[r].weight * soft for r, (_, soft) in measured.items()], axis=0)
+        # nothing broken before all, then the cost
         score = np.where(found, 1e6 * np.minimum(over, 1e6) + cost, np.inf)
-        best = score.argmin(axis=2)[..., None]
-
-        def chosen(x: Array) -> Array:
-            return np.take_along_axis(x, best, 2)[..., 0]
-
-        out.q[which] = np.take_along_axis(postures.q, best[..., None], 2)[:, :, 0]
-        of: dict[int, tuple[Array, Array]] = {}  # by requirement: by how much it is broken, and its cost
-        for i, (amount, soft) in measured.items():
-            costs, worst = chosen(soft), REQUIREMENTS[self.uses[i].name].worst
-            of[i] = chosen(amount).max(axis=1), costs.max(axis=1) if worst else costs.sum(axis=1)
-        of |= {i: _measure(use)(postures.arms, use.options) for i, use in self._at(ARM)}
-        total, over_all = np.zeros(len(which)), np.zeros(len(which))
-        first = np.full(len(which), MET)
-        for i, (amount, soft) in sorted(of.items(), key=lambda item: item[0]):
-            out.terms[which, i] = soft
-            total += self.uses[i].weight * soft
-            if self.uses[i].hard:
-                over_all += amount
-                first = np.where((first == MET) & (amount > 0.0), i, first)
-        out.broken[which], out.level[which], out.amount[which] = first, (first != MET).astype(int), over_all
-        out.cost[which] = np.where(first == MET, total, np.inf)
-
-
-def _measure(use: Use) -> Callable[..., Any]:
-    measure = REQUIREMENTS[use.name].measure
-    assert measure is not None, use.name
-    return measure
-
-
-def too_short(arms: Arms, target: Target) -> Array:
-    """By how much a target is farther from the first joint than all modules in a line [m], (N,); 0 where it is not."""
-    if not target.mask[3:].all():
-        return np.zeros(len(arms.lower))
-    slides = np.where(arms.revolute, 0.0, np.maximum(np.abs(arms.lower), np.abs(arms.upper)))
-    longest = np.linalg.norm(arms.origins[:, 1:, :3, 3], axis=-1).sum(axis=1) + slides.sum(axis=1)
-    away = np.linalg.norm(target.T[:3, 3] - arms.origins[:, 0, :3, 3], axis=-1)
-    return np.maximum(0.0, away - longest)
+        best = np.arange(len(found)), score.argmin(axis=1)
+        out.q[i], out.cost[i] = arm.q[best], 0.0
+        for r, (amount, soft) in measured.items():
+            use, costs, broken = self.uses[r], soft[best], float(amount[best].max())
+            out.terms[i, r] = costs.max() if REQUIREMENTS[use.name].worst else costs.sum()
+            out.cost[i] += use.weight * out.terms[i, r]
+            if use.hard and broken > 0.0:
+                out.broken[i] = r if out.level[i] == 0 else out.broken[i]
+                out.level[i] = 1
+                out.amount[i] += broken
+        if out.level[i]:
+            out.cost[i] = np.inf
 
 
 def uses_of(stated: Mapping[str, Mapping[str, float]]) -> tuple[Use, ...]:
@@ -349,7 +315,7 @@ def valid(coding: Coding, joints: int, count: int, rng: np.random.Generator) -> 
     bases, genes = np.flatnonzero(coding.base_buildable), np.flatnonzero(coding.buildable)
     for _ in range(1000):
         drawn = np.column_stack([rng.choice(bases, 4 * count), rng.choice(genes, (4 * count, joints))])
-        out = np.concatenate([out, drawn[structure(drawn, coding, {}) == 0.0]])[:count]
+        out = np.concatenate([out, drawn[structure(drawn, coding) == 0.0]])[:count]
         if len(out) == count:
             break
     return out
@@ -377,7 +343,7 @@ def _offspring(
         cut = np.where(rng.random(wanted) < settings.crossover, rng.integers(1, joints + 1, wanted), joints + 1)
         child = np.where(np.arange(joints + 1) < cut[:, None], parents[draws[0]], parents[draws[1]])
         child = _changed(coding, child, rng)
-        out = np.concatenate([out, child[structure(child, coding, {}) == 0.0]])
+        out = np.concatenate([out, child[structure(child, coding) == 0.0]])
         out = _unseen(out, seen)[:wanted]
         if len(out) == wanted:
             break

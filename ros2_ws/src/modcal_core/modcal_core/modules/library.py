@@ -45,7 +45,7 @@ class ModulePoint:
         return self.xyz + length * self.along
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ModuleType:
     """One kind of module.
 
@@ -418,18 +418,17 @@ def origins(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str
 
 
 def module_frames(assembly: Assembly, library: Library, q: Array | None = None) -> Array:
-    """Where every module is at a posture q (n,) [rad, m], default zero: (modules + 1, 4, 4) [m] in the base.
+    """Where every module is at postures q (..., n) [rad, m], default zero: (..., modules + 1, 4, 4) [m] in the base.
 
     Of each module the input frame, of a joint after its motion; then the gripper's output frame.
     """
+    q = np.zeros(assembly.n) if q is None else q
     T, out, k = np.eye(4), [], 0
     for module in assembly.modules:
         kind = library.types[module.kind]
         T = T @ TURN[module.turn]
         if kind.role == JOINT:
-            motion = np.zeros(6)
-            motion[5 if kind.revolute else 2] = 0.0 if q is None else q[k]
-            T, k = T @ se3.exp(motion), k + 1
+            T, k = T @ se3.exp(q[..., k, None] * np.eye(6)[5 if kind.revolute else 2]), k + 1
         out.append(T)
         T = T @ kind.T_in_out[module.size]
-    return np.stack([*out, T])
+    return np.stack(np.broadcast_arrays(*out, T), axis=-3)

@@ -2,44 +2,64 @@
 
 What breaks a *hard* one is rejected; *soft* ones cost, and costs are added up, each with its weight. Some are both. A
 function says by how much a hard one is broken (0: it is met), so that a search sees which of two rejected candidates is
-nearer, and what a soft one costs. By what they look at there are three:
-
-    code       the genome alone: (genomes, coding, options) → (N,)
-    arm        the arm, whatever its posture: (arms, options) → (N,), (N,)
-    posture    the arm where it reaches a target: (postures, options) → (N, K, S), (N, K, S)
-
-Whether an arm reaches its targets at all stands between: :mod:`modcal_core.modules.evaluation`.
+nearer, and what a soft one costs: of an arm, one number each, or one for each posture that may reach a target, (K, S).
+The first two stand by themselves: what they reject is looked at no further. ``structure`` is asked of many genomes at
+once; whether an arm reaches its targets at all, of many arms: :mod:`modcal_core.modules.evaluation`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from modcal_core.geometry import Array, se3
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.targets import Arms, TargetPostures, frames, starts
-from modcal_core.robots import STANDARD_GRAVITY
+from modcal_core.modules.library import Assembly, Library, chain_of, module_frames
+from modcal_core.modules.targets import Target
+from modcal_core.modules.urdf import body, path
+from modcal_core.robots import STANDARD_GRAVITY, Chain, body_jacobian, chain_forward, frames, joint_ranges
 
-CODE, REACH, ARM, POSTURE = "code", "reachability", "arm", "posture"
+STRUCTURE, REACH = "structure", "reachability"
 Options = Mapping[str, Any]
-_FREE_SLIDE = 0.5  # m; how far a sliding joint without limits is taken to go
-_SWEEPS = 6
+_TRIES, _SWEEPS = 16, 6
+
+
+@dataclass(frozen=True)
+class BuiltArm:
+    """An arm that is judged. q: postures (K, S, n) [rad, m], S of them for each of K targets."""
+
+    assembly: Assembly
+    library: Library
+    targets: tuple[Target, ...]
+    q: Array
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Its kinematics."""
+        return chain_of(self.assembly, self.library)
+
+    @cached_property
+    def frames(self) -> Array:
+        """Where its modules are, and at last the tool, (K, S, modules + 1, 4, 4) [m]."""
+        return module_frames(self.assembly, self.library, self.q)
+
+
+Measured = tuple[Array | float, Array | float]  # by how much it is broken, and what it costs
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """One requirement. looks_at: which of the three it is; hard, soft: what it can be.
+    """One requirement. measure: of an arm; None for those that stand by themselves. hard, soft: what it can be.
 
     options: its own, with their defaults; None where the user must give one. weight: of its cost, where none is given.
     worst: whether the target that fares worst counts, and not the sum over all.
     """
 
-    looks_at: str
-    measure: Callable[..., Any] | None
+    measure: Callable[[BuiltArm, Options], Measured] | None
     hard: bool
     soft: bool
     options: Options = field(default_factory=dict)
@@ -47,7 +67,7 @@ class Requirement:
     worst: bool = True
 
 
-def structure(genomes: np.ndarray, coding: Coding, options: Options) -> Array:
+def structure(genomes: np.ndarray, coding: Coding) -> Array:
     """How many of the printed rules each genome (N, n + 1) breaks, counting every place, (N,).
 
     Two turning joints that a straight link joins are one; so are two sliding ones; and no two straight links follow
@@ -67,126 +87,122 @@ def _straight(T: Array) -> bool:
     return bool(np.abs(T[:, :2, 3]).max() < 1e-9 and np.abs(T[:, :3, 2] - [0.0, 0.0, 1.0]).max() < 1e-9)
 
 
-def upright(arms: Arms, options: Options) -> tuple[Array, Array]:
-    """Distance of the tool from the base's z axis with all joints at zero [m]: a cost, (N,)."""
-    _, _, tip = frames(arms, np.zeros((len(arms.lower), arms.n)))
-    return np.zeros(len(tip)), np.hypot(tip[:, 0, 3], tip[:, 1, 3])
+def upright(arm: BuiltArm, options: Options) -> Measured:
+    """Distance of the tool from the base's z axis with all joints at zero [m]: a cost."""
+    return 0.0, float(np.hypot(*arm.chain.home[:2, 3]))
 
 
-def far_reach(arms: Arms, options: Options) -> tuple[Array, Array]:
-    """What is missing to ``at_least_m``, and how near the farthest point is, both [m], (N,)."""
-    farthest = farthest_reach(arms)
-    return np.maximum(0.0, float(options["at_least_m"]) - farthest), -farthest
+def far_reach(arm: BuiltArm, options: Options) -> Measured:
+    """What is missing to ``at_least_m``, and how near the farthest point is, both [m]."""
+    farthest = farthest_reach(arm.chain)
+    return max(0.0, float(options["at_least_m"]) - farthest), -farthest
 
 
-def farthest_reach(arms: Arms, tries: int = 16) -> Array:
-    """The farthest that the tool gets from the first joint, within the limits [m], (N,).
+def farthest_reach(chain: Chain) -> float:
+    """The farthest that the tool gets from the first joint, within the limits [m].
 
     Joint by joint the distance is the largest there is: for a turning one its square is c + A cos q + B sin q. From
     several postures, so it may come out a little short of the truth, never long.
     """
-    unit = np.random.default_rng(0).random((tries, arms.n))
-    q = starts(arms, unit)
-    low = np.where(np.isfinite(arms.lower), arms.lower, np.where(arms.revolute, -np.pi, -_FREE_SLIDE))
-    high = np.where(np.isfinite(arms.upper), arms.upper, np.where(arms.revolute, np.pi, _FREE_SLIDE))
-    shoulder = arms.origins[:, None, 0, :3, 3]
+    low, high = joint_ranges(chain)
+    q = np.random.default_rng(0).uniform(low, high, (_TRIES, chain.n))
+    shoulder = chain.origins[0, :3, 3]
     for _ in range(_SWEEPS):
-        for k in range(arms.n):
-            before, behind, tip = frames(arms, q)
-            a = se3.apply(se3.inverse(before[:, :, k]), shoulder)
-            b = se3.apply(se3.inverse(behind[:, :, k]), tip[..., :3, 3])
-            # of −2 a · Rz(q) b the parts with cos q and sin q
-            A = -2.0 * (a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
-            B = -2.0 * (a[..., 1] * b[..., 0] - a[..., 0] * b[..., 1])
-            lo, hi = low[:, k, None], high[:, k, None]
-            top = np.arctan2(B, A)
-            ends = np.where(A * np.cos(lo) + B * np.sin(lo) > A * np.cos(hi) + B * np.sin(hi), lo, hi)
-            turned = np.where((top >= lo) & (top <= hi), top, ends)
-            slid = np.where(np.abs(lo + b[..., 2] - a[..., 2]) > np.abs(hi + b[..., 2] - a[..., 2]), lo, hi)
-            q[..., k] = np.where(arms.revolute[:, k, None], turned, slid)
-    _, _, tip = frames(arms, q)
-    out: Array = np.linalg.norm(tip[..., :3, 3] - shoulder, axis=-1).max(axis=1)
-    return out
+        before = q.copy()
+        for k in range(chain.n):
+            f = frames(chain, q)
+            # shoulder and tip seen from before the joint; of −2 a · Rz(change) b the parts with its cosine and sine
+            a, b = (np.einsum("dcn,cn->dn", f.axes[k], (p - f.p[k].T).T) for p in (shoulder, f.p[-1].T))
+            phase = q[:, k] + np.arctan2(a[0] * b[1] - a[1] * b[0], -(a[0] * b[0] + a[1] * b[1]))
+            top = phase - 2.0 * np.pi * np.ceil((phase - high[k]) / (2.0 * np.pi))  # the largest that is no higher
+            nearer = np.cos(low[k] - phase) > np.cos(high[k] - phase)
+            slid = np.abs(low[k] - q[:, k] + b[2] - a[2]) > np.abs(high[k] - q[:, k] + b[2] - a[2])
+            ends = np.where(nearer if chain.revolute[k] else slid, low[k], high[k])
+            q[:, k] = np.where(chain.revolute[k] & (top >= low[k]), top, ends)
+        if np.array_equal(q, before):
+            break
+    return float(np.linalg.norm(chain_forward(chain, q)[:, :3, 3] - shoulder, axis=1).max())
 
 
-def joint_range(postures: TargetPostures, options: Options) -> tuple[Array, Array]:
+def joint_range(arm: BuiltArm, options: Options) -> Measured:
     """How far the worst joint is beyond its limits, in half ranges, and e^(K − ½), added up over joints with K ≥ ½.
 
     K = |q − middle| / half range: 0 in the middle, 1 at the limits. A joint without limits costs nothing.
     """
-    lower, upper = postures.arms.lower[:, None, None], postures.arms.upper[:, None, None]
-    limited = np.isfinite(lower) & np.isfinite(upper)
-    half = np.where(limited, 0.5 * (upper - lower), 1.0)
-    middle = np.where(limited, 0.5 * (upper + lower), 0.0)
-    K = np.where(limited, np.abs(postures.q - middle) / half, 0.0)
-    return np.maximum(0.0, K.max(axis=-1) - 1.0 - 1e-9), np.where(K >= 0.5, np.exp(K - 0.5), 0.0).sum(axis=-1)
+    limited = np.isfinite(arm.chain.lower) & np.isfinite(arm.chain.upper)
+    lower, upper = arm.chain.lower[limited], arm.chain.upper[limited]
+    K = np.abs(arm.q[..., limited] - 0.5 * (upper + lower)) / (0.5 * (upper - lower))
+    beyond = np.maximum(0.0, K.max(axis=-1, initial=0.0) - 1.0 - 1e-9)
+    return beyond, np.where(K >= 0.5, np.exp(K - 0.5), 0.0).sum(axis=-1)
 
 
-def dexterity(postures: TargetPostures, options: Options) -> tuple[Array, Array]:
+def dexterity(arm: BuiltArm, options: Options) -> Measured:
     """Nothing, and −w: Yoshikawa's manipulability of what the mask asks for, √det(J Jᵀ), turns in rad, ways in m."""
-    J = postures.task_jacobian
-    w = np.empty(J.shape[:3])
-    for k, target in enumerate(postures.targets):
-        rows = J[:, k][..., target.mask, :]
-        # as the product of singular values, which is exact where the determinant is rounding
-        w[:, k] = np.linalg.svd(rows, compute_uv=False).prod(axis=-1) if rows.shape[-2] <= rows.shape[-1] else 0.0
-    return np.zeros_like(w), -w
+    w = np.zeros(arm.q.shape[:2])
+    for k, (target, q) in enumerate(zip(arm.targets, arm.q, strict=True)):
+        if target.constraints <= arm.chain.n:
+            across = target.T[:3, :3].T @ chain_forward(arm.chain, q)[:, :3, :3]
+            J = body_jacobian(arm.chain, q)
+            rows = np.concatenate([across @ J[:, 3:], across @ J[:, :3]], axis=1)[:, target.mask]
+            # as the product of singular values, which is exact where the determinant is rounding
+            w[k] = np.linalg.svd(rows, compute_uv=False).prod(axis=-1)
+    return 0.0, -w
 
 
-def payload(postures: TargetPostures, options: Options) -> tuple[Array, Array]:
+def payload(arm: BuiltArm, options: Options) -> Measured:
     """How much more than its ``effort`` the worst joint needs to hold ``mass_kg`` and the arm still, and what it needs.
 
     Both as shares of the effort: 1 is all of it. Gravity along −z of the base; masses and efforts from the library.
     """
-    bodies = postures.bodies
-    weight = bodies.mass[:, None, None, :, None] * STANDARD_GRAVITY
-    centre = se3.apply(postures.behind, bodies.centre[:, None, None])
-    load = float(options["mass_kg"]) * STANDARD_GRAVITY
+    kinds = [arm.library.types[module.kind] for module in arm.assembly.modules]
+    bodies = [body(kind, module.size) for kind, module in zip(kinds, arm.assembly.modules, strict=True)]
+    joints = slice(1, 2 * arm.assembly.n, 2)
+    z, p = arm.frames[..., joints, :3, 2], arm.frames[..., joints, :3, 3]
+    weight = STANDARD_GRAVITY * np.array([*(one.mass for one in bodies), float(options["mass_kg"])])
+    centres = se3.apply(arm.frames, np.stack([*(one.centre for one in bodies), np.zeros(3)]))
     # sums over the bodies from each joint on
-    beyond = np.flip(np.cumsum(np.flip(weight, -2), axis=-2), -2) + load
-    moment = np.flip(np.cumsum(np.flip(weight * centre, -2), axis=-2), -2) + load * postures.tip[..., None, :3, 3]
-    z, p = postures.before[..., :3, 2], postures.before[..., :3, 3]
-    arm = moment - beyond * p
-    torque = -(z[..., 0] * arm[..., 1] - z[..., 1] * arm[..., 0])  # z · (c − p) × (0, 0, −w)
-    force = -z[..., 2] * beyond[..., 0]
-    needed = np.abs(np.where(postures.arms.revolute[:, None, None], torque, force))
-    share = (needed / np.maximum(bodies.effort[:, None, None], 1e-9)).max(axis=-1)
+    beyond = np.cumsum(weight[::-1])[::-1][joints, None]
+    moment = np.flip(np.cumsum(np.flip(weight[:, None] * centres, -2), axis=-2), -2)[..., joints, :]
+    lever = moment - beyond * p
+    torque = z[..., 1] * lever[..., 0] - z[..., 0] * lever[..., 1]  # z · (c − p) × (0, 0, −w)
+    needed = np.abs(np.where([kind.revolute for kind in kinds[joints]], torque, z[..., 2] * beyond[:, 0]))
+    share = (needed / np.maximum([kind.effort for kind in kinds[joints]], 1e-9)).max(axis=-1)
     return np.maximum(0.0, share - 1.0), share
 
 
-def obstacles(postures: TargetPostures, options: Options) -> tuple[Array, Array]:
+def obstacles(arm: BuiltArm, options: Options) -> Measured:
     """How much of ``margin_m`` is missing between the arm's tubes and the spheres, and −clearance, both [m].
 
     At the postures that reach the targets; the ways between them are for a planner. spheres: {center_m, radius_m}.
     """
-    bodies = postures.bodies
-    points = se3.apply(postures.behind[..., None, :, :], bodies.points[:, None, None])  # (N, K, S, n, P, 3)
-    free = _clearance(points, bodies.radius[:, None, None], options).min(axis=(-1, -2))
-    base = _clearance(bodies.base, bodies.base_radius[:, None], options).min(axis=-1)
-    free = np.minimum(free, base[:, None, None])
+    free = np.full(arm.q.shape[:2], np.inf)
+    for i, module in enumerate(arm.assembly.modules):
+        kind = arm.library.types[module.kind]
+        points = se3.apply(arm.frames[..., i, None, :, :], path(kind, module.size))
+        free = np.minimum(free, _clearance(points, options["spheres"]) - kind.radius)
     return np.maximum(0.0, float(options["margin_m"]) - free), -free
 
 
-def _clearance(points: Array, radius: Array, options: Options) -> Array:
-    """Least distance of every tube of lines (..., P, 3) from the spheres [m], (..., P - 1); inf where there is none."""
+def _clearance(points: Array, spheres: Sequence[Mapping[str, Any]]) -> Array:
+    """Least distance of lines (..., P, 3) from the spheres [m], (...)."""
     a, way = points[..., :-1, :], np.diff(points, axis=-2)
     square = np.maximum((way * way).sum(axis=-1), 1e-18)
-    out = np.full(a.shape[:-1], np.inf)
-    for sphere in options["spheres"]:
+    out = np.full(a.shape[:-2], np.inf)
+    for sphere in spheres:
         to = np.asarray(sphere["center_m"], dtype=float) - a
         along = np.clip((to * way).sum(axis=-1) / square, 0.0, 1.0)
         distance = np.linalg.norm(to - along[..., None] * way, axis=-1)
-        out = np.minimum(out, distance - float(sphere["radius_m"]) - radius)
-    return np.where(radius > 0.0, out, np.inf)
+        out = np.minimum(out, distance.min(axis=-1) - float(sphere["radius_m"]))
+    return out
 
 
 REQUIREMENTS: Mapping[str, Requirement] = {
-    "structure": Requirement(CODE, structure, True, False),
-    "reachability": Requirement(REACH, None, True, False, {"tolerance": 1e-6}),
-    "reach": Requirement(ARM, far_reach, True, True, {"at_least_m": None}),
-    "joint_range": Requirement(POSTURE, joint_range, True, True, weight=1.0, worst=False),
-    "payload": Requirement(POSTURE, payload, True, True, {"mass_kg": None}),
-    "obstacles": Requirement(POSTURE, obstacles, True, True, {"spheres": None, "margin_m": 0.0}),
-    "dexterity": Requirement(POSTURE, dexterity, False, True, weight=1.0),
-    "upright": Requirement(ARM, upright, False, True, weight=1.0),
+    STRUCTURE: Requirement(None, True, False),
+    REACH: Requirement(None, True, False, {"tolerance": 1e-6}),
+    "reach": Requirement(far_reach, True, True, {"at_least_m": None}),
+    "joint_range": Requirement(joint_range, True, True, weight=1.0, worst=False),
+    "payload": Requirement(payload, True, True, {"mass_kg": None}),
+    "obstacles": Requirement(obstacles, True, True, {"spheres": None, "margin_m": 0.0}),
+    "dexterity": Requirement(dexterity, False, True, weight=1.0),
+    "upright": Requirement(upright, False, True, weight=1.0),
 }

@@ -10,13 +10,14 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from modcal_core.geometry import Array, se3
+from modcal_core.geometry import Array, se3, sealed
 from modcal_core.modules.library import (
     BASE_LINK,
     FROM_AXIS,
@@ -68,6 +69,7 @@ def path(kind: ModuleType, size: int) -> Array:
     return np.stack([np.zeros(3), *(e.at(length) for e in kind.elbows), kind.output.at(length)])
 
 
+@cache
 def body(kind: ModuleType, size: int) -> ModuleBody:
     """The body of a module with this length code, its mass spread evenly along the tubes."""
     points = path(kind, size)
@@ -88,7 +90,7 @@ def body(kind: ModuleType, size: int) -> ModuleBody:
         R = tube.T[:3, :3]
         inertia += R @ np.diag([across, across, 0.5 * m * tube.radius**2]) @ R.T
         inertia += m * (r @ r * np.eye(3) - np.outer(r, r))  # Steiner
-    return ModuleBody(tuple(tubes), mass, centre, inertia)
+    return sealed(ModuleBody(tuple(tubes), mass, centre, inertia))
 
 
 _COLOURS = {

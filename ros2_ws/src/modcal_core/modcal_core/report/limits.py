@@ -15,7 +15,7 @@ from modcal_core.outcome import counted
 from modcal_core.report.blocks import Page, Section, SummaryLine, TableBlock, VerbResult
 from modcal_core.report.figures import ShownPostures
 from modcal_core.report.tables import csv_text, percent
-from modcal_core.robots import JointPath, LoadedArm, Window, constant_bounds, motion, with_payload, within_torque
+from modcal_core.robots import JointPath, LoadedArm, Window, constant_bounds, motion, within_torque
 
 _MAX = 200  # postures written one by one
 _STEP = 0.008  # s between rows of a trajectory, as controllers take them
@@ -39,9 +39,7 @@ class LimitsFound:
         """Times (m,) [s], positions and velocities (m, n) of the fastest motion along the path; None without one."""
         if self.path is None:
             return None
-        arm = self.arm
-        loaded = with_payload(arm.inertias, arm.chain, arm.payload)
-        timing = within_torque(arm.chain, loaded, arm.drives, self.path, arm.share, gravity=arm.gravity)
+        timing = within_torque(self.arm, self.path)
         t = np.r_[np.arange(0.0, timing.duration, _STEP), timing.duration]
         return t, *motion(self.path, timing, t)[:2]
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.bodies import DOWN, STANDARD_GRAVITY, HeldWeight, Payload, Stands, Weighed
     from modcal_core.robots.bodies import chain_gravity_wrench, equivalent_inertia, gravity_columns, gravity_efforts
     from modcal_core.robots.bodies import mass_matrix, weigh, with_payload
-    from modcal_core.robots.chain import Chain, Follower, JointColumns, rotation_to_axis
+    from modcal_core.robots.chain import Chain, Follower, JointColumns, ranges, rotation_to_axis
     from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DISTAL, LEAN, OFFSET, PARAMETERS, PROXIMAL, RATIO
     from modcal_core.robots.delta import ZERO, Delta, delta_from_data, delta_to_data
     from modcal_core.robots.delta_kinematics import delta_inverse, position_jacobians, reachable, tool_pose

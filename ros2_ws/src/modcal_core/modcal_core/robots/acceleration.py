@@ -31,7 +31,7 @@ method on both, the second relaxed to μ → 0 (primal-dual interior point; Boyd
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -310,37 +310,6 @@ class Window:
         return Window(self.names, self.matrix.reshape(1, -1, n), self.lower.reshape(1, -1), self.upper.reshape(1, -1))
 
 
-def window(
-    chain: Chain,
-    inertias: Inertias,
-    drives: Drives,
-    q: ArrayLike,
-    velocity: ArrayLike | None = None,
-    share: float = 1.0,
-    gravity: Sequence[float] | Array = DOWN,
-) -> Window:
-    """The accelerations that the drives can give at joint positions q (N, n) and velocities (N, n), default at rest.
-
-    share: of the drives' torque that may be used. gravity: (3,) [m/s²] in the base. Raises BadRobot where a torque
-    limit, or the mass that a joint moves, is not known.
-    """
-    q = np.atleast_2d(np.asarray(q, dtype=float))
-    v = np.zeros_like(q) if velocity is None else np.atleast_2d(np.asarray(velocity, dtype=float))
-    drives.require_torque()
-    bodies = Bodies.at(chain, inertias, q)
-    M = bodies.matrix + np.diag(drives.rotor)
-    light = np.diagonal(M, axis1=1, axis2=2).min(axis=0) <= 0.0
-    if light.any():
-        name = chain.names[int(np.argmax(light))]
-        raise BadRobot(
-            f"joint {name}", "moves nothing that has a mass", "write the links' <inertial>, or a rotor inertia"
-        )
-    still = np.abs(v) < STILL
-    taken = bias_of(bodies, v, gravity) + drives.viscous * v + np.where(still, 0.0, np.sign(v) * drives.coulomb)
-    most = share * drives.torque - np.where(still, drives.coulomb, 0.0)
-    return Window(chain.names, M, -most - taken, most - taken)
-
-
 # --- An arm with what it carries and what its drives may give: from a URDF and a few numbers
 
 COUPLED, EQUIVALENT = "coupled", "equivalent"
@@ -393,14 +362,30 @@ class LoadedArm:
             drives = drives.with_values(what, by_joint)
         return replace(self, drives=drives)
 
-    def window(self, q: ArrayLike, velocity: ArrayLike | None = None) -> Window:
-        """What the drives leave for accelerating at q, at a velocity, (N, n) each. Raises BadRobot."""
-        return window(self.chain, self._loaded, self.drives, q, velocity, self.share, self.gravity)
-
     @cached_property
-    def _loaded(self) -> Inertias:
+    def loaded(self) -> Inertias:
         """The inertias with what is carried, which a node asks for at every posture."""
         return with_payload(self.inertias, self.chain, self.payload)
+
+    def window(self, q: ArrayLike, velocity: ArrayLike | None = None) -> Window:
+        """What the drives leave for accelerating at joint positions q (N, n) and velocities (N, n), default at rest.
+
+        Raises BadRobot where a torque limit, or the mass that a joint moves, is not known.
+        """
+        q, drives = np.atleast_2d(np.asarray(q, dtype=float)), self.drives
+        v = np.zeros_like(q) if velocity is None else np.atleast_2d(np.asarray(velocity, dtype=float))
+        drives.require_torque()
+        bodies = Bodies.at(self.chain, self.loaded, q)
+        M = bodies.matrix + np.diag(drives.rotor)
+        light = np.diagonal(M, axis1=1, axis2=2).min(axis=0) <= 0.0
+        if light.any():
+            remedy = "write the links' <inertial>, or a rotor inertia"
+            raise BadRobot(f"joint {self.chain.names[int(np.argmax(light))]}", "moves nothing that has a mass", remedy)
+        still = np.abs(v) < STILL
+        friction = drives.viscous * v + np.where(still, 0.0, np.sign(v) * drives.coulomb)
+        taken = bias_of(bodies, v, self.gravity) + friction
+        most = self.share * drives.torque - np.where(still, drives.coulomb, 0.0)
+        return Window(self.chain.names, M, -most - taken, most - taken)
 
     def bounds(self, q: ArrayLike, velocity: ArrayLike | None = None, method: str = COUPLED) -> tuple[Array, Array]:
         """Lower and upper bounds of acceleration (N, n) [rad/s², m/s²], lower < 0 < upper.

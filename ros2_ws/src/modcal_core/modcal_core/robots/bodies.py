@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRecording, BadRobot, NotEnoughData
-from modcal_core.geometry import Array, se3, sealed, so3
+from modcal_core.geometry import Array, crossed_rows, se3, sealed, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import Frames, frames, link_frames, spatial_jacobian
 from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
@@ -43,8 +43,9 @@ def chain_gravity_wrench(chain: Chain, inertias: Inertias, q: Array, moved: Arra
     far bodies' centres are from where the inertias have them, behind each joint, (n, N, 3) [m].
     """
     f = frames(chain, q)
-    centres = np.stack([_centre(chain, inertias, q, f, k, moved) for k in range(chain.n)])
-    return _wrench(chain, f, inertias.mass, centres, inertias.down, inertias.held)
+    com = inertias.com if moved is None else (inertias.com[:, None] + moved).swapaxes(0, 1)
+    centres = se3.apply(link_frames(chain, f), com).transpose(1, 2, 0)
+    return _borne(chain, f, inertias.mass, centres, inertias.down, inertias.held)
 
 
 class HeldWeight:
@@ -56,85 +57,60 @@ class HeldWeight:
 
     def efforts(self, q: Array) -> Array:
         """Torques (n,) [N m; N] that hold the arm at a posture q (n,)."""
-        return self._against(chain_gravity_wrench(self._chain, self._inertias, q[None]))
+        return gravity_efforts(self._chain, self._inertias, q[None])[0]
 
     def of_load(self, q: Array) -> Array:
         """The same (n,) for 1 kg at the tip."""
-        return self._against(payload_wrench(self._chain, q[None], self._inertias.down))
+        return _against(self._chain, payload_wrench(self._chain, q[None], self._inertias.down))[0]
 
-    def _against(self, wrench: Array) -> Array:
-        return np.asarray(-np.where(self._chain.revolute, wrench[:, 5, 0], wrench[:, 2, 0]))
+
+def gravity_efforts(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
+    """What joints give to hold the bodies of a chain at postures q (N, n), (N, n) [N m, N]."""
+    return _against(chain, chain_gravity_wrench(chain, inertias, np.asarray(q, dtype=float)))
+
+
+def _against(chain: Chain, wrench: Array) -> Array:
+    return np.asarray(-np.where(chain.revolute[:, None], wrench[:, 5], wrench[:, 2]).T)
 
 
 def payload_wrench(chain: Chain, q: Array, down: Array = DOWN, held: HeldBehind | None = None) -> Array:
     """The same, (n, 6, N), of a mass of 1 kg at the tip. down: unit vector (3,) in the base. held: as of inertias."""
     f = frames(chain, q)
-    return _tip_wrench(chain, f, f.p[-1], down, held)
-
-
-def _tip_wrench(chain: Chain, f: Frames, at: Array, down: Array, held: HeldBehind | None) -> Array:
-    """The wrenches, (n, 6, N), of 1 kg at points (3, N) that move with the last joint."""
-    mass = np.zeros(chain.n)
-    mass[-1] = 1.0
-    held = None if held is None else held.empty
-    return _wrench(chain, f, mass, np.broadcast_to(at, (chain.n, *at.shape)), down, held)
+    return _of_tip(chain, f, f.p[-1], down, held)
 
 
 def offset_wrench(chain: Chain, q: Array, down: Array = DOWN, held: HeldBehind | None = None) -> Array:
     """How the latter changes with each metre that the mass is beside the tip, along the tip's x, y, z, (3, n, 6, N)."""
     f = frames(chain, q)
-    own = _tip_wrench(chain, f, f.p[-1], down, held)
-    return np.stack([_tip_wrench(chain, f, f.p[-1] + f.axes[-1, d], down, held) - own for d in range(3)])
+    own = _of_tip(chain, f, f.p[-1], down, held)
+    return np.stack([_of_tip(chain, f, f.p[-1] + axis, down, held) - own for axis in f.axes[-1]])
 
 
-def _centre(chain: Chain, inertias: Inertias, q: Array, f: Frames, k: int, moved: Array | None) -> Array:
-    """Centre of mass of body k in the base, (3, N)."""
-    com = inertias.com[k] if moved is None else inertias.com[k] + moved[k]
-    x, y, z = (com @ chain.joint_basis[k]).T
-    if chain.revolute[k]:
-        c, s = np.cos(q[:, k]), np.sin(q[:, k])
-        local = (c * x - s * y, s * x + c * y, z)
-    else:
-        local = (x, y, z + q[:, k])
-    out: Array = f.p[k] + sum(f.axes[k, d] * local[d] for d in range(3))
-    return out
+def _of_tip(chain: Chain, f: Frames, at: Array, down: Array, held: HeldBehind | None) -> Array:
+    """The wrenches, (n, 6, N), of 1 kg at points (3, N) that move with the last joint."""
+    return _borne(chain, f, np.eye(chain.n)[-1], at, down, None if held is None else held.empty)
 
 
-def _wrench(chain: Chain, f: Frames, mass: Array, centres: Array, down: Array, held: HeldBehind | None) -> Array:
-    out = np.empty((chain.n, 6, f.p.shape[2]))
-    before = 0 if held is None else held.joints
-    way = _way(chain, f, down, before)
-    weight, moment_of_mass = 0.0, np.zeros_like(f.p[0])
-    for k in range(chain.n - 1, before - 1, -1):
-        weight += float(mass[k]) * STANDARD_GRAVITY
-        moment_of_mass = moment_of_mass + float(mass[k]) * STANDARD_GRAVITY * centres[k]
-        out[k] = _borne(f, k, weight, moment_of_mass, way)
-    if held is not None:
-        weight = held.mass * STANDARD_GRAVITY
-        moment_of_mass = np.broadcast_to(weight * held.com[:, None], f.p[0].shape)
-        for k in range(before):
-            out[k] = -_borne(f, k, weight, moment_of_mass, way)
-            weight += float(mass[k]) * STANDARD_GRAVITY
-            moment_of_mass = moment_of_mass + float(mass[k]) * STANDARD_GRAVITY * centres[k]
-    return out
+def _borne(chain: Chain, f: Frames, mass: Array, centres: Array, down: Array, held: HeldBehind | None) -> Array:
+    """Wrenches (n, 6, N) at the joints of bodies (n,) with centres in the base, (n, 3, N) or (3, N) [m]."""
+    weight = STANDARD_GRAVITY * mass[:, None, None]
+    weights, moments = (np.cumsum(part[::-1], axis=0)[::-1] for part in (weight, weight * centres))
+    if held is not None:  # the first joints bear what is before them, the other way round
+        own = STANDARD_GRAVITY * held.mass
+        weights[: held.joints] -= own + weights[:1]
+        moments[: held.joints] -= own * held.com[:, None] + moments[:1]
+    way, lever = _way(chain, f, down, held), moments - weights * f.p[:-1]
+    turning = so3.cross(lever.swapaxes(0, 1), way[:, None]).swapaxes(0, 1)
+    wrench = np.einsum("kdcn,ikcn->kidn", f.axes[:-1], np.stack([weights * way, turning]))
+    return np.asarray(wrench.reshape(chain.n, 6, -1))
 
 
-def _way(chain: Chain, f: Frames, down: Array, before: int) -> Array:
-    """Where weight pulls, in the base, (3, N). before: joints behind which the arm is held, where it does not turn."""
-    if not before:
+def _way(chain: Chain, f: Frames, down: Array, held: HeldBehind | None) -> Array:
+    """Where weight pulls, in the base, (3, N), which turns where the arm is held elsewhere."""
+    if held is None or not held.joints:
         return np.broadcast_to(down[:, None], f.p[0].shape)
     at_zero = frames(chain, np.zeros((1, chain.n)))
-    return np.asarray(np.einsum("dcn,d->cn", f.axes[before], at_zero.axes[before, :, :, 0] @ down))
-
-
-def _borne(f: Frames, k: int, weight: float, moment_of_mass: Array, way: Array) -> Array:
-    """Wrench (6, N) at joint k of bodies of this weight, whose centre times it is given."""
-    x, y, z = moment_of_mass - weight * f.p[k]
-    # (c − p) × w down, summed over the bodies
-    moment = np.stack([y * way[2] - z * way[1], z * way[0] - x * way[2], x * way[1] - y * way[0]])
-    return np.concatenate(
-        [weight * np.einsum("dcn,cn->dn", f.axes[k], way), np.einsum("dcn,cn->dn", f.axes[k], moment)]
-    )
+    return np.asarray(np.einsum("dcn,d->cn", f.axes[held.joints], at_zero.axes[held.joints, :, :, 0] @ down))
 
 
 # --- What a joint must set in motion: equivalent inertias, the joint-space inertia matrix, and a payload folded in
@@ -305,12 +281,6 @@ class Weighed:
         return np.sqrt(np.diag(self.covariance))
 
 
-def gravity_efforts(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
-    """What joints give to hold the bodies of a chain at postures q (N, n), (N, n) [N m, N]."""
-    wrench = chain_gravity_wrench(chain, inertias, np.asarray(q, dtype=float))
-    return np.asarray(-np.where(chain.revolute[:, None], wrench[:, 5], wrench[:, 2]).T)
-
-
 def weigh(
     chain: Chain,
     inertias: Inertias,
@@ -336,8 +306,8 @@ def weigh(
     n, q = chain.n, np.concatenate([s.q for s in stands])
     side = np.concatenate([s.side for s in stands])
     loaded = np.concatenate([np.full(len(s.q), s.loaded) for s in stands])
-    own, bodies = gravity_columns(chain, inertias, q)
-    held = _held(chain, inertias, q, own) * loaded[:, None, None]
+    own, by_body = gravity_efforts(chain, inertias, q), _by_moments(chain, inertias, q)
+    held, bodies = by_body[:, :, -1] * loaded[:, None, None], by_body[:, :, :-1].reshape(*own.shape, 4 * n)
     columns = np.concatenate([held, bodies, *(x[:, :, None] * np.eye(n) for x in (side, np.ones_like(q)))], axis=2)
     most = np.nanmax(np.abs(effort), axis=0, initial=1e-9)
     widths = inertias.mass[:, None] * np.array([masses, _CENTRE, _CENTRE, _CENTRE])
@@ -405,31 +375,21 @@ def _require_torques(chain: Chain, own: Array, more: Array, effort: Array, unsur
 
 def gravity_columns(chain: Chain, inertias: Inertias, q: Array) -> tuple[Array, Array]:
     """Efforts for the stated bodies (N, n), and by each body's mass and mass times centre (N, n, 4 n)."""
-    columns = []
-    for k in range(chain.n):
-        at_origin = _of_one(chain, inertias, q, k, np.zeros(3))
-        shifts = [_of_one(chain, inertias, q, k, axis) - at_origin for axis in np.eye(3)]
-        columns += [at_origin, *shifts]
-    by_mass = np.stack(columns, axis=2)
-    stated = np.column_stack([inertias.mass, inertias.mass[:, None] * inertias.com]).ravel()
-    return by_mass @ stated, by_mass
+    own = gravity_efforts(chain, inertias, q)
+    return own, _by_moments(chain, inertias, q)[:, :, :-1].reshape(*own.shape, 4 * chain.n)
 
 
-def _of_one(chain: Chain, inertias: Inertias, q: Array, k: int, centre: Array) -> Array:
-    mass, com = np.zeros(chain.n), np.zeros((chain.n, 3))
-    mass[k], com[k] = 1.0, centre
-    return gravity_efforts(chain, replace(inertias, mass=mass, com=com, branches=()), q)
-
-
-def _held(chain: Chain, inertias: Inertias, q: Array, own: Array) -> Array:
-    """Efforts by the payload's mass and mass times centre, (N, n, 4)."""
-
-    def of(centre: Array) -> Array:
-        loaded = with_payload(inertias, chain, Payload.checked(1.0, centre))
-        return gravity_efforts(chain, replace(loaded, down=inertias.down, held=inertias.held), q) - own
-
-    at_tip = of(np.zeros(3))
-    return np.stack([at_tip, *(of(axis) - at_tip for axis in np.eye(3))], axis=2)
+def _by_moments(chain: Chain, inertias: Inertias, q: Array) -> Array:
+    """Efforts by mass and mass times centre of every body, and of one in the tip link, (N, n, n + 1, 4)."""
+    f, held, joints = frames(chain, q), inertias.held, np.arange(chain.n)
+    T = np.concatenate([link_frames(chain, f), f.transform(-1)[:, None]], axis=1)
+    way = STANDARD_GRAVITY * _way(chain, f, inertias.down, held).T
+    pulled = np.zeros((*T.shape[:2], 4, 6))  # by a unit of each: the force, and its moment about the base's origin
+    pulled[..., 0, :3] = way[:, None]
+    pulled[..., 3:] = crossed_rows(T[..., :3, [3, 0, 1, 2]].swapaxes(-1, -2), way[:, None, None])
+    borne = np.arange(chain.n + 1) >= joints[:, None]
+    signs = borne.astype(float) - (joints < (0 if held is None else held.joints))[:, None]
+    return np.asarray(-np.einsum("nsj,nkes,jk->njke", spatial_jacobian(chain, q, f), pulled, signs, optimize=True))
 
 
 def _regression(columns: Array, own: Array, effort: Array, prior: Array, least: Array) -> tuple[Array, Array, Array]:

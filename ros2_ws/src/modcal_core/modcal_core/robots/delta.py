@@ -41,7 +41,7 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRobot, BadTable, refusing
 from modcal_core.geometry import Array, cross, se3, so3
 from modcal_core.robots.chain import Follower, read_only
-from modcal_core.robots.kinematics import LoopShare, Tilt
+from modcal_core.robots.kinematics import Loop
 from modcal_core.schema import NUMBER, TEXT, Schema, list_of, record, require, stated
 
 ARMS = 3
@@ -314,30 +314,26 @@ def inverse_rows(a: Array) -> Array:
         return np.asarray(columns / np.sum(a[0] * columns[0], axis=0))
 
 
-def level_tilts(axes: Array, along: Array, gains: Array, middle: Array, radius: float, base: Array) -> list[Tilt]:
-    """How a level platform turns and its middle shifts per ε of each arm.
+def level_rods(axes: Array, along: Array, gains: Array, radius: float, base: Array) -> Array:
+    """How a level platform turns and its middle shifts by each arm's rods, as of :class:`Loop`, (3 arms, 5, 2, 3, N).
 
     axes: as of :func:`tilted`. along, gains: of the rods (3 arms, 3, N). base: its axes, (3, 3, N).
     """
     turns = inverse_rows(np.stack([cross(axes[i, 2], along[i]) for i in range(3)]))
-    found = []
-    for turn in turns:
+    out = np.zeros((3, 5, 2, *turns.shape[1:]))
+    for rods, turn in zip(out, turns, strict=True):
         lean = -np.sum([gains[j] * np.sum(along[j] * cross(turn, axes[j, 0]), axis=0) for j in range(3)], axis=0)
-        none = np.zeros_like(turn)
-        more = ((none, lean), *((none, cross(turn, base[c])) for c in range(3)))
-        found.append(Tilt(turn, radius * lean, more, middle))
-    return found
+        rods[0] = turn, radius * lean
+        rods[1:, 1] = lean, *(cross(turn, axis) for axis in base)
+    return out
 
 
-def tilted_shares(
-    stand: Stand, distal: Array, rates: Array, ends: Array, base: Array, azimuth: int
-) -> list[tuple[Tilt, tuple[LoopShare, LoopShare]]]:
+def tilted_loops(stand: Stand, distal: Array, rates: Array, ends: Array, base: Array, levers: Array) -> list[Loop]:
     """For each arm how the platform moves with its rods' difference, and with a motion of its elbow.
 
     The platform's twist (δp, δw) solves two equations for each arm, the length of its mean rod and what its rods differ
     by. distal: lengths (3,). rates: along the rods per unit of each constant, (3 arms, constants, N). ends: what an
-    elbow moves by per unit of each, (3 arms, constants, 3, N). base: its axes, (3, 3, N). azimuth: the
-    number of that constant.
+    elbow moves by per unit of each, (3 arms, constants, 3, N). base: its axes, (3, 3, N). levers: (3 arms, 3, N) [m].
     """
     N = stand.middle.shape[1]
     now_out, now_tangent = turned(stand.R, stand.out), turned(stand.R, stand.tangent)
@@ -363,17 +359,18 @@ def tilted_shares(
     for i in range(3):
         lean = stand.share[i] * by_radius
         own = by[3 + i] - stand.lengths[0] * lean
-        more = ((lean[3:], lean[:3]), *((none, stand.share[i] * swings[c]) for c in range(3)))
         # lengths come with ε of all arms: one arm's ε alone takes its share of them back
-        tilt = Tilt(own[3:], own[:3] - stand.share[i] * swing, more, stand.middle - lever)
+        rods = [(own[3:], own[:3] - stand.share[i] * swing), (lean[3:], lean[:3])]
+        rods += [(none, stand.share[i] * swings[c]) for c in range(3)]
         first, second = rates[i].copy(), np.einsum("cn,kcn->kn", g[i], ends[i])
         # an arm's azimuth turns its tangent and its way out as well
         swung = stand.radius * (turned(stand.R, cross(up, stand.out[i])[None])[0] - cross(up, stand.out[i]))
         skewed = turned(stand.R, cross(up, stand.tangent[i])[None])[0] - cross(up, stand.tangent[i])
-        first[azimuth] -= np.sum(s[i] * swung, axis=0)
-        second[azimuth] -= np.sum(g[i] * swung, axis=0) + np.sum(s[i] * skewed, axis=0)
-        shares = LoopShare(s[i], by[i, :3], by[i, 3:], first), LoopShare(g[i], by[3 + i, :3], by[3 + i, 3:], second)
-        found.append((tilt, shares))
+        first[AZIMUTH] -= np.sum(s[i] * swung, axis=0)
+        second[AZIMUTH] -= np.sum(g[i] * swung, axis=0) + np.sum(s[i] * skewed, axis=0)
+        along, both, twist = np.stack([s[i], g[i]]), np.stack([first, second]), by[[i, 3 + i]]
+        hub = stand.middle - lever
+        found.append(Loop(along, twist[:, :3], twist[:, 3:], both, levers[i], hub, np.array(rods)))
     return found
 
 

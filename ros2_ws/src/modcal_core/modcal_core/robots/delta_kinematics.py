@@ -36,9 +36,9 @@ from modcal_core.robots.delta import (
     Delta,
     Stand,
     inverse_rows,
-    level_tilts,
+    level_rods,
     tilted,
-    tilted_shares,
+    tilted_loops,
 )
 from modcal_core.robots.kinematics import Frames, Loop, moved_frame
 
@@ -144,7 +144,7 @@ def reachable(delta: Delta, q: ArrayLike) -> np.ndarray:
 
 def looseness(f: Frames) -> Array:
     """|det S|, (N,): 0 where the platform is loose, 1 where its rods stand at right angles; NaN where none fits."""
-    s = [f.loops[1 + i].along for i in range(ARMS)]
+    s = [f.loops[1 + i].along[0] for i in range(ARMS)]
     return np.abs(np.sum(s[0] * cross(s[1], s[2]), axis=0))
 
 
@@ -153,7 +153,7 @@ def stretch(delta: Delta, f: Frames) -> Array:
 
     Of a linear Delta the cosines of those between a tower and its rod, negative where the rod leads upwards.
     """
-    rates = np.stack([f.loops[1 + i].rates[ZERO] for i in range(ARMS)])
+    rates = np.stack([f.loops[1 + i].rates[0, ZERO] for i in range(ARMS)])
     return -rates if delta.linear else np.abs(rates) / delta.constants[PROXIMAL, :, None]
 
 
@@ -225,8 +225,8 @@ def position_jacobians(delta: Delta, q: ArrayLike) -> tuple[Array, Array, Array]
     for i in range(ARMS):
         loop = f.loops[1 + i]
         for row in range(CONSTANTS):
-            of_parameters[:, :, row * ARMS + i] = (loop.gain * loop.rates[row]).T
-        of_joints[:, :, i] = delta.constants[RATIO, i] * (loop.gain * loop.rates[ZERO]).T
+            of_parameters[:, :, row * ARMS + i] = (loop.shift[0] * loop.rates[0, row]).T
+        of_joints[:, :, i] = delta.constants[RATIO, i] * (loop.shift[0] * loop.rates[0, ZERO]).T
     if delta.has_shaft:
         lever = f.p[last] - f.p[last - 1]
         of_joints[:, :, ARMS] = delta.shaft_ratio * cross(f.axes[last - 1, 2], lever).T
@@ -242,9 +242,10 @@ def payload_wrench(delta: Delta, q: ArrayLike, weight: float) -> Array:
     f = frames(delta, q)
     out = np.zeros((delta.n, 6, f.p.shape[2]))
     for i in range(ARMS):
-        for d in range(3):
-            out[i, d] = -weight * f.loops[1 + i].moved(f.axes[1 + i, d], np.zeros(3))[0][2]
-            out[i, 3 + d] = -weight * f.loops[1 + i].moved(np.zeros(3), f.axes[1 + i, d])[0][2]
+        loop, none = f.loops[1 + i], np.zeros(3)
+        for d, axis in enumerate(f.axes[1 + i]):
+            out[i, d] = -weight * loop.moved(axis, none, f.p[-1])[0][2]
+            out[i, 3 + d] = -weight * loop.moved(none, axis, f.p[-1])[0][2]
     if delta.has_shaft:
         out[ARMS, :3] = -weight * f.axes[1 + ARMS, :, 2]
     return out
@@ -295,11 +296,14 @@ def _loops(
         ends[i, PROXIMAL] = leant if delta.linear else lever / delta.constants[PROXIMAL, i]
         rates[i] = np.einsum("cn,kcn->kn", along[i], ends[i])
         rates[i, DISTAL] = 1.0
-    if stand is None:
-        tilts = level_tilts(stands, along, gains, platform, delta.platform_radius, axes[0])
-        return {1 + i: Loop(gains[i], along[i], arm[i], rates[i], tilts[i]) for i in range(ARMS)}
-    found = tilted_shares(stand, distal, rates, ends, axes[0], AZIMUTH)
-    return {1 + i: Loop(gains[i], along[i], arm[i], rates[i], tilt, shares) for i, (tilt, shares) in enumerate(found)}
+    if stand is not None:
+        return dict(enumerate(tilted_loops(stand, distal, rates, ends, axes[0], arm), 1))
+    rods = level_rods(stands, along, gains, delta.platform_radius, axes[0])
+    level, out = np.zeros((1, *platform.shape)), dict[int, Loop]()
+    for i in range(ARMS):
+        own = along[i : i + 1], gains[i : i + 1], level, rates[i : i + 1]
+        out[1 + i] = Loop(*own, arm[i], platform, rods[i])
+    return out
 
 
 def _require_held(delta: Delta, q: Array, f: Frames) -> None:

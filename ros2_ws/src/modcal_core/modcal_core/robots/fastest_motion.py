@@ -8,29 +8,26 @@ With x = ṡ² and u = s̈ = ½ dx/ds, whatever bounds torques or accelerations 
 
     lower(s) ≤ a(s) u + b(s) x ≤ upper(s),      0 ≤ x ≤ most(s).
 
-On a grid with u constant between two places, x_{k+1} = x_k + 2 Δ_k u_k. Backwards from the end, the speeds from which
-the end can still be reached are an interval [0, K_k]; forwards, the greatest acceleration that stays within these is
-best at every place (Pham and Pham, IEEE Transactions on Robotics 34(3), 2018), to within what the grid itself is off.
-Limits are asked for at both ends of every interval: in between they are overstepped to second order in Δ only. K_k is
-the largest x for which some u obeys all rows; pairing each row that bounds u from below with each from above (Fourier
-and Motzkin) leaves bounds on x alone.
+On a grid with u constant between two places, x_{k+1} = x_k + 2 Δ_k u_k, so the limits are linear in x alone, and of two
+timings that keep them the faster at each place keeps them too, to within what the grid itself is off: the greatest Σ x
+is the fastest everywhere (a linear program; Verscheure et al., IEEE Transactions on Automatic Control 54(10), 2009).
+Limits are asked for at both ends of every interval: in between they are overstepped to second order in Δ only.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
+from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.sparse import coo_array
 
 from modcal_core.errors import BadTable, Overloaded
 from modcal_core.geometry import Array
-from modcal_core.robots.acceleration import DOWN, Drives, Window, bias_of, window
+from modcal_core.robots.acceleration import LoadedArm, Window, bias_of
 from modcal_core.robots.bodies import Bodies
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf_inertias import Inertias
 
 # --- A path through joint positions without a time: how far along each joint stands, and its first two derivatives
 
@@ -71,8 +68,7 @@ class JointPath:
 
 # --- The fastest way along a path, between limits that are linear in its acceleration and its squared speed
 
-_NONE = 1e-12  # of the largest in its row: a coefficient that counts as zero
-_SLACK = 1e-9  # of the greatest x, by which rounding may miss the sets on the way forward
+_STOPPED = 1e-9  # of the greatest x: less is standing still
 
 
 @dataclass(frozen=True)
@@ -113,57 +109,22 @@ def fastest(s: Array, rows: PathRows) -> Timing:
 
     Raises Overloaded where the limits do not let the path be gone at all.
     """
-    step = np.diff(s)
-    reachable = np.zeros(len(s))
-    for k in range(len(step) - 1, -1, -1):
-        p, r, h = _interval(rows, k, 2.0 * step[k], reachable[k + 1])
-        reachable[k] = min(_largest_x(p, r, h), rows.most[k])
-        if not reachable[k] > 0.0:
-            said = "no speed within the limits reaches its end"
-            remedy = "reduce the payload, or use a path that the drives can hold everywhere"
-            raise Overloaded(f"path at {s[k] / s[-1]:.1%} of its length", said, remedy)
-    x = np.zeros(len(s))
-    for k in range(len(step)):
-        p, r, h = _interval(rows, k, 2.0 * step[k], reachable[k + 1])
-        above = p > 0.0
-        u = float(((h - r * x[k])[above] / p[above]).min())  # the largest of p u + r x ≤ h
-        x[k + 1] = np.clip(x[k] + 2.0 * step[k] * u, 0.0, reachable[k + 1])
-        if x[k + 1] <= _SLACK * reachable.max() and k + 1 < len(step):
-            raise Overloaded(
-                f"path at {s[k + 1] / s[-1]:.1%} of its length", "the limits bring it to a stop", "use another path"
-            )
+    N, step = len(s), np.diff(s)
+    k, limits = np.arange(N - 1), []
+    for end in (0, 1):  # of every interval
+        of_ends = np.stack([-rows.a[k + end], rows.a[k + end]]) / (2.0 * step[:, None])
+        of_ends[end] += rows.b[k + end]
+        cells = (of_ends.ravel(), (np.tile(np.arange(of_ends[0].size), 2), np.repeat([k, k + 1], rows.a.shape[1])))
+        matrix = coo_array(cells, (of_ends[0].size, N))
+        limits.append(LinearConstraint(matrix, rows.lower[k + end].ravel(), rows.upper[k + end].ravel()))
+    found = milp(-np.ones(N), bounds=Bounds(0.0, np.r_[0.0, rows.most[1:-1], 0.0]), constraints=limits)
+    x = np.zeros(N) if found.x is None else np.maximum(found.x, 0.0)
+    slowest = 1 + int(np.argmin(x[1:-1]))
+    if not x[slowest] > _STOPPED * x.max():
+        remedy = "reduce the payload, or use a path that the drives can hold everywhere"
+        raise Overloaded(f"path at {s[slowest] / s[-1]:.1%} of its length", "the limits bring it to a stop", remedy)
     speed = np.sqrt(x)
     return Timing(s, x, np.r_[0.0, np.cumsum(2.0 * step / (speed[1:] + speed[:-1]))])
-
-
-def _interval(rows: PathRows, k: int, twice: float, reachable: float) -> tuple[Array, Array, Array]:
-    """p u + r x ≤ h, (m,) each, of the interval behind place k, x being that at its beginning. twice: 2 Δ_k."""
-    a = np.concatenate([rows.a[k], rows.a[k + 1] + twice * rows.b[k + 1]])
-    b = np.concatenate([rows.b[k], rows.b[k + 1]])
-    upper, lower = (np.concatenate([side[k], side[k + 1]]) for side in (rows.upper, rows.lower))
-    p = np.concatenate([a, -a, [twice, -twice]])
-    r = np.concatenate([b, -b, [1.0, -1.0]])
-    h = np.concatenate([upper, -lower, [reachable, 0.0]])
-    # where nothing moves a row says nothing; where it holds only rounding, neither
-    keep = np.isfinite(h)
-    return p[keep], r[keep], h[keep]
-
-
-def _largest_x(p: Array, r: Array, h: Array) -> float:
-    """The largest x of p u + r x ≤ h, where x = 0 has a solution; infinite where nothing bounds it."""
-    size = np.maximum(np.abs(p), np.abs(r))
-    above, below = p > _NONE * size, p < -_NONE * size
-    flat = ~above & ~below & (r > 0.0)
-    # u ≤ (h − r x) / p from above, ≥ from below: together a bound on x
-    slope_a, end_a = r[above] / p[above], h[above] / p[above]
-    slope_b, end_b = r[below] / p[below], h[below] / p[below]
-    slope = slope_a[:, None] - slope_b[None, :]
-    room = end_a[:, None] - end_b[None, :]
-    if (room < 0.0).any():
-        return 0.0
-    rises = slope > 0.0
-    bounds = np.concatenate([room[rises] / slope[rises], h[flat] / r[flat]])
-    return float(bounds.min(initial=np.inf))
 
 
 _ROUNDS = 3  # of tangents, after one without viscous friction
@@ -172,32 +133,25 @@ _LEAST_PULL = 1e-30  # N m s: less friction than there is
 _FASTEST = 1e3  # 1/s along the path, where no speed limit says less
 
 
-def within_torque(
-    chain: Chain,
-    inertias: Inertias,
-    drives: Drives,
-    path: JointPath,
-    share: float = 1.0,
-    places: int = 500,
-    gravity: Sequence[float] | Array = DOWN,
-) -> Timing:
-    """The fastest timing from rest to rest that takes no more than this share of any drive's torque, nor of its speed.
+def within_torque(arm: LoadedArm, path: JointPath, places: int = 500) -> Timing:
+    """The fastest timing from rest to rest that takes no more than the arm's share of any drive's torque, nor of its
+    speed.
 
     The limits are those of each posture on the way, all joints' motions and speeds coupled. places: grid points.
     Raises BadRobot where a torque is not known, Overloaded where the path cannot be held or gone.
     """
-    s = np.linspace(0.0, path.length, places)
+    s, drives = np.linspace(0.0, path.length, places), arm.drives
     q, dq, ddq = path.at(s)
-    window(chain, inertias, drives, q, share=share, gravity=gravity).require_held()
-    bodies = Bodies.at(chain, inertias, q)
+    arm.window(q).require_held()
+    bodies = Bodies.at(arm.chain, arm.loaded, q)
     M = bodies.matrix + np.diag(drives.rotor)
     a = (M @ dq[..., None])[..., 0]
     b = (M @ ddq[..., None])[..., 0] + bias_of(bodies, dq, (0.0, 0.0, 0.0))
-    weight = bias_of(bodies, np.zeros_like(q), gravity)
+    weight = bias_of(bodies, np.zeros_like(q), arm.gravity)
     # between two places where a joint turns back, dry friction may point either way
     signs = np.sign(np.stack([dq[[0, *range(places - 1)]], dq, dq[[*range(1, places), places - 1]]]))
-    lower = -share * drives.torque - weight - signs.min(axis=0) * drives.coulomb
-    upper = share * drives.torque - weight - signs.max(axis=0) * drives.coulomb
+    lower = -arm.share * drives.torque - weight - signs.min(axis=0) * drives.coulomb
+    upper = arm.share * drives.torque - weight - signs.max(axis=0) * drives.coulomb
     rows = PathRows(a, b, lower, upper, _most(dq, drives.speed))
     timing = fastest(s, rows)
     for _ in range(_ROUNDS if drives.viscous.any() else 0):

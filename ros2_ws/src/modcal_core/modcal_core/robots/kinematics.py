@@ -2,14 +2,13 @@
 
 ``frames`` gives the frames just *before* each joint's motion (where a link error sits), the joint's axis as z, and the
 tip. Jacobian columns follow from them: a twist e at a frame T moves the tip by ``Ad(T) e`` seen from the base.
-Everything that needs a chain's kinematics asks here, but for the sweeps of a fit
-(:mod:`modcal_core.calibration.kernels`) and the descents of many different arms (:mod:`modcal_core.modules.targets`),
-which tests hold to this, to twelve digits.
+Everything that needs a chain's kinematics asks here, but for the descents of many different arms
+(:mod:`modcal_core.modules.targets`), which tests hold to this, to twelve digits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,73 +24,43 @@ _kept: list[tuple[Array, Array, Array]] = []  # positions (n, N), cosines and si
 
 
 @dataclass(frozen=True)
-class Tilt:
-    """How a platform moves that two rods of a place hold between them, in the base, (3, N) each.
-
-    turn, shift: of the platform about a point and of that point [m], per unit by which the rods differ. more: the same
-    pairs per unit of that times metres of the platform's radius, and of the point's three coordinates. hub: it [m].
-    """
-
-    turn: Array
-    shift: Array
-    more: tuple[tuple[Array, Array], ...]
-    hub: Array
-
-
-@dataclass(frozen=True)
-class LoopShare:
-    """What a motion of a rod's end does to a platform by its share along one direction, in the base.
-
-    along: (3, N). gain, turn: the platform's shift [m] and turn per unit of it, (3, N). rates: what the constants of
-    the place make of it per unit, (constants, N).
-    """
-
-    along: Array
-    gain: Array
-    turn: Array
-    rates: Array
-
-
-@dataclass(frozen=True)
 class Loop:
-    """How what happens at a place reaches the tool through a closed chain: as a shift, by its share along a rod.
+    """How what happens at a place reaches the tool through a closed chain: by its shares along k directions, in the
+    base. The first is that of the place's rod; a second counts where a platform is tilted, as its rods differ.
 
-    gain, along, lever: (3, N), in the base: the tool moves by ``gain`` per unit that the rod's end moves ``along`` the
-    rod; ``lever`` [m] leads from the place to that end. rates: what the constants of the place move it along the rod
-    per unit, (constants, N). tilt: how a platform held by pairs of rods turns per unit by which the place's rods
-    differ, None where there are no pairs. shares: where the platform is tilted, the motion turns it too, by shares
-    along two directions, of which the first is the rod's.
+    along: the directions (k, 3, N). shift, turn: of the platform about its hub per unit of a share, (k, 3, N). rates:
+    what the constants of the place make of the shares per unit, (k, constants, N). lever, hub: from the place to the
+    end of its rod, and where the hub is, (3, N) [m]. rods: turn and shift of the platform per unit by which the place's
+    rods differ, and of that times metres of the platform's radius and of the hub's three coordinates, (5, 2, 3, N).
     """
 
-    gain: Array
     along: Array
-    lever: Array
+    shift: Array
+    turn: Array
     rates: Array
-    tilt: Tilt | None = None
-    shares: tuple[LoopShare, ...] = ()
+    lever: Array
+    hub: Array
+    rods: Array
 
-    def moved(self, shift: Array, turn: Array, tool: Array | None = None) -> tuple[Array, Array | float]:
-        """(shift, turn) (3, N) of the tool for a twist of the place, its parts (3,) or (3, N) in the base [m, rad].
-
-        tool: where the tool is, (3, N) [m]; a platform that is not tilted does not turn, and this is not asked for.
+    def moved(self, shift: Array, turn: Array, tool: Array) -> tuple[Array, Array]:
+        """(shift, turn) (3, N) of the tool, which is at (3, N) [m], for a twist of the place, its parts (3,) or (3, N)
+        in the base [m, rad].
         """
         end = shift.reshape(3, -1) + so3.cross(turn.reshape(3, -1), self.lever)
-        if not self.shares:
-            return self.gain * np.einsum("cn,cn->n", self.along, end), 0.0
-        return self._by([np.einsum("cn,cn->n", share.along, end) for share in self.shares], tool)
+        return self._by(np.einsum("kcn,cn->kn", self.along, end), tool)
 
-    def moved_by_constant(self, constant: int, tool: Array | None = None) -> tuple[Array, Array | float]:
+    def moved_by_constant(self, constant: int, tool: Array) -> tuple[Array, Array]:
         """The same per unit of a constant of the place."""
-        if not self.shares:
-            return self.gain * self.rates[constant], 0.0
-        return self._by([share.rates[constant] for share in self.shares], tool)
+        return self._by(self.rates[:, constant], tool)
 
-    def _by(self, sizes: Sequence[Array], tool: Array | None) -> tuple[Array, Array]:
-        assert tool is not None
-        assert self.tilt is not None
-        shift = np.sum([share.gain * size for share, size in zip(self.shares, sizes, strict=True)], axis=0)
-        turn = np.sum([share.turn * size for share, size in zip(self.shares, sizes, strict=True)], axis=0)
-        return shift + so3.cross(turn, tool - self.tilt.hub), turn
+    def moved_by_rods(self, direction: int, tool: Array) -> tuple[Array, Array]:
+        """The same per unit of one of the five numbers of ``rods``."""
+        turn, shift = self.rods[direction]
+        return shift + so3.cross(turn, tool - self.hub), turn
+
+    def _by(self, shares: Array, tool: Array) -> tuple[Array, Array]:
+        shift, turn = (np.einsum("kcn,kn->cn", part, shares) for part in (self.shift, self.turn))
+        return shift + so3.cross(turn, tool - self.hub), turn
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_msgs_py.tables.convert import Tables, import_tables, json_schema, read_tables, require_mapping
+    from modcal_msgs_py.tables.convert import import_tables, json_schema, require_mapping
     from modcal_msgs_py.tables.moments import read_track
     from modcal_msgs_py.tables.propose import MeasuredArm, Proposal, find
 else:

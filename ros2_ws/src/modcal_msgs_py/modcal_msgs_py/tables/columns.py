@@ -11,8 +11,8 @@ from itertools import combinations
 import numpy as np
 
 from modcal_core.geometry import Array
+from modcal_core.hypotheses import turnings
 from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label, families, grouped
-from modcal_msgs_py.tables.proof import is_turned
 from modcal_msgs_py.tables.readings import rigid_poses
 from modcal_msgs_py.tables.sheet import Sheet, number
 
@@ -168,6 +168,11 @@ def bodies(numbers: Numbers, taken: set[int], time: set[int]) -> list[Body]:
     out.sort(key=lambda body: (body.computed, body.turned is None))
     free = [k for k in numbers.usable if k not in taken | time]
     return [*out, *_unnamed(numbers, free, turns, {b.position for b in out})][: len(out) + _MAX_BODIES]
+
+
+def is_turned(values: Array) -> bool:
+    """Whether columns (N, k) can be read as orientations."""
+    return len(values) >= 3 and next(iter(turnings(values)), None) is not None
 
 
 def _apart(numbers: Numbers, position: Sequence[int], turned: Sequence[int]) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -151,23 +151,10 @@ def _contradictions(table: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
             yield ": decimal", f"{shown(part.get('decimal', '.'))} is the delimiter too", "state the other one"
 
 
-@dataclass(frozen=True)
-class Tables:
-    """What a mapping makes of tables: a recording, and joint positions that were commanded, where it states some."""
-
-    recording: Recording
-    commanded: JointTrack | None = None
-
-
 def import_tables(
     mapping: Any, folder: Path, source: str, heard: Callable[[float], None] = lambda share: None
 ) -> Recording:
-    """The recording that a mapping makes of the tables in a folder; as :func:`read_tables`."""
-    return read_tables(mapping, folder, source, heard).recording
-
-
-def read_tables(mapping: Any, folder: Path, source: str, heard: Callable[[float], None] = lambda share: None) -> Tables:
-    """What a mapping makes of the tables in a folder.
+    """The recording that a mapping makes of the tables in a folder; where joints were commanded, with those commands.
 
     mapping: the data of the mapping file. source: its name, for messages. heard: is told the share of the tables that
     is read. Raises BadTable naming the file, and all faulty lines and columns in it.
@@ -186,8 +173,9 @@ def read_tables(mapping: Any, folder: Path, source: str, heard: Callable[[float]
         raise BadTable(source, "no row has a reading", "check the columns and missing cells")
     states = of_readings.merged_joints(joints)
     tracks, signals, notes = of_readings.merged(readings), tuple(found.signals), tuple(found.notes())
-    recording = Recording(() if states is None else (states,), tracks, signals, None, source, notes)
-    return Tables(recording, of_readings.merged_joints(found.commanded))
+    told = of_readings.merged_joints(found.commanded)
+    commands = () if told is None else (told,)
+    return Recording(() if states is None else (states,), tracks, signals, None, source, notes, commands=commands)
 
 
 class _Found:

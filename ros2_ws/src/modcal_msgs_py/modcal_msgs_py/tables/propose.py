@@ -1,7 +1,7 @@
 """A mapping for a table that has none: what its columns are, proved by the nominal arm that fits, or asked.
 
 The text says how the file is written (:mod:`sheet`), labels and numbers which columns may be what (:mod:`labels`,
-:mod:`columns`), and the hand-eye problem of the nominal arm which reading of them is right (:mod:`proof`). Where two
+:mod:`columns`), and the hand-eye problem of the nominal arm which reading of them is right (:mod:`fits`). Where two
 readings fit alike, nothing is chosen in silence.
 """
 
@@ -47,7 +47,10 @@ from modcal_msgs_py.tables.fits import (
     MAX_RAD,
     Fitted,
     JointChoice,
+    astray,
+    by_target,
     choices_of,
+    corrected,
     decided,
     missed,
     with_deviations,
@@ -55,7 +58,6 @@ from modcal_msgs_py.tables.fits import (
 )
 from modcal_msgs_py.tables.labels import MEASURED
 from modcal_msgs_py.tables.moments import RowTimes, Together, find_time, stamps_of, together
-from modcal_msgs_py.tables.proof import astray, by_target, corrected
 from modcal_msgs_py.tables.readings import rigid_poses
 from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, joints_alone, ray_of, sight_columns
 from modcal_msgs_py.tables.table import Table

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -101,7 +101,7 @@ def joints_of(table: Table, joints: Mapping[str, Any], stamps: Array) -> tuple[J
     if joints.get("effort", {}).get("of_load"):
         effort = -effort
     keep = np.isfinite(stamps) & table.present(list(joints["columns"].values()))
-    track = _rows(JointTrack(names, stamps, position, velocity, effort, stamps), keep)
+    track = JointTrack(names, stamps, position, velocity, effort, stamps).rows(keep)
     if "commanded" not in joints:
         return track, None
     wanted = {"unit": joints["unit"], **joints["commanded"]}
@@ -110,7 +110,7 @@ def joints_of(table: Table, joints: Mapping[str, Any], stamps: Array) -> tuple[J
     position = _scaled(table, wanted, UNITS, known) @ M.T + offset
     unknown = np.full_like(position, np.nan)
     sent = np.isfinite(stamps) & np.isfinite(position).all(axis=1)
-    return track, _rows(JointTrack(known, stamps, position, unknown, unknown, stamps, COMMANDS), sent)
+    return track, JointTrack(known, stamps, position, unknown, unknown, stamps, COMMANDS).rows(sent)
 
 
 def joint_map(joints: Mapping[str, Any], names: Sequence[str]) -> tuple[Array, Array]:
@@ -129,16 +129,7 @@ def merged_joints(tracks: list[JointTrack]) -> JointTrack | None:
         return None
     if any(track.names != tracks[0].names for track in tracks):
         raise BadTable("tables", "have different joints", "import them into bags of their own")
-    columns: dict[str, Any] = {n: np.concatenate([getattr(t, n) for t in tracks]) for n in _OF_ROWS}
-    return replace(tracks[0], **columns)
-
-
-_OF_ROWS = ("stamps", "position", "velocity", "effort", "received")
-
-
-def _rows(track: JointTrack, keep: np.ndarray) -> JointTrack:
-    columns: dict[str, Any] = {name: getattr(track, name)[keep] for name in _OF_ROWS}
-    return replace(track, **columns)
+    return tracks[0].followed_by(*tracks[1:])
 
 
 def _scale(part: Mapping[str, Any], units: Mapping[str, float], name: str) -> float:
@@ -423,11 +414,4 @@ def merged(tracks: list[ReadingTrack]) -> tuple[ReadingTrack, ...]:
     out: dict[tuple[str, str], list[ReadingTrack]] = {}
     for track in tracks:
         out.setdefault((track.kind, track.frame), []).append(track)
-    return tuple(_one_track(some) if len(some) > 1 else some[0] for some in out.values())
-
-
-def _one_track(some: list[ReadingTrack]) -> ReadingTrack:
-    stamps, values = (np.concatenate([getattr(t, name) for t in some]) for name in ("stamps", "values"))
-    none = [np.full((len(t.stamps), 2), np.nan) if t.stated is None else t.stated for t in some]
-    stated = np.concatenate(none) if any(t.stated is not None for t in some) else None
-    return replace(some[-1], stamps=stamps, values=values, received=stamps, stated=stated)
+    return tuple(first.followed_by(*others) for first, *others in out.values())

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
@@ -33,9 +33,11 @@ from modcal_msgs_py import (
     seconds,
     why_left_out,
 )
-from modcal_nodes.calibrating.corners import CornerIntake
 from modcal_nodes.calibrating.diagnostics import Times
 from modcal_nodes.ros import LATCHED, SENSOR, GuardedNode, MonitoredSubscription
+
+if TYPE_CHECKING:
+    from modcal_nodes.calibrating.corners import CornerIntake
 
 _JUMP = 1.0  # s
 _OVERTAKEN = 500  # messages by which one topic may be ahead of another

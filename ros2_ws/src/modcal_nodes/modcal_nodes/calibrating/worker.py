@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from functools import partial
 from multiprocessing.connection import Connection
 from threading import Thread
 from typing import Any
@@ -17,9 +15,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from rcl_interfaces.msg import Parameter
-from rclpy.callback_groups import ReentrantCallbackGroup
 from std_msgs.msg import Bool, Float64, String
-from std_srvs.srv import Trigger
 
 from modcal_core.calibration import Calibration
 from modcal_core.camera import Moved
@@ -33,7 +29,7 @@ from modcal_core.recalibrate import Job, ModelComparison, SampleMemory, recalibr
 from modcal_core.report import calibration_files, checkup_data, sentence
 from modcal_core.robots import Mechanism
 from modcal_msgs_py import fill_calibration, fill_change, fill_checked, fill_estimate, fill_identity, fill_verdict
-from modcal_nodes.ros import DONE, FAILED, LATCHED, Action, GuardedNode, interface, settle_in
+from modcal_nodes.ros import LATCHED, GuardedNode, interface, settle_in
 
 _YIELDING = 5  # of niceness: what nodes do within milliseconds goes before what takes seconds
 
@@ -326,53 +322,3 @@ def live_check(
         said = f"a check looks at {newest}"
         raise NotEnoughData(f"{len(kept)} stations{where}", said, "drive to more, or set check_stations")
     return checkup_data(check(calibration, samples.select(np.flatnonzero(np.isin(samples.station, kept)))))
-
-
-_CHECK = "check"
-
-
-class CheckService:
-    """Checks of the trusted model, as the action and the Trigger ~/check."""
-
-    def __init__(self, node: GuardedNode, worker: SolveWorker, outputs: Publishers, begin: Callable[[], str]) -> None:
-        """begin: calls :meth:`begin` with what is to be checked; returns why it cannot, or nothing."""
-        self._node, self._worker, self._outputs, self._begun = node, worker, outputs, 0.0
-        self._action = Action(node, "Check", begin, self.cancel, self._progress)
-        self._ask = begin
-        node.create_service(Trigger, "~/check", self._on_check, callback_group=ReentrantCallbackGroup())
-
-    async def _on_check(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Say what has changed since the trusted model was made, by the newest stations; answer when known."""
-        if refusal := self._ask():
-            response.success, response.message = False, refusal
-            return response
-        result = await self._action.ended()
-        response.success, response.message = result.outcome == DONE, result.message
-        return response
-
-    def begin(self, *work: Any) -> str:
-        """Have it done; returns why not, or nothing. work: the arguments of :func:`live_check`."""
-        if self._worker.doing:
-            return f"busy with {self._worker.doing}: ask again"
-        self._begun = time.monotonic()
-        self._worker.give(_CHECK, live_check, *work, finish=self._found, fail=partial(self._action.end, FAILED))
-        return ""
-
-    def cancel(self, why: str = "cancelled") -> None:
-        """End the check that is being made, if one is."""
-        if self._worker.doing == _CHECK:
-            self._worker.drop()
-            self._action.end(FAILED, why)
-
-    def _progress(self, feedback: Any) -> None:
-        feedback.phase, feedback.elapsed_s = "checking", time.monotonic() - self._begun
-
-    def _found(self, data: dict[str, Any]) -> None:
-        message = self._outputs.check(data)
-        log = self._node.get_logger()
-        said = f"{data['verdict']} {data['advice']}"
-        if data["status"] != "unchanged":  # a place that logs keeps its severity
-            log.warning(f"check: {said}")
-        else:
-            log.info(f"check: {said}")
-        self._action.end(DONE, f"{said} {self._outputs.about()}", checked=message)

@@ -42,8 +42,7 @@ from modcal_core.modules import (
 from modcal_core.preprocess import prepare
 from modcal_core.report import Summary, SummaryLine, TableBlock, VerbResult, explained
 from modcal_msgs_py import read_recording
-from modcal_nodes.cli.console import Output, saving, speaking
-from modcal_nodes.cli.options import EXISTING, Whole, given
+from modcal_nodes.cli.console import EXISTING, Output, Whole, given, saving, speaking
 from modcal_nodes.io import TopicOptions, read_assembly, read_library
 
 _COLUMNS = {

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from modcal_core.calibration import Cell, Stated
 from modcal_core.errors import BadTable
 from modcal_core.report import Particulars
+from modcal_nodes.cli.console import UNMET
 from modcal_nodes.io import FrozenOptions, option, read_cell, read_particulars, stated_from
 
 if TYPE_CHECKING:
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from modcal_core.outcome import Outcome
     from modcal_core.report import Hashes
     from modcal_core.verdict import Tolerance
-
-UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
 
 
 @dataclass(frozen=True)

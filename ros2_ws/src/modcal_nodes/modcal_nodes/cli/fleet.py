@@ -12,9 +12,7 @@ from distributed import Client
 
 from modcal_core.errors import BadCommand, plain
 from modcal_core.report import STATUS_WORDS, explained
-from modcal_nodes.cli.certificate import UNMET
-from modcal_nodes.cli.console import Output, speaking, written
-from modcal_nodes.cli.options import WRITTEN, Whole, given
+from modcal_nodes.cli.console import UNMET, WRITTEN, Output, Whole, given, speaking, written
 from modcal_nodes.fleet import DONE, Row, calibrate_all, find_bags, names_of, watch_all, write_table
 from modcal_nodes.io import Options, SentinelOptions
 

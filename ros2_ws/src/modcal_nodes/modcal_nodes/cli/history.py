@@ -1,4 +1,4 @@
-"""``modcal history`` and ``modcal compare``: what grows over many calibrations, and how two of them differ."""
+"""``modcal history``, ``modcal compare`` and ``modcal sentinel``: what changes over many calibrations or recordings."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ from typing import Any
 import click
 
 from modcal_core.calibration import Calibration, fingerprint
-from modcal_core.errors import BadTable, refusing
+from modcal_core.errors import BadTable, NotEnoughData, refusing
 from modcal_core.files import read_json
 from modcal_core.moves import series_of, values_of
 from modcal_core.outcome import offsets_of
-from modcal_core.report import History, HistoryEntry, Side, VerbResult, compare, history_report
+from modcal_core.report import History, HistoryEntry, Side, VerbResult, compare, history_report, sentinel_report
 from modcal_core.schema import require
-from modcal_nodes.cli.certificate import UNMET
-from modcal_nodes.cli.console import Output, saving
-from modcal_nodes.cli.options import EXISTING, Decimal
+from modcal_nodes.cli.console import EXISTING, UNMET, Decimal, Output, given, saving
+from modcal_nodes.io import SentinelOptions, judge_arm
 
 _DATED = re.compile(r"(\d{4}-\d{2}-\d{2})")
 _OF_MODCAL = {"type": "object", "required": ["modcal_report"], "properties": {"modcal_report": {"enum": [1]}}}
@@ -154,3 +153,22 @@ def _report(path: Path) -> dict[str, Any]:
     data = read_json(path, remedy)
     require(data, _OF_MODCAL, str(path), remedy)
     return dict(data)
+
+
+@click.command("sentinel")
+@click.argument("bags", type=EXISTING, nargs=-1, required=True)
+@given(SentinelOptions)
+@saving("Folder of the results. Default: sentinel.")
+def sentinel_command(bags: tuple[Path, ...], output: Output, options: SentinelOptions) -> int:
+    """Say whether an arm has changed, from ordinary recordings BAGS of its work: joint states with efforts, commands
+    (or a leader, --topic joint_commands=/leader/joint_states), a fixed tag seen by a camera on the hand, sockets.
+
+    Recordings of a reference period (four at least, a minute each, of several days) show what is normal. Names joint
+    zero, gear, play, friction, latency, servo, payload, camera; exit code 3 on a change. Data sets of LeRobot are read.
+    """
+    if not options.reference and options.history is None:
+        raise NotEnoughData("sentinel", "knows of no reference period", "give --reference BAG …, or --history FOLDER")
+    with output.working() as watch:
+        found, name = judge_arm(bags, options, watch)
+    output.saved(sentinel_report(found, name), "sentinel")
+    return 0 if found.status == "unchanged" else UNMET

@@ -14,9 +14,8 @@ from modcal_core.measurements import Recording, inspect
 from modcal_core.report import Summary, SummaryLine, TableBlock
 from modcal_core.robot import Robot
 from modcal_msgs_py import read_recording, repair_bag
-from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.console import EXISTING, WRITTEN, Output, given, speaking
 from modcal_nodes.cli.inputs import chain_line, described
-from modcal_nodes.cli.options import EXISTING, WRITTEN, given
 from modcal_nodes.io import ChainOptions, TopicOptions, option
 
 _MAX_SIGNALS = 8  # that are listed

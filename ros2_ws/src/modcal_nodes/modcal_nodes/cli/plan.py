@@ -33,9 +33,8 @@ from modcal_core.planning import (
 )
 from modcal_core.report import VerbResult, plan_report, sensitivity_report
 from modcal_core.robots import Mechanism, is_serial_arm, vector
-from modcal_nodes.cli.console import Output, saving
+from modcal_nodes.cli.console import EXISTING, Output, given, saving
 from modcal_nodes.cli.inputs import arm_line, read_robot, read_stations
-from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, Options, option, read_calibration, repeated
 
 

@@ -13,8 +13,7 @@ import click
 
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file, write_folder
-from modcal_nodes.cli.console import Output, speaking, written
-from modcal_nodes.cli.options import WRITTEN, given
+from modcal_nodes.cli.console import WRITTEN, Output, given, speaking, written
 from modcal_nodes.io import option
 
 _PAPERS = ("A4", "A3", "A2", "letter")

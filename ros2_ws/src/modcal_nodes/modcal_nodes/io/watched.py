@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from modcal_core.errors import BadTable, NotEnoughData, about
@@ -12,7 +12,7 @@ from modcal_core.measurements import Recording
 from modcal_core.robots import read_inertias
 from modcal_core.sentinel import ArmJudge, ArmVerdict, BagHistory, Cells, MonitoredArm, Normal, cells_of
 from modcal_msgs_py import episodes_of, is_lerobot, read_recording
-from modcal_msgs_py.tables import read_tables, require_mapping
+from modcal_msgs_py.tables import import_tables, require_mapping
 from modcal_nodes.cli import described
 from modcal_nodes.io.options import ChainOptions, TopicOptions, Watch, option, repeated, silent
 
@@ -73,9 +73,7 @@ def _recordings(bag: Path, options: SentinelOptions) -> list[tuple[str, Recordin
     if bag.suffix.lower() in TABLES and options.mapping is not None:
         stated = require_mapping(read_yaml(options.mapping), options.mapping.name)
         alone = {**stated, "tables": [{**table, "files": bag.name} for table in stated["tables"]]}
-        tables = read_tables(alone, bag.parent, options.mapping.name)
-        told = () if tables.commanded is None else (tables.commanded,)
-        return [(bag.stem, replace(tables.recording, commands=told))]
+        return [(bag.stem, import_tables(alone, bag.parent, options.mapping.name))]
     return [(bag.resolve().stem, read_recording(bag, topics=options.topics))]
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from modcal_core.articulation import NONE, JointModel, StampOrder, Tracker, TrackerSettings, TrackerState, describe
@@ -19,11 +18,11 @@ from modcal_core.impedance import Load
 from modcal_core.robots import Chain, chain_forward, read_chain
 from modcal_msgs_py import (
     JointInput,
-    fill_expected,
     fill_identity,
     fill_markers,
     fill_object_state,
     fill_object_status,
+    fill_posed,
     nanoseconds,
     seen,
     status_values,
@@ -54,6 +53,9 @@ class ArticulationEstimator(ros.ManagedNode):
         if new["input"] not in (_JOINTS, *_POSES):
             known = f"use {_JOINTS}, {', '.join(_POSES)}"
             raise BadCommand(f"parameter input {new['input']!r}", "is not an input", known)
+
+    def _serve(self) -> None:
+        self.offer("~/reset", self._reset)
 
     def _configure(self) -> None:
         chosen = self._chosen
@@ -90,7 +92,6 @@ class ArticulationEstimator(ros.ManagedNode):
             needed = not chosen["robot_description"]
             take = self._take_description
             self._inputs.append(self.hear(String, "robot_description", take, ros.LATCHED, needed=needed))
-        self.create_service(Trigger, "~/reset", self._reset)
 
     def _deactivate(self) -> None:
         """What is held is another object, or another grasp of it, when the node is active again."""
@@ -112,13 +113,12 @@ class ArticulationEstimator(ros.ManagedNode):
         self._before = 0.0
         self._way = 1.0
 
-    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         self._forget()
         self._rest.clear()
         self._description.publish(String(data=""))
         self._health.publish()
-        response.success, response.message = True, "forgotten"
-        return response
+        return True, "forgotten"
 
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
@@ -238,7 +238,7 @@ class ArticulationEstimator(ros.ManagedNode):
             self._way, self._before = float(np.sign(a - self._before)), a
         ahead = self._chosen["lookahead_m"] / length
         T = model.pose(a + self._way * ahead) if model.moves else model.start
-        self._expected.publish(fill_expected(PoseStamped(), self._frame, self._exact, T))
+        self._expected.publish(fill_posed(PoseStamped(), self._frame, self._exact, T))
         assert self._state is not None
         reach = (self._ends[0] - ahead, self._ends[1] + ahead)
         if self._axis.get_subscription_count():  # a picture that nobody looks at is not drawn

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from modcal_core.calibration import to_data
 from modcal_core.errors import BadRobot, ModcalError
@@ -25,7 +22,7 @@ from modcal_nodes.io import read_cell, read_delta
 
 _POLL = 0.1  # s
 _REST = 0.005  # s
-_SOLVE = "solve"
+_SOLVE, _CHECK = "solve", "check"
 _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
 
@@ -40,6 +37,14 @@ class Calibrator(ros.ManagedNode):
 
     def _check(self, new: dict[str, Any]) -> None:
         calibrating.policy(new)
+
+    def _serve(self) -> None:
+        self._check_action = ros.Action(
+            self, "Check", self._begin_check, self._cancel_check, self._check_progress, trigger=True
+        )
+        self._solve = ros.Action(self, "Solve", self._begin_solve, self._cancel_solve, self._progress, trigger=True)
+        for name, act in (("accept", self._accept), ("save", self._save), ("reset", self._reset)):
+            self.offer(f"~/{name}", act)
 
     def _configure(self) -> None:
         chosen = self._chosen
@@ -82,26 +87,19 @@ class Calibrator(ros.ManagedNode):
         self.held.callback(self._keep)
         self._worker = calibrating.SolveWorker(self.get_logger().error)
         self.held.callback(self._worker.close)
-        self._checks = calibrating.CheckService(self, self._worker, self._outputs, self._begin_check)
-        self._solve = ros.Action(self, "Solve", self._begin_solve, self._cancel_solve, self._progress)
-        self._solve_next, self._begun = False, 0.0
-        # a group of its own: while a solve is awaited, its group takes no other callback
-        self.create_service(Trigger, "~/solve", self._on_solve, callback_group=ReentrantCallbackGroup())
-        self.create_service(Trigger, "~/accept", self._on_accept)
-        self.create_service(Trigger, "~/save", self._on_save)
-        self.create_service(Trigger, "~/reset", self._on_reset)
+        self._solve_next = False
 
     def _activate(self) -> None:
         self._outputs.hold()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_POLL, self._poll, clock=steady)
-        self.create_timer(1.0, self._tell, clock=steady)
+        self.create_timer(1.0, self._look, clock=steady)
 
     def _deactivate(self) -> None:
         """End what the worker does; the stations so far are kept."""
         if self._solve_next or self._worker.doing == _SOLVE:
             self._answer(False, "the node was deactivated")
-        self._checks.cancel("the node was deactivated")
+        self._cancel_check("the node was deactivated")
         self._solve_next = False
         if self._worker.doing:
             self._worker.drop()
@@ -165,25 +163,14 @@ class Calibrator(ros.ManagedNode):
         if self._arm.stream is not None and self._supervisor.trusted is not None:
             self._arm.stream.frames = list(self._supervisor.trusted.calibrated.frames)
 
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         self._buffer.clear()
         self._supervisor.reset()
         self._candidate = None
         if self._camera is not None:
             self._camera.forget()
         self._outputs.no_change()
-        response.success, response.message = True, "recording and candidate cleared; the trusted model stays"
-        return response
-
-    async def _on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Solve beside the callbacks, which go on; answer when done."""
-        refusal = self._begin_solve()
-        if refusal:
-            response.success, response.message = False, refusal
-            return response
-        result = await self._solve.ended()
-        response.success, response.message = result.outcome == ros.DONE, result.message
-        return response
+        return True, "recording and candidate cleared; the trusted model stays"
 
     def _cancel_solve(self) -> None:
         if self._worker.doing == _SOLVE:
@@ -193,7 +180,7 @@ class Calibrator(ros.ManagedNode):
 
     def _progress(self, feedback: Any) -> None:
         feedback.phase = "waiting" if self._solve_next else "solving"
-        feedback.elapsed_s = time.monotonic() - self._begun
+        feedback.elapsed_s = self._solve.elapsed
 
     def _begin_solve(self) -> str:
         if self._solve_next or self._worker.doing == _SOLVE:
@@ -201,8 +188,6 @@ class Calibrator(ros.ManagedNode):
         self._recognise()
         if self._arm.chain is None or self._arm.trouble:
             return self._lacks()
-        if not self._solve_next:
-            self._begun = time.monotonic()
         if self._worker.doing:  # something else is in the worker, which takes a moment
             self._solve_next = True
             return ""
@@ -225,15 +210,35 @@ class Calibrator(ros.ManagedNode):
         return ""
 
     def _begin_check(self) -> str:
-        """Ask the worker what has changed since the trusted model was made; returns why it cannot, or nothing."""
+        """Have the worker say by the newest stations what has changed since; returns why it cannot, or nothing."""
         trusted, chain, chosen = self._supervisor.trusted, self._arm.chain, self._chosen
         if trusted is None:
             return "no model is trusted yet: solve and accept one, or set the parameter state"
         if chain is None or self._arm.trouble:
             return self._lacks()
-        since = self._supervisor.changed
-        heard = self._buffer.collected()
-        return self._checks.begin(heard, chain, trusted, chosen["clock_limit_s"], chosen["check_stations"], since)
+        if self._worker.doing:
+            return f"busy with {self._worker.doing}: ask again"
+        heard, since = self._buffer.collected(), self._supervisor.changed
+        work = heard, chain, trusted, chosen["clock_limit_s"], chosen["check_stations"], since
+        fail = partial(self._check_action.end, ros.FAILED)
+        self._worker.give(_CHECK, calibrating.live_check, *work, finish=self._checked, fail=fail)
+        return ""
+
+    def _cancel_check(self, why: str = "cancelled") -> None:
+        if self._worker.doing == _CHECK:
+            self._worker.drop()
+            self._check_action.end(ros.FAILED, why)
+
+    def _check_progress(self, feedback: Any) -> None:
+        feedback.phase, feedback.elapsed_s = "checking", self._check_action.elapsed
+
+    def _checked(self, data: dict[str, Any]) -> None:
+        message, said = self._outputs.check(data), f"{data['verdict']} {data['advice']}"
+        if data["status"] != "unchanged":  # a place that logs keeps its severity
+            self.get_logger().warning(f"check: {said}")
+        else:
+            self.get_logger().info(f"check: {said}")
+        self._check_action.end(ros.DONE, f"{said} {self._outputs.about()}", checked=message)
 
     def _answer_camera(self, success: bool, message: str) -> None:
         self._verdict = message
@@ -304,18 +309,14 @@ class Calibrator(ros.ManagedNode):
         self._solve.end(ros.DONE if success else ros.FAILED, message, **found)
         self._health.publish()
 
-    def _on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._camera is not None and not self._arm.trouble and self._camera.accept():
-            response.success, response.message = True, f"accepted {self._outputs.about()}"
-            return response
-        response.message = (
-            self._arm.trouble or "nothing to accept: the last result is trusted already, or there is none"
-        )
-        response.success = self._candidate is not None and not self._arm.trouble and self._supervisor.accept()
-        if response.success and self._candidate is not None:
+    def _accept(self) -> tuple[bool, str]:
+        if self._arm.trouble:
+            return False, self._arm.trouble
+        if self._candidate is not None and self._supervisor.accept():
             self._trusted(self._candidate)
-            response.message = f"accepted {self._outputs.about()}"
-        return response
+        elif self._camera is None or not self._camera.accept():
+            return False, "nothing to accept: the last result is trusted already, or there is none"
+        return True, f"accepted {self._outputs.about()}"
 
     def _trusted(self, solved: calibrating.Solved) -> None:
         self._files, self._candidate = solved.files, None
@@ -327,10 +328,8 @@ class Calibrator(ros.ManagedNode):
         self._outputs.no_change()
         self._folder.write(solved.files)
 
-    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        files = self._files if self._supervisor.trusted else {}
-        response.success, response.message = self._folder.save(files, self._buffer.samples)
-        return response
+    def _save(self) -> tuple[bool, str]:
+        return self._folder.save(self._files if self._supervisor.trusted else {}, self._buffer.samples)
 
     def _keep(self) -> None:
         """Keep the stations and images heard so far."""
@@ -346,7 +345,7 @@ class Calibrator(ros.ManagedNode):
                 self.get_logger().warning(f"the last messages are not kept: {error}")
             self._folder.save_samples(self._buffer.samples)
 
-    def _tell(self) -> None:
+    def _look(self) -> None:
         """Once a second: what is missing, how far collecting is, the running estimate, and what has changed."""
         if (lacks := self._lacks()) != self._lacked:
             self._lacked = lacks

@@ -11,7 +11,6 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, Range, Temperature
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core import correction  # what measures boxes computes, and is loaded when it is asked
@@ -57,6 +56,10 @@ class Corrector(ros.ManagedNode):
     def __init__(self) -> None:
         super().__init__("corrector", ros.CORRECTOR)
 
+    def _serve(self) -> None:
+        self.offer("~/reset", self._reset)
+        self.create_service(ros.interface("MeasureObject"), "~/measure_object", self._measure_object)
+
     def _configure(self) -> None:
         self._commander = Commander(_settings(self._chosen))
         self._calibration: Calibration | None = None
@@ -87,8 +90,6 @@ class Corrector(ros.ManagedNode):
         if self._chosen["calibration"]:
             self._calibration = read_calibration(Path(self._chosen["calibration"]))
         self._meet()
-        self.create_service(Trigger, "~/reset", self._reset)
-        self.create_service(ros.interface("MeasureObject"), "~/measure_object", self._measure_object)
 
     def _activate(self) -> None:
         self._approach, self._announced = Approach(), None
@@ -121,7 +122,7 @@ class Corrector(ros.ManagedNode):
             return
         self._meet()
 
-    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         """Forget the calibration and the stream; read the file again, if one was named."""
         self._calibration, self._heard = None, None
         self._drop("reset, and no calibration since")
@@ -129,12 +130,12 @@ class Corrector(ros.ManagedNode):
             if self._chosen["calibration"]:
                 self._calibration = read_calibration(Path(self._chosen["calibration"]))
                 self._meet()
-            response.success, response.message = True, self._refusal or "read again"
+            done, said = True, self._refusal or "read again"
         except ModcalError as error:
-            self._refusal = response.message = str(error)
-            response.success = False
+            done = False
+            said = self._refusal = str(error)
         self._health.publish()
-        return response
+        return done, said
 
     def _meet(self) -> None:
         """Put calibration and robot together, if both are there and belong together; else correct nothing."""
@@ -188,6 +189,9 @@ class Corrector(ros.ManagedNode):
 
     def _measure_object(self, request: Any, answer: Any) -> Any:
         """The box that rests in the gripper now."""
+        if self.idle:
+            answer.message = self.idle
+            return answer
         since = self._now() - (request.seconds or _SECONDS)
         heard = [(name, at, length) for name, at, length in self._ranges if at >= since]
         try:

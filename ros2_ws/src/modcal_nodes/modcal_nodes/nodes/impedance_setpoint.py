@@ -10,12 +10,9 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
-from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from modcal_core.articulation import frames, read
 from modcal_core.errors import BadCommand, ModcalError
@@ -36,141 +33,71 @@ _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes
 _REST = 0.004  # s, while nothing is pulled
 _LATE = 1.5  # periods between two ticks
+_BEGUN = "weighing the tool, then pulling"
 
 
-class ImpedanceSetpoint(ros.StatedNode):
+class ImpedanceSetpoint(ros.ManagedNode):
     """Publishes what an arm is to do while it pulls; nothing while it is inactive, and nothing that it should not."""
 
+    _arm: ArmInputs | None = None
+    _operation: Operation | None = None
+
     def __init__(self) -> None:
-        super().__init__("impedance_setpoint")
-        self._chosen = ros.declare(self, ros.IMPEDANCE_SETPOINT)
-        self._active = self._configured = False
-        self._urdf = ""
-        self._arm: ArmInputs | None = None
-        self._object = ObjectInput(read, frames)
-        self._operation: Operation | None = None
-        self._said = "nothing was pulled yet"
-        self._level = ros.OK
-        self._judged_by, self._largest, self._efforts = "", 0.0, JointEfforts(None)
-        self._inputs: list[ros.MonitoredSubscription] = []
-        self._outputs: SetpointPublishers | None = None
-        self._timer: Timer | None = None
-        self._refusals = ros.Refusals(self)
-        self._counts = {"setpoints": 0, "late ticks": 0}
-        self._took: deque[float] = deque(maxlen=_TICKS)
-        self._before = 0.0
-        self._health = ros.Health(self, self._report)
-        ros.follow(self, ros.IMPEDANCE_SETPOINT, self._chosen, self._check, self._restrict)
+        super().__init__("impedance_setpoint", ros.IMPEDANCE_SETPOINT)
+
+    def _serve(self) -> None:
         self._action = ros.Action(self, "Pull", self._begin_pull, partial(self._let_go, "cancelled"), self._progress)
-        self.create_service(Trigger, "~/pull", self._pull)
-        self.create_service(Trigger, "~/stop", self._stop)
-        self._auto: Timer | None = self.create_timer(0.0, self._start_itself) if self._chosen["autostart"] else None
+        self.offer("~/pull", lambda: (not (refusal := self._begin_pull()), refusal or _BEGUN))
+        self.offer("~/stop", self._stop)
 
     @property
     def hurried(self) -> bool:
         """Whether something is being pulled."""
         return self._operation is not None
 
-    def _start_itself(self) -> None:
-        if self._auto is not None:
-            self._auto.cancel()
-            if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-                self.trigger_activate()
-
     def _refused(self, said: str) -> None:
         """What cannot be done from here is answered, and nothing goes on being pulled."""
-        if self._operation is not None:
-            self._let_go(said)
-        self._refusals.refuse("lifecycle", f"{said}: see ~/get_available_transitions")
+        self._let_go(said)
+        super()._refused(said)
 
     def _check(self, new: dict[str, Any]) -> None:
         """Raises BadCommand for a change that would have no effect now, BadTable for values that cannot be."""
-        require_changeable(new, self._chosen, self._configured, self._operation is not None)
+        require_changeable(new, self._chosen, self.configured, self._operation is not None)
         task(new)
 
-    def _restrict(self) -> None:
+    def _take_parameters(self) -> None:
         """What is being pulled keeps to the limits as they are now."""
         if self._operation is not None and self._arm is not None:
             self._operation.restrict(task(self._chosen), limits(self._arm.chain, self._chosen), self._now())
 
-    @ros.noted
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Read the parameters and begin to listen. Fails for parameters that make no sense."""
-        try:
-            task(self._chosen)
-        except ModcalError as error:
-            self._tell(ros.ERROR, str(error))
-            return TransitionCallbackReturn.FAILURE
+    def _configure(self) -> None:
+        self._arm, self._object = None, ObjectInput(read, frames)
+        self._judged_by, self._largest, self._efforts = "", 0.0, JointEfforts(None)
+        self._counts = {"setpoints": 0, "late ticks": 0}
+        self._took: deque[float] = deque(maxlen=_TICKS)
+        self._before = 0.0
+        self.said, self.level = "nothing was pulled yet", ros.OK
         self._outputs = SetpointPublishers(self)
-        try:
-            if urdf := self._chosen["robot_description"] or self._urdf:
-                self._describe(urdf)
-        except ModcalError as error:
-            self._refusals.refuse("robot_description", str(error))
-        self._configured = True
-        if not self._inputs:  # which stay: what is latched would not be heard a second time
-            self._listen()
-        return super().on_configure(state)
-
-    def _listen(self) -> None:
+        by_sensor, urdf = self._chosen["wrench"] == "sensor", self._chosen["robot_description"]
         heard: list[tuple[type, str, Callable[[Any], None], QoSProfile, bool]] = [
             (JointState, "joint_states", self._take_joints, ros.FRESH, True),
-            (WrenchStamped, "wrench", self._take_wrench, ros.FRESH, self._chosen["wrench"] == "sensor"),
-            (String, "robot_description", self._take_description, ros.LATCHED, not self._chosen["robot_description"]),
+            (WrenchStamped, "wrench", self._take_wrench, ros.FRESH, by_sensor),
+            (String, "robot_description", self._take_description, ros.LATCHED, not urdf),
             (String, "object_description", self._object.hear_description, ros.LATCHED, False),
             (ros.interface("ObjectState"), "object_status", self._take_object, ros.FRESH, False),
             (PoseWithCovarianceStamped, "tool_pose", self._take_tool, ros.FRESH, self._chosen["calibrated"]),
         ]
-        hear, guarded = partial(ros.MonitoredSubscription, self, replaced=ros.always), self._refusals.guarded
-        self._inputs = [
-            hear(kind, topic, guarded(topic, callback), qos, needed=needed, single=needed)
-            for kind, topic, callback, qos, needed in heard
-        ]
+        self._inputs = [self.hear(*of, needed=needed, single=needed, replaced=ros.always) for *of, needed in heard]
+        if urdf:
+            self._refusals.guarded("robot_description", self._describe)(urdf)
 
-    @ros.noted
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Be ready to pull."""
-        self._active = True
-        self._timer = self.create_timer(1.0 / self._chosen["rate_hz"], self._tick)
+    def _activate(self) -> None:
+        self.create_timer(1.0 / self._chosen["rate_hz"], self._tick)
         self._tell(ros.OK, "ready")
-        return super().on_activate(state)
 
-    @ros.noted
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def _deactivate(self) -> None:
         """Stop whatever is going on; nothing is published any more."""
-        self._end("deactivated")
-        return super().on_deactivate(state)
-
-    @ros.noted
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Listen no more, and forget what was received."""
-        self._forget()
-        return super().on_cleanup(state)
-
-    @ros.noted
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """The end of it."""
-        self._end("shut down")
-        self._forget()
-        return super().on_shutdown(state)
-
-    @ros.noted
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """After a fault in a transition: as before it was configured."""
-        self._end("a transition failed")
-        self._forget()
-        return super().on_error(state)
-
-    def close(self) -> None:
-        """Let go of what is pulled, and end."""
-        self._end("the node is shutting down")
-
-    def _end(self, why: str) -> None:
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = None
-        self._let_go(why)
-        self._active = False
+        self._let_go("deactivated")
 
     def _let_go(self, why: str) -> None:
         """Let go of what is pulled, before anything else is done: a servo would hold on to where it was sent last."""
@@ -198,19 +125,6 @@ class ImpedanceSetpoint(ros.StatedNode):
         for subscription in self._inputs:
             subscription.poll()
 
-    def _forget(self) -> None:
-        if not self._configured:
-            return
-        self._configured = False
-        if self._outputs is not None:
-            self._outputs.close()
-        self._arm = None
-
-    def _pull(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        refusal = self._begin_pull()
-        response.success, response.message = not refusal, refusal or "weighing the tool, then pulling"
-        return response
-
     def _begin_pull(self) -> str:
         """Begin to pull; returns why not, or nothing."""
         refusal = ""
@@ -230,21 +144,18 @@ class ImpedanceSetpoint(ros.StatedNode):
                 said = ""
             elif bound == bound:
                 said = f"at most {bound:.0f} N when {self._operation.limits.force:g} N are felt"
-            feedback.phase, feedback.message = self._operation.phase, "; ".join(filter(None, (self._said, said)))
+            feedback.phase, feedback.message = self._operation.phase, "; ".join(filter(None, (self.said, said)))
             feedback.force_n = float(np.linalg.norm(self._operation.force[:3]))
             feedback.trusted = self._object.at(self._now()).trusted
 
-    def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _stop(self) -> tuple[bool, str]:
         """Let go of what is pulled, and pull no more; answered when that is done."""
-        response.success, response.message = True, "nothing was pulled"
-        if self._operation is not None:
-            self._let_go("stopped as asked")
-            response.message = self._said
-        return response
+        if self._operation is None:
+            return True, "nothing was pulled"
+        self._let_go("stopped as asked")
+        return True, self.said
 
     def _begin(self) -> None:
-        if not self._active:
-            raise BadCommand("pull", "the node is not active", "configure and activate it first")
         if self._object.elsewhere:
             raise BadCommand("object_description", self._object.elsewhere, "track the handle in the arm's base link")
         if self._operation is not None:
@@ -265,14 +176,13 @@ class ImpedanceSetpoint(ros.StatedNode):
         held = ""
         if self._chosen["mode"] != "admittance":
             held = f"mode is {self._chosen['mode']}: the stack is compliant itself"
-        elif self._outputs is not None and self._outputs.stiffness_taken:
+        elif self._outputs.stiffness_taken:
             held = "a controller listens to ~/target_stiffness: it holds the tool's axes"
         return JointSoftness.of(arm.arm.urdf, arm.chain, self._chosen["max_joint_lead_rad"], held)
 
     def _take_description(self, message: String) -> None:
-        self._urdf = message.data
         known = self._chosen["robot_description"] or (self._arm is not None and message.data == self._arm.arm.urdf)
-        if self._configured and not known:
+        if not known:
             self._describe(message.data)
 
     def _describe(self, urdf: str) -> None:
@@ -331,7 +241,6 @@ class ImpedanceSetpoint(ros.StatedNode):
         self._took.append(time.perf_counter() - begun)
 
     def _send(self, setpoint: ArmSetpoint, tip: str, now: float) -> None:
-        assert self._outputs is not None
         self._outputs.send(setpoint, tip, now, 1.0 / self._chosen["rate_hz"], self._chosen["horizon_s"])
         self._counts["setpoints"] += 1
 
@@ -343,11 +252,6 @@ class ImpedanceSetpoint(ros.StatedNode):
         about = fill_identity(ros.interface("Identity")(), chain, ["object_status"])
         self._action.end(ended, stop.why, opened=float(stop.opened), largest_force_n=self._largest, about=about)
         self._health.publish()
-
-    def _tell(self, level: bytes, said: str) -> None:
-        if (level, said) != (self._level, self._said):
-            ros.log_at(self, level, said)
-        self._level, self._said = level, said
 
     def _report(self) -> list[ros.Status]:
         refused = self._refusals.recent()
@@ -366,12 +270,12 @@ class ImpedanceSetpoint(ros.StatedNode):
         model = self._object.kind if self._object.model is not None else "none"
         trusted = {"model": model, "trusted": self._object.at(self._now()).trusted}
         hearing = ros.subscription_status(self._inputs, self._refusals)
-        deaf = self._said == "ready" and hearing.level != ros.OK
-        said = f"not ready: {hearing.message}" if deaf else self._said
+        deaf = self.said == "ready" and hearing.level != ros.OK
+        said = f"not ready: {hearing.message}" if deaf else self.said
         return [
             hearing,
             ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "no recent refusal", trusted),
-            ros.Status("pull", hearing.level if deaf else self._level, said, facts),
+            ros.Status("pull", hearing.level if deaf else self.level, said, facts),
         ]
 
 

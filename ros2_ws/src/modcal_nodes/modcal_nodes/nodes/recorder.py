@@ -9,7 +9,6 @@ from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
 from rclpy.logging import get_logger
-from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadRecording, ModcalError
 from modcal_msgs_py import FLUSH_SECONDS, READINGS, BagWriter
@@ -33,6 +32,10 @@ class Recorder(ros.ManagedNode):
     def __init__(self) -> None:
         super().__init__("recorder", ros.RECORDER)
 
+    def _serve(self) -> None:
+        self.offer("~/save", self._save)
+        self.offer("~/reset", self._reset)
+
     def _configure(self) -> None:
         chosen = self._chosen
         optional = {self.resolve_topic_name(name) for name in chosen["optional"] if name}
@@ -46,8 +49,6 @@ class Recorder(ros.ManagedNode):
         self._unheard: set[str] = set()
         self._bytes_per_second = 0.0
         self._base = Path(chosen["out"] or time.strftime("modcal_%Y_%m_%d-%H_%M_%S"))
-        self.create_service(Trigger, "~/save", self._save)
-        self.create_service(Trigger, "~/reset", self._reset)
 
     def _activate(self) -> None:
         self._free, self._started, self._trouble = _free_bytes(self._base), time.monotonic(), None
@@ -200,26 +201,24 @@ class Recorder(ros.ManagedNode):
             return ros.Status("bag", ros.WARN, said, facts)
         return ros.Status("bag", ros.OK, f"{self._bag.count} messages in {self._bag.folder}", facts)
 
-    def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _save(self) -> tuple[bool, str]:
         try:
             self._write_early()
-            count = self._bag.flush(sync=True)
-            response.success, response.message = True, f"{count} messages are on the disk in {self._bag.file}"
+            return True, f"{self._bag.flush(sync=True)} messages are on the disk in {self._bag.file}"
         except ModcalError as error:
-            self._trouble, response.message = error, str(error)  # ends at the next tick, after this answer
-        return response
+            self._trouble = error  # ends at the next tick, after this answer
+            return False, str(error)
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         """Close this bag and begin the next."""
         try:
             self._deactivate()
             closed, count = self._bag.folder, self._bag.count
             self._open(_next_bag(self._base))
-            response.success = True
-            response.message = f"closed {closed} with {count} messages, recording into {self._bag.folder}"
         except ModcalError as error:
-            self._trouble, response.message = error, str(error)
-        return response
+            self._trouble = error
+            return False, str(error)
+        return True, f"closed {closed} with {count} messages, recording into {self._bag.folder}"
 
     def _deactivate(self) -> None:
         """Write the bag's index and metadata; nothing, when the disk has refused before."""

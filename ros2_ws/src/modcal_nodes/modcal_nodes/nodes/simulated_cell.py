@@ -10,7 +10,6 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.errors import BadTable, ModcalError
@@ -75,7 +74,7 @@ class SimulatedCell(ros.GuardedNode):
         self._states, self._readings = simulation.States(chain.names), simulation.Poses(simulation.TRACKER, points)
         self._truths, self._truths_in_base = simulation.Poses(simulation.TRACKER), simulation.Poses(chain.base)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._follow, 10)
-        self.create_service(Trigger, "~/restart", self._restart)
+        self.offer("~/restart", self._restart)
         ros.Health(self, lambda: [self._rates.status()])
         period = max(_MIN_PERIOD, 1.0 / (max(fast, slow) * factor))
         self._beat = simulation.Beat(period, self.guarded("beat", self._send_due), self.context.ok)
@@ -115,16 +114,14 @@ class SimulatedCell(ros.GuardedNode):
             grid.start(now)
         self._done = now
 
-    def _restart(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+    def _restart(self) -> tuple[bool, str]:
         if not self._time.simulated:
-            answer.message = "the cell does not publish its own clock: start it with publish_clock"
-            return answer
+            return False, "the cell does not publish its own clock: start it with publish_clock"
         with self._beat.lock:
             self._time.begin()
             self._jump(-self._time.delay)
-        answer.success, answer.message = True, "time has restarted"
-        self.get_logger().info(answer.message)
-        return answer
+        self.get_logger().info("time has restarted")
+        return True, "time has restarted"
 
     def _follow(self, trajectory: JointTrajectory) -> None:
         try:

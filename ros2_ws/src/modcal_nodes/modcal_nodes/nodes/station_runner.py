@@ -10,7 +10,6 @@ from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import BadTable, ModcalError
@@ -34,16 +33,18 @@ class StationRunner(ros.ManagedNode):
         if new["measurement"] not in _READINGS:
             raise BadTable(f"measurement '{new['measurement']}'", "must be pose or point", "set one of them")
 
+    def _serve(self) -> None:
+        # what the arm would do first; asking for ~/start after that accepts it
+        self.offer("~/dry_run", lambda: self._sequence.show(self.said))
+        self.offer("~/start", lambda: (not (refusal := self._begin()), refusal or "measuring"))
+        self.offer("~/stop", lambda: (True, "held" if self._sequence.stop() else "nothing moved"))
+        self._action = ros.Action(self, "Measure", self._begin, self._cancel, self._progress)
+
     def _configure(self) -> None:
         """Begin to listen."""
         self._sequence = StationSequence(self._chosen, self._send, self._tell, self._now)
         self.held.callback(self._sequence.close)
-        self._said, self._level = "not configured", ros.OK
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
-        self.create_service(Trigger, "~/dry_run", self._show_dry_run)
-        self._action = ros.Action(self, "Measure", self._begin, self._cancel, self._progress)
-        self.create_service(Trigger, "~/start", self._start)
-        self.create_service(Trigger, "~/stop", self._stop)
         kind, topic = _READINGS[self._chosen["measurement"]]
         heard: list[tuple[type, str, Callable[[Any], None], Any]] = [
             (JointState, "joint_states", self._sequence.take_joints, ros.FRESH),
@@ -66,20 +67,10 @@ class StationRunner(ros.ManagedNode):
         self._sequence.rest("deactivated")
         self._see_end()
 
-    def _show_dry_run(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """What the arm would do first; calling ~/start after this accepts it."""
-        response.success, response.message = self._sequence.show(self._said)
-        return response
-
-    def _start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        refusal = self._begin()
-        response.success, response.message = not refusal, refusal or "measuring"
-        return response
-
     def _begin(self) -> str:
         """Begin, or go on; returns why not, or nothing."""
         try:
-            self._sequence.start(self._said)
+            self._sequence.start(self.said)
         except ModcalError as error:
             return str(error)
         return ""
@@ -89,7 +80,7 @@ class StationRunner(ros.ManagedNode):
         self._see_end()
 
     def _progress(self, feedback: Any) -> None:
-        feedback.phase, feedback.message = str(self._sequence.facts["phase"]), self._said
+        feedback.phase, feedback.message = str(self._sequence.facts["phase"]), self.said
         feedback.stations = self._sequence.measured
         if (advice := self._sequence.advice) is not None:
             feedback.expected_m, feedback.proven_m = _known(advice.status.expected), _known(advice.status.bound)
@@ -104,11 +95,7 @@ class StationRunner(ros.ManagedNode):
         proven = _known(None if advice is None else advice.status.bound)
         about = ros.interface("Identity")()
         fill_identity(about, self._sequence.chain, [f"tracker/{self._chosen['measurement']}"])
-        self._action.end(ended, self._said, stations=self._sequence.measured, proven_m=proven, about=about)
-
-    def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = True, "held" if self._sequence.stop() else "nothing moved"
-        return response
+        self._action.end(ended, self.said, stations=self._sequence.measured, proven_m=proven, about=about)
 
     def _take_reading(self, message: Any) -> None:
         if isinstance(message, PointStamped):
@@ -140,16 +127,11 @@ class StationRunner(ros.ManagedNode):
             message.points.append(point)
         self._trajectory.publish(message)
 
-    def _tell(self, level: bytes, said: str) -> None:
-        if (level, said) != (self._level, self._said):
-            ros.log_at(self, level, said)
-        self._level, self._said = level, said
-
     def _report(self) -> list[ros.Status]:
         refused = self._refusals.recent()
         return [
             ros.subscription_status(self._inputs, self._refusals),
-            ros.Status("measuring", self._level, self._said, self._sequence.facts),
+            ros.Status("measuring", self.level, self.said, self._sequence.facts),
             ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "nothing was refused"),
         ]
 

@@ -11,7 +11,6 @@ from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from modcal_core.calibration import Calibration
@@ -20,10 +19,10 @@ from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import Array
 from modcal_core.measurements import POINT, POSE, Approach
 from modcal_msgs_py import JointInput, SignalsHeard, require_version
-from modcal_nodes import ros
+from modcal_nodes import ros, viewing
 from modcal_nodes.calibrating import KnownArm
 from modcal_nodes.io import calibration_of
-from modcal_nodes.viewing import JudgedStations, Stations, drawing
+from modcal_nodes.viewing import JudgedStations, Stations
 
 _REST = 0.003  # s
 _LIFETIME = 2.0  # s that axes and ellipsoids outlive this node by
@@ -58,7 +57,7 @@ class Viewer(ros.GuardedNode):
         self._ellipsoids = self.create_publisher(MarkerArray, "~/uncertainty", 10)
         self._inputs = self._listen()
         self._health = ros.Health(self, self._report)
-        self.create_service(Trigger, "~/reset", self._reset)
+        self.offer("~/reset", self._reset)
         self.create_timer(1.0 / chosen["rate_hz"], self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _listen(self) -> list[ros.MonitoredSubscription]:
@@ -144,11 +143,10 @@ class Viewer(ros.GuardedNode):
         require_version(message, "change")
         self._change, self._dirty = message.sentence, True
 
-    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         self._stations.clear()
         self._dirty = True
-        response.success, response.message = True, "stations forgotten"
-        return response
+        return True, "stations forgotten"
 
     def _take_joints(self, message: JointState) -> None:
         if not self._names.issuperset(message.name):
@@ -188,35 +186,35 @@ class Viewer(ros.GuardedNode):
         self._judged, self._around_stations, self._missing = None, [], ""
         self._frame = chain.base if chain else self._frame
         if chain is None:
-            pictures = drawing.nothing(self._frame), drawing.nothing(self._frame)
+            pictures = viewing.nothing(self._frame), viewing.nothing(self._frame)
         elif robot is None:
-            pictures = drawing.nothing(self._frame), drawing.waiting_picture(chain, self._stations.postures)
+            pictures = viewing.nothing(self._frame), viewing.waiting_picture(chain, self._stations.postures)
         else:
             correction = robot.correction
             try:
                 self._judged = self._stations.judged(correction, self._signals.tracks(correction.needs))
                 before, moments = self._shapes, self._judged.moments if self._judged else ()
                 self._shapes = {m.stamp: before.get(m.stamp) or tool_ellipsoid(correction, m) for m in moments}
-                self._around_stations = drawing.around_stations(list(self._shapes.values()), chosen["arrow_scale"])
+                self._around_stations = viewing.around_stations(list(self._shapes.values()), chosen["arrow_scale"])
             except ModcalError as error:
                 self._missing = str(error)
             scale, full = chosen["arrow_scale"], chosen["full_colour_m"]
-            residuals = drawing.residual_picture(chain, self._judged, scale, full, self._change)
-            pictures = residuals, drawing.stations_picture(correction, self._judged)
+            residuals = viewing.residual_picture(chain, self._judged, scale, full, self._change)
+            pictures = residuals, viewing.stations_picture(correction, self._judged)
         self._residuals.publish(pictures[0])
         self._dots.publish(pictures[1])
 
     def _draw_posture(self) -> None:
         """Publish axes and ellipsoids where the arm stands; nothing of a posture that is not known now."""
         chain, joints, robot, scale = self._arm.serial, self._joints, self._robot, self._chosen["arrow_scale"]
-        axes, present = drawing.nothing(self._frame), []
+        axes, present = viewing.nothing(self._frame), []
         try:
             if chain is None or joints is None:
                 raise BadCommand("arm", "is not known", self._arm.trouble or _NO_ARM_YET)
             at = self._present(joints)
             calibrated = robot.correction.model.serial if robot else None
             nominal = robot.correction.calibration.nominal.serial if robot else chain
-            axes = drawing.axes_picture(nominal, calibrated, at.q, scale, _LIFETIME)
+            axes = viewing.axes_picture(nominal, calibrated, at.q, scale, _LIFETIME)
             if robot is not None:
                 present = [tool_ellipsoid(robot.correction, at)]
             self._unseen = ""
@@ -224,7 +222,7 @@ class Viewer(ros.GuardedNode):
             self._unseen = str(error)  # no refusal, and no line in the log: nothing was sent
         self._axes.publish(axes)
         around = self._around_stations
-        self._ellipsoids.publish(drawing.uncertainty_picture(self._frame, around, present, scale, _LIFETIME))
+        self._ellipsoids.publish(viewing.uncertainty_picture(self._frame, around, present, scale, _LIFETIME))
 
     def _present(self, joints: JointInput) -> ArmState:
         """The moment that is now; raises BadCommand for joints that are not known now."""
@@ -254,8 +252,8 @@ class Viewer(ros.GuardedNode):
         if self._judged is not None:
             calibrated, nominal = self._judged.calibrated, self._judged.nominal
             facts["stations rejected"] = int(calibrated.rejected.sum())
-            facts["residual, calibrated [mm]"] = f"{1e3 * drawing.rms(calibrated):.4f}"
-            facts["residual, nominal [mm]"] = f"{1e3 * drawing.rms(nominal):.4f}"
+            facts["residual, calibrated [mm]"] = f"{1e3 * viewing.rms(calibrated):.4f}"
+            facts["residual, nominal [mm]"] = f"{1e3 * viewing.rms(nominal):.4f}"
         said = self._refusals.recent("joint_states", "tracker/pose", "tracker/point", "temperature") or self._unseen
         if self._judged is not None and self._judged.strangers:
             known = ", ".join(self._robot.correction.model.frames) if self._robot else ""

@@ -5,15 +5,14 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.ros.actions import DONE, FAILED, REFUSED, Action, interface
-    from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, Refusals, noted
+    from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, Refusals
     from modcal_nodes.ros.launch_files import LAUNCHES
-    from modcal_nodes.ros.lifecycle import ManagedNode, StatedNode, declare, follow
+    from modcal_nodes.ros.lifecycle import DONE, FAILED, REFUSED, Action, ManagedNode, declare, follow, interface
     from modcal_nodes.ros.parameters import ACCELERATION_LIMITS, ARTICULATION_ESTIMATOR, BOARD_DETECTOR, CALIBRATOR
     from modcal_nodes.ros.parameters import CORRECTOR, DOOR_DEMO, IMPEDANCE_SETPOINT, RECORDER, SIMULATED_CELL
     from modcal_nodes.ros.parameters import SIMULATED_FURNITURE, STATION_RUNNER, TRAJECTORY_SENDER, VIEWER, Parameter
     from modcal_nodes.ros.running import FRESH, LATCHED, SENSOR, run, settle_in
-    from modcal_nodes.ros.subscriptions import ERROR, OK, WARN, Health, MonitoredSubscription, Status, always, log_at
+    from modcal_nodes.ros.subscriptions import ERROR, OK, WARN, Health, MonitoredSubscription, Status, always
     from modcal_nodes.ros.subscriptions import subscription_status, tracker_status
     from modcal_nodes.ros.tf_frames import Broadcaster, corrected_frame, static_frames
     from modcal_nodes.ros.topic_recorder import MUTUAL, UNHEARD, Complaint, Taken, TopicRecorder, interrupt, joined

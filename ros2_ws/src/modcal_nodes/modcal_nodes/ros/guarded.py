@@ -14,7 +14,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable
 from copy import copy
-from functools import update_wrapper, wraps
+from functools import update_wrapper
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,11 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.action import ActionClient, ActionServer
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
 
 from modcal_core.errors import ModcalError
 
@@ -256,6 +256,15 @@ class GuardedNode(Node):
         """Same as in Node, guarded: after a fault the caller is told, if the response has a field for it."""
         return super().create_service(srv_type, srv_name, self.guarded_service(srv_name, callback), *args, **options)
 
+    def offer(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
+        """A service Trigger. act: returns whether it was done, and what is to be said of it; not called while idle."""
+
+        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            response.success, response.message = (False, self.idle) if self.idle else act()
+            return response
+
+        self.create_service(Trigger, name, answer)
+
     def add_on_set_parameters_callback(self, callback: Any) -> None:
         """Same as in Node, guarded: after a fault the parameters are refused."""
         super().add_on_set_parameters_callback(
@@ -356,17 +365,3 @@ class Refusals:
         """What was refused of late of these parts, or of all; nothing if nothing was."""
         since = time.monotonic() - _SAID_FOR
         return "; ".join(said for part, (at, said) in self._said.items() if at >= since and part in (parts or [part]))
-
-
-def noted(transition: Callable[[Any, LifecycleState], TransitionCallbackReturn]) -> Callable[..., Any]:
-    """A transition of a GuardedNode that notes what it raises among the node's faults, and then has failed."""
-
-    @wraps(transition)
-    def noting(self: Any, state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            return transition(self, state)
-        except Exception as error:
-            self.faults.note(transition.__name__, error)
-            return TransitionCallbackReturn.ERROR
-
-    return noting

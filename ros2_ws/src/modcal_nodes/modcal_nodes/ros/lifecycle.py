@@ -1,32 +1,171 @@
 """Managed nodes: the lifecycle of ROS 2, kept by the services of lifecycle_msgs, or by the node with ``autostart``.
 
-What a node hears, serves and publishes is made when it is configured. While it is not active it publishes nothing but
-its health, answers its services with a no, and takes only what is latched, which nobody would repeat. Cleaned up, it
-hears nothing; its services go on to say no until it is configured again, so that nobody waits for an answer.
+What a node hears and publishes is made when it is configured. While it is not active it publishes nothing but its
+health, and takes only what is latched, which nobody would repeat. Its services and actions are there in every state,
+and say no while it is not active, so that nobody waits for an answer. A node does one thing at a time.
+
+rclpy looks at a waiting coroutine in every turn of its executor, so no coroutine waits for the end of an action: an
+accepted goal is kept until the node says how its work has ended.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from difflib import get_close_matches
+from functools import partial
+from importlib import import_module
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
-from rclpy.action import ActionServer
-from rclpy.executors import await_or_execute
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import GoalEvent, ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter as Given
 from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from rclpy.timer import Timer
+from std_srvs.srv import Trigger
 
-from modcal_core.errors import ModcalError
-from modcal_nodes.ros.guarded import GuardedNode, Refusals, described, refusal
+from modcal_core.errors import BadTable, ModcalError
+from modcal_msgs_py import require_version
+from modcal_nodes.ros.guarded import GuardedNode, Refusals, described
 from modcal_nodes.ros.parameters import NODES, Parameter
 from modcal_nodes.ros.subscriptions import OK, WARN, Health, Status
 from modcal_nodes.ros.subscriptions import MonitoredSubscription as Monitored
+
+DONE, REFUSED, FAILED, CANCELLED = 1, 2, 3, 4  # outcomes of every action, whatever their names there
+_FEEDBACK = 0.2  # s
+
+
+def interface(name: str) -> Any:
+    """The message, action or service of that name. Raises BadTable where modcal_interfaces is not built."""
+    for kind in ("msg", "action", "srv"):
+        try:
+            found = getattr(import_module(f"modcal_interfaces.{kind}"), name, None)
+        except ImportError as error:
+            remedy = "run make build; where ROS is from apt, build the workspace with colcon and source it"
+            raise BadTable("package modcal_interfaces", "is not built", remedy) from error
+        if found is not None:
+            return found
+    raise AttributeError(f"modcal_interfaces has no {name}")
+
+
+class Action:
+    """One action: at most one goal at a time, with feedback while it is active."""
+
+    def __init__(
+        self,
+        node: GuardedNode,
+        kind: str,
+        begin: Callable[[], str],
+        cancel: Callable[[], None],
+        progress: Callable[[Any], None],
+        trigger: bool = False,
+    ) -> None:
+        """kind: such as Solve, whose name below the node's is ~/solve. begin: returns why it cannot, or nothing; what
+        has begun ends with a call of :meth:`end`. cancel: makes it end soon. progress: fills the feedback. trigger:
+        whether a Trigger of the same name is answered with the end of what it begins.
+        """
+        self._node, self._type, self.name = node, interface(kind), f"~/{kind.lower()}"
+        self._begin, self._cancel, self._progress = begin, cancel, progress
+        self._goal: ServerGoalHandle | None = None
+        self._waiting: Future | None = None
+        self._timer: Timer | None = None
+        self._begun = 0.0
+        self._server = ActionServer(
+            node, self._type, self.name, lambda _: None,
+            handle_accepted_callback=self._accept, cancel_callback=self._ask_to_cancel,
+        )  # fmt: skip
+        if trigger:
+            # a group of its own: while an end is awaited, its group takes no other callback
+            node.create_service(Trigger, self.name, self._await, callback_group=ReentrantCallbackGroup())
+
+    @property
+    def active(self) -> bool:
+        """Whether a goal is pursued."""
+        return self._goal is not None
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since something was begun by it."""
+        return time.monotonic() - self._begun
+
+    async def _await(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._begun = time.monotonic()
+        if refusal := self._node.idle or self._begin():
+            response.success, response.message = False, refusal
+            return response
+        self._waiting = Future(executor=self._node.executor)
+        result = await self._waiting
+        response.success, response.message = result.outcome == DONE, result.message
+        return response
+
+    def end(self, outcome: int, message: str, **fields: Any) -> None:
+        """What was going on has ended so. fields: of the result, beside outcome and message."""
+        result = self._type.Result(outcome=outcome, message=message, **fields)
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+            self._timer = None
+        if self._waiting is not None:
+            waiting, self._waiting = self._waiting, None
+            waiting.set_result(result)
+        if self._goal is not None:
+            goal, self._goal = self._goal, None
+            self._close(goal, result)
+
+    def _accept(self, goal: ServerGoalHandle) -> None:
+        goal._update_state(GoalEvent.EXECUTE)  # execute() would call a function, which had to wait
+        if self._goal is not None:
+            self._close(goal, self._type.Result(outcome=REFUSED, message=f"{self.name}: another goal is active"))
+            return
+        self._goal, self._begun = goal, time.monotonic()
+        try:
+            require_version(goal.request, self.name)
+            if refusal := self._node.idle or self._begin():
+                self.end(REFUSED, refusal)
+        except ModcalError as error:
+            self.end(REFUSED, str(error))
+        except Exception as error:
+            self.end(FAILED, self._node.faults.note(f"action {self.name}", error))
+        if self._goal is goal:
+            self._timer = self._node.create_timer(_FEEDBACK, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _tell(self) -> None:
+        if self._goal is not None:
+            feedback = self._type.Feedback()
+            self._progress(feedback)
+            self._goal.publish_feedback(feedback)
+
+    def _ask_to_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        if goal is not self._goal:
+            return CancelResponse.REJECT
+        try:
+            self._cancel()
+        except Exception as error:
+            self._node.faults.note(f"cancelling {self.name}", error)
+        return CancelResponse.ACCEPT
+
+    def _close(self, goal: ServerGoalHandle, result: Any) -> None:
+        """Give the goal its result, once it is known whether it was cancelled."""
+        self._server.notify_execute(goal, partial(_closed, result))
+
+
+def _closed(result: Any, goal: ServerGoalHandle) -> Any:
+    if result.outcome == DONE:
+        goal.succeed()
+    elif goal.is_cancel_requested:
+        result.outcome = CANCELLED
+        goal.canceled()
+    else:
+        goal.abort()
+    return result
 
 
 def declare(node: Node, parameters: dict[str, Parameter]) -> dict[str, Any]:
@@ -101,37 +240,6 @@ def follow(
     node.add_post_set_parameters_callback(apply)
 
 
-_HEARING, _SERVING = ("timer", "subscription", "publisher"), ("service",)
-
-
-class StatedNode(GuardedNode, LifecycleNode):
-    """A lifecycle node that answers a transition which its state does not allow; rclpy raises for it."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
-        changes = self._service_change_state
-        self._change_state = changes.callback.callback  # without its guard: what is illegal is no fault
-        changes.callback = self.guarded_service("change_state", self._transit)
-
-    @property
-    def state(self) -> str:
-        """Label of the present state."""
-        return str(self._state_machine.current_state[1])
-
-    def _transit(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
-        try:
-            response = self._change_state(request, response)
-        except rclpy_implementation.RCLError:
-            response.success = False
-        if not response.success:
-            asked = request.transition
-            self._refused(f"transition {asked.label or asked.id} is refused in state {self.state}")
-        return response
-
-    def _refused(self, said: str) -> None:
-        """Called after a transition that was not made."""
-
-
 def _transition(name: str, act: str, refused: Any = TransitionCallbackReturn.FAILURE) -> Any:
     """Callback of a transition, made by a method. refused: its outcome after a ModcalError or OSError."""
 
@@ -153,12 +261,16 @@ def _transition(name: str, act: str, refused: Any = TransitionCallbackReturn.FAI
     return transition
 
 
-class ManagedNode(StatedNode):
-    """Base of a managed node: parameters, health and refusals are there in every state, the rest follows the state.
+_HEARING = ("timer", "subscription", "publisher")
 
-    A subclass makes everything else in :meth:`_configure`; what is to be closed with it goes into ``held``. Timers made
-    in :meth:`_activate` end when the node is deactivated. A ModcalError or OSError in these methods refuses the
-    transition; at a start by ``autostart`` it ends the node.
+
+class ManagedNode(GuardedNode, LifecycleNode):
+    """Base of a managed node: parameters, health, refusals, services and actions are there in every state.
+
+    A subclass makes its services and actions in :meth:`_serve`, and everything else in :meth:`_configure`; what is to
+    be closed with it goes into ``held``. Timers made in :meth:`_activate` end when the node is deactivated. A
+    ModcalError or OSError in these methods refuses the transition; at a start by ``autostart`` it ends the node. A
+    transition that the state does not allow, for which rclpy raises, is answered.
     """
 
     active = configured = False
@@ -166,6 +278,9 @@ class ManagedNode(StatedNode):
 
     def __init__(self, name: str, parameters: dict[str, Parameter]) -> None:
         super().__init__(name)
+        changes = self._service_change_state
+        self._change_state = changes.callback.callback  # without its guard: what is illegal is no fault
+        changes.callback = self.guarded_service("change_state", self._transit)
         self._chosen = declare(self, parameters)
         self._check(self._chosen)
         take = lambda: self.configured and self._take_parameters()  # noqa: E731
@@ -176,7 +291,9 @@ class ManagedNode(StatedNode):
         self._ticking: set[Any] = set()
         self._health = Health(self, self._statuses)
         self._refusals = Refusals(self, self._health.publish_if_changed)
-        self._own = frozenset(id(entity) for kind in (*_HEARING, *_SERVING) for entity in getattr(self, f"{kind}s"))
+        self.said, self.level = "", OK  # of what is going on
+        self._serve()
+        self._own = frozenset(id(entity) for kind in _HEARING for entity in getattr(self, f"{kind}s"))
         if self._chosen["autostart"]:
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != TransitionCallbackReturn.SUCCESS and self._why is not None:
@@ -188,8 +305,11 @@ class ManagedNode(StatedNode):
     def _take_parameters(self) -> object:
         """Called after a change of parameters while the node is configured."""
 
+    def _serve(self) -> None:
+        """Make services and actions."""
+
     def _configure(self) -> None:
-        """Make what the node hears, serves and publishes."""
+        """Make what the node hears and publishes."""
 
     def _activate(self) -> None:
         """Begin; messages are taken and published from now on."""
@@ -205,10 +325,27 @@ class ManagedNode(StatedNode):
         """A subscription whose refusals are said and counted. options: of MonitoredSubscription."""
         return Monitored(self, kind, topic, self._refusals.guarded(topic, take), qos, **options)
 
+    def _tell(self, level: bytes, said: str) -> None:
+        """Say what is going on, and log it where it is news; each severity has a line of its own for rclpy."""
+        if (level, said) != (self.level, self.said):
+            log = self.get_logger()
+            if level == OK:
+                log.info(said)
+            elif level == WARN:
+                log.warning(said, throttle_duration_sec=1.0)
+            else:
+                log.error(said)
+        self.level, self.said = level, said
+
     def _statuses(self) -> Iterator[Status]:
         if self.configured:
             yield from self._report()
         yield Status("lifecycle", OK if self.active else WARN, self._outcome or self.state)
+
+    @property
+    def state(self) -> str:
+        """Label of the present state."""
+        return str(self._state_machine.current_state[1])
 
     @property
     def idle(self) -> str:
@@ -233,9 +370,6 @@ class ManagedNode(StatedNode):
             self.held.close()
 
     def _configuring(self) -> None:
-        for waitable in [w for w in self.waitables if isinstance(w, ActionServer)]:
-            waitable.destroy()
-        self._destroy(_SERVING)
         try:
             self._configure()
         except Exception:
@@ -275,16 +409,23 @@ class ManagedNode(StatedNode):
             self.held.close()
         finally:
             self.pollers.clear()
-            self._destroy(_HEARING)
+            for kind in _HEARING:
+                for entity in list(getattr(self, f"{kind}s")):
+                    if id(entity) not in (self._own or ()):
+                        getattr(self, f"destroy_{kind}")(entity)
 
-    def _destroy(self, kinds: Iterable[str]) -> None:
-        """Destroy what was made for the present configuration."""
-        for kind in kinds:
-            for entity in list(getattr(self, f"{kind}s")):
-                if id(entity) not in (self._own or ()):
-                    getattr(self, f"destroy_{kind}")(entity)
+    def _transit(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+        try:
+            response = self._change_state(request, response)
+        except rclpy_implementation.RCLError:
+            response.success = False
+        if not response.success:
+            asked = request.transition
+            self._refused(f"transition {asked.label or asked.id} is refused in state {self.state}")
+        return response
 
     def _refused(self, said: str) -> None:
+        """Say what became of a transition that was not made."""
         if self._why is None:
             self._outcome = f"{said}: see ~/get_available_transitions"
             self.get_logger().warning(self._outcome)
@@ -306,14 +447,3 @@ class ManagedNode(StatedNode):
         """Same as in Node."""
         self._managed_entities.discard(publisher)
         return bool(super().destroy_publisher(publisher))
-
-    def create_service(self, srv_type: Any, srv_name: str, callback: Any, *args: Any, **options: Any) -> Any:
-        """Same as in GuardedNode; while the node is not active, callers are told so."""
-
-        async def gated(request: Any, response: Any) -> Any:
-            if self.idle:
-                return refusal(request, response, self.idle)
-            return await await_or_execute(callback, request, response)
-
-        gated_or_own = callback if self._own is None else gated
-        return super().create_service(srv_type, srv_name, gated_or_own, *args, **options)

@@ -36,16 +36,6 @@ class Status:
     values: Mapping[str, object] = field(default_factory=dict)
 
 
-def log_at(node: Node, level: bytes, said: str) -> None:
-    """Log at the severity of a status; each has a line of its own, for rclpy remembers each caller's."""
-    if level == OK:
-        node.get_logger().info(said)
-    elif level == WARN:
-        node.get_logger().warning(said, throttle_duration_sec=1.0)
-    else:
-        node.get_logger().error(said)
-
-
 class Health:
     """Publishes a node's statuses. ``report`` is asked for them."""
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.geometry import Array, se3
-from modcal_core.measurements.kinds.kind import ORIGIN, Constant, Kind, Scene, Sight, farthest, millimetres
+from modcal_core.measurements.kinds.kind import ORIGIN, Constant, Length, Scene, Sight, millimetres
 from modcal_core.measurements.recording import RANGE, ReadingTrack
 
 _MOST = 50  # steps of a trilateration; one that takes more runs away
@@ -21,14 +21,12 @@ _CHANGE = 4.0  # times the reach, by which ranges may change: the arm's diameter
 _MAX_OF = (1.0, 99.0)  # %; single readings are left out, not complained of
 
 
-class DistanceKind(Kind):
+class DistanceKind(Length):
     """Distance from a fixed anchor to the target, with the scale's zero unknown."""
 
     name = RANGE
     topic = "tracker/range"
-    message = "sensor_msgs/msg/Range"
-    width = 1
-    dimensions = 1
+    lacks = "a target"
     frame = ORIGIN
     constants = (Constant("zero", "m", 0.05),)
     least = 5
@@ -47,10 +45,9 @@ class DistanceKind(Kind):
             np.ones(len(length)),
         )
 
-    def predict(self, scene: Scene, values: Array) -> Array:
-        """Distances, then two zeros."""
-        length = np.linalg.norm(scene.target - scene.T_root_frame[:3, 3:], axis=0)
-        return np.stack([length + values[0], 0.0 * length, 0.0 * length], axis=1)
+    def length(self, scene: Scene, values: Array) -> Array:
+        """Distances, from where the scale begins."""
+        return np.asarray(np.linalg.norm(scene.target - scene.T_root_frame[:3, 3:], axis=0) + values[0])
 
     def place(self, T_base_tool: Array, reading: Array, known: Array | None = None) -> tuple[Array, Array]:
         """By trilateration."""
@@ -78,19 +75,12 @@ class DistanceKind(Kind):
 
     def implausible(self, values: Array, reach: float) -> np.ndarray:
         """Ranges of nothing, and what no arm could have moved."""
-        d = values[:, 0]
-        changing = (
-            np.abs(d - np.median(d)) > _CHANGE * reach if reach and len(d) > 1 else np.zeros(len(d), dtype=np.bool_)
-        )
-        return np.asarray((d <= 0.0) | (d > farthest(reach)) | changing)
+        off = np.abs(values - np.median(values)) if len(values) > 1 and reach else np.zeros((len(values), 1))
+        return np.asarray(super().implausible(values, reach) | (off[:, 0] > _CHANGE * reach))
 
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """Zeros, negative readings, millimetres."""
         d = track.values[:, 0]
-        bad = np.flatnonzero(d <= 0.0)
-        if len(bad):
-            said = f"{len(bad)} of {len(d)} ranges are zero or negative, first at stamp {track.stamps[bad[0]]:.3f} s"
-            return said, "leave out readings without a target"
         # the tool may stick out as far as the arm reaches
         changing = millimetres("ranges change by", float(np.ptp(np.percentile(d, _MAX_OF))), _CHANGE * reach)
-        return changing or millimetres("ranges reach", float(d.max()), farthest(reach))
+        return (changing if (d > 0.0).all() else None) or super().complaint(track, reach)

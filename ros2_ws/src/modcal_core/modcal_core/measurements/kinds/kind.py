@@ -139,6 +139,45 @@ class Kind:
         return None
 
 
+class Length(Kind):
+    """A kind whose reading is one length. noun: what readings are called in refusals. lacks: what was not seen where
+    the instrument reads nothing; "": a length may be zero and less.
+    """
+
+    message = "sensor_msgs/msg/Range"
+    width = 1
+    dimensions = 1
+    noun: str = "ranges"
+    lacks: str = ""
+
+    def length(self, scene: Scene, values: Array) -> Array:
+        """What an exact instrument would read, (m,)."""
+        raise NotImplementedError
+
+    def most(self, reach: float) -> float:
+        """The largest length [m] that it reads of an arm with this reach [m]."""
+        return farthest(reach)
+
+    def predict(self, scene: Scene, values: Array) -> Array:
+        """Lengths, then two zeros."""
+        return np.pad(self.length(scene, values)[:, None], ((0, 0), (0, 2)))
+
+    def implausible(self, values: Array, reach: float) -> np.ndarray:
+        """Readings of nothing, and lengths that no arm of this reach comes to."""
+        d = values[:, 0]
+        return np.asarray((np.abs(d) > self.most(reach)) | (bool(self.lacks) & (d <= 0.0)))
+
+    def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
+        """Zeros, negative readings, millimetres."""
+        d = track.values[:, 0]
+        bad = np.flatnonzero(d <= 0.0)
+        if self.lacks and len(bad):
+            first = f"first at stamp {track.stamps[bad[0]]:.3f} s"
+            said = f"{len(bad)} of {len(d)} {self.noun} are zero or negative, {first}"
+            return said, f"leave out readings without {self.lacks}"
+        return millimetres(f"{self.noun} reach", float(np.abs(d).max()), self.most(reach))
+
+
 def plane_of(T_root_frame: Array) -> tuple[Array, Array]:
     """(normal (3,), a point (3,)) of the plane z = 0 of a frame."""
     return T_root_frame[:3, 2], T_root_frame[:3, 3]

@@ -20,15 +20,14 @@ from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.kind import (
     PLANE,
     Constant,
-    Kind,
+    Length,
     Scene,
     Sight,
     frame_on_plane,
-    millimetres,
     plane_of,
     scene_in,
 )
-from modcal_core.measurements.recording import RAY, ReadingTrack
+from modcal_core.measurements.recording import RAY
 
 _GRAZING = 0.05  # cosine to the normal below which a ray is taken to run along the plane
 _CLEAR = 0.3  # the same for postures from which parameters are chosen
@@ -38,14 +37,12 @@ _FARTHEST = 5.0  # m that such a sensor sees
 _OF_REACH = 4.0  # times the arm's reach, where that is more: the arm's diameter, and as much again for tool and plane
 
 
-class Ray(Kind):
+class Ray(Length):
     """Distance along a ray of the tool to a plane of unknown pose."""
 
     name = RAY
     topic = "gripper/range"
-    message = "sensor_msgs/msg/Range"
-    width = 1
-    dimensions = 1
+    lacks = "a plane in front of the sensor"
     frame = PLANE
     constants = (
         *(Constant(f"ray_{axis}", "m", 0.05) for axis in "xyz"),
@@ -88,10 +85,13 @@ class Ray(Kind):
             np.ones(len(length)),
         )
 
-    def predict(self, scene: Scene, values: Array) -> Array:
-        """Lengths, then two zeros."""
-        length = _hits(scene, values)[0]
-        return np.stack([length, 0.0 * length, 0.0 * length], axis=1)
+    def length(self, scene: Scene, values: Array) -> Array:
+        """Along the ray to the plane."""
+        return _hits(scene, values)[0]
+
+    def most(self, reach: float) -> float:
+        """What such a sensor sees, or more of a large arm."""
+        return max(_FARTHEST, _OF_REACH * reach)
 
     def usable(self, scene: Scene, values: Array) -> np.ndarray:
         """Where the ray meets the plane steeply, not far away."""
@@ -124,20 +124,6 @@ class Ray(Kind):
                 best = (float(found.cost), *at(found.x))
         assert best is not None
         return best[1], best[2]
-
-    def implausible(self, values: Array, reach: float) -> np.ndarray:
-        """Ranges of nothing, or beyond what such a sensor sees."""
-        d = values[:, 0]
-        return np.asarray((d <= 0.0) | (d > max(_FARTHEST, _OF_REACH * reach)))
-
-    def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
-        """Zeros, negative readings, millimetres."""
-        d = track.values[:, 0]
-        bad = np.flatnonzero(d <= 0.0)
-        if len(bad):
-            said = f"{len(bad)} of {len(d)} ranges are zero or negative, first at stamp {track.stamps[bad[0]]:.3f} s"
-            return said, "leave out readings without a plane in front of the sensor"
-        return millimetres("ranges reach", float(d.max()), max(_FARTHEST, _OF_REACH * reach))
 
 
 def _hits(scene: Scene, values: Array) -> tuple[Array, Array, Array, Array]:

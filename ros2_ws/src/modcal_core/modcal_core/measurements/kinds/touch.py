@@ -14,27 +14,24 @@ from collections.abc import Callable
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.measurements.kinds.kind import PLANE, Kind, Scene, Sight, frame_on_plane, millimetres, plane_of
-from modcal_core.measurements.recording import TOUCH, ReadingTrack
+from modcal_core.measurements.kinds.kind import PLANE, Length, Scene, Sight, frame_on_plane, plane_of
+from modcal_core.measurements.recording import TOUCH
 
 _STEEP = 0.5  # change of heights per metre of the place, one for a plane: less is scatter of touched points
 
 
-class Touch(Kind):
+class Touch(Length):
     """Height of the target above a plane of unknown pose, zero where it touches."""
 
     name = TOUCH
     topic = "tracker/plane"
-    message = "sensor_msgs/msg/Range"
-    width = 1
-    dimensions = 1
+    noun = "heights"
     frame = PLANE
     least = 6
 
     def see(self, scene: Scene, values: Array, reading: Array) -> Sight:
         """Residuals along the normal."""
-        n, c = plane_of(scene.T_root_frame)
-        height = n @ (scene.target - c[:, None])
+        n, height = scene.T_root_frame[:3, 2], self.length(scene, values)
         m = len(height)
         return Sight(
             n[:, None] * (reading[:, 0] - height),
@@ -45,11 +42,14 @@ class Touch(Kind):
             np.ones(m),
         )
 
-    def predict(self, scene: Scene, values: Array) -> Array:
-        """Heights, then two zeros."""
+    def length(self, scene: Scene, values: Array) -> Array:
+        """Heights."""
         n, c = plane_of(scene.T_root_frame)
-        height = n @ (scene.target - c[:, None])
-        return np.stack([height, 0.0 * height, 0.0 * height], axis=1)
+        return np.asarray(n @ (scene.target - c[:, None]))
+
+    def most(self, reach: float) -> float:
+        """Twice the arm's reach, where that is known."""
+        return 2.0 * reach or np.inf
 
     def place(self, T_base_tool: Array, reading: Array, known: Array | None = None) -> tuple[Array, Array]:
         """By the plane of least squares."""
@@ -81,12 +81,3 @@ class Touch(Kind):
             found.append((float(fit.cost), normal(fit.x), float(fit.x[2])))
         _, n, offset = min(found, key=lambda one: one[0])
         return frame_on_plane(n, float(n @ centre + offset)), np.empty(0)
-
-    def implausible(self, values: Array, reach: float) -> np.ndarray:
-        """Heights that no arm of this reach comes to."""
-        most = 2.0 * reach if reach else np.inf
-        return np.asarray(np.abs(values[:, 0]) > most)
-
-    def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
-        """Heights in millimetres."""
-        return millimetres("heights reach", float(np.abs(track.values[:, 0]).max()), 2.0 * reach)

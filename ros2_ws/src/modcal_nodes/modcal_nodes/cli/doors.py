@@ -1,24 +1,28 @@
-"""``modcal articulate``: which joint moved the handle that was recorded."""
+"""``modcal articulate`` and ``modcal door``: which joint moved a handle, and a simulated door that is opened."""
 
 from __future__ import annotations
 
+import json
+import os
+import signal
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 
 from modcal_core.articulation import Track, choose, require_convention
-from modcal_core.errors import BadRecording, about
+from modcal_core.errors import BadCommand, BadRecording, about
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POINT, POSE, ReadingTrack, Recording, cleaned, joints_by_time
 from modcal_core.report import URDF, Articulation, articulation_report
 from modcal_core.robots import chain_forward
 from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
 from modcal_msgs_py.tables import read_track
-from modcal_nodes.cli.console import Output, saving
+from modcal_nodes.cli.console import EXISTING, WRITTEN, Decimal, Output, Whole, given, saving, speaking, written
 from modcal_nodes.cli.inputs import arm_line, chain_line, described, whole_rows
-from modcal_nodes.cli.options import EXISTING, given
 from modcal_nodes.io import ChainOptions, option, read_calibration, repeated
 
 _MAX = 2000  # samples; of more, evenly chosen ones say the same
@@ -138,3 +142,77 @@ def _reading(reading: ReadingTrack) -> _Read:
     (reading,) = cleaned(Recording(readings=(reading,)), ()).recording.readings
     order = np.argsort(reading.stamps, kind="stable")
     return _Read(reading.values[order], reading.stamps[order], reading.frame)
+
+
+_NODE, _LOG, _RESULT = "door_demo", "nodes.log", "pull.json"
+_DOMAINS = 100  # of them every system has ports for; 0 is the one that robots usually speak in
+
+
+@click.command("door")
+@click.option("--kind", type=click.Choice(["door", "drawer"]), default="door", help="What to open.")
+@click.option("--seed", type=Whole(0, 2**31 - 1), default=0, help="Seed of the object, its place and the noise.")
+@click.option(
+    "--patience", type=Decimal(5.0, 3600.0), default=90.0, metavar="S", help="Time after which it is given up."
+)
+@click.option("--domain", type=Whole(0, 232), help="ROS_DOMAIN_ID of the nodes. Default: one of its own.")
+@click.option("--out", type=WRITTEN, help="Folder of the results. Default: KIND_demo.")
+@speaking
+def door_command(kind: str, seed: int, patience: float, domain: int | None, out: Path | None, output: Output) -> None:
+    """Open a simulated door or drawer from start to end, and report what was learned of it.
+
+    Starts an arm and an object in MuJoCo, articulation_estimator and impedance_setpoint, in a ROS domain of their own,
+    and pulls. The nodes are told the direction of the first pull only. Takes about half a minute. Exit code 0: it is
+    open; 2: it is not, and one line says why.
+    """
+    out = out or Path(f"{kind}_demo")
+    chosen = 1 + os.getpid() % _DOMAINS if domain is None else domain
+    program = _program()
+    parameters = {"kind": kind, "seed": seed, "patience_s": patience, "out": str(out.resolve())}
+    out.mkdir(parents=True, exist_ok=True)
+    (out / _RESULT).unlink(missing_ok=True)
+    with output.working() as watch:
+        watch(f"opening a {kind}; ROS_DOMAIN_ID={chosen} modcal watch shows the nodes")
+        code = _opened(program, parameters, chosen, out / _LOG)
+    if code or not (out / _RESULT).is_file():
+        raise BadCommand(f"{kind} {seed}", _last_word(out / _LOG), f"see {out / _LOG}, or give another --seed")
+    data = json.loads((out / _RESULT).read_text(encoding="utf-8"))
+    names = [_LOG, _RESULT, *data["files"]]
+    output.result(data, data["sentences"], written(out, names))
+
+
+def _program() -> Path:
+    """The executable of the demonstration. Raises ModcalError where it, or what it speaks, is not installed."""
+    from ament_index_python.packages import get_package_prefix  # only where ROS is
+
+    from modcal_nodes.ros import interface
+
+    interface("Pull")
+    try:
+        return Path(get_package_prefix("modcal_nodes"), "lib", "modcal_nodes", _NODE)
+    except (LookupError, OSError) as error:
+        raise BadCommand("package modcal_nodes", "is not installed for ROS", "source install/setup.bash") from error
+
+
+def _opened(program: Path, parameters: dict[str, Any], domain: int, log: Path) -> int:
+    """The exit code of the demonstration, whose nodes write to a log."""
+    given = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    # whatever robot listens in this network must not be told to move
+    alone = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(domain)}
+    with log.open("wb") as stream:
+        child = subprocess.Popen(
+            [program, "--ros-args", *given], env={**os.environ, **alone}, stdout=stream, stderr=stream,
+            start_new_session=True,
+        )  # fmt: skip
+        try:
+            return child.wait()
+        except BaseException:
+            child.send_signal(signal.SIGINT)
+            child.wait()
+            raise
+
+
+def _last_word(log: Path) -> str:
+    """What the demonstration said in the end, in its one line for a refusal."""
+    lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
+    refused = [line.removeprefix("modcal: ") for line in lines if line.startswith("modcal: ")]
+    return refused[-1] if refused else "did not end as it should"

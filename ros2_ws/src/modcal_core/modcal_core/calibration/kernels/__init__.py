@@ -1,1 +1,0 @@
-"""Quick ways to what the plain modules of calibration compute; tests hold each to its plain version."""
