@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Package: lines and statements at most.
 CEILINGS: dict[str, tuple[int, int]] = {
-    "bench": (16040, 11610),
+    "bench": (16060, 11620),
     "launch": (80, 50),
     "modcal": (50, 30),
     "modcal_core": (2590, 1470),
@@ -27,36 +27,36 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/camera": (4510, 2900),
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (1230, 790),
-    "modcal_core/diagnosis": (2990, 2060),
+    "modcal_core/diagnosis": (2910, 2010),
     "modcal_core/effects": (3050, 1980),
     "modcal_core/geometry": (590, 400),
-    "modcal_core/impedance": (3570, 2480),
+    "modcal_core/impedance": (3590, 2490),
     "modcal_core/measurements": (4140, 2730),
     "modcal_core/outcome": (1020, 610),
-    "modcal_core/modules": (2700, 1680),
+    "modcal_core/modules": (2650, 1650),
     "modcal_core/online": (1100, 750),
     "modcal_core/planning": (3320, 2130),
     "modcal_core/hypotheses": (3780, 2540),
     "modcal_core/moves": (2560, 1700),
     "modcal_core/report": (4300, 2480),
-    "modcal_core/robots": (4750, 3020),
+    "modcal_core/robots": (4750, 3010),
     "modcal_core/verdict": (4150, 2740),
     "modcal_msgs_py": (4780, 3280),
     "modcal_msgs_py/tables": (3620, 2570),
-    "modcal_nodes": (1120, 690),
-    "modcal_nodes/calibrating": (1610, 1160),
-    "modcal_nodes/cli": (4300, 2670),
+    "modcal_nodes": (880, 540),
+    "modcal_nodes/calibrating": (1610, 1150),
+    "modcal_nodes/cli": (4500, 2790),
     "modcal_nodes/io": (590, 350),
-    "modcal_nodes/measuring": (1080, 770),
-    "modcal_nodes/nodes": (2900, 2270),
-    "modcal_nodes/ros": (2490, 1490),
-    "modcal_nodes/simulation": (2050, 1360),
+    "modcal_nodes/measuring": (1070, 760),
+    "modcal_nodes/nodes": (2730, 2140),
+    "modcal_nodes/ros": (2500, 1500),
+    "modcal_nodes/simulation": (2060, 1380),
     "modcal_nodes/vision": (1840, 1320),
-    "tests": (46700, 32360),
+    "tests": (46690, 32350),
     "modcal_core/sentinel": (1340, 960),
 }
-SOURCE = (90400, 59300)
-TEXT = 185700  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (90100, 59100)
+TEXT = 185400  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
