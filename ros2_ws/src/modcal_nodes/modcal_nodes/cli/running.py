@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.action.graph import get_action_server_names_and_types_by_node
 from rclpy.duration import Duration
@@ -312,6 +311,8 @@ def _performed(client: ActionClient, server: _Server, goal: Any) -> tuple[Any, b
         if not handle.accepted:
             raise BadCommand(server.name, "the goal is not accepted", "look at the node's log")
         ended = server.answer(handle.get_result_async(), cancel)
+    from action_msgs.msg import GoalStatus  # not before rclpy is known to be there
+
     return ended.result, ended.status == GoalStatus.STATUS_SUCCEEDED
 
 
