@@ -52,16 +52,6 @@ def test_a_wrong_model_harms_nothing() -> None:
     assert_smooth(done)
 
 
-@pytest.mark.parametrize(("most", "fingers", "begins"), [(5.0, 700e3, False), (50.0, 700e3, True), (5.0, 15e3, True)])
-def test_what_no_pace_keeps_gentle_at_a_hard_stop_is_not_begun(most: float, fingers: float, begins: bool) -> None:
-    governor = replace(TASK.governor, max_force=most, contact_stiffness=fingers)
-    done = pull(Toy(door()), Operation(PANDA, replace(TASK, governor=governor), LIMITS), seconds=2.0)
-    assert ("explore" in done.phases) == begins
-    if not begins:
-        assert "a hard stop stays below 6 N only at 0." in done.stop.why
-        assert "raise max_force_n" in done.stop.why
-
-
 def test_a_way_that_the_arm_cannot_go_is_not_begun() -> None:
     """The believed axis leads the tool through the arm's own shoulder: said after 8°, not found out at 50°."""
     far = ImpedanceTask(direction=BACK, goal_m=0.9)

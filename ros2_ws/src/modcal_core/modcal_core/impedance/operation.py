@@ -195,9 +195,7 @@ class Operation:
         if why:
             return self.stop(why) if over else Wait(why)
         self.setpoint_filter.begin(joints.q, T)
-        told, along = self.tool_force, self.impedance.gains.task[:, 0]
-        why = told.begin(self.setpoint_filter.jacobian, self._motion, sensor)
-        if why := why or self.governor.refused(told.delay, *told.hold(along, self.setpoint_filter)):
+        if why := self.tool_force.begin(self.setpoint_filter.jacobian, self._motion, sensor.load.mass):
             return self.stop(why)
         self.monitor.open(T, joints.q, now)
         self._pull = Exploration(T, self.task.direction, self.task.exploration_speed)

@@ -39,7 +39,6 @@ _RIGID = 700e3  # N/m: steel fingers on a steel handle
 # Of a force that a sensor hides: the lead of a servo that shows it [m], at most at this share of the last force; how
 # long it must do so [s]; and times the last force that may have come by then
 _LEAD, _UNFELT, _UNSEEN, _HIDDEN = 2e-4, 0.4, 0.05, 1.2
-_SLOWEST = 5e-4  # m/s: 30 cm in ten minutes
 # N by which a force rises at a touch: more than noise; m in which it does so of fingers, however soft, and not of what
 # opens; times stiffer than is stated may a touch seem, for delays
 _TOUCH, _TOUCH_WAY, _STIFFER = 1.5, 0.8e-3, 1.5
@@ -159,10 +158,7 @@ class SpeedGovernor:
         delay: how long it goes on as it does before it brakes [s]. stiffness: by which the servos hold the tool [N/m].
         mass: of the arm, at the tool [kg]. Solves F + v √(C m) + K (v T + v²/2a) = F_last.
         """
-        return self._fastest(self.contact, force, delay, stiffness, mass)
-
-    def _fastest(self, contact: float, force: float, delay: float, stiffness: float, mass: float) -> float:
-        most = self.settings.max_force
+        contact, most = self.contact, self.settings.max_force
         hit, series = math.sqrt(contact * mass), contact * stiffness / (contact + stiffness)
         self.damping = series * delay
         speeds = []
@@ -171,19 +167,6 @@ class SpeedGovernor:
             slow = self._brake * (late + hit / series)
             speeds.append(math.sqrt(slow * slow + 2.0 * self._brake * max(last - force, 0.0) / series) - slow)
         return min(speeds)
-
-    def refused(self, delay: float, stiffness: float, mass: float) -> str:
-        """Why not to begin, as text: to keep a hard stop below the limit takes too long, with fingers as they are
-        stated; empty where it does not. delay, stiffness, mass: as of :meth:`in_sight`.
-        """
-        fingers = self.settings.contact_stiffness
-        if (speed := self._fastest(fingers, 0.0, delay, stiffness, mass)) >= _SLOWEST:
-            return ""
-        return (
-            f"a hard stop stays below {_HIDDEN * self.settings.max_force:.0f} N only at {1e3 * speed:.2f} mm/s, with "
-            f"fingers of {1e-3 * fingers:.0f} kN/m on servos of {1e-3 * stiffness:.0f} kN/m: raise max_force_n, use "
-            "softer fingers or servos, or state how stiff they are"
-        )
 
     @property
     def braking(self) -> float:

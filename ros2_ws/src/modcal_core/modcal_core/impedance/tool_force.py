@@ -145,16 +145,15 @@ class ToolForce:
         self._arm, self._hangs, self._mobility = arm, 0.0, (np.full(joints, np.inf), np.zeros((joints, joints)))
         self._place: LowPass | None = None
 
-    def begin(self, J: Array, motion: FreeMotion | None, sensor: WrenchSensor) -> str:
+    def begin(self, J: Array, motion: FreeMotion | None, mass: float) -> str:
         """The arm stands and is about to pull: why it must not, as text; empty where it may. J (6, n): of the tool.
 
-        motion: what was seen of the arm before.
+        motion: what was seen of the arm before. mass: that hangs on the force sensor, if it is stated [kg].
         """
-        efforts, most, self._hangs = self.efforts, self.limits.force, sensor.load.mass
+        efforts, most, self._hangs = self.efforts, self.limits.force, mass
         efforts.begin(J, motion)
-        self._look(0.0, sensor)
         if not self.by_efforts:
-            self._scale = None if motion is None else motion.sensor.scale(self._hangs, self.task.gravity)
+            self._scale = None if motion is None else motion.sensor.scale(mass, self.task.gravity)
             if self._scale is None:
                 return ""
             if abs(self._scale[0] - 1.0) - _SURE * self._scale[1] <= _MISTOLD:
@@ -217,7 +216,9 @@ class ToolForce:
         self._joints.heard(joints.stamp, now)
         if (servos := self._unfelt.servos) is not None:
             self._joints.learned(*servos)
-        lag = self._look(max(now - joints.stamp, now - heard, 0.0), sensor)
+        age = max(now - joints.stamp, now - heard, 0.0)
+        lag = self.efforts.lag if self.by_efforts else sensor.lag
+        self.delay = age + self.limits.period + lag + self._foresight.lag + task.servo_lag
         self._place = self._place or LowPass(1.0 / (2.0 * math.pi * lag))
         self.tool = self._place.take(T[:3, 3], joints.stamp)
         felt = math.sqrt(self.felt[:3] @ self.felt[:3])
@@ -225,12 +226,6 @@ class ToolForce:
         known = self.felt.copy()
         known[:3] = known[:3] * (self.size / felt) if felt > 0.0 else (self.size, 0.0, 0.0)
         self.foreseen = self._foresight.ahead(known, heard, self.delay + braking)
-
-    def _look(self, age: float, sensor: WrenchSensor) -> float:
-        """Set the delay with which inputs of this age [s] are acted upon; the smoothing that is in it [s]."""
-        lag = self.efforts.lag if self.by_efforts else sensor.lag
-        self.delay = age + self.limits.period + lag + self._foresight.lag + self.task.servo_lag
-        return lag
 
     def sent(self, setpoint: SetpointFilter, now: float) -> None:
         """Note the setpoint that is sent at time ``now`` [s]."""

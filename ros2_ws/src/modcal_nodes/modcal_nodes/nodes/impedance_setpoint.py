@@ -138,11 +138,7 @@ class ImpedanceSetpoint(ros.ManagedNode):
     def _progress(self, feedback: Any) -> None:
         if self._operation is not None:
             bound = self._operation.tool_force.bound
-            said = "the sensor is unproven: state tool_mass and turn the wrist before"
-            if self._operation.phase == "tare":
-                said = ""
-            elif bound == bound:
-                said = f"at most {bound:.0f} N when {self._operation.limits.force:g} N are felt"
+            said = f"at most {bound:.0f} N when {self._operation.limits.force:g} N are felt" if bound == bound else ""
             feedback.phase, feedback.message = self._operation.phase, "; ".join(filter(None, (self.said, said)))
             feedback.force_n = float(np.linalg.norm(self._operation.force[:3]))
             feedback.trusted = self._object.at(self._now()).trusted
