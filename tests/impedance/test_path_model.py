@@ -124,8 +124,8 @@ def test_at_the_speed_in_sight_a_hard_stop_comes_to_no_more_than_the_last_force(
 ) -> None:
     """And to no more than 1.2 times as much where it is seen 50 ms later."""
     force, mass, governor = 8.0, 8.0, SpeedGovernor(GovernorSettings(contact_stiffness=contact), brake=_BRAKE)
-    for stamp, touched in ((0.0, 0.0), (0.01, 2.0), (0.5, 2.0)):
-        governor.touch(touched, np.array([touched / contact, 0.0, 0.0]), stamp)
+    governor.touch(0.0, np.zeros(3))
+    governor.touch(2.0, np.array([2.0 / contact, 0.0, 0.0]))
     assert governor.contact == contact
     speed = governor.in_sight(force, delay, servo, mass)
     felt, hidden = (force + stopped(speed, late, contact, servo, mass) for late in (delay, delay + 0.05))
@@ -134,35 +134,16 @@ def test_at_the_speed_in_sight_a_hard_stop_comes_to_no_more_than_the_last_force(
     assert max(felt / 50.0, hidden / (60.0 - min(2e-4 * servo, 20.0))) > 0.65  # and no slower than that takes
 
 
-@pytest.mark.parametrize(
-    ("fingers", "sticks", "mass", "known"),
-    [
-        (3e3, 3.0, 2.0, 20e3),
-        (20e3, 3.0, 2.0, 20e3),
-        (20e3, 3.0, 30.0, 20e3),
-        (700e3, 3.0, 2.0, 700e3),
-        (700e3, 1.2, 2.0, 700e3),
-        (700e3, 0.4, 30.0, 700e3),
-        (700e3, 0.2, 9.0, 700e3),
-        (20e3, 0.0, 9.0, 700e3),
-    ],
-)
+@pytest.mark.parametrize(("fingers", "known"), [(3e3, 20e3), (20e3, 20e3), (700e3, 700e3), (0.0, 700e3)])
 def test_the_first_touch_tells_whether_fingers_are_as_soft_as_is_stated(
-    fingers: float, sticks: float, mass: float, known: float, rng: np.random.Generator
+    fingers: float, known: float, rng: np.random.Generator
 ) -> None:
-    """Of a drawer of some kg that sticks by some newtons; one that moves freely tells nothing, however heavy it is."""
-    governor, way, moved, speed, follows = SpeedGovernor(GovernorSettings()), 0.0, 0.0, 0.0, 0.0
-    damped = 0.1 * math.sqrt(fingers * mass)
-    for k in range(20000):  # steps of 50 µs; it goes faster after half a second
-        pace = min(0.15 * 5e-5 * k, 7e-3) + min(0.15 * 5e-5 * max(k - 10000, 0), 13e-3)
-        follows += (pace - follows) * (5e-5 / 0.03)
-        way += 5e-5 * follows
-        force = fingers * (way - moved) + damped * (follows - speed)
-        speed = max(speed + 5e-5 * (force - sticks) / mass, 0.0)
-        moved += 5e-5 * speed
-        if k % 80 == 0:
-            governor.speed = pace
-            governor.touch(abs(force + 0.1 * rng.normal()), np.array([way, 0.0, 0.0]), 5e-5 * k)
+    """Of a drawer that 3 N move; one that none do (0) tells nothing."""
+    governor = SpeedGovernor(GovernorSettings())
+    for k in range(500):
+        way = 1e-5 * k
+        force = min(fingers * way, 3.0) + 0.1 * rng.normal()
+        governor.touch(abs(force), np.array([way, 0.0, 0.0]))
     assert governor.contact == known
 
 

@@ -340,7 +340,7 @@ class Operation:
         if self._late:
             most = 0.0
         told = self.tool_force
-        self.governor.touch(math.sqrt(self.force[:3] @ self.force[:3]), told.tool, self._last + h)
+        self.governor.touch(math.sqrt(self.force[:3] @ self.force[:3]), told.tool)
         along = self.impedance.gains.task[:, 0]
         sight = self.governor.in_sight(told.size, told.delay, *told.hold(along, self.setpoint_filter))
         return self.governor.step(wanted, min(most, sight), self.tool_force.foreseen, h)

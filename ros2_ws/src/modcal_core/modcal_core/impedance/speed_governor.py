@@ -42,10 +42,6 @@ _LEAD, _UNFELT, _UNSEEN, _HIDDEN = 2e-4, 0.4, 0.05, 1.2
 # N by which a force rises at a touch: more than noise; m in which it does so of fingers, however soft, and not of what
 # opens; times stiffer than is stated may a touch seem, for delays
 _TOUCH, _TOUCH_WAY, _STIFFER = 1.5, 0.8e-3, 1.5
-_HARD, _HARDER = 1.0, 4.0  # N, and times: what moves by less than a touch shows a hard grip all the same
-# of it must remain at a steady speed, for then friction holds the object; m/s by which that may change, and s that it
-# lasts: an object swings on its grip meanwhile
-_REMAINS, _GATHERS, _STAYS = 0.5, 1e-3, 0.15
 
 
 @dataclass(frozen=True)
@@ -106,9 +102,6 @@ class SpeedGovernor:
         self.speed, self.caution = 0.0, 1.0
         self._mark = (math.nan, 0.0)
         self._from, self._soft, self._stiff = (math.inf, np.zeros(3)), False, False
-        # when a force had risen [s], and what it then was at least [N]; since when the speed is steady, and which
-        self._risen: tuple[float, float] | None = None
-        self._steady = 0.0, 0.0
         self.damping = 0.0
 
     def heed(self, age: float, h: float) -> None:
@@ -126,23 +119,12 @@ class SpeedGovernor:
         self.speed = min(max(aim, self.speed - self._brake * h), self.speed + self._gather * h)
         return self.speed * h
 
-    def touch(self, force: float, tool: Array, now: float) -> None:
-        """Take a felt force [N] with where the tool (3,) was then [m]: how a force rises tells how stiff a touch is.
-
-        What moves makes a force too as it gathers speed, however stiff the grip. So one that has risen slowly tells of
-        soft fingers only where it stays when the tool goes on steadily.
-        """
+    def touch(self, force: float, tool: Array) -> None:
+        """Take a felt force [N] with where the tool (3,) was then [m]: how a force rises tells how stiff a touch is."""
         way, rise = math.dist(tool, self._from[1]), force - self._from[0]
-        as_stated = self.settings.contact_stiffness * way  # N
-        if way <= _TOUCH_WAY:
-            hard = rise >= _HARD and rise > _HARDER * as_stated
-            self._stiff = self._stiff or hard or (rise >= _TOUCH and rise > _STIFFER * as_stated)
-            if rise >= _TOUCH:
-                self._risen = self._risen or (now, self._from[0] + _REMAINS * _TOUCH)
-        if abs(self.speed - self._steady[1]) > _GATHERS:
-            self._steady = now, self.speed
-        if self._risen is not None and now - max(self._risen[0], self._steady[0]) >= _STAYS:
-            self._soft, self._risen = self._soft or force >= self._risen[1], None
+        if rise >= _TOUCH and way <= _TOUCH_WAY:
+            self._soft = True
+            self._stiff = self._stiff or rise > _STIFFER * self.settings.contact_stiffness * way
         if not 0.0 <= rise < _TOUCH or way > _TOUCH_WAY:
             self._from = force, tool
 
