@@ -11,9 +11,8 @@ from correction.test_compensation import calibration_of, moment, true_model
 from scipy.integrate import solve_ivp
 
 from modcal_core.calibration.covariance import Uncertainty
-from modcal_core.calibration.model import place_model
 from modcal_core.correction.correction import ArmState, Correction
-from modcal_core.effects.drivers import _LAST, Drivers, NominalArm, delayed, remembered
+from modcal_core.effects.drivers import Drivers, NominalArm, delayed
 from modcal_core.effects.effect import AXIS, Effect, motion
 from modcal_core.effects.shapes import KINDS, Shape
 from modcal_core.effects.sizes import AxisCurves
@@ -108,21 +107,6 @@ def test_a_signal_that_was_told_may_lag() -> None:
 
 def test_what_a_sensor_saw_is_interpolated() -> None:
     assert payload([1000.0, 1500.0], [0.123456789, 1.987654321])[1] == pytest.approx(0.4962962954)
-
-
-def test_drivers_are_remembered_within_the_context_alone() -> None:
-    """Of the same samples and the same arm; other samples of the same numbers are others."""
-    samples = record(0, 20).samples
-    model = place_model(ur10(), samples.frames)
-    with remembered():
-        first = model.drivers(samples)
-        assert model.drivers(samples) is first
-        assert model.drivers(replace(samples)) is not first
-        assert place_model(ur10(), samples.frames).drivers(samples) is not first
-        for _ in range(_LAST):
-            model.drivers(replace(samples))
-        assert model.drivers(samples) is not first  # memory holds but the last few
-    assert model.drivers(samples) is not model.drivers(samples)
 
 
 CHAIN = ur10()

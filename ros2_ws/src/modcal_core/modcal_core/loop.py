@@ -27,7 +27,7 @@ from modcal_core.diagnosis import (
     with_arm,
     with_residual_curves,
 )
-from modcal_core.effects import is_of_clock, remembered
+from modcal_core.effects import is_of_clock
 from modcal_core.effects.families import payload
 from modcal_core.hypotheses import require_plausible
 from modcal_core.measurements import Samples
@@ -45,7 +45,6 @@ class Solution:
     scored: Fit
 
 
-@remembered()
 def calibrate(
     samples: Samples,
     chain: Mechanism,

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modcal_core.effects import Drivers, Effect, NominalArm, claimed, drivers_at, motion
+from modcal_core.effects import Drivers, Effect, NominalArm, claimed, motion
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import Samples
@@ -291,7 +291,7 @@ class Model:
 
     def drivers(self, samples: Samples) -> Drivers:
         """The drivers at these samples."""
-        return drivers_at(samples, self.arm or NominalArm(self.chain))
+        return Drivers(samples, self.arm or NominalArm(self.chain))
 
     @property
     def serial(self) -> Chain:

@@ -5,8 +5,8 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.effects.drivers import Carried, DriverLimits, Drivers, NominalArm, drivers_at, public_driver
-    from modcal_core.effects.drivers import remembered, undelayed
+    from modcal_core.effects.drivers import Carried, DriverLimits, Drivers, NominalArm, public_driver
+    from modcal_core.effects.drivers import undelayed
     from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, JOINTS, LENGTH, PAIRS
     from modcal_core.effects.effect import RADIAL, READING, RODS, SHIFT, STEPS, ZERO, Effect, Knots, Term, all_columns
     from modcal_core.effects.effect import columns, is_large_move, is_move, is_of_clock, is_turned, knots_of
@@ -29,7 +29,7 @@ __all__ += ["PAIRS", "PERIODIC", "PLAIN", "RADIAL", "READING", "RODS", "SHIFT", 
 __all__ += ["Carried", "DriverLimits", "Drivers", "Effect", "Family", "Knots", "NominalArm", "Quantity", "ReportEntry"]
 __all__ += ["Setting", "Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs", "by_hand", "candidates"]
 __all__ += ["carried_signals", "claimed", "columns", "companionless", "complexity", "component_names", "curve"]
-__all__ += ["curve_sizes", "drivers_at", "family_named", "is_large_move", "is_move", "is_of_clock", "is_turned"]
+__all__ += ["curve_sizes", "family_named", "is_large_move", "is_move", "is_of_clock", "is_turned"]
 __all__ += ["knots_of", "known_families", "motion", "nothing_plainer", "of_readings", "one_motion", "periodic"]
-__all__ += ["place_index", "plain_columns", "prior_stds", "public_driver", "put_back_first", "remembered"]
+__all__ += ["place_index", "plain_columns", "prior_stds", "public_driver", "put_back_first"]
 __all__ += ["require_known", "shape_columns", "undelayed", "unit_of", "value", "with_companions", "zeros"]

@@ -17,9 +17,7 @@ whose driver a recording lacks altogether is replaced by what it was on average.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
@@ -110,8 +108,6 @@ _LOADS = ("effort", "payload", "moment", "weight", "tip_weight", "offset_x", "of
 _FEW = 3  # messages that are no course of a sensor; what was told holds from one on
 _MAX_POINTS = 20_000  # of a signal; a faster one is thinned
 _MAX_KEPT = 96e6  # bytes of drivers and shapes that are kept for one set of samples
-_OFTEN = 2  # times that something is asked for, before what is made for its sake is worth making
-_LAST, _LONGEST = 3, 20_000  # sets of samples whose drivers are remembered, and samples of a set
 _STEP = 0.01  # s between postures whose differences are the tip's acceleration and jerk
 _DIFFERENCES = np.array([[0.0, 1.0, -2.0, 1.0, 0.0], [-0.5, 1.0, 0.0, -1.0, 0.5]])  # second and third, central
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
@@ -153,7 +149,6 @@ class Kept:
     def __init__(self) -> None:
         self._arrays: dict[Hashable, Array] = {}
         self._made: dict[Hashable, tuple[tuple[Any, ...], Any]] = {}
-        self._asked: dict[Hashable, int] = {}
         self._bytes = 0
 
     def of(self, key: Hashable, compute: Callable[[], Array]) -> Array:
@@ -165,7 +160,6 @@ class Kept:
             if self._bytes > _MAX_KEPT:
                 self._arrays.clear()
                 self._made.clear()
-                self._asked.clear()
                 self._bytes = found.nbytes
             self._arrays[key] = found
         return found
@@ -182,13 +176,6 @@ class Kept:
         if name not in self._made:
             self._made[name] = (), make()
         return self._made[name][1]
-
-    def made_of_if_often(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any | None:
-        """The same where it was made already, or from the third time that it is asked for; before, None."""
-        key = make, *map(id, parts)
-        asked = self._asked.get(key, 0) + 1
-        self._asked[key] = asked
-        return self.made_of(parts, make) if key in self._made or asked > _OFTEN else None
 
 
 @dataclass(frozen=True)
@@ -305,30 +292,6 @@ class Drivers:
                     out = delayed(t, x, lag, stamps) if len(t) > 1 else np.full(len(self), x[0] if len(x) else 0.0)
                 return out if self.arm.limits is None else self.arm.limits.value(name, lag, out)
         return np.zeros(len(self))
-
-
-_REMEMBERED: ContextVar[list[Drivers] | None] = ContextVar("remembered drivers", default=None)
-
-
-@contextmanager
-def remembered() -> Iterator[None]:
-    """Within this context the drivers at the last few sets of samples are there when they are asked for again."""
-    token = _REMEMBERED.set([])
-    try:
-        yield
-    finally:
-        _REMEMBERED.reset(token)
-
-
-def drivers_at(samples: Samples, arm: NominalArm) -> Drivers:
-    """The drivers at these samples, with what was computed of them already where they are remembered."""
-    known = _REMEMBERED.get()
-    if known is None or len(samples) > _LONGEST:
-        return Drivers(samples, arm)
-    same = [drivers for drivers in known if drivers.samples is samples and drivers.arm is arm]
-    found = same[0] if same else Drivers(samples, arm)
-    known[:] = [*(drivers for drivers in known if drivers is not found), found][-_LAST:]
-    return found
 
 
 DriverKind = Callable[[Drivers, str], Array]  # of the drivers and of what stands behind the colon, (N,)

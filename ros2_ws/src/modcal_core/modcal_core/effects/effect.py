@@ -7,7 +7,7 @@ columns of the linearised model are the geometry's columns times numbers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -30,13 +30,12 @@ _MAX_EACH = 8  # functions that are not zero at one sample; of more, blocks are 
 class Knots:
     """Functions (b, N) of which few are not zero at a sample. at: numbers of these few, (N, k). value: theirs, (N, k).
 
-    whole, by_sample: all of them as a sparse array, (b, N), and the other way round, (N, b). functions: b.
+    whole: all of them as a sparse array, (b, N). functions: b.
     """
 
     at: np.ndarray
     value: Array
     whole: scipy.sparse.csr_array
-    by_sample: scipy.sparse.csr_array
     functions: int
 
     @classmethod
@@ -55,11 +54,7 @@ class Knots:
         place = np.arange(len(sample)) - by_sample.indptr[sample]
         at, value = np.zeros((N, most), np.int32), np.zeros((N, most))
         at[sample, place], value[sample, place] = by_sample.indices, by_sample.data
-        return cls(at, value, whole, by_sample, b)
-
-    def curves(self, amplitudes: Array) -> Array:
-        """Sums of the functions times amplitudes (d, b), (d, N)."""
-        return np.asarray((self.by_sample @ amplitudes.T).T)
+        return cls(at, value, whole, b)
 
     def __len__(self) -> int:
         return self.functions
@@ -254,7 +249,7 @@ def shape_columns(effect: Effect, drivers: Drivers) -> Iterator[list[Term]]:
         if slope is not None and _has_one_basis(effect):
             x = drivers.values(effect.driver, effect.lag)
             functions = slope(x, effect.shape.settings, drivers.basis(effect.driver, effect.lag, effect.shape))
-            yield list(_sums(effect, drivers, lambda each, by=functions: each @ by))  # type: ignore[misc]
+            yield list(_sums(effect, drivers, functions))
             continue
         step, above, below = effect.stepped[i]
         sides = columns(above, drivers), columns(below, drivers)
@@ -315,9 +310,7 @@ def _moved(effect: Effect, drivers: Drivers) -> Iterator[Term]:
             yield from (Term(term.place, term.direction, amplitude * term.size) for term in terms)
         return
     basis = drivers.basis(effect.driver, effect.lag, effect.shape)
-    # of curves of many knots, in a fit or where models are weighed against each other at the same samples
-    knots = drivers.kept.made_of_if_often((basis,), Knots.of) if basis.size >= _MIN else None
-    yield from _sums(effect, drivers, knots.curves if knots is not None else lambda each: each @ basis)
+    yield from _sums(effect, drivers, basis)
 
 
 def _has_one_basis(effect: Effect) -> bool:
@@ -326,13 +319,11 @@ def _has_one_basis(effect: Effect) -> bool:
     return not (of_joints or effect.driver.startswith("moment:"))
 
 
-def _sums(effect: Effect, drivers: Drivers, summed: Callable[[Array], Array]) -> Iterator[Term]:
-    """Terms of an effect with its amplitudes, those of a direction together. summed: amplitudes (d, b) of its d
-    directions times functions, (d, N).
-    """
+def _sums(effect: Effect, drivers: Drivers, functions: Array) -> Iterator[Term]:
+    """Terms of an effect with its amplitudes, those of a direction together. functions: (b, N)."""
     k = place_index(effect.place, drivers.arm.chain)
     towards = _directions(effect, drivers, k)
-    for several, size in zip(towards, summed(effect.amplitudes.reshape(len(towards), -1)), strict=True):
+    for several, size in zip(towards, effect.amplitudes.reshape(len(towards), -1) @ functions, strict=True):
         yield from (Term(k, direction, size if share == 1.0 else share * size) for direction, share in several)
 
 

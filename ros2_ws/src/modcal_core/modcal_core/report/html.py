@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.effects import remembered
 from modcal_core.measurements.kinds import indirect_rows
 from modcal_core.outcome import Outcome
 from modcal_core.report.blocks import (
@@ -53,7 +52,6 @@ _DECIDE = File(
 )
 
 
-@remembered()
 def to_html(report: Outcome, data: Mapping[str, Any], files: Iterable[str] = (), calibration: str = "") -> str:
     """The report as HTML text, below 1 MB: of long recordings a part is drawn, and all is counted.
 
