@@ -11,16 +11,18 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from sensor_msgs.msg import JointState
 
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import TRAVEL
 from modcal_core.planning import UNSEEN, Station, TimedMotion
 from modcal_core.robots import Mechanism
 from modcal_msgs_py import JointInput
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import JointState
 
 IDLE, MOVING, SETTLING, READING, HELD = "idle", "moving", "settling", "reading", "held"
 _BEYOND = 1e-3  # rad or m outside a limit that a report may be, for rounding

@@ -11,10 +11,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from sensor_msgs.msg import JointState
 
 from modcal_core.errors import BadCommand, BadRobot, BadTable, ModcalError
 from modcal_core.files import read_yaml
@@ -53,6 +52,9 @@ from modcal_nodes.measuring.runner import (
     Worker,
 )
 from modcal_nodes.ros import ERROR, OK, WARN
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import JointState
 
 _SIDE = 0.05  # rad or m from which a station is come to where the side matters
 
