@@ -28,9 +28,9 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (1230, 790),
     "modcal_core/diagnosis": (2910, 2010),
-    "modcal_core/effects": (3050, 1980),
+    "modcal_core/effects": (3010, 1950),
     "modcal_core/geometry": (590, 400),
-    "modcal_core/impedance": (3590, 2490),
+    "modcal_core/impedance": (3550, 2470),
     "modcal_core/measurements": (4140, 2730),
     "modcal_core/outcome": (1020, 610),
     "modcal_core/modules": (2650, 1650),
@@ -47,16 +47,16 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/calibrating": (1610, 1150),
     "modcal_nodes/cli": (4500, 2790),
     "modcal_nodes/io": (590, 350),
-    "modcal_nodes/measuring": (1070, 760),
+    "modcal_nodes/measuring": (1070, 770),
     "modcal_nodes/nodes": (2730, 2140),
     "modcal_nodes/ros": (2500, 1500),
     "modcal_nodes/simulation": (2060, 1380),
     "modcal_nodes/vision": (1840, 1320),
-    "tests": (46690, 32350),
+    "tests": (46650, 32320),
     "modcal_core/sentinel": (1340, 960),
 }
-SOURCE = (90100, 59100)
-TEXT = 185400  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (90000, 59000)
+TEXT = 185300  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
