@@ -18,7 +18,6 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from modcal_core.geometry import Array
-from modcal_core.verdict.drivers import Waves
 
 FOLDS = 5  # of cross-validation; the usual number (Breiman & Spector 1992)
 _EXPECTED = (0.05, 0.5)  # shares of the residual that a group may be expected to explain: sets the ridge
@@ -32,14 +31,13 @@ class Layout:
     """How components of samples (6, N) lie in one vector (R,), fold after fold, sample after sample.
 
     order: of the samples, (N,). sample (in this order), component: of each of the R. spans: first and end of each fold
-    in it. samples: the same among samples.
+    in it.
     """
 
     order: np.ndarray
     sample: np.ndarray
     component: np.ndarray
     spans: tuple[tuple[int, int], ...]
-    samples: tuple[tuple[int, int], ...]
 
     @classmethod
     def of(cls, fold: np.ndarray, seen: np.ndarray) -> Layout:
@@ -48,7 +46,7 @@ class Layout:
         sample, component = np.nonzero(seen[:, order].T)
         ends = np.searchsorted(fold[order], np.arange(FOLDS + 1))
         folds = np.searchsorted(sample, ends).tolist()
-        return cls(order, sample, component, tuple(pairwise(folds)), tuple(pairwise(ends.tolist())))
+        return cls(order, sample, component, tuple(pairwise(folds)))
 
     def flat(self, x: Array) -> Array:
         """(D, 6, N) as (D, R), or (6, N) as (R,)."""
@@ -65,24 +63,22 @@ class Layout:
 class Trials:
     """m residuals (R, m) with what K parameters predict taken away.
 
-    left: what parameters fitted to all of it leave, (R, m): to be predicted. seen: products of each fold with the
-    orthonormal directions that the parameters move it along, (FOLDS, K, m). moved: along these directions, by the
-    parameters that are fitted to the other folds, (FOLDS, K, m). What they leave of the others is what regressors for
-    this fold are trained on, so white noise of a fold shows nowhere in it, not even through the parameters.
+    left: what parameters fitted to all of it leave, (R, m): to be predicted. moved: along the orthonormal directions
+    that the parameters move it along, by those that are fitted to the other folds, (FOLDS, K, m). What these leave of
+    the others is what regressors for this fold are trained on, so white noise of a fold shows nowhere in it, not even
+    through the parameters.
     """
 
     residual: Array
     left: Array
-    seen: Array
     moved: Array
 
 
 class Baseline:
     """The parameters as regressors with unit variance, prepared for every fold.
 
-    directions: orthonormal ones that they move a residual along, (K, R). shared: products of these over each fold,
-    (FOLDS, K, K), which add up to the identity. predicted: what of each direction the parameters predict when fitted to
-    all of it, (K,). All for columns in single precision.
+    directions: orthonormal ones that they move a residual along, (K, R). predicted: what of each direction the
+    parameters predict when fitted to all of it, (K,). Both for columns in single precision.
     """
 
     def __init__(self, value: Array, directions: Array, layout: Layout) -> None:
@@ -92,7 +88,7 @@ class Baseline:
         shared = np.stack([part @ part.T for part in (self._directions[:, a:b] for a, b in layout.spans)])
         both = np.outer(self._root, self._root)
         self._factors = [np.linalg.cholesky(np.diag(1.0 + value) - both * own) for own in shared]
-        self.directions, self.shared, self.predicted = map(_single, (self._directions, shared, self._predicted))
+        self.directions, self.predicted = map(_single, (self._directions, self._predicted))
 
     def new(self, columns: Array) -> Array:
         """Columns (D, 6, N) less what the parameters predict of them, of unit length, (d, R): those that are new."""
@@ -113,7 +109,7 @@ class Baseline:
             for own, factor in zip(seen, self._factors, strict=True)
         ]
         left = r - Q.T @ (self._predicted[:, None] * whole)
-        return Trials(_single(r), _single(left), _single(seen), _single(np.stack(moved)))
+        return Trials(_single(r), _single(left), _single(np.stack(moved)))
 
 
 def principal(U: Array) -> tuple[Array, Array]:
@@ -128,27 +124,37 @@ def principal(U: Array) -> tuple[Array, Array]:
     return value[keep], directions.reshape(-1, *U.shape[1:])
 
 
-class Ridge:
-    """Ridge regression on columns (D, R) of unit length, in single precision, for every fold and several ridges.
+class _Columns:
+    """Columns (D, R) of unit length, in single precision, and what each fold's regressors are trained on."""
+
+    def __init__(self, columns: Array, baseline: Baseline) -> None:
+        self.columns, self.spans, Q = columns, baseline.layout.spans, baseline.directions
+        own = np.stack([columns[:, a:b] @ Q[:, a:b].T for a, b in self.spans])
+        self._along = own.sum(axis=0) - own  # with the parameters' directions over the other folds, (FOLDS, D, K)
+
+    def products(self, trials: Trials) -> Array:
+        """Products of the columns with what is left of the other folds, (FOLDS, D, m)."""
+        own = np.stack([self.columns[:, a:b] @ trials.residual[a:b] for a, b in self.spans])
+        return np.asarray(own.sum(axis=0) - own - self._along @ trials.moved)
+
+
+class Ridge(_Columns):
+    """Ridge regression for every fold and several ridges.
 
     With as many columns as D, none of them special, and a share s of R variances expected to be explained, each
     coefficient has a variance of s R / D in these, and the ridge is its inverse.
     """
 
     def __init__(self, columns: Array, baseline: Baseline) -> None:
+        super().__init__(columns, baseline)
         D, R = columns.shape
-        self.columns, self.spans, Q = columns, baseline.layout.spans, baseline.directions
-        parts = [columns[:, a:b] for a, b in self.spans]
-        grams = [part @ part.T for part in parts]
+        grams = [part @ part.T for part in (columns[:, a:b] for a, b in self.spans)]
         whole = np.sum(grams, axis=0)
         self._factors = [[_factored(whole - gram, D / (share * R)) for gram in grams] for share in _EXPECTED]
-        own = np.stack([part @ Q[:, a:b].T for part, (a, b) in zip(parts, self.spans, strict=True)])
-        self._along = own.sum(axis=0) - own  # with the parameters' directions over the other folds, (FOLDS, D, K)
 
     def predictions(self, trials: Trials) -> list[Array]:
         """Predictions (R, m) of what is left in the trials, one for each size of ridge."""
-        own = np.stack([self.columns[:, a:b] @ trials.residual[a:b] for a, b in self.spans])
-        products = own.sum(axis=0) - own - self._along @ trials.moved
+        products = self.products(trials)
         out = [np.empty_like(trials.left) for _ in _EXPECTED]
         for prediction, factors in zip(out, self._factors, strict=True):
             for (a, b), target, factor in zip(self.spans, products, factors, strict=True):
@@ -156,40 +162,16 @@ class Ridge:
         return out
 
 
-class Sparse:
-    """Least squares on the few of many columns of unit length that go best with the other folds, a number at a time.
-
-    The columns are motions times numbers: thousands of a few dozen motions. A product with all of them is one of the
-    numbers with what the motions are contracted to, six times less than with columns that are written out. Only those
-    that are chosen are.
-    """
-
-    def __init__(self, waves: Waves, baseline: Baseline) -> None:
-        self._baseline, self._waves = baseline, waves.ordered(baseline.layout.order)
-        squares = self._waves.squares()
-        own = self._products(baseline.directions.T)
-        seen = own.sum(axis=0)
-        predicted = seen * baseline.predicted
-        left = np.sqrt(np.maximum(squares - np.sum((2.0 * seen - predicted) * predicted, axis=1), 0.0))
-        enough = left > _MIN_NEW * np.sqrt(squares)
-        which = np.flatnonzero(enough & (squares > 1e-18 * squares.max(initial=1e-300)))
-        # of the columns that are new: their numbers, what the parameters predict, and the length without that
-        self.which, self._predicted, self.size = which, predicted[which], left[which]
-        self._along = seen[which] - own[:, which]
+class Sparse(_Columns):
+    """Least squares on the few of many columns that go best with the other folds, a number at a time."""
 
     def predictions(self, trials: Trials) -> list[Array]:
         """Predictions (R, m) of what is left in the trials, one for each number of columns."""
-        R, m = trials.left.shape
-        products = self.trained(trials)
-        most = min(max(_COUNTS), len(self.size))
-        best = [_largest(np.abs(own), most) for own in products]
-        chosen, place = np.unique(np.stack(best), return_inverse=True)
-        rows = self.written(chosen)
+        most = min(max(_COUNTS), len(self.columns))
         out = [np.empty_like(trials.left) for _ in _COUNTS]
-        for (a, b), own, top, at in zip(
-            self._baseline.layout.spans, products, best, place.reshape(len(best), most, m), strict=True
-        ):
-            X = rows[at.T.ravel()].reshape(m, most, R)
+        for (a, b), own in zip(self.spans, self.products(trials), strict=True):
+            top = _largest(np.abs(own), most)
+            X = self.columns[top.T]  # (m, most, R)
             here = X[:, :, a:b]
             gram = X @ X.transpose(0, 2, 1) - here @ here.transpose(0, 2, 1)  # over the other folds
             target = np.take_along_axis(own, top, 0).T
@@ -199,32 +181,6 @@ class Sparse:
                 solution = np.linalg.solve(held, target[:, :n, None])
                 prediction[a:b] = (solution.transpose(0, 2, 1) @ here[:, :n])[:, 0].T
         return out
-
-    def trained(self, trials: Trials) -> Array:
-        """Products with what each fold's regressors are trained on, (FOLDS, D, m)."""
-        own = self._products(trials.residual)[:, self.which]
-        others = trials.seen.sum(axis=0) - trials.seen - (trials.moved - self._baseline.shared @ trials.moved)
-        out = own.sum(axis=0) - own - self._along @ trials.moved - self._predicted @ others
-        return np.asarray(out / self.size[:, None])
-
-    def written(self, some: np.ndarray) -> Array:
-        """Some of the columns, (k, R)."""
-        layout = self._baseline.layout
-        out = self._waves.written(self.which[some])[:, layout.component, layout.sample]
-        return np.asarray((out - self._predicted[some] @ self._baseline.directions) / self.size[some, None])
-
-    def _products(self, x: Array) -> Array:
-        """Products of all columns with x (R, m) over each fold, (FOLDS, D, m)."""
-        layout, m = self._baseline.layout, x.shape[1]
-        grid = np.zeros((len(layout.order), 6, m), x.dtype)
-        grid[layout.sample, layout.component] = x
-        out = []
-        for motions, numbers in zip(self._waves.motions, self._waves.numbers, strict=True):
-            seen = (motions.transpose(2, 0, 1) @ grid).reshape(len(grid), len(motions) * m)
-            each = np.stack([numbers[:, a:b] @ seen[a:b] for a, b in layout.samples])
-            each = each.reshape(len(each), len(numbers), len(motions), m).transpose(0, 2, 1, 3)
-            out.append(each.reshape(len(each), len(motions) * len(numbers), m))
-        return np.concatenate(out, axis=1)
 
 
 Regressor = Ridge | Sparse

@@ -57,38 +57,6 @@ class Part:
         return f"{self.place} by {self.driver or 'a constant'}"
 
 
-@dataclass(frozen=True)
-class Waves:
-    """Very many columns, a few of which may matter: in each part all motions (k, 6, N) times all numbers (c, N).
-
-    Columns are numbered part after part, motion after motion. name: for a person.
-    """
-
-    name: str
-    motions: tuple[Array, ...]
-    numbers: tuple[Array, ...]
-
-    def squares(self) -> Array:
-        """Squared lengths of the columns, (D,)."""
-        parts = zip(self.motions, self.numbers, strict=True)
-        return np.concatenate([(np.sum(u**2, axis=1) @ (x**2).T).ravel() for u, x in parts])
-
-    def ordered(self, order: np.ndarray) -> Waves:
-        """The same of samples in another order, (N,), in single precision."""
-        motions, numbers = ([x[..., order].astype(np.float32) for x in some] for some in (self.motions, self.numbers))
-        return Waves(self.name, cast(tuple[Array, ...], tuple(motions)), cast(tuple[Array, ...], tuple(numbers)))
-
-    def written(self, which: np.ndarray) -> Array:
-        """The columns of these numbers (k,), in full, (k, 6, N)."""
-        ends = np.cumsum([0, *(len(u) * len(x) for u, x in zip(self.motions, self.numbers, strict=True))])
-        out = np.empty((len(which), 6, self.numbers[0].shape[-1]))
-        for first, last, u, x in zip(ends[:-1], ends[1:], self.motions, self.numbers, strict=True):
-            here = (which >= first) & (which < last)
-            motion, number = np.divmod(which[here] - first, len(x))
-            out[here] = u[motion] * x[number][:, None]
-        return out
-
-
 class PlaceDrivers:
     """All parts of a rest."""
 
@@ -181,28 +149,29 @@ class PlaceDrivers:
             group = f"which instrument reads it: those in {these} not agree in scale, shape or target"
             yield _part(group, "", "", own, np.where(frame == f, 1.0, -1.0)[None])
 
-    def waves(self) -> Iterator[Waves]:
-        """Every joint's axis with each wave of its own position, alone and times its load; all with waves of two
-        joints. And base and tool with those of other joints that move beside the arm, whose weight may bend what both
-        stand on.
+    def waves(self) -> Iterator[Part]:
+        """Very many columns, a few of which may matter: every joint's axis with each wave of its own position, alone
+        and times its load; all with waves of two joints. And base and tool with those of other joints that move beside
+        the arm, whose weight may bend what both stand on. In single precision.
         """
-        motions = [axis[None] for axis in self.axes]
-        numbers = [self._waves(j, _MAX_WAVES)[2 * OWN_WAVES :] for j in range(self.chain.n)]
+        of = "single waves of the joint positions"
+        found: list[tuple[Sequence[Array] | Array, Array]] = []
+        for j, axis in enumerate(self.axes):
+            found.append(([axis], self._waves(j, _MAX_WAVES)[2 * OWN_WAVES :]))
         for j, name in enumerate(self.chain.names if self.at.arm.weighed else ()):  # teeth and pins bend under load
             load = _standard(self.at.values(f"load:{name}")[None])
             if load.any():
-                motions.append(self.axes[j][None] * load)
-                numbers.append(self._waves(j, _LOADED_WAVES))
+                found.append(([self.axes[j] * load], self._waves(j, _LOADED_WAVES)))
         both = _pairs([self._waves(j, 1) for j in range(self.chain.n)])
         if len(both):
-            motions.append(np.concatenate([np.stack(self.axes), self.base, self.tool]))
-            numbers.append(both)
-        yield Waves("single waves of the joint positions", tuple(motions), tuple(numbers))
+            found.append((np.concatenate([np.stack(self.axes), self.base, self.tool]), both))
+        yield Part(of, "", "", np.concatenate([_part(of, "", "", *_single(*some)).columns for some in found]))
         beside = moving_beside(self.samples)[:_MAX_BESIDE]
         if beside:
             turns = [periodic("sine", np.ones(1), q).reshape(2, -1) for q in others_at(self.samples)[:, :_MAX_BESIDE].T]
-            some = np.concatenate([*turns, *([both] if len(both := _pairs(turns)) else [])])
-            yield Waves(f"single waves of the positions of {_listed(beside)}", (self.rest.ends(),), (some,))
+            numbers = np.concatenate([*turns, *([both] if len(both := _pairs(turns)) else [])])
+            of = f"single waves of the positions of {_listed(beside)}"
+            yield _part(of, "", "", *_single(self.rest.ends(), numbers))
 
     def _positions(self) -> Iterator[Part]:
         own, others = "each joint's own position", OTHER_JOINTS
@@ -390,6 +359,11 @@ def _part(group: str, place: str, driver: str, motions: Sequence[Array] | Array,
         return Part(group, place, driver, np.empty((0, 6, numbers.shape[-1])))
     u = np.stack(list(motions))
     return Part(group, place, driver, (u[:, None] * numbers[None, :, None]).reshape(-1, *u.shape[1:]))
+
+
+def _single(motions: Sequence[Array] | Array, numbers: Array) -> tuple[Array, Array]:
+    """The same in single precision."""
+    return cast(Array, np.stack(list(motions)).astype(np.float32)), cast(Array, numbers.astype(np.float32))
 
 
 def _pairs(turns: Sequence[Array]) -> Array:

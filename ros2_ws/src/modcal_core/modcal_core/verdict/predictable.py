@@ -133,10 +133,10 @@ def predictable(case: Case) -> Predictable:
     groups, waves, deals = study.groups(), list(study.drivers.waves()), study.deals()
     tests: list[list[tuple[str, Regressor]]] = []
     for deal in deals:
-        new = [(name, deal.new(columns)) for name, columns in groups]
-        some: list[tuple[str, Regressor]] = [(name, Ridge(columns, deal)) for name, columns in new if len(columns)]
-        few = [(w.name, Sparse(w, deal)) for w in waves]
-        tests.append([*some, *((name, test) for name, test in few if len(test.size))])
+        some = [(name, deal.new(columns)) for name, columns in groups]
+        few = [(part.group, deal.new(part.columns)) for part in waves]
+        tests.append([(name, Ridge(columns, deal)) for name, columns in some if len(columns)])
+        tests[-1] += [(name, Sparse(columns, deal)) for name, columns in few if len(columns)]
     return _weighed(study, deals, tests)
 
 
