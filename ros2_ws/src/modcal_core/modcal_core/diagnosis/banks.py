@@ -4,7 +4,7 @@ Every candidate is a direction at a place times numbers, one a sample. What is a
 of its numbers times something: times the residual under the signs of each trial, times the projector, and, for the
 products of its columns with each other, times their squares. Three kinds of numbers need three ways to sum:
 
-* waves of a joint's angle, nine in ten of all candidates: a table of them, or an FFT (:mod:`spectra`);
+* waves of a joint's angle, nine in ten of all candidates: an FFT (:mod:`spectra`);
 * what begins or ends at some time: running sums in the order of time;
 * all others: products of matrices, one for each place and direction.
 """

@@ -3,8 +3,7 @@
 Directly, N angles and K waves take 4 N K operations a column. By an FFT some 10 N + 20 K log K: the angles are
 irregular, so each column is first spread over a regular grid by a kernel a few points wide, and what the kernel does to
 each frequency is divided out again (non-uniform FFT of type 1, with the kernel of Barnett, Magland & af Klinteberg,
-SIAM J. Sci. Comput. 2019); it agrees to 1e-8 of the sum of the |f_n|. Where angles are few and columns many, a table of
-the waves is quicker still, for a product of matrices goes through it once for all columns.
+SIAM J. Sci. Comput. 2019); it agrees to 1e-8 of the sum of the |f_n|.
 """
 
 from __future__ import annotations
@@ -16,10 +15,8 @@ from typing import Any, TypeVar
 import numpy as np
 import scipy
 
-from modcal_core.effects import periodic
 from modcal_core.geometry import Array
 
-_FEW = 400  # angles up to which a table is quicker: half of the time of an FFT with 300, as much with 500 to 700
 _WIDTH = 10  # points of the grid that an angle is spread over: one decimal each, less one
 _FINER = 2.0  # how much finer the grid is than the highest wave needs
 _STEEP = 3.067 * _WIDTH  # of the kernel, times what a grid so fine leaves of it (the paper's 0.976 π)
@@ -41,8 +38,6 @@ class Spectrum:
 
     def sums(self, columns: Array) -> Array:
         """Sums with the sine and the cosine of each wave, (most + 1, 2, m), of columns (N, m)."""
-        if len(self._angle) <= _FEW:
-            return np.asarray((self._table.reshape(-1, len(columns)) @ columns).reshape(self.most + 1, 2, -1))
         out = np.empty((self.most + 1, 2, columns.shape[1]))
         for some, waves in self._grid.waves(columns):
             out[:, 0, some], out[:, 1, some] = -waves.imag, waves.real
@@ -68,11 +63,6 @@ class Spectrum:
                 out[:, 2 * a, 2 * b + 1] = 0.5 * (sine[more] + turned)
                 out[:, 2 * a + 1, 2 * b] = 0.5 * (sine[more] - turned)
         return out
-
-    @cached_property
-    def _table(self) -> Array:
-        """The waves themselves, (most + 1, 2, N)."""
-        return periodic("turn", self._step * np.arange(self.most + 1, dtype=float), self._angle)
 
     @cached_property
     def _grid(self) -> _Grid:
