@@ -1,4 +1,4 @@
-"""Full calibration, against the plain equations and SciPy's least squares; its growth, and its memory."""
+"""Full calibration, against SciPy's least squares and other packages; its growth, and its memory."""
 
 from __future__ import annotations
 
@@ -6,18 +6,15 @@ import tracemalloc
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
-from unittest import mock
 
 import harness
 import numpy as np
 from cells import NOISE_M, NOISE_RAD, record, samples_of, ur10
 from peers import ask
 from scipy.optimize import least_squares
-from timing import Row, median_ms, pair_ms, spent_ms
+from timing import Row, median_ms, spent_ms
 
-from modcal_core.calibration import fit as fitting
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.equations import PlainSystem
 from modcal_core.calibration.fit import Fit, identify
 from modcal_core.calibration.linearisation import apply_deviations, deviations, linearise
 from modcal_core.calibration.model import Model
@@ -73,12 +70,6 @@ def scipy_fit(model: Model, parameters: tuple[ModelParameter, ...], samples: Sam
     return lambda: least_squares(residual, np.zeros(count), x_scale=np.full(count, 1e-3), method="trf")
 
 
-def plainly(work: Callable[[], Fit]) -> Fit:
-    """The same fit by the plain equations, all samples at once."""
-    with mock.patch.object(fitting, "system_of", PlainSystem), mock.patch.object(fitting, "_MANY", 10**9):
-        return work()
-
-
 def require_same(ours: Fit, values: Any, what: str) -> None:
     """Exits where two solutions differ by more than hundredths of their uncertainty."""
     apart = float(np.abs((values - ours.values) / ours.std).max())
@@ -100,11 +91,10 @@ def rows(scale: float, most: int) -> Iterator[Row]:
 
         found, work = fit(), f"fit, {kind}, N = {count}"
         robust = median_ms(lambda f=fit: f(robust=True), 5)
-        require_same(found, plainly(fit).values, f"{work}, plain")
-        ms, plain = pair_ms(fit, lambda f=fit: plainly(f), 7 if count < 100_000 else 3, 3)
+        ms = median_ms(fit, 7 if count < 100_000 else 3)
         published = PUBLISHED.get((kind, count), {}).items()
         said = [f"robust {robust:.1f} ms", *(f"{other} {theirs * scale / ms:.1f} x" for other, theirs in published)]
-        yield Row(work, ms, "plain equations", plain, "; ".join(said), count)
+        yield Row(work, ms, remark="; ".join(said), size=count)
         if count <= 1_000:
             peer = scipy_fit(start, parameters, samples)
             if kind == "point":  # poses weigh two units against each other, which SciPy is not told
