@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Package: lines and statements at most.
 CEILINGS: dict[str, tuple[int, int]] = {
-    "bench": (16060, 11620),
+    "bench": (16050, 11610),
     "launch": (80, 50),
     "modcal": (50, 30),
     "modcal_core": (2590, 1470),
@@ -27,7 +27,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/camera": (4510, 2900),
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (1230, 790),
-    "modcal_core/diagnosis": (2910, 2010),
+    "modcal_core/diagnosis": (2900, 2000),
     "modcal_core/effects": (3010, 1950),
     "modcal_core/geometry": (590, 400),
     "modcal_core/impedance": (3550, 2470),
@@ -40,7 +40,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/moves": (2560, 1700),
     "modcal_core/report": (4300, 2480),
     "modcal_core/robots": (4750, 3010),
-    "modcal_core/verdict": (4150, 2740),
+    "modcal_core/verdict": (4080, 2690),
     "modcal_msgs_py": (4780, 3280),
     "modcal_msgs_py/tables": (3620, 2570),
     "modcal_nodes": (880, 540),
@@ -55,8 +55,8 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "tests": (46650, 32320),
     "modcal_core/sentinel": (1340, 960),
 }
-SOURCE = (90000, 59000)
-TEXT = 185300  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (89900, 59000)
+TEXT = 185200  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
