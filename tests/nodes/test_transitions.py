@@ -65,6 +65,30 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
         assert "Traceback" not in process.output
 
 
+def test_illegal_transitions_are_answered_in_every_state(cell: Cell) -> None:
+    """Activate while unconfigured, configure twice, and a number that is no transition."""
+    arm, wait = cell.arm, cell.wait
+    legal = {
+        State.PRIMARY_STATE_UNCONFIGURED: {Transition.TRANSITION_CONFIGURE},
+        State.PRIMARY_STATE_INACTIVE: {Transition.TRANSITION_CLEANUP, Transition.TRANSITION_ACTIVATE},
+        State.PRIMARY_STATE_ACTIVE: {Transition.TRANSITION_DEACTIVATE},
+    }
+    every = {
+        Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP, Transition.TRANSITION_ACTIVATE,
+        Transition.TRANSITION_DEACTIVATE, UNKNOWN,
+    }  # fmt: skip
+    for state, onwards in zip(
+        legal, (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, None), strict=True
+    ):
+        for transition in sorted(every - legal[state]):
+            assert not arm.change(wait, transition)
+            assert cell.state() == state
+        if onwards is not None:
+            assert arm.change(wait, onwards)
+    wait(lambda: "is refused in state active" in arm.health["lifecycle"].message, 10.0)
+    assert arm.health["faults"].level == b"\0"
+
+
 def test_asked_for_what_is_no_transition_in_the_middle_of_a_pull_it_lets_go(cell: Cell) -> None:
     """The last setpoints go back to where the tool is, and the force with them; the node can pull again."""
     arm, wait = cell.arm, cell.wait

@@ -52,7 +52,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/ros": (2500, 1500),
     "modcal_nodes/simulation": (2060, 1380),
     "modcal_nodes/vision": (1840, 1320),
-    "tests": (46650, 32320),
+    "tests": (46670, 32330),
     "modcal_core/sentinel": (1340, 960),
 }
 SOURCE = (89900, 59000)

@@ -28,9 +28,7 @@ from modcal_core.effects import Drivers, all_columns
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 
-BLOCK = (
-    20_000  # samples that are taken at once; some 5 kB each, which are kept from step to step where one block is all
-)
+BLOCK = 20_000  # samples taken at once, some 5 kB each; where one block is all, its view is kept for the next step
 _FEW = 8  # functions of a curve; fewer are columns like others, of which one product does with all
 
 
