@@ -4,7 +4,7 @@
     make fuzz ARGS="--only mcap --cases 30000"
     make fuzz ARGS="--only mcap --seed 7 --from 1234 --cases 1"    # one case again, with its traceback
 
-A fault is an exception that is no refusal, a case that takes longer than two seconds of processor, or a process that
+A fault is an exception that is no refusal, a case that takes longer than two seconds of processor twice, or a process that
 grows beyond 1 GiB. Exit code 1 if there is any.
 """
 
@@ -47,26 +47,35 @@ def fuzz(target: Target, seed: int, seconds: float, cases: int | None = None, fi
     out, began, least = Result(), time.process_time(), MIN_CASES if cases is None else cases
     while out.cases < least or (cases is None and time.process_time() - began < seconds):
         number = first + out.cases
-        case, start, found = target.make(np.random.default_rng([seed, number])), time.process_time(), {}
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # NumPy's, of numbers that a file holds
-                target.run(case)
-        except ModcalError as error:
-            out.refused += 1
-            if str(error) != plain(str(error)) or "\n" in str(error):
-                found["a refusal with control characters"] = repr(str(error)[:300])
-        except Exception as error:
-            where = traceback.extract_tb(error.__traceback__)[-1]
-            found[f"{type(error).__name__} at {Path(where.filename).name}:{where.lineno}"] = traceback.format_exc()
-        took = time.process_time() - start
+        case, found = target.make(np.random.default_rng([seed, number])), {}
+        refused, took = _tried(target, case, found)
+        if took > SLOW:  # the collector and what other threads leave behind also take time: what is slow is so twice
+            took = min(took, _tried(target, case, found)[1])
         if took > SLOW:
             found["slower than two seconds"] = f"{took:.1f} s"
+        out.refused += refused
         out.slowest = max(out.slowest, took)
         out.faults.update(found)
         out.examples = {key: (number, said) for key, said in found.items()} | out.examples
         out.cases += 1
     return out
+
+
+def _tried(target: Target, case: object, found: dict[str, str]) -> tuple[bool, float]:
+    """Run one case: whether it was refused, and the time of this thread [s]; what is a fault goes into `found`."""
+    refused, start = False, time.thread_time()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy's, of numbers that a file holds
+            target.run(case)
+    except ModcalError as error:
+        refused = True
+        if str(error) != plain(str(error)) or "\n" in str(error):
+            found["a refusal with control characters"] = repr(str(error)[:300])
+    except Exception as error:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        found[f"{type(error).__name__} at {Path(where.filename).name}:{where.lineno}"] = traceback.format_exc()
+    return refused, time.thread_time() - start
 
 
 def main() -> int:
