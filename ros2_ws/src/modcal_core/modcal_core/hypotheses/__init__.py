@@ -3,7 +3,7 @@
 hand_eye, hypothesis: readings beside tip poses and the evidence of a fit; what may be wrong, undone, with its price.
 conventions, channels, rows, joints, description: the catalogues. search: rank, refit, repeat; *nothing* and *none*.
 meant: conventions proved before a fit, and of a robot that is known. refusal: what no fit may come to terms with.
-meanings, turning, sights, joint_columns: what columns of a table mean. socket_places, stated_distances,
+meanings, sights, joint_columns: what columns of a table mean. socket_places, stated_distances,
 computed_part: plain checks of statements.
 """
 
@@ -17,21 +17,19 @@ if TYPE_CHECKING:
     from modcal_core.hypotheses.conventions import INVERSE, inverse_pose, left_handed, of_recording
     from modcal_core.hypotheses.hypothesis import COMMON, Disagreement, Hypothesis, family
     from modcal_core.hypotheses.joint_columns import likely_orders
-    from modcal_core.hypotheses.meanings import LENGTHS, MIN_ROWS, Judged, Postures, judge, rivals, same_poses
+    from modcal_core.hypotheses.meanings import LENGTHS, MIN_ROWS, Judged, judge, rivals, same_poses
     from modcal_core.hypotheses.meant import BEYOND_DOUBT, MIN, MISREAD, ArmMiss, proved, recognised
     from modcal_core.hypotheses.refusal import LIMIT_OF_REACH, disagreement, require_plausible
     from modcal_core.hypotheses.rows import orders
     from modcal_core.hypotheses.search import Answer, explain
     from modcal_core.hypotheses.sights import SightMatch, Sighting, sights_match
-    from modcal_core.hypotheses.turning import EULER, MATRIX, QUATERNION, Turning, turnings
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["ANGLE", "BEYOND_DOUBT", "COMMON", "EULER", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN"]
-__all__ += ["MIN_ROWS", "MISREAD", "OF_REACH", "QUATERNION", "Answer", "ArmMiss", "Disagreement", "HandEye"]
-__all__ += ["HandEyeFit", "Hypothesis", "Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part"]
-__all__ += ["disagreement", "explain", "family", "inverse_pose", "judge", "last_step", "left_handed", "likely_orders"]
-__all__ += ["limits", "of_recording", "orders", "placed", "proved", "recognised", "require_plausible", "rivals"]
-__all__ += ["same_poses", "sights_match", "turnings"]
+__all__ = ["ANGLE", "BEYOND_DOUBT", "COMMON", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MIN", "MIN_ROWS", "MISREAD"]
+__all__ += ["OF_REACH", "Answer", "ArmMiss", "Disagreement", "HandEye", "HandEyeFit", "Hypothesis", "Judged"]
+__all__ += ["SightMatch", "Sighting", "computed_in_part", "disagreement", "explain", "family", "inverse_pose", "judge"]
+__all__ += ["last_step", "left_handed", "likely_orders", "limits", "of_recording", "orders", "placed", "proved"]
+__all__ += ["recognised", "require_plausible", "rivals", "same_poses", "sights_match"]

@@ -9,7 +9,7 @@ calibrated arm is the same.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,6 @@ from modcal_core.geometry import Array, se3
 from modcal_core.hypotheses.hand_eye import OF_MOTION, HandEye, placed
 from modcal_core.hypotheses.meant import BEYOND_DOUBT
 from modcal_core.hypotheses.search import rough
-from modcal_core.hypotheses.turning import Turning, turnings
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Mechanism, forward, takes
 
@@ -34,23 +33,18 @@ _JUDGED = 6  # meanings, the likeliest on few rows, that are judged on many
 _SAME_TURN, _SAME_PLACE = 1e-3, 1e-5  # rad, m; what digits of an export leave of two forms of one pose
 
 
-@dataclass(frozen=True)
-class Postures:
-    """One choice of the joints' columns. q: (N, n) [rad, m], in the chain's order. name: for the caller."""
-
-    q: Array
-    name: str
+Turns = Callable[[Array], Array]  # rotations (N, 3, 3) that columns (N, k) are in one way to read them
 
 
 @dataclass(frozen=True)
 class Meaning:
-    """One reading of all columns. unit: of the positions. turning: None where there are no orientations. inverse: the
-    table holds the tracker's pose in the tool. postures: index of the choice of joints.
+    """One reading of all columns. postures: index of the choice of joints. unit: of the positions. way: index of the
+    way to read orientations, None where there are none. inverse: the table holds the tracker's pose in the tool.
     """
 
     postures: int
     unit: str
-    turning: Turning | None
+    way: int | None
     inverse: bool = False
 
 
@@ -95,7 +89,7 @@ class Judged:
         """
         turn, place = self.case.motion
         left = self.match.typical / max(place, 1e-12)
-        return left if self.meaning.turning is None else max(left, self.match.typical_angle / max(turn, 1e-12))
+        return left if self.meaning.way is None else max(left, self.match.typical_angle / max(turn, 1e-12))
 
     @property
     def near(self) -> bool:
@@ -107,23 +101,24 @@ class Judged:
         return self.near and self.match.typical <= ARM_SHARE * chain.reach() and self.match.typical_angle <= ARM_ANGLE
 
 
-def judge(chain: Mechanism, choices: Sequence[Postures], position: Array, turned: Array | None) -> list[Judged]:
+def judge(
+    chain: Mechanism, choices: Sequence[Array], position: Array, turned: Array | None = None, ways: Sequence[Turns] = ()
+) -> list[Judged]:
     """The likeliest meanings of columns, best first, of those that are physically one only the first.
 
-    position: (N, 3), in the table's unit; turned: columns of the orientation (N, 3, 4 or 9), None without. All rows
-    are whole.
+    choices: postures (N, n) [rad, m] that the joints' columns may be. position: (N, 3), in the table's unit. turned:
+    columns of the orientation (N, k), None without, and the ways to read them. All rows are whole.
     """
-    ways = [] if turned is None else list(turnings(turned))
     if len(position) < MIN_ROWS or (turned is not None and not ways):
         return []
     found: list[Judged] = []
-    for c, choice in enumerate(choices):
-        if not takes(chain, choice.q).all():  # in another unit, a Delta's platform fits its arms no more
+    for c, q in enumerate(choices):
+        if not takes(chain, q).all():  # in another unit, a Delta's platform fits its arms no more
             continue
         if turned is None:
-            found += [_judged_point(chain, choice, c, position, unit) for unit in LENGTHS]
+            found += [_judged_point(chain, q, c, position, unit) for unit in LENGTHS]
         else:
-            found += _judged_poses(chain, choice, c, position, turned, ways)
+            found += _judged_poses(chain, q, c, position, turned, ways)
     found.sort(key=lambda j: (not j.near, -j.match.score))
     distinct: list[Judged] = []
     for one in found:
@@ -137,47 +132,45 @@ def rivals(found: Sequence[Judged]) -> list[Judged]:
     return [one for one in found[1:] if found[0].match.score - one.match.score <= BEYOND_DOUBT]
 
 
-def _judged_point(chain: Mechanism, choice: Postures, c: int, position: Array, unit: str) -> Judged:
+def _judged_point(chain: Mechanism, q: Array, c: int, position: Array, unit: str) -> Judged:
     rows = spread_rows(len(position), _MAX)
-    table = HandEye.of_arrays(chain, choice.q[rows], position[rows])
+    table = HandEye.of_arrays(chain, q[rows], position[rows])
     case = table.read(LENGTHS[unit] * table.p, volume=3.0 * float(np.log(LENGTHS[unit])))
     return Judged(Meaning(c, unit, None), Match.of(case), case)
 
 
 def _judged_poses(
-    chain: Mechanism, choice: Postures, c: int, position: Array, turned: Array, ways: Sequence[Turning]
+    chain: Mechanism, q: Array, c: int, position: Array, turned: Array, ways: Sequence[Turns]
 ) -> list[Judged]:
     few, more = (spread_rows(len(position), most) for most in (_FEW, _MAX))
     unread = np.tile(np.eye(3), (len(position), 1, 1))
-    likely = _likely_turnings(chain, choice.q[few], turned[few], ways)
+    R = np.stack([way(turned[few]) for way in ways])
+    likely = _likely_turns(chain, q[few], R)
     meanings = [Meaning(c, unit, way, inverse) for way in likely for inverse in (False, True) for unit in LENGTHS]
-    table = HandEye.of_arrays(chain, choice.q[few], position[few], unread[few])
-    scores = np.array(rough([_read(m, turned[few], table) for m in meanings]))
-    table = HandEye.of_arrays(chain, choice.q[more], position[more], unread[more])
+    table = HandEye.of_arrays(chain, q[few], position[few], unread[few])
+    scores = np.array(rough([_read(m, R[m.way], table) for m in meanings]))
+    table = HandEye.of_arrays(chain, q[more], position[more], unread[more])
     out = []
     for i in np.argsort(-scores, kind="stable")[:_JUDGED]:
-        case = _read(meanings[i], turned[more], table)
+        case = _read(meanings[i], ways[meanings[i].way or 0](turned[more]), table)
         out.append(Judged(meanings[i], Match.of(case), case))
     return out
 
 
-def _likely_turnings(chain: Mechanism, q: Array, columns: Array, ways: Sequence[Turning]) -> list[Turning]:
-    """The ways whose orientations, or their inverses, fit the arm best by themselves."""
+def _likely_turns(chain: Mechanism, q: Array, R: Array) -> list[int]:
+    """Which of the ways, of orientations R (m, N, 3, 3), or their inverses, fit the arm best by themselves."""
     a = forward(chain, q)[:, :3, :3]
-    R = np.stack([way.rotations(columns) for way in ways])
     R = np.concatenate([R, np.swapaxes(R, 2, 3)])
     A = np.broadcast_to(a, R.shape)
     Y, X = base_and_tool_turns(A, R)
     left = np.median(np.linalg.norm(turns_left(Y, A, X, R), axis=2), axis=1).reshape(2, -1).min(axis=0)
     order = np.argsort(left, kind="stable")
     near = max(_NEAR[0] * left[order[0]], left[order[0]] + _NEAR[1])
-    return [ways[i] for i in order[:_ROTATIONS] if left[i] <= near]
+    return [int(i) for i in order[:_ROTATIONS] if left[i] <= near]
 
 
-def _read(meaning: Meaning, columns: Array, table: HandEye) -> HandEye:
-    """The rows of a table as a meaning of its columns has them."""
-    assert meaning.turning is not None
-    R = meaning.turning.rotations(columns)
+def _read(meaning: Meaning, R: Array, table: HandEye) -> HandEye:
+    """The rows of a table as a meaning of its columns has them. R: (N, 3, 3), as the columns say."""
     p = LENGTHS[meaning.unit] * table.p
     if meaning.inverse:
         R = np.swapaxes(R, 1, 2)
@@ -185,15 +178,14 @@ def _read(meaning: Meaning, columns: Array, table: HandEye) -> HandEye:
     return table.read(p, R, 3.0 * float(np.log(LENGTHS[meaning.unit])))
 
 
-def _same(one: Judged, other: Judged, choices: Sequence[Postures]) -> bool:
+def _same(one: Judged, other: Judged, choices: Sequence[Array]) -> bool:
     """Whether two meanings give the same poses but for fixed transforms, and the same joints."""
-    if one.meaning.turning is None or other.meaning.turning is None:
+    if one.meaning.way is None or other.meaning.way is None:
         return one.meaning == other.meaning
-    a, b = choices[one.meaning.postures].q, choices[other.meaning.postures].q
+    a, b = choices[one.meaning.postures], choices[other.meaning.postures]
     if a is not b and float(np.abs(a - b).max()) > 1e-6:
         return False
-    A = se3.transform(one.R, one.position)
-    return bool(same_poses(A, other.R, other.position))
+    return same_poses(se3.transform(one.R, one.position), other.R, other.position)
 
 
 def same_poses(A: Array, R: Array, position: Array) -> bool:

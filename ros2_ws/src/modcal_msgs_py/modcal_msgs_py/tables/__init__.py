@@ -7,9 +7,10 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from modcal_msgs_py.tables.beside import MeasuredArm
     from modcal_msgs_py.tables.convert import import_tables, json_schema, require_mapping
     from modcal_msgs_py.tables.moments import read_track
-    from modcal_msgs_py.tables.propose import MeasuredArm, Proposal, find
+    from modcal_msgs_py.tables.propose import Proposal, find
 else:
     from modcal_core.lazy import lazy_face
 

@@ -9,16 +9,17 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from modcal_core.geometry import Array
+from modcal_core.hypotheses import LENGTHS
 from modcal_core.robots import Inertias, Mechanism, gravity_wrench
 from modcal_msgs_py.tables.columns import LabelledJoints, Numbers, is_counter
 from modcal_msgs_py.tables.fits import Fitted, JointChoice
 from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label, grouped, words
-from modcal_msgs_py.tables.readings import EFFORTS, UNITS
+from modcal_msgs_py.tables.readings import EFFORTS, UNITS, positions
 
 _SPEEDS = {name: "rad/s" for name in words("rad/s rad/sec rads")}
 _SPEEDS |= {name: "deg/s" for name in words("deg/s °/s deg/sec dps degs")}
@@ -43,109 +44,116 @@ _TURNED = words("rot rotation angle orientation ori angular rx ry rz roll pitch 
 _FINEST = 1e-6  # m, rad; standard deviations of instruments are more
 
 
-@dataclass
-class OtherColumns:
-    """What a mapping states beside joints and readings. joints: velocity, effort and commanded; std: of the reading.
-    used: columns that these take. said, questions: for a person.
+@dataclass(frozen=True)
+class MeasuredArm:
+    """The robot that is measured. inertias: of the chain's bodies, by which the sign of efforts is told. bystanders:
+    other joints of the robot description, each with whether it turns. stated: its file, and base and tip where somebody
+    named them, as a mapping states them.
     """
 
-    joints: dict[str, Any] = field(default_factory=dict)
-    std: dict[str, Any] = field(default_factory=dict)
-    temperature: dict[str, Any] = field(default_factory=dict)
-    signals: dict[str, Any] = field(default_factory=dict)
-    used: set[int] = field(default_factory=set)
-    proved: list[str] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
-    questions: list[str] = field(default_factory=list)
+    chain: Mechanism
+    inertias: Inertias | None = None
+    bystanders: Mapping[str, bool] = field(default_factory=dict)
+    stated: Mapping[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Surroundings:
-    """A table of which joints, readings and times are known. taken: their columns. stamps: of the rows [s], None where
-    only their order is known. bystanders: other joints of the robot description, each with whether it turns.
+@dataclass
+class Draft:
+    """An entry of a mapping that grows: whoever finds out what columns are states them here, and says why. choice: the
+    joints. used: columns that are stated or known to be something. stamps: of the rows [s], None where only their order
+    is known.
     """
 
     numbers: Numbers
-    chain: Mechanism
+    arm: MeasuredArm
     choice: JointChoice
-    fitted: Fitted | None
-    taken: set[int]
-    stamps: Array | None
-    inertias: Inertias | None
-    bystanders: Mapping[str, bool] = field(default_factory=dict)
-
-    def by_joint(self, columns: Sequence[int]) -> dict[str, Any]:
-        """Columns by joint, as a mapping names them."""
-        return dict(zip(self.chain.own_names, self.numbers.keys(columns), strict=True))
+    entry: dict[str, Any]
+    used: set[int]
+    stamps: Array | None = None
+    proved: list[str] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
 
     @property
-    def q(self) -> Array:
-        """Joint positions (N, n) [rad, m]."""
-        return self.choice.postures(self.chain, self.numbers.values)
+    def joints(self) -> dict[str, Any]:
+        """What is stated of the joints."""
+        return cast(dict[str, Any], self.entry["joints"])
+
+    def by_joint(self, columns: Sequence[int]) -> dict[str, Any]:
+        """Columns by joint, as a mapping states them; they are used from now on."""
+        self.used |= set(columns)
+        return dict(zip(self.arm.chain.own_names, self.numbers.keys(columns), strict=True))
+
+    def name(self, what: str, name: str, column: int) -> None:
+        """State a column by a name, such as that of a signal; it is used from now on."""
+        known = self.entry.setdefault(what, {})
+        known[name if name not in known else f"{name}_{column}"] = self.numbers.key(column)
+        self.used.add(column)
+
+    def shown(self, one: LabelledJoints) -> str:
+        """The first and the last of a joint family's labels."""
+        return f"{self.numbers.shown(one.columns[0])} … {self.numbers.shown(one.columns[-1])}"
 
 
-def find_beside(around: Surroundings, labelled: Sequence[LabelledJoints]) -> OtherColumns:
-    """What the columns are that are neither joints nor readings nor time. labelled: families of as many as joints."""
-    out = OtherColumns()
-    free = [j for j in labelled if not set(j.columns) & around.taken]
-    q = around.q
-    _commanded(out, around, [j for j in free if j.role == COMMANDED], q)
-    _velocity(out, around, [j for j in free if j.role == VELOCITY], q)
-    _effort(out, around, [j for j in free if j.role == EFFORT], q)
-    _bystanders(out, around)
-    if around.fitted is not None and not around.fitted.body.points:
-        _deviations(out, around.numbers, around.fitted)
-    _temperatures(out, around, [j for j in free if j.role == OTHER])
-    _signals(out, around, [j for j in free if j.role in (OTHER, EFFORT)], {k for j in free for k in j.columns})
-    return out
+def find_beside(draft: Draft, labelled: Sequence[LabelledJoints], fitted: Fitted | None) -> None:
+    """State the columns that are neither joints nor readings nor time. labelled: families of as many as joints."""
+    free = [j for j in labelled if not set(j.columns) & draft.used]
+    _commanded(draft, [j for j in free if j.role == COMMANDED])
+    _velocity(draft, [j for j in free if j.role == VELOCITY])
+    _effort(draft, [j for j in free if j.role == EFFORT])
+    _bystanders(draft)
+    if fitted is not None and not fitted.body.points:
+        _deviations(draft, fitted)
+    _temperatures(draft, [j for j in free if j.role == OTHER])
+    _signals(draft, [j for j in free if j.role in (OTHER, EFFORT)], {k for j in free for k in j.columns})
 
 
-def _commanded(out: OtherColumns, around: Surroundings, some: Sequence[LabelledJoints], q: Array) -> None:
+def _commanded(draft: Draft, some: Sequence[LabelledJoints]) -> None:
     """Labelled columns that are near the joints in one unit, and in no other."""
-    choice, chain = around.choice, around.chain
+    joints, names, turns = draft.joints, draft.arm.chain.own_names, bool(np.any(draft.arm.chain.revolute))
     for one in some:
-        units = {}
-        for angle in ("rad", "deg"):
-            values = JointChoice(one, angle, choice.length, choice.counted).postures(chain, around.numbers.values)
-            gap = np.abs(values - q)
-            if np.isfinite(gap).any() and bool((np.nanmedian(gap, axis=0) < _FOLLOWS).all()):
-                units[angle] = float(np.nanmedian(gap))
-        if not units:
-            continue
-        angle = min(units, key=lambda unit: units[unit])
-        own = {"unit": angle} if angle != choice.angle and np.any(chain.revolute) else {}
-        out.joints["commanded"] = {**own, "columns": around.by_joint(one.columns)}
-        out.used |= set(one.columns)
-        near = f"they are as near as {units[angle]:.2g} rad"
-        out.said.append(f"columns labelled as commanded are the commanded joints in {angle}: {near}")
-        return
+        best: tuple[float, dict[str, Any]] | None = None
+        for unit in ("rad", "deg") if turns else (joints["unit"],):
+            own = {"unit": unit} if unit != joints["unit"] else {}
+            part = {**own, "columns": dict(zip(names, draft.numbers.keys(one.columns), strict=True))}
+            part |= {"units": joints["units"]} if "units" in joints else {}
+            gap = np.abs(positions(draft.numbers.table, joints, names, part) - draft.choice.q[:, draft.arm.chain.own])
+            if not np.isfinite(gap).any() or not bool((np.nanmedian(gap, axis=0) < _FOLLOWS).all()):
+                continue
+            if best is None or float(np.nanmedian(gap)) < best[0]:
+                best = float(np.nanmedian(gap)), part
+        if best is not None:
+            joints["commanded"] = best[1]
+            draft.used |= set(one.columns)
+            unit = best[1].get("unit", joints["unit"])
+            near = f"they are as near as {best[0]:.2g} rad"
+            draft.said.append(f"columns labelled as commanded are the commanded joints in {unit}: {near}")
+            return
 
 
-def _velocity(out: OtherColumns, around: Surroundings, some: Sequence[LabelledJoints], q: Array) -> None:
-    numbers = around.numbers
+def _velocity(draft: Draft, some: Sequence[LabelledJoints]) -> None:
+    numbers = draft.numbers
     if not some:
         return
     one = min(some, key=lambda j: "target" in numbers.labels[j.columns[0]].words)
-    shown = f"{numbers.shown(one.columns[0])} … {numbers.shown(one.columns[-1])}"
-    told = _SPEEDS.get(numbers.labels[one.columns[0]].told)
-    slope = None if around.stamps is None else _slope(numbers.values[:, list(one.columns)], q, around.stamps)
+    shown, told = draft.shown(one), _SPEEDS.get(numbers.labels[one.columns[0]].told)
+    slope = None if draft.stamps is None else _slope(numbers.values[:, list(one.columns)], draft.choice.q, draft.stamps)
     scales = {"rad/s": 1.0, "deg/s": 180.0 / np.pi}
     shows = next((u for u, s in scales.items() if slope is not None and s / _SLOPE < slope < s * _SLOPE), None)
-    if not np.all(around.chain.revolute) or (told is None and slope is None):
-        out.said.append(f"speeds {shown} are not used: joints slide, or nothing tells the unit; state velocity")
-        return
-    if slope is not None and shows is None:
-        times = f"{slope:.3g} times" if slope else "no multiple of"
-        out.questions.append(f"speeds {shown} are {times} the joints' slopes in rad/s: state velocity, or leave it out")
+    if not np.all(draft.arm.chain.revolute) or (told is None and slope is None):
+        draft.said.append(f"speeds {shown} are not used: joints slide, or nothing tells the unit; state velocity")
         return
     if slope is None:
-        out.said.append(f"speeds {shown} are in {told}, as their labels say")
+        draft.said.append(f"speeds {shown} are in {told}, as their labels say")
+    elif shows is None:
+        times = f"{slope:.3g} times" if slope else "no multiple of"
+        draft.asked.append(f"speeds {shown} are {times} the joints' slopes in rad/s: state velocity, or leave it out")
+        return
     else:
         if told not in (None, shows):
-            out.questions.append(f"labels say that {shown} are in {told}; the joints' own motion says {shows}")
-        out.proved.append(f"speeds {shown} in {shows}: they are {slope:.3g} times the slopes of the joints in rad/s")
-    out.joints["velocity"] = {"unit": shows or told, "columns": around.by_joint(one.columns)}
-    out.used |= set(one.columns)
+            draft.asked.append(f"labels say that {shown} are in {told}; the joints' own motion says {shows}")
+        draft.proved.append(f"speeds {shown} in {shows}: they are {slope:.3g} times the slopes of the joints in rad/s")
+    draft.joints["velocity"] = {"unit": shows or told, "columns": draft.by_joint(one.columns)}
 
 
 def _slope(values: Array, q: Array, stamps: Array) -> float | None:
@@ -163,36 +171,35 @@ def _slope(values: Array, q: Array, stamps: Array) -> float | None:
     return float(a @ b / (a @ a)) if sure else 0.0
 
 
-def _effort(out: OtherColumns, around: Surroundings, some: Sequence[LabelledJoints], q: Array) -> None:
+def _effort(draft: Draft, some: Sequence[LabelledJoints]) -> None:
     for one in some:
-        label = around.numbers.labels[one.columns[0]]
-        shown = f"{around.numbers.shown(one.columns[0])} … {around.numbers.shown(one.columns[-1])}"
+        label, shown = draft.numbers.labels[one.columns[0]], draft.shown(one)
         unit = _TORQUES.get(label.told)
         if label.told and unit is None:
             continue  # per cent of something: a signal
-        values = EFFORTS[unit or "N m"] * around.numbers.values[:, list(one.columns)]
-        holds = _holds(around.chain, around.inertias, q, values)
+        values = EFFORTS[unit or "N m"] * draft.numbers.values[:, list(one.columns)]
+        holds = _holds(draft.arm, draft.choice.q, values)
         if unit is None and not abs(holds) > _HOLDS:
-            out.said.append(f"efforts {shown} are not used: no unit is told, and they do not hold this arm up")
+            draft.said.append(f"efforts {shown} are not used: no unit is told, and they do not hold this arm up")
             continue
-        stated: dict[str, Any] = {"columns": around.by_joint(one.columns)}
+        stated: dict[str, Any] = {"columns": draft.by_joint(one.columns)}
         if unit not in (None, "N m", "N"):
             stated["unit"] = unit
         told = unit or "N m, which no label says"
         if holds < -_HOLDS:
             stated["of_load"] = True
-            out.proved.append(f"efforts {shown} are of the load on the actuators: gravity's own torques, in {told}")
+            draft.proved.append(f"efforts {shown} are of the load on the actuators: gravity's own torques, in {told}")
         elif holds > _HOLDS:
-            out.proved.append(f"efforts {shown} are of the actuators, they hold the arm up; in {told}")
+            draft.proved.append(f"efforts {shown} are of the actuators, they hold the arm up; in {told}")
         else:
-            out.said.append(f"efforts {shown} are of the actuators on the joints, in {told}; their sign does not show")
-        out.joints["effort"] = stated
-        out.used |= set(one.columns)
+            draft.said.append(f"efforts {shown} are of the actuators, in {told}; their sign does not show")
+        draft.joints["effort"] = stated
         return
 
 
-def _holds(chain: Mechanism, inertias: Inertias | None, q: Array, effort: Array) -> float:
+def _holds(arm: MeasuredArm, q: Array, effort: Array) -> float:
     """Correlation of efforts (N, n) with what holds the bodies up against gravity; 0 where these are not known."""
+    chain, inertias = arm.chain, arm.inertias
     rows = np.isfinite(q).all(axis=1) & np.isfinite(effort).all(axis=1)
     if inertias is None or not inertias.known or rows.sum() < _MIN_MOVING:
         return 0.0
@@ -204,49 +211,51 @@ def _holds(chain: Mechanism, inertias: Inertias | None, q: Array, effort: Array)
     return float(np.sum(a * b)) / size if size > 0.0 else 0.0
 
 
-def _bystanders(out: OtherColumns, around: Surroundings) -> None:
+def _bystanders(draft: Draft) -> None:
     """Other joints of the robot description, by their names; turning ones in the arm's unit where no label says it."""
-    for name, turns in around.bystanders.items():
-        own, free = Label.of(name).words, around.numbers.free(around.taken | out.used)
+    joints, arms = draft.joints, draft.joints["unit"]
+    for name, turns in draft.arm.bystanders.items():
+        own, free = Label.of(name).words, draft.numbers.free(draft.used)
         columns = [k for k, label in free.items() if label.words == own and label.role == MEASURED]
-        unit = around.numbers.labels[columns[0]].unit if len(columns) == 1 else None
-        unit = unit or (around.choice.angle if turns else None)
-        if len(columns) != 1 or unit not in (("rad", "deg") if turns else ("m", "cm", "mm", "in")):
+        unit = draft.numbers.labels[columns[0]].unit if len(columns) == 1 else None
+        unit = unit or ((arms if arms in ("rad", "deg") else "rad") if turns else None)
+        if len(columns) != 1 or unit not in (("rad", "deg") if turns else LENGTHS):
             continue
-        out.joints.setdefault("columns", {})[name] = around.numbers.key(columns[0])
-        if unit != around.choice.units(around.chain):
-            out.joints.setdefault("units", {})[name] = unit
-        out.used.add(columns[0])
-        out.said.append(f"{around.numbers.shown(columns[0])} is the joint {name}, which is not of this arm, in {unit}")
+        joints["columns"] = {**joints["columns"], name: draft.numbers.key(columns[0])}
+        if unit != arms:
+            joints["units"] = {**joints.get("units", {}), name: unit}
+        draft.used.add(columns[0])
+        draft.said.append(f"{draft.numbers.shown(columns[0])} is the joint {name}, which is not of this arm, in {unit}")
 
 
-def _deviations(out: OtherColumns, numbers: Numbers, fitted: Fitted) -> None:
+def _deviations(draft: Draft, fitted: Fitted) -> None:
     """Standard deviations that an instrument states of every reading: which columns, of what, in which unit."""
+    numbers, std = draft.numbers, dict[str, Any]()
     labels = {k: label for k, label in numbers.labels.items() if k not in fitted.columns and _is_std(label)}
     labels = {k: label for k, label in labels.items() if _positive(numbers.values[:, k])}
     for columns in grouped(labels, "deviation"):
         label = labels[columns[0]]
         what = "orientation" if _TURNED & set(label.words) else "position"
         coverage = float(label.coverage or 1.0)
-        if what in out.std or set(columns) & out.used or len(columns) not in (1, 3):
+        if what in std or set(columns) & draft.used or len(columns) not in (1, 3):
             continue
-        if (what == "orientation" and fitted.best.meaning.turning is None) or (
-            out.std and coverage != float(out.std.get("coverage", 1.0))
-        ):
+        if (what == "orientation" and fitted.way is None) or (std and coverage != std.get("coverage", 1.0)):
             continue
         unit = _unit_of_std(fitted, label, float(np.nanmedian(numbers.values[:, list(columns)])) / coverage, what)
         shown = numbers.shown(*columns)
         if unit is None:
-            out.said.append(f"standard deviations {shown} are not used: no unit makes them plausible; state std")
+            draft.said.append(f"standard deviations {shown} are not used: no unit makes them plausible; state std")
             continue
         keys = numbers.keys(columns)
-        out.std |= {what: keys if len(keys) == 3 else keys[0]}
-        out.std |= {"unit" if what == "position" else "orientation_unit": unit}
-        out.std |= {"coverage": coverage} if coverage > 1.0 else {}
+        std |= {what: keys if len(keys) == 3 else keys[0]}
+        std |= {"unit" if what == "position" else "orientation_unit": unit}
+        std |= {"coverage": coverage} if coverage > 1.0 else {}
         of = f"{label.coverage} standard deviations" if coverage > 1.0 else "standard deviations"
         axes = "" if len(columns) == 3 else " along each axis"
-        out.said.append(f"{shown} are {of} of the {what}{axes}, in {unit}")
-        out.used |= set(columns)
+        draft.said.append(f"{shown} are {of} of the {what}{axes}, in {unit}")
+        draft.used |= set(columns)
+    if std:
+        next(draft.entry[key] for key in ("pose", "point") if key in draft.entry)["std"] = std
 
 
 def _is_std(label: Label) -> bool:
@@ -261,63 +270,59 @@ def _positive(values: Array) -> bool:
 
 def _unit_of_std(fitted: Fitted, label: Label, typical: float, what: str) -> str | None:
     """The unit by the label; else that of the readings, or another one, with which the size is an instrument's."""
-    turning, match = fitted.best.meaning.turning, fitted.best.match
+    match, way = fitted.best.match, fitted.way
     units = ("rad", "deg") if what == "orientation" else (fitted.best.meaning.unit, "mm", "m")
     if label.unit is not None or label.told:
         return label.unit if label.unit in (*units, "cm", "in") else None
     most = max(match.typical_angle, 1e-3) if what == "orientation" else max(match.typical, 1e-4)
     fits = [unit for unit in units if _FINEST < UNITS[unit] * typical < most]
-    if what == "orientation" and turning is not None and turning.form in ("euler", "rotvec"):
-        fits = [unit for unit in fits if unit == ("deg" if turning.degrees else "rad")]
+    if what == "orientation" and way is not None and "unit" in way.besides:
+        fits = [unit for unit in fits if unit == way.besides["unit"]]
     return fits[0] if fits and (what == "position" or len(fits) == 1) else None
 
 
-def _temperatures(out: OtherColumns, around: Surroundings, families: Sequence[LabelledJoints]) -> None:
+def _temperatures(draft: Draft, families: Sequence[LabelledJoints]) -> None:
     """Temperatures in °C; a family of as many as there are joints is theirs."""
-    numbers = around.numbers
+    numbers = draft.numbers
     for one in families:
         if all(_is_warm(numbers, k) for k in one.columns) and set(one.columns) & set(numbers.usable):
-            out.temperature |= around.by_joint(one.columns)
-            out.used |= set(one.columns)
+            draft.entry.setdefault("temperature", {}).update(draft.by_joint(one.columns))
     for k in numbers.usable:
-        if k not in around.taken | out.used and _is_warm(numbers, k):
+        if k not in draft.used and _is_warm(numbers, k):
             name = "_".join(w for w in numbers.labels[k].words if w not in ("c", "degc")) or f"column_{k}"
-            out.temperature[name if name not in out.temperature else f"{name}_{k}"] = numbers.key(k)
-            out.used.add(k)
-    if out.temperature:
-        out.said.append(f"temperatures {', '.join(out.temperature)} are in °C")
+            draft.name("temperature", name, k)
+    if "temperature" in draft.entry:
+        draft.said.append(f"temperatures {', '.join(draft.entry['temperature'])} are in °C")
 
 
 def _is_warm(numbers: Numbers, k: int) -> bool:
     return bool(_WARM & set(numbers.labels[k].words)) and numbers.labels[k].told not in _NOT_CELSIUS
 
 
-def _signals(out: OtherColumns, around: Surroundings, families: Sequence[LabelledJoints], of_joints: set[int]) -> None:
+def _signals(draft: Draft, families: Sequence[LabelledJoints], of_joints: set[int]) -> None:
     """Take every other labelled column that changes and is neither a counter nor a reading's own error as a signal."""
-    numbers, labels = around.numbers, around.numbers.labels
+    numbers, labels = draft.numbers, draft.numbers.labels
     for one in families:
         words = [w for w in labels[one.columns[0]].words if not w.isdigit() and w not in ("j", "joint", "axis")]
-        if set(one.columns) & (out.used | around.taken) or _NOT_A_SIGNAL & set(words):
+        if set(one.columns) & draft.used or _NOT_A_SIGNAL & set(words):
             continue
-        for name, k in zip(around.chain.own_names, one.columns, strict=True):
+        for name, k in zip(draft.arm.chain.own_names, one.columns, strict=True):
             if k in numbers.usable:
-                out.signals[f"{_topic(words) or 'joint_signal'}/{_topic([name])}"] = numbers.key(k)
-                out.used.add(k)
+                draft.name("signals", f"{_topic(words) or 'joint_signal'}/{_topic([name])}", k)
     barred = {k for kind in ("angles", "quaternion", "matrix") for group in grouped(labels, kind) for k in group}
     barred |= {k for k, label in labels.items() if label.axis("position") is not None and label.told not in _TORQUES}
     for k in numbers.usable:
         label, values = labels[k], numbers.values[:, k][np.isfinite(numbers.values[:, k])]
-        if k in around.taken | out.used | of_joints | barred or _NOT_A_SIGNAL & set(label.words):
+        if k in draft.used | of_joints | barred or _NOT_A_SIGNAL & set(label.words):
             continue
         if is_counter(values) and bool((values == np.round(values)).all()):
             continue
         if name := _topic(label.words):
             weight = "_" + label.told if label.told in _WEIGHTS else ""  # by which what is carried is known
-            name += "" if name.endswith(weight) else weight
-            out.signals[name if name not in out.signals else f"{name}_{k}"] = numbers.key(k)
-            out.used.add(k)
-    if out.signals:
-        out.said.append(f"{', '.join(out.signals)} are signals that an error may depend on; remove what is none")
+            draft.name("signals", name + ("" if name.endswith(weight) else weight), k)
+    if "signals" in draft.entry:
+        names = ", ".join(draft.entry["signals"])
+        draft.said.append(f"{names} are signals that an error may depend on; remove what is none")
 
 
 def _topic(words: Sequence[str]) -> str:

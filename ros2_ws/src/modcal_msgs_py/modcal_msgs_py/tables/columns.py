@@ -7,14 +7,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry import Array
-from modcal_core.hypotheses import turnings
+from modcal_core.geometry import Array, se3
 from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label, families, grouped
-from modcal_msgs_py.tables.readings import rigid_poses
+from modcal_msgs_py.tables.readings import READINGS, orientations, rigid_poses
 from modcal_msgs_py.tables.sheet import Sheet, number
+from modcal_msgs_py.tables.table import Table
 
 _MIN_FILLED = 0.3  # share of the rows in which a column must have a number
 _NINES = re.compile(r"-?9{3,}([.,][09]*)?")  # what exports write for "no reading"
@@ -59,6 +60,12 @@ class Numbers:
         pad = [""] * sheet.width
         texts_of = zip([*sheet.full, *pad], [*sheet.units, *pad], range(sheet.width), strict=False)
         return cls(sheet, values, {k: Label.of(label, unit) for label, unit, k in texts_of}, odd)
+
+    @cached_property
+    def table(self) -> Table:
+        """The same as a mapping reads it, whose columns go by number or label."""
+        keys = {key: k for k in range(self.sheet.width) for key in (k, self.key(k))}
+        return Table(self.sheet, _read={key: self.values[:, k] for key, k in keys.items()})
 
     @cached_property
     def usable(self) -> list[int]:
@@ -128,6 +135,23 @@ class Body:
         of_points = tuple(k for _, triple in self.points for k in triple)
         return of_points or (*self.position, *(self.turned or ()), *self.away)
 
+    def stated(self, numbers: Numbers) -> dict[str, Any]:
+        """Its positions as a mapping states them, without a unit."""
+        if self.points:
+            return {"points": {name: numbers.keys(triple) for name, triple in self.points}}
+        away = {"plus" if self.sign > 0.0 else "minus": numbers.keys(self.away)} if self.away else {}
+        return {"position": numbers.keys(self.position), **away}
+
+    def read(self, numbers: Numbers, rows: np.ndarray) -> tuple[Array, Array | None]:
+        """Positions (m, 3) in the table's unit, and columns of orientations (m, k), of these rows as a mapping reads
+        them; of targets the pose of their body.
+        """
+        kind = READINGS["targets" if self.points else "point"]
+        values = kind.read(numbers.table, {"unit": "m", **self.stated(numbers)}, numbers.sheet.path.name)[0][rows]
+        if self.points:
+            return values[:, :3], se3.from_pose(values)[:, :3, :3].reshape(-1, 9)
+        return values, None if self.turned is None else numbers.values[np.ix_(rows, np.array(self.turned))]
+
     @property
     def zeros(self) -> tuple[int, ...]:
         """Columns that are all zero where an instrument read nothing: no orientation is written so but as angles."""
@@ -172,7 +196,7 @@ def bodies(numbers: Numbers, taken: set[int], time: set[int]) -> list[Body]:
 
 def is_turned(values: Array) -> bool:
     """Whether columns (N, k) can be read as orientations."""
-    return len(values) >= 3 and next(iter(turnings(values)), None) is not None
+    return len(values) >= 3 and bool(orientations(values))
 
 
 def _apart(numbers: Numbers, position: Sequence[int], turned: Sequence[int]) -> int:

@@ -59,33 +59,30 @@ _ROWS: Schema = {
     "description": "column: value, or several; other rows are left out",
 }
 _CELLS: Schema = {"type": ["object", "null"], "additionalProperties": COLUMN}
-_TABLE = mapping(
-    {
-        "files": said(_TEXT, "relative to --data, or beside the mapping; * fits any text"),
-        **_FORM,
-        "rows": _ROWS,
-        "missing": said(one_of("refuse", "skip"),
-                        "rows that lack something: refused, or left out and counted. Default: refuse"),
-        "missing_values": {"type": "array", "items": {"type": "string"}, "description": "further texts for no number"},
-        "zeros_missing": {"type": "array", "items": COLUMN, "minItems": 1,
-                          "description": "columns that are all zero where nothing was read; such rows are missing"},
-        "joined": {
-            "type": "array",
-            "items": mapping(
-                {"files": _TEXT, **_FORM, "by": _BY,
-                 "within": said(_WITHIN, "the nearest row within this difference, not the same value")},
-                "files", "by",
-            ),
-            "description": "files whose columns stand beside these",
-        },
-        "time": TIME,
-        "joints": JOINTS,
-        **{key: row.schema for key, row in READINGS.items()},
-        "temperature": said(_CELLS, "frame: column, °C"),
-        "signals": said(_CELLS, "topic: column; anything that an error may depend on"),
+ENTRY: Schema = {
+    "files": said(_TEXT, "relative to --data, or beside the mapping; * fits any text"),
+    **_FORM,
+    "rows": _ROWS,
+    "missing": said(one_of("refuse", "skip"),
+                    "rows that lack something: refused, or left out and counted. Default: refuse"),
+    "missing_values": {"type": "array", "items": {"type": "string"}, "description": "further texts for no number"},
+    "zeros_missing": {"type": "array", "items": COLUMN, "minItems": 1,
+                      "description": "columns that are all zero where nothing was read; such rows are missing"},
+    "joined": {
+        "type": "array",
+        "items": mapping(
+            {"files": _TEXT, **_FORM, "by": _BY,
+             "within": said(_WITHIN, "the nearest row within this difference, not the same value")},
+            "files", "by",
+        ),
+        "description": "files whose columns stand beside these",
     },
-    "files", "time",
-)  # fmt: skip
+    "time": TIME,
+    "joints": JOINTS,
+    **{key: row.schema for key, row in READINGS.items()},
+    "temperature": said(_CELLS, "frame: column, °C"),
+    "signals": said(_CELLS, "topic: column; anything that an error may depend on"),
+}  # fmt: skip
 SCHEMA = mapping(
     {
         "urdf": {"type": ["string", "null"], "description": "robot description, beside the mapping or in --data"},
@@ -98,7 +95,7 @@ SCHEMA = mapping(
             "maxItems": 0,
             "description": "what a proposed mapping could not tell: decide, correct what is below, and remove this",
         },
-        "tables": {"type": "array", "items": _TABLE, "minItems": 1},
+        "tables": {"type": "array", "items": mapping(ENTRY, "files", "time"), "minItems": 1},
     },
     "tables",
 )

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import permutations, product
 from typing import Any
 
@@ -23,15 +22,11 @@ from modcal_core.geometry import Array, so3
 from modcal_core.hypotheses import (
     BEYOND_DOUBT,
     COMMON,
-    EULER,
     LENGTHS,
-    MATRIX,
-    QUATERNION,
     Answer,
     HandEye,
     Hypothesis,
     Judged,
-    Postures,
     explain,
     family,
     placed,
@@ -40,6 +35,7 @@ from modcal_core.hypotheses import (
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Mechanism, forward, takes
 from modcal_msgs_py.tables.columns import Body, LabelledJoints, Numbers
+from modcal_msgs_py.tables.readings import Orientation, joint_map, map_stated, positions
 
 _COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
 _GOAL = 0.1  # of what goal plus or minus deviation leaves: the nominal arm reproduces a goal, rounded as it may be
@@ -47,97 +43,55 @@ MAX_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
 
 
 @dataclass(frozen=True)
-class JointCounting:
-    """How joints are counted otherwise than in the robot description: positions are ``M r + offset`` of what a table
-    holds [rad, m]. words: the same for a person.
+class JointChoice:
+    """What the joints' columns are taken for. stated: the joints as a mapping states them. q: what that reads, (N, n)
+    [rad, m]. how: what the columns were chosen by. counted: how they are counted otherwise than in the description.
     """
 
-    M: Array
-    offset: Array
-    words: str
+    columns: tuple[int, ...]
+    stated: Mapping[str, Any]
+    q: Array
+    how: str
+    counted: str = ""
 
     @classmethod
-    def none(cls, chain: Mechanism) -> JointCounting:
-        """Joints that are counted as in the robot description."""
-        return cls(np.eye(chain.n), np.zeros(chain.n), "")
+    def read(cls, numbers: Numbers, chain: Mechanism, joints: LabelledJoints, stated: Mapping[str, Any]) -> JointChoice:
+        """Labelled columns as a mapping reads them that states their units, and may state how they are counted."""
+        names = chain.own_names
+        columns = dict(zip(names, numbers.keys(joints.columns), strict=True))
+        units = {key: stated[key] for key in ("unit", "units") if key in stated}
+        whole = {**units, "columns": columns, **stated}
+        q = np.zeros((len(numbers.values), chain.n))
+        q[:, chain.own] = positions(numbers.table, whole, names)
+        return cls(joints.columns, whole, chain.followed(q), joints.how)
 
-    def applied(self, q: Array, chain: Mechanism) -> Array:
-        """Positions (N, n) [rad, m] of what a table holds."""
-        return chain.followed(q @ self.M.T + self.offset)
-
-    def then(self, other: JointCounting) -> JointCounting:
-        """Both, the other applied to what this one makes of a table."""
-        words = "; ".join(w for w in (self.words, other.words) if w)
-        return JointCounting(other.M @ self.M, other.M @ self.offset + other.offset, words)
-
-    def stated(self, names: Sequence[str]) -> Mapping[str, Any]:
-        """The same as a mapping states it."""
-        M = {name: dict(zip(names, row, strict=True)) for name, row in zip(names, self.M.tolist(), strict=True)}
-        coupled = {name: {n: x for n, x in row.items() if n != name and x} for name, row in M.items()}
-        every = {
-            "sign": {name: row[name] for name, row in M.items() if row[name] != 1.0},
-            "offset": {name: x for name, x in zip(names, self.offset.tolist(), strict=True) if x},
-            "coupled": {name: others for name, others in coupled.items() if others},
-        }
-        return {key: value for key, value in every.items() if value}
+    def recounted(self, chain: Mechanism, counting: Counting) -> JointChoice:
+        """The same columns, counted otherwise."""
+        stated = {**self.stated, **map_stated(counting.M, counting.offset, chain.own_names, self.stated["unit"])}
+        return replace(self, stated=stated, q=counting.applied(self.q, chain), counted=counting.words)
 
 
-@dataclass(frozen=True)
-class JointChoice:
-    """What the joints' columns are taken for. angle, length: unit of turning joints, and of sliding ones. counted: how
-    the table counts them.
-    """
-
-    joints: LabelledJoints
-    angle: str
-    length: str
-    counted: JointCounting
-
-    def scales(self, chain: Mechanism) -> Array:
-        """What a unit of each joint that has a column is in rad or m."""
-        angle = np.pi / 180.0 if self.angle == "deg" else 1.0
-        return np.where(chain.revolute[chain.own], angle, LENGTHS[self.length])
-
-    def postures(self, chain: Mechanism, values: Array) -> Array:
-        """Joint positions (N, n) [rad, m] of rows of all columns."""
-        q = np.zeros((len(values), chain.n))
-        q[:, chain.own] = self.scales(chain) * values[:, list(self.joints.columns)]
-        return self.counted.applied(q, chain)
-
-    def units(self, chain: Mechanism) -> str:
-        """The unit of the joints, of turning ones where there are such."""
-        return self.angle if np.any(chain.revolute[chain.own]) else self.length
-
-    def entry(self, numbers: Numbers, chain: Mechanism) -> dict[str, Any]:
-        """The joints as a mapping states them."""
-        out: dict[str, Any] = {"unit": self.units(chain)}
-        sliding = np.array(chain.names)[chain.own & ~chain.revolute].tolist()
-        if 0 < len(sliding) < len(chain.own_names):
-            out["units"] = dict.fromkeys(sliding, self.length)
-        keys = numbers.keys(self.joints.columns)
-        out["columns"] = dict(zip(chain.own_names, keys, strict=True))
-        for key, value in self.counted.stated(chain.names).items():
-            degrees = key == "offset" and self.angle == "deg"
-            out[key] = {name: round(float(np.degrees(x)), 6) if degrees else x for name, x in value.items()}
-        return out
-
-
-def choices_of(chain: Mechanism, joints: LabelledJoints, values: Array) -> list[JointChoice]:
-    """Units that the joints may be in, of turning and of sliding ones."""
+def choices_of(numbers: Numbers, chain: Mechanism, joints: LabelledJoints, rows: np.ndarray) -> list[JointChoice]:
+    """Units that the joints may be in, of turning and of sliding ones, by their numbers in these rows."""
     turning = chain.revolute[chain.own]
-    largest = float(np.abs(values[:, list(joints.columns)][:, turning]).max(initial=0.0))
+    largest = float(np.abs(numbers.values[np.ix_(rows, np.array(joints.columns)[turning])]).max(initial=0.0))
     angles = ["deg"] if largest > MAX_RAD else ["rad", "deg"]
-    lengths = ["m"] if turning.all() else list(LENGTHS)
-    pairs = product(angles if turning.any() else ["rad"], lengths)
-    return [JointChoice(joints, angle, length, JointCounting.none(chain)) for angle, length in pairs]
+    sliding = [name for name, turns in zip(chain.own_names, turning.tolist(), strict=True) if not turns]
+    stated: list[dict[str, Any]] = [{"unit": unit} for unit in (angles if turning.any() else LENGTHS)]
+    if sliding and turning.any():
+        stated = [{**angle, "units": dict.fromkeys(sliding, length)} for angle in stated for length in LENGTHS]
+    return [JointChoice.read(numbers, chain, joints, units) for units in stated]
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """One place of columns with its meanings, best first. target: the column that tells which target was measured."""
+    """One place of columns with its meanings, best first. ways: to read its orientations. target: the column that tells
+    which target was measured.
+    """
 
     body: Body
     choices: tuple[JointChoice, ...]
+    ways: tuple[Orientation, ...]
     found: tuple[Judged, ...]
     rows: np.ndarray
     target: int | None = None
@@ -151,6 +105,11 @@ class Fitted:
     def choice(self) -> JointChoice:
         """What it takes the joints for."""
         return self.choices[self.best.meaning.postures]
+
+    @property
+    def way(self) -> Orientation | None:
+        """How it reads orientations, None where there are none."""
+        return None if self.best.meaning.way is None else self.ways[self.best.meaning.way]
 
     @property
     def computed(self) -> bool:
@@ -168,60 +127,50 @@ class Fitted:
         return self.body.zeros
 
     def entry(self, numbers: Numbers, judged: Judged | None = None) -> dict[str, Any]:
-        """The readings as a mapping states them: pose, point or targets. judged: the meaning; None: the best."""
+        """Joints and readings as a mapping states them: pose, point or targets. judged: the meaning; None: the best."""
         meaning, body = (judged or self.best).meaning, self.body
-        reading: dict[str, Any] = {"frame": "tracker", "unit": meaning.unit}
+        joints = self.choices[meaning.postures].stated
+        reading: dict[str, Any] = {"frame": "tracker", "unit": meaning.unit, **body.stated(numbers)}
         if body.points:
-            return {"targets": {**reading, "points": {name: numbers.keys(triple) for name, triple in body.points}}}
-        reading["position"] = numbers.keys(body.position)
-        if body.away:
-            reading["plus" if body.sign > 0.0 else "minus"] = numbers.keys(body.away)
+            return {"targets": reading, "joints": joints}
         if self.target is not None:
             reading["target"] = numbers.key(self.target)
-        turning = meaning.turning
-        if turning is None or body.turned is None:
-            return {"point": reading}
-        stated: dict[str, Any] = {"columns": numbers.keys([body.turned[i] for i in turning.order])}
-        if turning.form == EULER:
-            stated["sequence"] = turning.sequence
-        if turning.form not in (QUATERNION, MATRIX):
-            stated["unit"] = "deg" if turning.degrees else "rad"
-        if turning.conjugate:
-            stated["conjugate"] = True
-        return {"pose": {**reading, turning.form: stated, **({"inverse": True} if meaning.inverse else {})}}
+        if meaning.way is None or body.turned is None:
+            return {"point": reading, "joints": joints}
+        reading |= self.ways[meaning.way].stated(numbers.keys(body.turned))
+        return {"pose": {**reading, **({"inverse": True} if meaning.inverse else {})}, "joints": joints}
 
-    def otherwise(self, numbers: Numbers, chain: Mechanism, other: Judged, word: str) -> str:
+    def otherwise(self, numbers: Numbers, other: Judged, word: str) -> str:
         """What a mapping of another meaning would state in place of the best one's."""
-        one, two = (
-            {**self.entry(numbers, judged), "joints": self.choices[judged.meaning.postures].entry(numbers, chain)}
-            for judged in (self.best, other)
-        )
-        return "; ".join(differences(one, two, word))
+        return "; ".join(differences(self.entry(numbers), self.entry(numbers, other), word))
 
-    def proved(self, numbers: Numbers, chain: Mechanism) -> list[str]:
+    def proved(self, numbers: Numbers) -> list[str]:
         """What the data shows, with what came second."""
-        (key,) = self.entry(numbers)
+        key, _ = self.entry(numbers)
         out = [
             f"joints and {key} as stated: the nominal arm misses {len(self.rows)} rows by {missed(self.best)} (median)"
         ]
-        if self.choice.counted.words:
-            out.append(f"joints are counted otherwise than the robot description does: {self.choice.counted.words}")
+        if self.choice.counted:
+            out.append(f"joints are counted otherwise than the robot description does: {self.choice.counted}")
         for other in self.found[1:2]:
-            instead = self.otherwise(numbers, chain, other, "in place of")
-            out.append(f"second best, {worse(self.best, other)}: {instead}")
+            out.append(f"second best, {worse(self.best, other)}: {self.otherwise(numbers, other, 'in place of')}")
         return out
 
 
 def missed(judged: Judged) -> str:
     """What a meaning leaves, in words."""
-    turn = f" and {np.degrees(judged.match.typical_angle):.2g}°" if judged.meaning.turning is not None else ""
+    turn = f" and {np.degrees(judged.match.typical_angle):.2g}°" if judged.meaning.way is not None else ""
     return f"{1e3 * judged.match.typical:.3g} mm{turn}"
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any], word: str) -> Iterator[str]:
-    """What another mapping states differently, key by key: ``pose: unit m``, the word, ``mm``."""
+    """What another mapping states differently, key by key: ``pose: unit m``, the word, ``mm``; of lists of instruments,
+    which are read alike, the first.
+    """
     for key in dict.fromkeys((*one, *other)):
         a, b = one.get(key, "none"), other.get(key, "none")
+        if isinstance(a, list) and isinstance(b, list) and isinstance(a[0], Mapping):
+            a, b = a[0], b[0]
         if isinstance(a, Mapping) and isinstance(b, Mapping):
             yield from (f"{key}: {said}" for said in differences(a, b, word))
         elif a != b:
@@ -275,42 +224,56 @@ _MOST_TARGETS, _EACH = 12, 5  # targets on a tool, and rows of each
 _MAX = 300  # rows that are looked at
 
 
-def _corrections(chain: Mechanism) -> Iterator[JointCounting]:
-    """Every joint the other way round, with another zero, and counted together with another."""
-    plain, one, at = JointCounting.none(chain), np.eye(chain.n), {name: j for j, name in enumerate(chain.names)}
-    turning = np.array(chain.names)[chain.own & chain.revolute].tolist()
-    for name in chain.own_names:
-        M = np.diag(np.where(np.arange(chain.n) == at[name], -1.0, 1.0))
-        yield JointCounting(M, plain.offset, f"{name} counts the other way")
-    for name in turning:
-        for angle in _TURNS:
-            words = f"{abs(angle):g}° are {'added to' if angle > 0.0 else 'taken from'} {name}"
-            yield JointCounting(plain.M, np.radians(angle) * one[at[name]], words)
-    for name, other in permutations(turning, 2):
-        for factor in (1.0, -1.0):
-            words = f"{name} is counted together with {other} (so {other} is {'added' if factor > 0 else 'taken off'})"
-            yield JointCounting(plain.M + factor * np.outer(one[at[name]], one[at[other]]), plain.offset, words)
+@dataclass(frozen=True)
+class Counting:
+    """How joints are counted otherwise than in the robot description: positions are ``M r + offset`` of what a table
+    holds [rad, m]. words: the same for a person.
+    """
+
+    M: Array
+    offset: Array
+    words: str
+
+    def applied(self, q: Array, chain: Mechanism) -> Array:
+        """Positions (N, n) [rad, m] of joints that are counted so."""
+        out = np.zeros_like(q)
+        out[:, chain.own] = q[:, chain.own] @ self.M.T + self.offset
+        return chain.followed(out)
 
 
-def _undone(counted: JointCounting, case: HandEye) -> HandEye:
-    return case.moved(counted.applied(case.q, case.chain))
+def _corrections(names: Sequence[str], turning: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Every joint the other way round, with another zero, and counted together with another: in words, and as a mapping
+    states it.
+    """
+    for name in names:
+        yield f"{name} counts the other way", {"sign": {name: -1.0}}
+    for name, angle in product(turning, _TURNS):
+        added = "added to" if angle > 0.0 else "taken from"
+        yield f"{abs(angle):g}° are {added} {name}", {"offset": {name: angle}}
+    for (name, other), factor in product(permutations(turning, 2), (1.0, -1.0)):
+        added = "added" if factor > 0.0 else "taken off"
+        words = f"{name} is counted together with {other} (so {other} is {added})"
+        yield words, {"coupled": {name: {other: factor}}}
 
 
 def corrected(
-    chain: Mechanism, choices: Sequence[Postures], position: Array, units: Sequence[str]
-) -> tuple[int, list[JointCounting]] | None:
+    chain: Mechanism, choices: Sequence[Array], position: Array, units: Sequence[str]
+) -> tuple[int, list[Counting]] | None:
     """Which choice of postures makes points (N, 3) in one of these units fit, and how joints are then counted, the
     likeliest first; None: nothing does.
     """
-    rows = spread_rows(len(position), _MAX)
-    parts = {c.words: c for c in _corrections(chain)}
+    rows, names = spread_rows(len(position), _MAX), chain.own_names
+    turning = [name for name, turns in zip(names, chain.revolute[chain.own].tolist(), strict=True) if turns]
+    stated = dict(_corrections(names, turning))
+    parts = {w: Counting(*joint_map({"unit": "deg", **one}, names), w) for w, one in stated.items()}
     best: tuple[int, Answer] | None = None
-    for k, choice in enumerate(choices):
-        q = choice.q[rows]
-        possible = [c for c in parts.values() if takes(chain, c.applied(q, chain)).all()]
-        table = family(COMMON, [Hypothesis(c.words, "", partial(_undone, c), 0.0, touches="joints") for c in possible])
+    for k, q in enumerate(choices):
+        possible = [c for c in parts.values() if takes(chain, c.applied(q[rows], chain)).all()]
+        undone = [lambda case, c=c: case.moved(c.applied(case.q, chain)) for c in possible]
+        some = zip(possible, undone, strict=True)
+        table = family(COMMON, [Hypothesis(c.words, "", undo, 0.0, touches="joints") for c, undo in some])
         for unit in units:
-            case = HandEye.of_arrays(chain, q, LENGTHS[unit] * position[rows])
+            case = HandEye.of_arrays(chain, q[rows], LENGTHS[unit] * position[rows])
             answer = explain(case.read(volume=3.0 * float(np.log(LENGTHS[unit]))), table)
             if answer.gain > BEYOND_DOUBT and (best is None or answer.after.evidence > best[1].after.evidence):
                 best = k, answer
@@ -319,17 +282,20 @@ def corrected(
     k, answer = best
     said = [h.what for h in answer.said]
     ways = [said, *([*said[:i], rival, *said[i + 1 :]] for rival in answer.rivals for i in range(len(said)))]
-    out = []
-    for way in ways:
-        counted = JointCounting.none(chain)
-        for name in way:
-            counted = counted.then(parts[name])
-        out.append(counted)
+    out = [_together([parts[name] for name in way]) for way in ways]
     # a joint between two others that turns the other way is one with half a turn added to its neighbours: the plainest
-    T, order = [forward(chain, counted.applied(choices[k].q, chain)) for counted in out], list(parts)
+    T, order = [forward(chain, counted.applied(choices[k], chain)) for counted in out], list(parts)
     same = [i for i, own in enumerate(T) if same_poses(T[0], own[:, :3, :3], own[:, :3, 3])]
     first = min(same, key=lambda i: max(order.index(name) for name in ways[i]))
     return k, [out[first], *(counted for i, counted in enumerate(out) if i not in same)]
+
+
+def _together(parts: Sequence[Counting]) -> Counting:
+    """One counting after the other."""
+    M, offset = np.eye(len(parts[0].M)), np.zeros(len(parts[0].M))
+    for part in parts:
+        M, offset = part.M @ M, part.M @ offset + part.offset
+    return Counting(M, offset, "; ".join(part.words for part in parts))
 
 
 def by_target(chain: Mechanism, q: Array, position: Array, columns: Mapping[int, Sequence[str]]) -> int | None:

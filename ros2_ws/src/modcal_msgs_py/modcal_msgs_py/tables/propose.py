@@ -8,7 +8,7 @@ readings fit alike, nothing is chosen in silence.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -17,21 +17,11 @@ import numpy as np
 
 from modcal_core.errors import BadTable
 from modcal_core.files import to_yaml
-from modcal_core.geometry import Array, se3
-from modcal_core.hypotheses import (
-    LENGTHS,
-    MATRIX,
-    MIN_ROWS,
-    Postures,
-    Turning,
-    judge,
-    likely_orders,
-    rivals,
-    same_poses,
-)
+from modcal_core.geometry import se3
+from modcal_core.hypotheses import LENGTHS, MIN_ROWS, judge, likely_orders, rivals, same_poses
 from modcal_core.measurements import spread_rows
-from modcal_core.robots import Inertias, Mechanism, is_serial_arm
-from modcal_msgs_py.tables.beside import OtherColumns, Surroundings, find_beside
+from modcal_core.robots import Mechanism, is_serial_arm
+from modcal_msgs_py.tables.beside import Draft, MeasuredArm, find_beside
 from modcal_msgs_py.tables.columns import (
     Body,
     LabelledJoints,
@@ -43,6 +33,7 @@ from modcal_msgs_py.tables.columns import (
     pool,
     rigid_bodies,
 )
+from modcal_msgs_py.tables.convert import ENTRY
 from modcal_msgs_py.tables.fits import (
     MAX_RAD,
     Fitted,
@@ -58,9 +49,8 @@ from modcal_msgs_py.tables.fits import (
 )
 from modcal_msgs_py.tables.labels import MEASURED
 from modcal_msgs_py.tables.moments import RowTimes, Together, find_time, stamps_of, together
-from modcal_msgs_py.tables.readings import rigid_poses
+from modcal_msgs_py.tables.readings import orientations
 from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, joints_alone, ray_of, sight_columns
-from modcal_msgs_py.tables.table import Table
 
 _ORDERS = 6  # of columns without labels that are judged in full
 _MAX_BODIES = 10  # that are judged where labels do not tell
@@ -87,19 +77,6 @@ class Proposal:
         lines = (f"Mapping for modcal import, found out from {source}. Edit it where it is wrong.", *said)
         folded = (part for line in lines for part in wrap(line, _WIDTH, subsequent_indent="  ", break_on_hyphens=False))
         return "".join(f"# {part}\n" for part in folded) + to_yaml(self.mapping)
-
-
-@dataclass(frozen=True)
-class MeasuredArm:
-    """The robot that is measured. inertias: of the chain's bodies, by which the sign of efforts is told. bystanders:
-    other joints of the robot description, each with whether it turns. stated: its file, and base and tip where somebody
-    named them, as a mapping states them.
-    """
-
-    chain: Mechanism
-    inertias: Inertias | None = None
-    bystanders: Mapping[str, bool] = field(default_factory=dict)
-    stated: Mapping[str, str] = field(default_factory=dict)
 
 
 def find(paths: Sequence[Path], arm: MeasuredArm | Mechanism, watch: Watch = lambda stage: None) -> Proposal:
@@ -184,13 +161,14 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
             fits, questions = decided(numbers, fits)
             read, asked, assumed = _decided(numbers, chain, fits, labelled)
             questions = (*questions, *asked)
-    whole = read if isinstance(read, Fitted) else None
-    used = {*read.choice.joints.columns, *read.columns, *time.columns}
-    stamps = stamps_of(Table(numbers.sheet), time.stated, 0.0)[0] if time.columns else None
-    around = Surroundings(numbers, chain, read.choice, whole, used, stamps, arm.inertias, arm.bystanders)
-    beside = find_beside(around, labelled)
-    beside.questions[:0], beside.said[:0] = questions, assumed
-    return _made(numbers, (time, way), read, beside, arm)
+    stamps = stamps_of(numbers.table, time.stated, 0.0)[0] if time.columns else None
+    used = {*read.choice.columns, *read.columns, *time.columns}
+    draft = Draft(numbers, arm, read.choice, _entry(numbers, time, way, read), used, stamps)
+    draft.asked += questions
+    _say(draft, time, way, read)
+    draft.said += assumed
+    find_beside(draft, labelled, read if isinstance(read, Fitted) else None)
+    return _made(draft, way, read, set(time.columns))
 
 
 class _Search:
@@ -247,23 +225,20 @@ class _Search:
     def _fitted(
         self, body: Body, joints: Sequence[LabelledJoints], counted: Sequence[JointChoice] = ()
     ) -> Fitted | None:
-        values = self._numbers.values
+        numbers, values = self._numbers, self._numbers.values
         used = [*body.columns, *(k for j in joints for k in j.columns)]
         rows = np.flatnonzero(np.isfinite(values[:, used]).all(axis=1))
         rows = rows[~(values[np.ix_(rows, np.array(body.zeros))] == 0.0).all(axis=1)]
         if len(rows) < MIN_ROWS:
             return None
-        values = values[rows]
-        choices = list(counted) or [choice for one in joints for choice in choices_of(self._chain, one, values)]
-        postures = [Postures(choice.postures(self._chain, values), choice.joints.how) for choice in choices]
-        position, turned = _columns_read(body, values)
-        found = judge(self._chain, postures, position, turned)
-        if body.points:  # as the mapping makes them, and no other way
-            whole = Turning(MATRIX, tuple(range(9)))
-            found = [f for f in found if f.meaning.turning == whole and not f.meaning.inverse]
-        told = [f for f in found if f.meaning.unit == self._numbers.labels[body.position[0]].unit]
+        choices = list(counted) or [c for one in joints for c in choices_of(numbers, self._chain, one, rows)]
+        position, turned = body.read(numbers, rows)
+        ways = () if turned is None else orientations(turned)[: 1 if body.points else None]  # as the mapping makes them
+        found = judge(self._chain, [c.q[rows] for c in choices], position, turned, [way.rotations for way in ways])
+        found = [f for f in found if not (body.points and f.meaning.inverse)]
+        told = [f for f in found if f.meaning.unit == numbers.labels[body.position[0]].unit]
         found = told if any(f.explained(self._chain) for f in told) else found
-        return Fitted(body, tuple(choices), tuple(found), rows) if found else None
+        return Fitted(body, tuple(choices), tuple(ways), tuple(found), rows) if found else None
 
     def _searched(self, places: Sequence[Body]) -> list[Fitted]:
         """Places with the joints' columns found by what they explain of the readings."""
@@ -306,7 +281,11 @@ class _Search:
         if not fits or not self.measured or any(f.best.explained(self._chain) for f in fits):
             return fits
         self._watch("comparing how joints may be counted")
-        labelled = [f for f in fits if f.choice.joints in self.measured and not f.body.points and not f.body.away]
+        labelled = [
+            f
+            for f in fits
+            if f.choice.columns in [j.columns for j in self.measured] and not f.body.points and not f.body.away
+        ]
         plain = [f for f in labelled if f.body.named] or labelled
         if not plain:
             return fits
@@ -315,16 +294,17 @@ class _Search:
         point = point or self._fitted(replace(first.body, turned=None), self.measured) or first
         if (told := self._of_targets(point)) is not None:
             return [told]
-        position = _columns_read(point.body, self._numbers.values[point.rows])[0]
-        choices = [Postures(c.postures(self._chain, self._numbers.values[point.rows]), "") for c in point.choices]
+        position = point.body.read(self._numbers, point.rows)[0]
+        choices = [choice.q[point.rows] for choice in point.choices]
         unit = self._numbers.labels[point.body.position[0]].unit
         found = corrected(self._chain, choices, position, [unit] if unit in LENGTHS else list(LENGTHS))
         if found is None:
             return fits
         k, counted = found
-        some = [replace(point.choices[k], counted=c) for c in counted]
+        some = [point.choices[k].recounted(self._chain, c) for c in counted]
         alike = [f.body for f in plain if f.body.position == point.body.position]
-        made = [self._fitted(b, [some[0].joints], some) for b in dict.fromkeys((*alike, point.body))]
+        joints = [LabelledJoints(some[0].columns, some[0].how)]
+        made = [self._fitted(b, joints, some) for b in dict.fromkeys((*alike, point.body))]
         return [f for f in made if f is not None and f.best.near] or fits
 
     def no_arm(self, fits: Sequence[Fitted]) -> tuple[str, str]:
@@ -332,9 +312,8 @@ class _Search:
         if not fits:
             return _NO_ARM, _CHECK
         best = min(fits, key=lambda f: f.best.match.typical)
-        values = self._numbers.values[best.rows]
-        postures = [Postures(choice.postures(self._chain, values), "") for choice in best.choices]
-        found = judge(self._chain, postures, _columns_read(best.body, values)[0] * [1.0, 1.0, -1.0], None)
+        postures = [choice.q[best.rows] for choice in best.choices]
+        found = judge(self._chain, postures, best.body.read(self._numbers, best.rows)[0] * [1.0, 1.0, -1.0])
         if found and found[0].explained(self._chain):
             names, left = self._numbers.shown(*best.body.position), 1e3 * found[0].match.typical
             said = f"are left-handed: with one of the axes turned round the nominal arm misses by {left:.3g} mm"
@@ -344,32 +323,21 @@ class _Search:
 
     def _of_targets(self, point: Fitted) -> Fitted | None:
         meaning, numbers, rows = point.best.meaning, self._numbers, point.rows
-        if meaning.turning is not None:
+        if meaning.way is not None:
             return None
         scale = LENGTHS[meaning.unit]
-        position = scale * _columns_read(point.body, numbers.values[rows])[0]
-        free = set(range(numbers.sheet.width)) - {*point.columns, *point.choice.joints.columns, *self._time}
+        position = scale * point.body.read(numbers, rows)[0]
+        free = set(range(numbers.sheet.width)) - {*point.columns, *point.choice.columns, *self._time}
         texts = {k: [numbers.sheet.column(k)[i] for i in rows] for k in free}
-        q = point.choice.postures(self._chain, numbers.values[rows])
+        q = point.choice.q[rows]
         column = by_target(self._chain, q, position, texts)
         if column is None:
             return None
         groups = [np.array(texts[column]) == name for name in dict.fromkeys(texts[column])]
         most = max(groups, key=lambda rows_of: int(rows_of.sum()))
-        judged = judge(self._chain, [Postures(q[most], "")], position[most] / scale, None)
+        judged = judge(self._chain, [q[most]], position[most] / scale)
         found = [replace(j, meaning=replace(j.meaning, postures=meaning.postures)) for j in judged]
         return replace(point, found=tuple(found), target=column) if found and found[0].near else None
-
-
-def _columns_read(body: Body, values: Array) -> tuple[Array, Array | None]:
-    """Columns of positions (N, 3) and of orientations (N, k), in the table's unit; of targets, of the body they are."""
-    if body.points:
-        poses = rigid_poses(np.stack([values[:, list(triple)] for _, triple in body.points], axis=1))[0]
-        return poses[:, :3, 3], poses[:, :3, :3].reshape(-1, 9)
-    position = values[:, list(body.position)]
-    if body.away:
-        position = position + body.sign * values[:, list(body.away)]
-    return position, None if body.turned is None else values[:, list(body.turned)]
 
 
 def _covers(known: Body, body: Body) -> bool:
@@ -408,10 +376,10 @@ def _decided(
     if not chosen.body.posed and any(len(t) > 3 or numbers.labels[t[0]].axis("angles") for t in turned):
         questions.append("orientations fit in no convention, positions alone do: state their form, or leave them out")
     for rival in rivals(chosen.found):
-        either = chosen.otherwise(numbers, chain, rival, "or")
+        either = chosen.otherwise(numbers, rival, "or")
         questions.append(f"cannot tell {either} ({worse(best, rival)})")
     by_labels = [j for j in labelled if j.role == MEASURED]
-    if by_labels and chosen.choice.joints.columns not in [j.columns for j in by_labels]:
+    if by_labels and chosen.choice.columns not in [j.columns for j in by_labels]:
         named = numbers.shown(*by_labels[0].columns)
         questions.append(f"labels say that the joints are {named}; the arm fits with the columns below instead")
     return chosen, list(dict.fromkeys(questions)), list(dict.fromkeys((*assumed, *_astray(numbers, chain, chosen))))
@@ -422,14 +390,13 @@ def _astray(numbers: Numbers, chain: Mechanism, chosen: Fitted) -> Iterator[str]
     rows = chosen.rows[spread_rows(len(chosen.rows), _MAX)]
     if chosen.target is not None or len(rows) != len(chosen.best.position):
         return
-    q = chosen.choice.postures(chain, numbers.values[rows])
 
     def line(i: int) -> str:
         name = numbers.sheet.column(0)[rows[i]]
-        tells = 0 not in {*chosen.columns, *chosen.choice.joints.columns} and name
+        tells = 0 not in {*chosen.columns, *chosen.choice.columns} and name
         return f"line {numbers.sheet.lines[rows[i]]}{f' ({name[:20]})' if tells else ''}"
 
-    for i, k in astray(chain, q, chosen.best.position):
+    for i, k in astray(chain, chosen.choice.q[rows], chosen.best.position):
         of = f"its reading belongs to another station, {line(k)} by what fits" if k is not None else "no other fits it"
         yield f"{line(i)} fits the arm in no way: {of}; it is kept, and `modcal calibrate` rejects it"
 
@@ -441,54 +408,57 @@ def _alike(one: Fitted, other: Fitted) -> bool:
     return len(one.best.R) == len(other.best.R) and same_poses(A, other.best.R, other.best.position)
 
 
-def _made(
-    numbers: Numbers,
-    rows: tuple[RowTimes, Together],
-    read: Fitted | Sighted,
-    beside: OtherColumns,
-    arm: MeasuredArm,
-) -> Proposal:
-    """The mapping that was found, with its proof and what was assumed. rows: when they were taken, and from where."""
-    (time, way), chain, choice, sheet = rows, arm.chain, read.choice, numbers.sheet
+def _entry(numbers: Numbers, time: RowTimes, way: Together, read: Fitted | Sighted) -> dict[str, Any]:
+    """What a mapping states of the file, its rows, joints and readings."""
+    sheet = numbers.sheet
     entry: dict[str, Any] = {"files": sheet.path.name, **sheet.form.entry()}
-    used = {*choice.joints.columns, *read.columns, *beside.used}
-    said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", time.said]
-    pairs = zip(chain.own_names, choice.joints.columns, strict=True)
-    shown = ", ".join(f"{name} = {numbers.shown(k)}" for name, k in pairs)
-    said += [f"the joints' columns by {choice.joints.how}: {shown}", *way.said]
-    if not sheet.sure:
-        said.append(f"the text is not UTF-8 and is read as {sheet.form.encoding}")
-    if lacking := len(numbers.values) - len(read.rows):
+    columns = np.array(read.columns, dtype=int)
+    if len(read.rows) < len(numbers.values) or np.isnan(numbers.values[np.ix_(read.rows, columns)]).any():
         entry["missing"] = "skip"
-    if np.isnan(numbers.values[np.ix_(read.rows, np.array(read.columns, dtype=int))]).any():
-        entry["missing"] = "skip"
-        said.append("an instrument whose cell is empty read nothing in that row")
-    if lacking:
-        said.append(f"{lacking} of {len(numbers.values)} rows lack a number that is needed, and are left out")
-    if odd := sorted({text for k in used for text in numbers.odd.get(k, ()) if k != getattr(read, "target", None)}):
-        entry["missing_values"] = odd
-        said.append(f"{', '.join(odd)} mark cells without a number")
     if read.zeros and (numbers.values[:, list(read.zeros)] == 0.0).all(axis=1).any():
         entry["zeros_missing"] = numbers.keys(read.zeros)
-        said.append("rows of zeros are rows in which nothing was read")
     if way.stated:
         entry["joined"] = list(way.stated)
     entry["time"] = time.stated
-    joints = choice.entry(numbers, chain)
-    both = {key: {**joints.get(key, {}), **beside.joints[key]} for key in ("columns", "units") if key in beside.joints}
-    entry["joints"] = {**joints, **beside.joints, **both}
-    entry |= read.entry(numbers)
-    if beside.std:
-        next(entry[key] for key in ("pose", "point") if key in entry)["std"] = beside.std
-    others = {"temperature": beside.temperature, "signals": beside.signals}
-    entry |= {key: stated for key, stated in others.items() if stated}
+    readings = read.entry(numbers)
+    return {**entry, **readings, "joints": dict(readings["joints"])}
+
+
+def _say(draft: Draft, time: RowTimes, way: Together, read: Fitted | Sighted) -> None:
+    """What was assumed of the arm, its joints, the file and its rows."""
+    numbers, chain, sheet = draft.numbers, draft.arm.chain, draft.numbers.sheet
+    pairs = zip(chain.own_names, read.choice.columns, strict=True)
+    shown = ", ".join(f"{name} = {numbers.shown(k)}" for name, k in pairs)
+    draft.said += [f"the arm ends at {chain.tip}, and begins at {chain.base}", time.said]
+    draft.said += [f"the joints' columns by {read.choice.how}: {shown}", *way.said]
+    if not sheet.sure:
+        draft.said.append(f"the text is not UTF-8 and is read as {sheet.form.encoding}")
+    if np.isnan(numbers.values[np.ix_(read.rows, np.array(read.columns, dtype=int))]).any():
+        draft.said.append("an instrument whose cell is empty read nothing in that row")
+    if lacking := len(numbers.values) - len(read.rows):
+        draft.said.append(f"{lacking} of {len(numbers.values)} rows lack a number that is needed, and are left out")
+    if "zeros_missing" in draft.entry:
+        draft.said.append("rows of zeros are rows in which nothing was read")
+
+
+def _made(draft: Draft, way: Together, read: Fitted | Sighted, texts: set[int]) -> Proposal:
+    """The mapping that was found, with its proof and what was assumed. texts: columns that need not be numbers."""
+    numbers, entry, used = draft.numbers, draft.entry, draft.used
+    texts = texts | {k for k in (getattr(read, "target", None),) if k is not None}
+    if odd := sorted({text for k in used - texts for text in numbers.odd.get(k, ())}):
+        entry["missing_values"] = odd
+        draft.said.append(f"{', '.join(odd)} mark cells without a number")
     by = [(one["by"], Path(one["files"]).stem) for one in way.stated if one["by"] != "row"]
     keys = {key for pairs, stem in by for ours, theirs in pairs.items() for key in (ours, theirs, f"{stem}.{theirs}")}
-    used |= {*time.columns, *(k for k in range(sheet.width) if numbers.key(k) in keys)}
-    said += [*beside.said, *_unused(numbers, used)]
-    asked = tuple(dict.fromkeys(beside.questions))
-    mapping = {**({"undecided": list(asked)} if asked else {}), **arm.stated, "tables": [entry]}
-    return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), asked)
+    used = used | {k for k in range(numbers.sheet.width) if numbers.key(k) in keys}
+    said = [*draft.said, *_unused(numbers, used)]
+    asked = tuple(dict.fromkeys(draft.asked))
+    mapping = {
+        **({"undecided": list(asked)} if asked else {}),
+        **draft.arm.stated,
+        "tables": [{key: entry[key] for key in ENTRY if key in entry}],
+    }
+    return Proposal(mapping, (*read.proved(numbers), *draft.proved), tuple(said), asked)
 
 
 def _unused(numbers: Numbers, taken: set[int]) -> Iterator[str]:

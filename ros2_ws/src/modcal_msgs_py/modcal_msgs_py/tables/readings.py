@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import permutations, product
 from typing import Any
 
 import numpy as np
@@ -94,8 +95,8 @@ JOINTS = mapping(
 def joints_of(table: Table, joints: Mapping[str, Any], stamps: Array) -> tuple[JointTrack, JointTrack | None]:
     """Joint states of a table, and the commanded positions if it has any; rows that lack one are left out."""
     names = tuple(joints["columns"])
-    M, offset = joint_map(joints, names)
-    position = _scaled(table, joints, UNITS, names) @ M.T + offset
+    M = joint_map(joints, names)[0]
+    position = positions(table, joints, names)
     velocity = _beside(table, joints, "velocity", SPEEDS, names) @ M.T
     effort = _beside(table, joints, "effort", EFFORTS, names) @ np.linalg.inv(M)  # of virtual work
     if joints.get("effort", {}).get("of_load"):
@@ -104,13 +105,21 @@ def joints_of(table: Table, joints: Mapping[str, Any], stamps: Array) -> tuple[J
     track = JointTrack(names, stamps, position, velocity, effort, stamps).rows(keep)
     if "commanded" not in joints:
         return track, None
-    wanted = {"unit": joints["unit"], **joints["commanded"]}
-    known = tuple(wanted["columns"])
-    M, offset = joint_map(joints, known)
-    position = _scaled(table, wanted, UNITS, known) @ M.T + offset
+    known = tuple(joints["commanded"]["columns"])
+    position = positions(table, joints, known, joints["commanded"])
     unknown = np.full_like(position, np.nan)
     sent = np.isfinite(stamps) & np.isfinite(position).all(axis=1)
     return track, JointTrack(known, stamps, position, unknown, unknown, stamps, COMMANDS).rows(sent)
+
+
+def positions(
+    table: Table, joints: Mapping[str, Any], names: Sequence[str], part: Mapping[str, Any] | None = None
+) -> Array:
+    """Positions (N, n) [rad, m] of these joints. part: commanded, in the columns and units of their own, else in those
+    of the joints; counted as the joints are.
+    """
+    M, offset = joint_map(joints, names)
+    return _scaled(table, joints if part is None else {"unit": joints["unit"], **part}, UNITS, names) @ M.T + offset
 
 
 def joint_map(joints: Mapping[str, Any], names: Sequence[str]) -> tuple[Array, Array]:
@@ -121,6 +130,19 @@ def joint_map(joints: Mapping[str, Any], names: Sequence[str]) -> tuple[Array, A
             if name in names and other in names:
                 M[names.index(name), names.index(other)] += factor
     return M, np.array([_scale(joints, UNITS, n) * joints.get("offset", {}).get(n, 0.0) for n in names])
+
+
+def map_stated(M: Array, offset: Array, names: Sequence[str], unit: str) -> dict[str, Any]:
+    """What a mapping states of joints that are counted so, the inverse of :func:`joint_map`. unit: of the joints."""
+    rows = {name: dict(zip(names, row, strict=True)) for name, row in zip(names, M.tolist(), strict=True)}
+    coupled = {name: {n: x for n, x in row.items() if n != name and x} for name, row in rows.items()}
+    at = dict(zip(names, offset.tolist(), strict=True))
+    every = {
+        "sign": {name: row[name] for name, row in rows.items() if row[name] != 1.0},
+        "offset": {n: round(x / UNITS[unit], 6) if unit == "deg" else x for n, x in at.items() if x},
+        "coupled": {name: others for name, others in coupled.items() if others},
+    }
+    return {key: value for key, value in every.items() if value}
 
 
 def merged_joints(tracks: list[JointTrack]) -> JointTrack | None:
@@ -136,7 +158,7 @@ def _scale(part: Mapping[str, Any], units: Mapping[str, float], name: str) -> fl
     return units[(part.get("units") or {}).get(name, part["unit"])]
 
 
-def _scaled(table: Table, part: Mapping[str, Any], units: Mapping[str, float], names: tuple[str, ...]) -> Array:
+def _scaled(table: Table, part: Mapping[str, Any], units: Mapping[str, float], names: Sequence[str]) -> Array:
     scale = np.array([_scale(part, units, name) for name in names])
     return scale * table.numbers([part["columns"][name] for name in names])
 
@@ -212,6 +234,55 @@ FORMS = {
     "rotvec": OrientationForm(3, {"unit": _ANGLE}, (), _by_angles),
     "matrix": OrientationForm(9, {"columns": said(columns(9), "row by row")}, (), _by_matrix),
 }  # fmt: skip
+
+
+# What columns are tried as where nothing is stated. Sequences are about moving axes; about fixed ones they are these
+# with axes and columns in the reverse order.
+_SEQUENCES = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "ZYZ", "ZXZ", "XYX", "XZX", "YXY", "YZY")
+# By the number of columns: their orders in a form, and forms with what else is stated
+_TRIED: Mapping[int, tuple[Sequence[tuple[int, ...]], Sequence[tuple[str, dict[str, Any]]]]] = {
+    3: (list(permutations(range(3))), [*(("euler", {"sequence": s}) for s in _SEQUENCES), ("rotvec", {})]),
+    4: (((0, 1, 2, 3), (1, 2, 3, 0)), [("quaternion", {}), ("quaternion", {"conjugate": True})]),
+    9: ((tuple(range(9)), (0, 3, 6, 1, 4, 7, 2, 5, 8)), [("matrix", {})]),
+}
+_OFF_UNIT = 0.02  # by which the length of a quaternion may be off: exports have three digits
+_USUAL = 0.9  # share of the rows, at least, in which numbers must be those of a form
+_MAX_ANGLE = 720.0 * 1.05  # degrees
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """One way to read columns as orientations: the form, the columns in its order, and what is stated besides."""
+
+    form: str
+    order: tuple[int, ...]
+    besides: Mapping[str, Any]
+
+    def rotations(self, values: Array) -> Array:
+        """Rotations (N, 3, 3) of columns (N, k)."""
+        return FORMS[self.form].rotations(values[:, list(self.order)], self.besides, self.form)[0]
+
+    def stated(self, keys: Sequence[Any]) -> dict[str, Any]:
+        """The same as a mapping states it of columns with these keys."""
+        return {self.form: {"columns": [keys[i] for i in self.order], **self.besides}}
+
+
+def orientations(values: Array) -> list[Orientation]:
+    """Every way in which columns (N, 3, 4 or 9) can be read as orientations; none where they are no such thing."""
+    count = values.shape[1]
+    largest = float(np.abs(values).max(initial=0.0)) if count == 3 else 0.0
+    if not len(values) or largest > _MAX_ANGLE:
+        return []
+    if count == 4 and np.mean(np.abs(np.linalg.norm(values, axis=1) - 1.0) < _OFF_UNIT) < _USUAL:
+        return []
+    if count == 9 and np.mean(_by_matrix(values, {}, "")[1]) < _USUAL:
+        return []
+    units = ({"unit": unit} for unit in (("deg",) if largest > _MAX_RAD else ("rad", "deg")))
+    told: list[dict[str, Any]] = list(units) if count == 3 else [{}]
+    orders, forms = _TRIED[count]
+    return [
+        Orientation(form, order, {**besides, **unit}) for unit, order, (form, besides) in product(told, orders, forms)
+    ]
 
 
 def _orientation(table: Table, one: Mapping[str, Any], there: np.ndarray, where: str) -> tuple[Array, np.ndarray]:

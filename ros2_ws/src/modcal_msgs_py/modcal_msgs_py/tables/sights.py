@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from itertools import product
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry import Array
 from modcal_core.hypotheses import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
 from modcal_core.measurements import BEARING, RANGE, RAY, TOUCH
 from modcal_core.measurements.kinds import kinds
@@ -17,9 +15,8 @@ from modcal_core.robots import Chain, Mechanism
 from modcal_msgs_py.tables.columns import LabelledJoints, Numbers
 from modcal_msgs_py.tables.fits import JointChoice, choices_of, differences
 from modcal_msgs_py.tables.labels import grouped, words
-from modcal_msgs_py.tables.readings import UNITS, direction
+from modcal_msgs_py.tables.readings import READINGS, UNITS
 
-_ANGLES = ("deg", "rad", "gon")
 _MAX_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees or gon
 _VECTOR = 2e-3  # by which a direction's length may be off: exports have three digits
 _WORDS = {RANGE: "distances", BEARING: "directions", TOUCH: "heights above a plane", RAY: "rays of the gripper"}
@@ -36,28 +33,46 @@ class SightColumns:
     kind: str
     columns: tuple[int, ...]
 
+    @property
+    def key(self) -> str:
+        """What a mapping calls its readings."""
+        return "plane" if self.kind == TOUCH else self.kind
+
+    def stated(self, numbers: Numbers, way: Mapping[str, Any]) -> dict[str, Any]:
+        """What a mapping states of it. way: one of :data:`_WAYS`, by which a column is named or something is stated."""
+        keys = iter(numbers.keys(self.columns))
+        if len(self.columns) == 3:
+            return {"frame": self.frame, "vector": list(keys)}
+        return {"frame": self.frame, **{name: next(keys) if told is None else told for name, told in way.items()}}
+
+
+# What columns of a kind are tried as: what is stated, None where a column is; directions by three columns are vectors
+_LENGTHS = [{"unit": unit, "column": None} for unit in LENGTHS]
+_WAYS: Mapping[str, Sequence[Mapping[str, Any]]] = {
+    RANGE: _LENGTHS,
+    TOUCH: _LENGTHS,
+    RAY: _LENGTHS,
+    BEARING: [
+        {"unit": unit, "azimuth": None, second: None, **clockwise}
+        for unit in ("deg", "rad", "gon")
+        for second in ("elevation", "zenith")
+        for clockwise in ({}, {"clockwise": True})
+    ],
+}
+
 
 @dataclass(frozen=True)
 class Way:
-    """One reading of the columns of a kind. unit: of lengths or angles, "" of vectors. zenith: the second angle is from
-    above. clockwise: the azimuth grows so.
-    """
+    """One reading of the instruments of a kind: joints and readings as a mapping states them, and how well they fit."""
 
-    choice: int
-    unit: str
-    zenith: bool = False
-    clockwise: bool = False
+    choice: JointChoice
+    stated: Mapping[str, Any]
+    match: SightMatch
 
-    def entry(self, numbers: Numbers, one: SightColumns) -> dict[str, Any]:
-        """What a mapping states of an instrument that is read so."""
-        keys = numbers.keys(one.columns)
-        stated: dict[str, Any] = {"frame": one.frame}
-        if one.kind != BEARING:
-            return {**stated, "unit": self.unit, "column": keys[0]}
-        if len(keys) == 3:
-            return {**stated, "vector": keys}
-        stated |= {"unit": self.unit, "azimuth": keys[0], "zenith" if self.zenith else "elevation": keys[1]}
-        return {**stated, "clockwise": True} if self.clockwise else stated
+    def otherwise(self, other: Way, word: str) -> str:
+        """What a mapping of another way would state in place of this one's."""
+        one, two = ({**way.stated, "joints": way.choice.stated} for way in (self, other))
+        return "; ".join(differences(one, two, word))
 
 
 @dataclass(frozen=True)
@@ -66,61 +81,40 @@ class Sighted:
     the encoders of an arm that opens a door.
     """
 
-    choices: tuple[JointChoice, ...]
+    choice: JointChoice
     rows: np.ndarray
-    found: dict[str, list[tuple[Way, SightMatch]]]
-    instruments: tuple[SightColumns, ...]
+    found: Mapping[str, Sequence[Way]]
+    columns: tuple[int, ...]
     questions: tuple[str, ...] = field(default=())
     zeros: tuple[int, ...] = ()
 
-    @property
-    def choice(self) -> JointChoice:
-        """What the joints' columns are taken for."""
-        return next((self.choices[ways[0][0].choice] for ways in self.found.values()), self.choices[0])
-
-    @property
-    def columns(self) -> tuple[int, ...]:
-        """Columns of the readings."""
-        return tuple(k for i in self.instruments for k in i.columns)
-
     def entry(self, numbers: Numbers) -> dict[str, Any]:
-        """The readings as a mapping states them."""
-        out: dict[str, Any] = {}
-        for one in self.instruments:
-            stated = self.found[one.kind][0][0].entry(numbers, one)
-            out.setdefault("plane" if one.kind == TOUCH else one.kind, []).append(stated)
-        return {key: stated[0] if len(stated) == 1 else stated for key, stated in out.items()}
+        """Joints and readings as a mapping states them."""
+        every = {key: stated for ways in self.found.values() for key, stated in ways[0].stated.items()}
+        one = {key: stated[0] if len(stated) == 1 else stated for key, stated in every.items()}
+        return {"joints": self.choice.stated, **one}
 
-    def proved(self, numbers: Numbers, chain: Mechanism) -> list[str]:
+    def proved(self, numbers: Numbers) -> list[str]:
         """What the data shows, with what came second."""
         out = []
-        for kind, ((way, match), *rest) in self.found.items():
-            missed = f"{1e3 * match.typical:.3g} mm (median)"
+        for kind, (best, *rest) in self.found.items():
+            missed = f"{1e3 * best.match.typical:.3g} mm (median)"
             out.append(f"{_WORDS[kind]} as stated: the nominal arm misses {len(self.rows)} rows by {missed}")
-            first = next(one for one in self.instruments if one.kind == kind)
-            for other, worse in rest[:1]:
-                instead = _otherwise(numbers, first, self.choices, (way, other), "in place of")
-                out.append(f"second best, worse by {match.score - worse.score:.0f} in log-likelihood: {instead}")
+            for other in rest[:1]:
+                worse = f"worse by {best.match.score - other.match.score:.0f} in log-likelihood"
+                out.append(f"second best, {worse}: {best.otherwise(other, 'in place of')}")
         return out
-
-
-def _otherwise(
-    numbers: Numbers, one: SightColumns, choices: Sequence[JointChoice], ways: tuple[Way, Way], word: str
-) -> str:
-    """What a mapping of another way would state in place of the first one's, of an instrument and the joints."""
-    best, other = ({**way.entry(numbers, one), "joints": {"unit": choices[way.choice].angle}} for way in ways)
-    return "; ".join(differences(best, other, word))
 
 
 def joints_alone(numbers: Numbers, chain: Mechanism, joints: LabelledJoints) -> Sighted:
     """The rows in which every joint has a number, in the unit that labels or sizes tell, without any reading."""
     rows = np.flatnonzero(np.isfinite(numbers.values[:, list(joints.columns)]).all(axis=1))
     told = {numbers.labels[k].unit for k in joints.columns} - {None}
-    choices = choices_of(chain, joints, numbers.values[rows])
-    choices = [c for c in choices if {c.angle, c.length} >= told] or choices
-    units = " or ".join(dict.fromkeys(c.units(chain) for c in choices))
+    choices = choices_of(numbers, chain, joints, rows)
+    choices = [c for c in choices if {c.stated["unit"], *c.stated.get("units", {}).values()} >= told] or choices
+    units = " or ".join(dict.fromkeys(c.stated["unit"] for c in choices))
     asked = f"cannot tell the unit of the joints, {units}: no label says, and no reading goes with them"
-    return Sighted(tuple(choices), rows, {}, (), (asked,) if len(choices) > 1 else ())
+    return Sighted(choices[0], rows, {}, (), (asked,) if len(choices) > 1 else ())
 
 
 def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:
@@ -177,77 +171,78 @@ def find_sights(
     rows = np.flatnonzero(read & known[:, [k for j in joints for k in j.columns]].all(axis=1))
     if len(rows) < MIN_ROWS:
         return None
-    values = numbers.values[rows]
-    choices = [choice for one in joints for choice in choices_of(chain, one, values)]
-    postures = [choice.postures(chain, values) for choice in choices]
-    found: dict[str, list[tuple[Way, SightMatch]]] = {}
+    choices = [choice for one in joints for choice in choices_of(numbers, chain, one, rows)]
+    found: dict[str, Sequence[Way]] = {}
     questions: list[str] = []
     for kind in dict.fromkeys(one.kind for one in instruments):
         mine = [one for one in instruments if one.kind == kind]
-        ways = _compared(numbers, chain, postures, values, mine)
-        if kind == RANGE and not ways[0][1].explained(chain):  # the sensors may be on the gripper, or stand on a plane
+        ways = _compared(numbers, chain, choices, rows, mine)
+        if kind == RANGE and not ways[0].match.explained(chain):  # the sensors may be on the gripper
             rays = [ray_of(numbers, one) for one in mine]
-            others = _compared(numbers, chain, postures, values, rays)
-            if others[0][1].explained(chain):
+            others = _compared(numbers, chain, choices, rows, rays)
+            if others[0].match.explained(chain):
                 instruments = [one for one in instruments if one.kind != RANGE] + rays
-                kind, mine, ways = RAY, rays, others
+                kind, ways = RAY, others
+        best, *rest = ways
         names = numbers.shown(*(k for one in mine for k in one.columns))
-        if not ways[0][1].explained(chain):
+        if not best.match.explained(chain):
             said = f"{names}: labels call them {_WORDS[kind]}, and no reading of them fits the arm; the best leaves "
-            questions.append(f"{said}{1e3 * ways[0][1].typical:.3g} mm: they are left out")
+            questions.append(f"{said}{1e3 * best.match.typical:.3g} mm: they are left out")
             continue
         found[kind] = ways
-        alike = [way for way, match in ways[1:] if not ways[0][1].beyond(match)]
-        either = (_otherwise(numbers, mine[0], choices, (ways[0][0], other), "or") for other in alike[:3])
+        alike = [way for way in rest if not best.match.beyond(way.match)]
         less = f"less than {BEYOND_DOUBT:.0f} in log-likelihood apart"
-        questions += [f"cannot tell of {names}: {said} ({less})" for said in either]
+        questions += [f"cannot tell of {names}: {best.otherwise(way, 'or')} ({less})" for way in alike[:3]]
     if not found:
         return None
-    if len({ways[0][0].choice for ways in found.values()}) > 1:
+    choice = next(iter(found.values()))[0].choice
+    if any(ways[0].choice is not choice for ways in found.values()):
         questions.append("the readings contradict each other about the joints' columns or their unit")
-    kept = tuple(one for one in instruments if one.kind in found)
-    return Sighted(tuple(choices), rows, found, kept, tuple(questions))
+    kept = tuple(k for one in instruments if one.kind in found for k in one.columns)
+    return Sighted(choice, rows, found, kept, tuple(questions))
 
 
 def _compared(
-    numbers: Numbers, chain: Chain, postures: Sequence[Array], values: Array, mine: Sequence[SightColumns]
-) -> list[tuple[Way, SightMatch]]:
+    numbers: Numbers, chain: Chain, choices: Sequence[JointChoice], rows: np.ndarray, mine: Sequence[SightColumns]
+) -> list[Way]:
     """What instruments of a kind may mean, the likeliest first."""
+    kind, values = mine[0].kind, numbers.values[rows]
     units = {numbers.labels[one.columns[0]].unit for one in mine}
-    if mine[0].kind == RAY:
-        mine = sorted(mine, key=lambda one: -int(np.isfinite(values[:, one.columns[0]]).sum()))[:_JUDGED]
-    some = [(q, way) for c, q in enumerate(postures) for way in _ways(c, values, mine)]
-    if mine[0].kind == RAY:
-        some = [(q, way) for q, way in some if {way.unit} == units] or some
-    if mine[0].kind != BEARING:  # no instrument of this arm reads so far
-        lengths = values[:, [one.columns[0] for one in mine]]
-        lengths, kind, reach = lengths[np.isfinite(lengths)][:, None], kinds()[mine[0].kind], chain.reach()
-        some = [(q, way) for q, way in some if kind.implausible(UNITS[way.unit] * lengths, reach).mean() < 0.5] or some
-    ways = [(way, _judged(chain, q, values, mine, way)) for q, way in some]
-    told = [pair for pair in ways if {pair[0].unit} == units]
-    ways = told if any(match.explained(chain) for _, match in told) else ways
-    return sorted(ways, key=lambda pair: (not pair[1].explained(chain), -pair[1].score))
+    judged = mine
+    if kind == RAY:
+        judged = sorted(mine, key=lambda one: -int(np.isfinite(values[:, one.columns[0]]).sum()))[:_JUDGED]
+    ways = list(_WAYS[kind])
+    angles = [k for one in mine for k in one.columns if len(one.columns) == 2]
+    if kind == BEARING:
+        largest = float(np.nanmax(np.abs(values[:, angles]), initial=0.0))
+        ways = [way for way in ways if way["unit"] != "rad" or largest < _MAX_RAD] if angles else [{"unit": ""}]
+    else:
+        if kind == RAY:
+            ways = [way for way in ways if {way["unit"]} == units] or ways
+        lengths = values[:, [one.columns[0] for one in judged]]  # no instrument of this arm reads so far
+        lengths, of_kind, reach = lengths[np.isfinite(lengths)][:, None], kinds()[kind], chain.reach()
+        near = [way for way in ways if of_kind.implausible(UNITS[way["unit"]] * lengths, reach).mean() < 0.5]
+        ways = near or ways
+    found = [(way, _judged(numbers, chain, choice, rows, judged, way)) for choice in choices for way in ways]
+    told = [pair for pair in found if {pair[0]["unit"]} == units]
+    found = told if any(one.match.explained(chain) for _, one in told) else found
+    every = [replace(one, stated={mine[0].key: [i.stated(numbers, way) for i in mine]}) for way, one in found]
+    return sorted(every, key=lambda one: (not one.match.explained(chain), -one.match.score))
 
 
-def _ways(choice: int, values: Array, instruments: Sequence[SightColumns]) -> Iterator[Way]:
-    angles = [one for one in instruments if len(one.columns) == 2]
-    if not angles:
-        yield from (Way(choice, unit) for unit in (LENGTHS if instruments[0].kind != BEARING else [""]))
-        return
-    largest = max(float(np.nanmax(np.abs(values[:, list(one.columns)]))) for one in angles)
-    some = [unit for unit in _ANGLES if unit != "rad" or largest < _MAX_RAD]
-    yield from (Way(choice, *read) for read in product(some, (False, True), (False, True)))
-
-
-def _judged(chain: Chain, q: Array, values: Array, instruments: Sequence[SightColumns], way: Way) -> SightMatch:
+def _judged(
+    numbers: Numbers,
+    chain: Chain,
+    choice: JointChoice,
+    rows: np.ndarray,
+    instruments: Sequence[SightColumns],
+    way: Mapping[str, Any],
+) -> Way:
+    """Instruments as a mapping reads them in one way."""
     sightings, volume = [], 0.0
     for one in instruments:
-        x = values[:, list(one.columns)]
-        if len(one.columns) == 3:
-            x = x / np.linalg.norm(x, axis=1, keepdims=True)
-        else:
-            x = UNITS[way.unit] * x
-            volume += len(one.columns) * float(np.log(UNITS[way.unit]))
-            x = direction(x, way.zenith, way.clockwise) if one.kind == BEARING else x
-        sightings.append(Sighting(one.frame, one.kind, x))
-    return sights_match(chain, q, sightings, volume)
+        x, there = READINGS[one.key].read(numbers.table, one.stated(numbers, way), numbers.sheet.path.name)
+        sightings.append(Sighting(one.frame, one.kind, np.where(there[:, None], x, np.nan)[rows]))
+        if len(one.columns) < 3:
+            volume += len(one.columns) * float(np.log(UNITS[way["unit"]]))
+    return Way(choice, {}, sights_match(chain, choice.q[rows], sightings, volume))
