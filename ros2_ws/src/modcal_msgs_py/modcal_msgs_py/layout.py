@@ -401,44 +401,29 @@ _XYZ: Fields = [("x", "f8"), ("y", "f8"), ("z", "f8")]
 _XYZW: Fields = [*_XYZ, ("w", "f8")]
 _POSE: Fields = [("position", _XYZ), ("orientation", _XYZW)]
 _POSE_WITH_COVARIANCE: Fields = [("pose", _POSE), ("covariance", Many("f8", 36))]
-_TRANSFORM: Fields = [
-    ("header", _HEADER),
-    ("child_frame_id", "string"),
-    ("transform", [("translation", _XYZ), ("rotation", _XYZW)]),
-]
-KNOWN: dict[str, Fields] = {
+_TWIST: Fields = [("twist", [("linear", _XYZ), ("angular", _XYZ)]), ("covariance", Many("f8", 36))]
+_CHILD: tuple[str, Kind] = ("child_frame_id", "string")
+_STAMPED: dict[str, Fields] = {  # what stands behind the header
     "sensor_msgs/msg/JointState": [
-        ("header", _HEADER),
         ("name", Many("string")),
-        ("position", Many("f8")),
-        ("velocity", Many("f8")),
-        ("effort", Many("f8")),
+        *((name, Many("f8")) for name in ("position", "velocity", "effort")),
     ],
-    "geometry_msgs/msg/PoseStamped": [("header", _HEADER), ("pose", [("position", _XYZ), ("orientation", _XYZW)])],
-    "geometry_msgs/msg/PointStamped": [("header", _HEADER), ("point", _XYZ)],
-    "geometry_msgs/msg/Vector3Stamped": [("header", _HEADER), ("vector", _XYZ)],
-    "geometry_msgs/msg/WrenchStamped": [("header", _HEADER), ("wrench", [("force", _XYZ), ("torque", _XYZ)])],
+    "geometry_msgs/msg/PoseStamped": [("pose", _POSE)],
+    "geometry_msgs/msg/PointStamped": [("point", _XYZ)],
+    "geometry_msgs/msg/Vector3Stamped": [("vector", _XYZ)],
+    "geometry_msgs/msg/WrenchStamped": [("wrench", [("force", _XYZ), ("torque", _XYZ)])],
     "sensor_msgs/msg/Range": [
-        ("header", _HEADER),
         ("radiation_type", "u1"),
-        ("field_of_view", "f4"),
-        ("min_range", "f4"),
-        ("max_range", "f4"),
-        ("range", "f4"),
-        ("variance", "f4"),
+        *((name, "f4") for name in ("field_of_view", "min_range", "max_range", "range", "variance")),
     ],
-    "sensor_msgs/msg/Temperature": [("header", _HEADER), ("temperature", "f8"), ("variance", "f8")],
-    "std_msgs/msg/String": [("data", "string")],
-    "geometry_msgs/msg/PoseWithCovarianceStamped": [("header", _HEADER), ("pose", _POSE_WITH_COVARIANCE)],
-    "nav_msgs/msg/Odometry": [
-        ("header", _HEADER),
-        ("child_frame_id", "string"),
-        ("pose", _POSE_WITH_COVARIANCE),
-        ("twist", [("twist", [("linear", _XYZ), ("angular", _XYZ)]), ("covariance", Many("f8", 36))]),
-    ],
-    "geometry_msgs/msg/TransformStamped": _TRANSFORM,
-    "tf2_msgs/msg/TFMessage": [("transforms", Many(_TRANSFORM))],
+    "sensor_msgs/msg/Temperature": [("temperature", "f8"), ("variance", "f8")],
+    "geometry_msgs/msg/PoseWithCovarianceStamped": [("pose", _POSE_WITH_COVARIANCE)],
+    "nav_msgs/msg/Odometry": [_CHILD, ("pose", _POSE_WITH_COVARIANCE), ("twist", _TWIST)],
+    "geometry_msgs/msg/TransformStamped": [_CHILD, ("transform", [("translation", _XYZ), ("rotation", _XYZW)])],
 }
+KNOWN: dict[str, Fields] = {name: [("header", _HEADER), *fields] for name, fields in _STAMPED.items()}
+KNOWN["std_msgs/msg/String"] = [("data", "string")]
+KNOWN["tf2_msgs/msg/TFMessage"] = [("transforms", Many(KNOWN["geometry_msgs/msg/TransformStamped"]))]
 _NUMBERS = {
     "bool": "u1", "byte": "u1", "octet": "u1", "uint8": "u1", "int8": "i1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
@@ -453,7 +438,6 @@ def fields_of(type_name: str, schemas: Mapping[str, str]) -> Fields | None:
     """
     if type_name in KNOWN:
         return KNOWN[type_name]
-
     if type_name in jazzy().fielddefs:
         return expanded(type_name, "")
     return expanded(type_name, schemas[type_name]) if type_name in schemas else None

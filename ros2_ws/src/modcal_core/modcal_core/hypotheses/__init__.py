@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from modcal_core.hypotheses.conventions import INVERSE, inverse_pose, left_handed, of_recording
     from modcal_core.hypotheses.hypothesis import COMMON, Disagreement, Hypothesis, family
     from modcal_core.hypotheses.joint_columns import likely_orders
-    from modcal_core.hypotheses.meanings import LENGTHS, MIN_ROWS, Judged, judge, rivals, same_poses
+    from modcal_core.hypotheses.meanings import LENGTHS, MIN_ROWS, Judged, judge, same_poses
     from modcal_core.hypotheses.meant import BEYOND_DOUBT, MIN, MISREAD, ArmMiss, proved, recognised
     from modcal_core.hypotheses.refusal import LIMIT_OF_REACH, disagreement, require_plausible
     from modcal_core.hypotheses.rows import orders
@@ -32,4 +32,4 @@ __all__ = ["ANGLE", "BEYOND_DOUBT", "COMMON", "INVERSE", "LENGTHS", "LIMIT_OF_RE
 __all__ += ["OF_REACH", "Answer", "ArmMiss", "Disagreement", "HandEye", "HandEyeFit", "Hypothesis", "Judged"]
 __all__ += ["SightMatch", "Sighting", "computed_in_part", "disagreement", "explain", "family", "inverse_pose", "judge"]
 __all__ += ["last_step", "left_handed", "likely_orders", "limits", "of_recording", "orders", "placed", "proved"]
-__all__ += ["recognised", "require_plausible", "rivals", "same_poses", "sights_match"]
+__all__ += ["recognised", "require_plausible", "same_poses", "sights_match"]

@@ -17,7 +17,6 @@ import numpy as np
 from modcal_core.calibration import base_and_tool_turns, tool_and_place, turns_left
 from modcal_core.geometry import Array, se3
 from modcal_core.hypotheses.hand_eye import OF_MOTION, HandEye, placed
-from modcal_core.hypotheses.meant import BEYOND_DOUBT
 from modcal_core.hypotheses.search import rough
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Mechanism, forward, takes
@@ -49,27 +48,22 @@ class Meaning:
 
 
 @dataclass(frozen=True)
-class Match:
-    """How well the nominal arm fits. score: log evidence [nats]. typical, typical_angle: medians left [m, rad]."""
+class Judged:
+    """A meaning with how well the nominal arm fits it. score: log evidence [nats]. typical, typical_angle: medians left
+    [m, rad].
+    """
 
+    meaning: Meaning
     score: float
     typical: float
     typical_angle: float
+    case: HandEye
 
     @classmethod
-    def of(cls, case: HandEye) -> Match:
-        """That of a case with base and tool fitted."""
+    def of(cls, meaning: Meaning, case: HandEye) -> Judged:
+        """A meaning by its case, to which base and tool are fitted."""
         fit = placed(case, thorough=False)
-        return cls(fit.evidence, fit.usual[1], fit.usual[0])
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A meaning with how well the nominal arm fits it."""
-
-    meaning: Meaning
-    match: Match
-    case: HandEye
+        return cls(meaning, fit.evidence, fit.usual[1], fit.usual[0], case)
 
     @property
     def R(self) -> Array:
@@ -88,8 +82,8 @@ class Judged:
         A meaning by which hardly anything moves fits whatever the columns are.
         """
         turn, place = self.case.motion
-        left = self.match.typical / max(place, 1e-12)
-        return left if self.meaning.way is None else max(left, self.match.typical_angle / max(turn, 1e-12))
+        left = self.typical / max(place, 1e-12)
+        return left if self.meaning.way is None else max(left, self.typical_angle / max(turn, 1e-12))
 
     @property
     def near(self) -> bool:
@@ -98,7 +92,7 @@ class Judged:
 
     def explained(self, chain: Mechanism) -> bool:
         """Whether what is left is also no more than most nominal arms are wrong by: no other meaning is looked for."""
-        return self.near and self.match.typical <= ARM_SHARE * chain.reach() and self.match.typical_angle <= ARM_ANGLE
+        return self.near and self.typical <= ARM_SHARE * chain.reach() and self.typical_angle <= ARM_ANGLE
 
 
 def judge(
@@ -119,7 +113,7 @@ def judge(
             found += [_judged_point(chain, q, c, position, unit) for unit in LENGTHS]
         else:
             found += _judged_poses(chain, q, c, position, turned, ways)
-    found.sort(key=lambda j: (not j.near, -j.match.score))
+    found.sort(key=lambda j: (not j.near, -j.score))
     distinct: list[Judged] = []
     for one in found:
         if not any(_same(one, other, choices) for other in distinct):
@@ -127,16 +121,11 @@ def judge(
     return distinct
 
 
-def rivals(found: Sequence[Judged]) -> list[Judged]:
-    """The meanings that the data cannot tell from the best."""
-    return [one for one in found[1:] if found[0].match.score - one.match.score <= BEYOND_DOUBT]
-
-
 def _judged_point(chain: Mechanism, q: Array, c: int, position: Array, unit: str) -> Judged:
     rows = spread_rows(len(position), _MAX)
     table = HandEye.of_arrays(chain, q[rows], position[rows])
     case = table.read(LENGTHS[unit] * table.p, volume=3.0 * float(np.log(LENGTHS[unit])))
-    return Judged(Meaning(c, unit, None), Match.of(case), case)
+    return Judged.of(Meaning(c, unit, None), case)
 
 
 def _judged_poses(
@@ -153,7 +142,7 @@ def _judged_poses(
     out = []
     for i in np.argsort(-scores, kind="stable")[:_JUDGED]:
         case = _read(meanings[i], ways[meanings[i].way or 0](turned[more]), table)
-        out.append(Judged(meanings[i], Match.of(case), case))
+        out.append(Judged.of(meanings[i], case))
     return out
 
 

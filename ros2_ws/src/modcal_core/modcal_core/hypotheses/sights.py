@@ -15,7 +15,6 @@ from modcal_core.calibration import Instrument, new_instruments, place_instrumen
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.hypotheses.hand_eye import INDEPENDENT, OF_MOTION, likeliest
 from modcal_core.hypotheses.meanings import ARM_SHARE
-from modcal_core.hypotheses.meant import BEYOND_DOUBT
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.measurements.kinds import scene_in
 from modcal_core.robots import Chain, forward
@@ -52,10 +51,6 @@ class SightMatch:
     def explained(self, chain: Chain) -> bool:
         """Whether what is left is what a nominal arm may be wrong by, and little of what moves."""
         return self.typical <= min(ARM_SHARE * chain.reach(), OF_MOTION * self.spread)
-
-    def beyond(self, other: SightMatch) -> bool:
-        """Whether it is better than another beyond doubt."""
-        return self.score - other.score > BEYOND_DOUBT
 
 
 def sights_match(chain: Chain, q: Array, sightings: Sequence[Sighting], log_volume: float = 0.0) -> SightMatch:

@@ -17,7 +17,7 @@ from modcal_core.geometry import Array
 from modcal_core.hypotheses import LENGTHS
 from modcal_core.robots import Inertias, Mechanism, gravity_wrench
 from modcal_msgs_py.tables.columns import LabelledJoints, Numbers, is_counter
-from modcal_msgs_py.tables.fits import Fitted, JointChoice
+from modcal_msgs_py.tables.fits import FittedBody, JointChoice
 from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label, grouped, words
 from modcal_msgs_py.tables.readings import EFFORTS, UNITS, positions
 
@@ -95,7 +95,7 @@ class Draft:
         return f"{self.numbers.shown(one.columns[0])} … {self.numbers.shown(one.columns[-1])}"
 
 
-def find_beside(draft: Draft, labelled: Sequence[LabelledJoints], fitted: Fitted | None) -> None:
+def find_beside(draft: Draft, labelled: Sequence[LabelledJoints], fitted: FittedBody | None) -> None:
     """State the columns that are neither joints nor readings nor time. labelled: families of as many as joints."""
     free = [j for j in labelled if not set(j.columns) & draft.used]
     _commanded(draft, [j for j in free if j.role == COMMANDED])
@@ -112,22 +112,19 @@ def _commanded(draft: Draft, some: Sequence[LabelledJoints]) -> None:
     """Labelled columns that are near the joints in one unit, and in no other."""
     joints, names, turns = draft.joints, draft.arm.chain.own_names, bool(np.any(draft.arm.chain.revolute))
     for one in some:
-        best: tuple[float, dict[str, Any]] | None = None
+        found = []
         for unit in ("rad", "deg") if turns else (joints["unit"],):
             own = {"unit": unit} if unit != joints["unit"] else {}
+            own |= {"units": joints["units"]} if "units" in joints else {}
             part = {**own, "columns": dict(zip(names, draft.numbers.keys(one.columns), strict=True))}
-            part |= {"units": joints["units"]} if "units" in joints else {}
             gap = np.abs(positions(draft.numbers.table, joints, names, part) - draft.choice.q[:, draft.arm.chain.own])
-            if not np.isfinite(gap).any() or not bool((np.nanmedian(gap, axis=0) < _FOLLOWS).all()):
-                continue
-            if best is None or float(np.nanmedian(gap)) < best[0]:
-                best = float(np.nanmedian(gap)), part
-        if best is not None:
-            joints["commanded"] = best[1]
+            if np.isfinite(gap).any() and bool((np.nanmedian(gap, axis=0) < _FOLLOWS).all()):
+                found.append((float(np.nanmedian(gap)), unit, part))
+        if found:
+            near, unit, joints["commanded"] = min(found, key=lambda way: way[0])
             draft.used |= set(one.columns)
-            unit = best[1].get("unit", joints["unit"])
-            near = f"they are as near as {best[0]:.2g} rad"
-            draft.said.append(f"columns labelled as commanded are the commanded joints in {unit}: {near}")
+            said = f"columns labelled as commanded are the commanded joints in {unit}"
+            draft.said.append(f"{said}: they are as near as {near:.2g} rad")
             return
 
 
@@ -228,7 +225,7 @@ def _bystanders(draft: Draft) -> None:
         draft.said.append(f"{draft.numbers.shown(columns[0])} is the joint {name}, which is not of this arm, in {unit}")
 
 
-def _deviations(draft: Draft, fitted: Fitted) -> None:
+def _deviations(draft: Draft, fitted: FittedBody) -> None:
     """Standard deviations that an instrument states of every reading: which columns, of what, in which unit."""
     numbers, std = draft.numbers, dict[str, Any]()
     labels = {k: label for k, label in numbers.labels.items() if k not in fitted.columns and _is_std(label)}
@@ -239,7 +236,9 @@ def _deviations(draft: Draft, fitted: Fitted) -> None:
         coverage = float(label.coverage or 1.0)
         if what in std or set(columns) & draft.used or len(columns) not in (1, 3):
             continue
-        if (what == "orientation" and fitted.way is None) or (std and coverage != std.get("coverage", 1.0)):
+        if (what == "orientation" and "pose" not in fitted.best.stated) or (
+            std and coverage != std.get("coverage", 1.0)
+        ):
             continue
         unit = _unit_of_std(fitted, label, float(np.nanmedian(numbers.values[:, list(columns)])) / coverage, what)
         shown = numbers.shown(*columns)
@@ -255,7 +254,8 @@ def _deviations(draft: Draft, fitted: Fitted) -> None:
         draft.said.append(f"{shown} are {of} of the {what}{axes}, in {unit}")
         draft.used |= set(columns)
     if std:
-        next(draft.entry[key] for key in ("pose", "point") if key in draft.entry)["std"] = std
+        (key,) = fitted.best.stated
+        draft.entry[key] = {**draft.entry[key], "std": std}
 
 
 def _is_std(label: Label) -> bool:
@@ -268,16 +268,17 @@ def _positive(values: Array) -> bool:
     return len(there) > 0 and bool((there >= 0.0).all()) and bool((there > 0.0).any())
 
 
-def _unit_of_std(fitted: Fitted, label: Label, typical: float, what: str) -> str | None:
+def _unit_of_std(fitted: FittedBody, label: Label, typical: float, what: str) -> str | None:
     """The unit by the label; else that of the readings, or another one, with which the size is an instrument's."""
-    match, way = fitted.best.match, fitted.way
-    units = ("rad", "deg") if what == "orientation" else (fitted.best.meaning.unit, "mm", "m")
+    fit, (reading,) = fitted.judged, fitted.best.stated.values()
+    units = ("rad", "deg") if what == "orientation" else (reading["unit"], "mm", "m")
     if label.unit is not None or label.told:
         return label.unit if label.unit in (*units, "cm", "in") else None
-    most = max(match.typical_angle, 1e-3) if what == "orientation" else max(match.typical, 1e-4)
+    most = max(fit.typical_angle, 1e-3) if what == "orientation" else max(fit.typical, 1e-4)
     fits = [unit for unit in units if _FINEST < UNITS[unit] * typical < most]
-    if what == "orientation" and way is not None and "unit" in way.besides:
-        fits = [unit for unit in fits if unit == way.besides["unit"]]
+    if what == "orientation":
+        angles: Mapping[str, Any] = next((reading[form] for form in ("euler", "rotvec") if form in reading), {})
+        fits = [unit for unit in fits if unit == angles.get("unit", unit)]
     return fits[0] if fits and (what == "position" or len(fits) == 1) else None
 
 

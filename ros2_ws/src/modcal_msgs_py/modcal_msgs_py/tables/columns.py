@@ -113,7 +113,7 @@ class Body:
     """Columns that may be a pose, or a point where turned is None. computed: its labels sound like a controller's.
 
     points: names and columns of the targets of one body, whose pose they are together; position is the first then.
-    away: columns of a deviation that is added to the position times sign, 1 or -1; none of most.
+    away: columns of a deviation that is taken from the position; none of most.
     """
 
     position: tuple[int, ...]
@@ -122,7 +122,6 @@ class Body:
     computed: bool = False
     points: tuple[tuple[str, tuple[int, ...]], ...] = ()
     away: tuple[int, ...] = ()
-    sign: float = 1.0
 
     @property
     def posed(self) -> bool:
@@ -139,7 +138,7 @@ class Body:
         """Its positions as a mapping states them, without a unit."""
         if self.points:
             return {"points": {name: numbers.keys(triple) for name, triple in self.points}}
-        away = {"plus" if self.sign > 0.0 else "minus": numbers.keys(self.away)} if self.away else {}
+        away = {"minus": numbers.keys(self.away)} if self.away else {}
         return {"position": numbers.keys(self.position), **away}
 
     def read(self, numbers: Numbers, rows: np.ndarray) -> tuple[Array, Array | None]:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry import Array, so3
+from modcal_core.geometry import Array
 from modcal_core.hypotheses import (
     BEYOND_DOUBT,
     COMMON,
@@ -27,19 +27,20 @@ from modcal_core.hypotheses import (
     HandEye,
     Hypothesis,
     Judged,
+    SightMatch,
     explain,
     family,
+    judge,
     placed,
     same_poses,
 )
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Mechanism, forward, takes
 from modcal_msgs_py.tables.columns import Body, LabelledJoints, Numbers
-from modcal_msgs_py.tables.readings import Orientation, joint_map, map_stated, positions
+from modcal_msgs_py.tables.readings import MAX_RAD, joint_map, map_stated, orientations, positions
 
 _COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
-_GOAL = 0.1  # of what goal plus or minus deviation leaves: the nominal arm reproduces a goal, rounded as it may be
-MAX_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
+_GOAL = 0.1  # of what goal minus deviation leaves: the nominal arm reproduces a goal, rounded as it may be
 
 
 @dataclass(frozen=True)
@@ -84,83 +85,143 @@ def choices_of(numbers: Numbers, chain: Mechanism, joints: LabelledJoints, rows:
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """One place of columns with its meanings, best first. ways: to read its orientations. target: the column that tells
-    which target was measured.
+class MappingCandidate:
+    """Joints and readings as a mapping states them, and how well the nominal arm fits what that reads. explained: so
+    well that no other is looked for.
     """
 
-    body: Body
-    choices: tuple[JointChoice, ...]
-    ways: tuple[Orientation, ...]
-    found: tuple[Judged, ...]
-    rows: np.ndarray
-    target: int | None = None
+    choice: JointChoice
+    stated: Mapping[str, Any]
+    fit: Judged | SightMatch
+    explained: bool
 
     @property
-    def best(self) -> Judged:
+    def missed(self) -> str:
+        """What is left, in words."""
+        turned = isinstance(self.fit, Judged) and self.fit.meaning.way is not None
+        turn = f" and {np.degrees(self.fit.typical_angle):.2g}°" if isinstance(self.fit, Judged) and turned else ""
+        return f"{1e3 * self.fit.typical:.3g} mm{turn}"
+
+    def beyond(self, other: MappingCandidate) -> bool:
+        """Whether it is better than another beyond doubt."""
+        return self.fit.score - other.fit.score > BEYOND_DOUBT
+
+    def otherwise(self, other: MappingCandidate, word: str) -> str:
+        """What another one states in place of this one's."""
+        one, two = ({**each.stated, "joints": each.choice.stated} for each in (self, other))
+        return "; ".join(differences(one, two, word))
+
+    def worse(self, other: MappingCandidate) -> str:
+        """By how much another one fits worse, in words."""
+        by = f"{self.fit.score - other.fit.score:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides"
+        return f"worse by {by}; it leaves {other.missed}"
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Columns with what they may mean, the likeliest first. what: they are, in words. zeros: columns that are all zero
+    where nothing was read.
+    """
+
+    what: str
+    found: Sequence[MappingCandidate]
+    rows: np.ndarray
+    columns: tuple[int, ...]
+    zeros: tuple[int, ...]
+
+    @property
+    def best(self) -> MappingCandidate:
         """The likeliest meaning."""
         return self.found[0]
 
     @property
-    def choice(self) -> JointChoice:
-        """What it takes the joints for."""
-        return self.choices[self.best.meaning.postures]
+    def rivals(self) -> list[MappingCandidate]:
+        """The meanings that the data cannot tell from the best."""
+        return [other for other in self.found[1:] if not self.best.beyond(other)]
+
+    def proved(self) -> list[str]:
+        """What the data shows, with what came second."""
+        best, counted = self.best, self.best.choice.counted
+        out = [f"{self.what} as stated: the nominal arm misses {len(self.rows)} rows by {best.missed} (median)"]
+        if counted:
+            out.append(f"joints are counted otherwise than the robot description does: {counted}")
+        for other in self.found[1:2]:
+            out.append(f"second best, {best.worse(other)}: {best.otherwise(other, 'in place of')}")
+        return out
+
+
+@dataclass(frozen=True)
+class FittedBody(Fitted):
+    """The same of a body's positions. target: the column that tells which target was measured."""
+
+    body: Body
+    target: int | None = None
+
+    @classmethod
+    def of(
+        cls,
+        numbers: Numbers,
+        chain: Mechanism,
+        body: Body,
+        choices: Sequence[JointChoice],
+        rows: np.ndarray,
+        target: int | None = None,
+    ) -> FittedBody | None:
+        """A body with what its columns may mean, in these rows; None where they can mean nothing."""
+        position, turned = body.read(numbers, rows)
+        ways = [] if turned is None else orientations(turned)[: 1 if body.points else None]  # as the mapping makes them
+        found = judge(chain, [c.q[rows] for c in choices], position, turned, [way.rotations for way in ways])
+        found = [f for f in found if not (body.points and f.meaning.inverse)]
+        told = [f for f in found if f.meaning.unit == numbers.labels[body.position[0]].unit]
+        found = told if any(f.explained(chain) for f in told) else found
+        if not found:
+            return None
+        marked = {} if target is None else {"target": numbers.key(target)}
+        key = "targets" if body.points else "point" if turned is None else "pose"
+        some = []
+        for judged in found:
+            meaning = judged.meaning
+            stated = {"frame": "tracker", "unit": meaning.unit, **body.stated(numbers), **marked}
+            if key == "pose":
+                stated |= ways[meaning.way or 0].stated(numbers.keys(body.turned or ()))
+                stated |= {"inverse": True} if meaning.inverse else {}
+            some.append(MappingCandidate(choices[meaning.postures], {key: stated}, judged, judged.explained(chain)))
+        columns = (*body.columns, *(() if target is None else (target,)))
+        return cls(f"joints and {key}", some, rows, columns, body.zeros, body, target)
 
     @property
-    def way(self) -> Orientation | None:
-        """How it reads orientations, None where there are none."""
-        return None if self.best.meaning.way is None else self.ways[self.best.meaning.way]
+    def judged(self) -> Judged:
+        """How well the likeliest meaning fits."""
+        assert isinstance(self.best.fit, Judged)
+        return self.best.fit
 
     @property
     def computed(self) -> bool:
         """Whether the nominal arm says the same to some micrometres: then nobody measured it."""
-        return self.best.match.typical < _COMPUTED
+        return self.judged.typical < _COMPUTED
+
+
+@dataclass(frozen=True)
+class TableRead:
+    """What a table's rows hold: joints, and readings where there are any. questions, assumed: for a person."""
+
+    choice: JointChoice
+    rows: np.ndarray
+    parts: Sequence[Fitted]
+    questions: Sequence[str] = ()
+    assumed: Sequence[str] = ()
 
     @property
-    def columns(self) -> tuple[int, ...]:
+    def columns(self) -> list[int]:
         """Columns of the readings."""
-        return (*self.body.columns, *(() if self.target is None else (self.target,)))
+        return [k for part in self.parts for k in part.columns]
 
     @property
-    def zeros(self) -> tuple[int, ...]:
-        """Columns that are all zero where nothing was read."""
-        return self.body.zeros
-
-    def entry(self, numbers: Numbers, judged: Judged | None = None) -> dict[str, Any]:
-        """Joints and readings as a mapping states them: pose, point or targets. judged: the meaning; None: the best."""
-        meaning, body = (judged or self.best).meaning, self.body
-        joints = self.choices[meaning.postures].stated
-        reading: dict[str, Any] = {"frame": "tracker", "unit": meaning.unit, **body.stated(numbers)}
-        if body.points:
-            return {"targets": reading, "joints": joints}
-        if self.target is not None:
-            reading["target"] = numbers.key(self.target)
-        if meaning.way is None or body.turned is None:
-            return {"point": reading, "joints": joints}
-        reading |= self.ways[meaning.way].stated(numbers.keys(body.turned))
-        return {"pose": {**reading, **({"inverse": True} if meaning.inverse else {})}, "joints": joints}
-
-    def otherwise(self, numbers: Numbers, other: Judged, word: str) -> str:
-        """What a mapping of another meaning would state in place of the best one's."""
-        return "; ".join(differences(self.entry(numbers), self.entry(numbers, other), word))
-
-    def proved(self, numbers: Numbers) -> list[str]:
-        """What the data shows, with what came second."""
-        key, _ = self.entry(numbers)
-        out = [
-            f"joints and {key} as stated: the nominal arm misses {len(self.rows)} rows by {missed(self.best)} (median)"
-        ]
-        if self.choice.counted:
-            out.append(f"joints are counted otherwise than the robot description does: {self.choice.counted}")
-        for other in self.found[1:2]:
-            out.append(f"second best, {worse(self.best, other)}: {self.otherwise(numbers, other, 'in place of')}")
-        return out
-
-
-def missed(judged: Judged) -> str:
-    """What a meaning leaves, in words."""
-    turn = f" and {np.degrees(judged.match.typical_angle):.2g}°" if judged.meaning.way is not None else ""
-    return f"{1e3 * judged.match.typical:.3g} mm{turn}"
+    def stated(self) -> dict[str, Any]:
+        """Joints and readings as a mapping states them."""
+        found = {key: each for part in self.parts for key, each in part.best.stated.items()}
+        one = {key: each[0] if isinstance(each, list) and len(each) == 1 else each for key, each in found.items()}
+        return {"joints": dict(self.choice.stated), **one}
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any], word: str) -> Iterator[str]:
@@ -177,48 +238,41 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any], word: str) -> 
             yield f"{key} {b} {word} {a}"
 
 
-def worse(best: Judged, other: Judged) -> str:
-    """By how much another meaning fits worse than the best, in words."""
-    by = f"{best.match.score - other.match.score:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides"
-    return f"worse by {by}; it leaves {missed(other)}"
-
-
 # --- Readings that a table holds as a goal and a deviation from it, as reports of accuracy tests do
 
 
 def with_deviations(numbers: Numbers, places: Sequence[Body], away: tuple[int, ...]) -> list[Body]:
-    """The same places, behind each labelled position in the deviation's unit its sum with the deviation, both ways."""
+    """The same places, behind each labelled position in the deviation's unit the same less the deviation."""
     out: list[Body] = []
     for body in places:
         out.append(body)
         alike = away and numbers.labels[away[0]].unit in (None, numbers.labels[body.position[0]].unit)
         if alike and body.named and body.turned is None and not body.points:
-            out += [replace(body, away=away, sign=sign, computed=False) for sign in (-1.0, 1.0)]
+            out.append(replace(body, away=away, computed=False))
     return out
 
 
-def decided(numbers: Numbers, fits: Sequence[Fitted]) -> tuple[list[Fitted], tuple[str, ...]]:
+def decided(numbers: Numbers, fits: Sequence[FittedBody]) -> tuple[list[FittedBody], list[str]]:
     """Fits without the goals of deviations, or without deviations where nothing is a goal; and what is to be asked."""
     out = [f for f in fits if not f.body.away]
     for plain in [f for f in out if f.body.turned is None]:
-        sums = [f for f in fits if f.body.away and f.body.position == plain.body.position]
-        if len(sums) == 2 and plain.best.match.typical < _GOAL * min(f.best.match.typical for f in sums):
-            minus = min(sums, key=lambda f: f.body.sign)
-            goal, away = numbers.shown(*plain.body.position), numbers.shown(*minus.body.away)
+        reached = next((f for f in fits if f.body.away and f.body.position == plain.body.position), None)
+        if reached is not None and plain.judged.typical < _GOAL * reached.judged.typical:
+            goal, away = numbers.shown(*plain.body.position), numbers.shown(*reached.body.away)
             question = (
                 f"{goal} are goals, for the nominal arm reproduces them; what was reached is {goal} minus {away}, or "
                 "plus it, which no fit can tell: keep minus, or write plus (the wrong one doubles every error)"
             )
             rest = [f for f in out if set(f.body.position) != set(plain.body.position)]
-            return [minus, *(f for f in rest if f.computed)], (question,)
-    return out, ()
+            return [reached, *(f for f in rest if f.computed)], [question]
+    return out, []
 
 
 # --- What the core's search is asked of a table
 
 _HALF = 0.5  # of what is left, by which targets of their own must be better than one
 _TURNS = (90.0, -90.0, 180.0)  # degrees, by which zeros differ that were set otherwise
-_STEPS = 10  # iterations
+_STEPS = 3  # iterations
 _ASTRAY, _ODDS = 0.05, float(np.log(20.0))  # share of readings that may say anything; odds, by which one does
 _MOST_TARGETS, _EACH = 12, 5  # targets on a tool, and rows of each
 _MAX = 300  # rows that are looked at
@@ -298,13 +352,11 @@ def _together(parts: Sequence[Counting]) -> Counting:
     return Counting(M, offset, "; ".join(part.words for part in parts))
 
 
-def by_target(chain: Mechanism, q: Array, position: Array, columns: Mapping[int, Sequence[str]]) -> int | None:
-    """The column whose texts tell which of several targets points (N, 3) [m] are of, beyond doubt; None: no column."""
-    case = HandEye.of_arrays(chain, q, position)
-    plain = placed(case)
-    found: list[tuple[float, int]] = []
+def by_target(case: HandEye, columns: Mapping[int, np.ndarray]) -> int | None:
+    """The column whose texts (N,) tell which of several targets the case's points are of, beyond doubt; None: none."""
+    plain, found = placed(case), list[tuple[float, int]]()
     for k, texts in columns.items():
-        names, of, count = np.unique(np.array(texts), return_inverse=True, return_counts=True)
+        names, of, count = np.unique(texts, return_inverse=True, return_counts=True)
         if 2 <= len(names) <= _MOST_TARGETS and count.min() >= _EACH:
             told = placed(_of_one_target(case, of))
             gain = told.evidence - 1.5 * (len(names) - 1) * np.log(len(case)) - plain.evidence
@@ -316,31 +368,23 @@ def by_target(chain: Mechanism, q: Array, position: Array, columns: Mapping[int,
 def _of_one_target(case: HandEye, of: np.ndarray) -> HandEye:
     """The case with all readings as if of the first target. of: which target each row is of, (N,).
 
-    Robust Newton steps of the base's turn and place, and of a place of each target on the tool.
+    Base and target are those of the target with most rows, and then of all rows; every other target is where the median
+    of its readings lies in the tip's frame.
     """
-    at = placed(case).placement
-    Y, t, x = at.Y, at.t, np.tile(at.x, (int(of.max()) + 1, 1))
-    R, N = case.A[:, :3, :3], len(case)
+    R, most = case.A[:, :3, :3], of == np.argmax(np.bincount(of))
+    known = case.select(np.flatnonzero(most))
     for _ in range(_STEPS):
-        point = (R @ x[of][..., None])[..., 0] + case.A[:, :3, 3]
-        gaps = case.p - (point @ Y.T + t)
-        G = np.zeros((N, 3, 6 + x.size))
-        G[:, :, :3], G[:, :, 3:6] = -Y @ so3.hat(point), np.eye(3)
-        for k in range(len(x)):
-            G[of == k, :, 6 + 3 * k : 9 + 3 * k] = Y @ R[of == k]
-        square = np.sum(gaps**2, axis=1)
-        weight = 1.0 / (max(float(np.median(square)) / 2.366, case.scale.position**2) + square)  # Cauchy
-        H = np.einsum("n,nij,nik->jk", weight, G, G)
-        held = 1e-9 * np.diag(np.maximum(np.diag(H), 1e-300))
-        step = np.linalg.solve(H + held, np.einsum("n,nij,ni->j", weight, G, gaps))
-        step = step / max(float(np.linalg.norm(step[:3])), 1.0)
-        Y, t, x = Y @ so3.exp(step[:3]), t + step[3:6], x + step[6:].reshape(-1, 3)
-    return case.read(case.p - (R @ (x[of] - x[0])[..., None])[..., 0] @ Y.T)
+        placement = placed(known).placement
+        tip = (case.p - placement.t) @ placement.Y - case.A[:, :3, 3]
+        inside = (np.swapaxes(R, 1, 2) @ tip[..., None])[..., 0]
+        x = np.array([np.median(inside[of == k], axis=0) for k in range(int(of.max()) + 1)])
+        known = case.read(case.p - (R @ (x[of] - x[0])[..., None])[..., 0] @ placement.Y.T)
+    return known
 
 
-def astray(chain: Mechanism, q: Array, position: Array) -> list[tuple[int, int | None]]:
-    """Rows of points (N, 3) [m] that fit no base and tool of the others, each with the row that it seems to be of."""
-    case = HandEye.of_arrays(chain, q, position)
+def astray(case: HandEye) -> list[tuple[int, int | None]]:
+    """Rows whose points fit no base and tool of the others, each with the row that it seems to be of."""
+    case = HandEye.of_arrays(case.chain, case.q, case.p)
     fit = placed(case)
     expected = fit.placement.expected(case.A)[1]
     square = max(case.scale.position**2, float(np.median(fit.gap**2)) / 2.366)
@@ -348,7 +392,7 @@ def astray(chain: Mechanism, q: Array, position: Array) -> list[tuple[int, int |
     bad = np.log(_ASTRAY) - case.scale.volume - inside > _ODDS
     out: list[tuple[int, int | None]] = []
     for i in np.flatnonzero(bad).tolist():
-        away = np.linalg.norm(position[i] - expected, axis=1)
+        away = np.linalg.norm(case.p[i] - expected, axis=1)
         k = int(np.argmin(away))
         out.append((i, k if k != i and away[k] < case.limits[1] else None))
     return out

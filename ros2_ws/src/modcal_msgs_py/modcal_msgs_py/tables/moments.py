@@ -20,13 +20,13 @@ from modcal_core.measurements import ORDER_ONLY, Schema
 from modcal_msgs_py.tables.columns import Numbers
 from modcal_msgs_py.tables.labels import COMMANDED, MEASURED, grouped, words
 from modcal_msgs_py.tables.readings import COLUMN, UNITS, mapping, one_of
-from modcal_msgs_py.tables.sheet import Sheet, joined, number, sniff
+from modcal_msgs_py.tables.sheet import Sheet, joined, number, partners, sniff
 from modcal_msgs_py.tables.table import Table
 
 _SHARED = 0.5  # of the rows must have a partner
 _KEYS = words("station id pose index nr no number point frame time timestamp stamp t sample")
 _STEP = 0.5  # of the usual step of the finer file, by which times may differ
-_MIN_SHARED, _MIN_COLUMNS = 3, 2
+_MIN_COLUMNS = 2
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,10 @@ def _joined(known: Together, other: Sheet, path: Path) -> Iterator[Together]:
     ours, theirs = Numbers.of(known.sheet), Numbers.of(other)
     form = {**other.form.entry(), "decimal": other.form.decimal}
     options: list[tuple[dict[str, Any], str]] = []
-    if (found := _shared(ours, theirs)) is not None:
-        a, b, within = found
+    if (found := _shared(ours, theirs, path)) is not None:
+        a, b, near = found
         how = f"{ours.shown(a)} of {known.sheet.path.name} is {theirs.shown(b)} of {path.name}"
-        near = {} if within is None else {"within": within}
-        how += "" if within is None else f", the nearest within {within:g}"
+        how += f", the nearest within {near['within']:g}" if near else ""
         options.append(({"by": {ours.key(a): theirs.key(b)}, **near}, how))
     if len(known.sheet.rows) == len(other.rows):
         how = f"rows of {path.name} belong to those of {known.sheet.path.name} in their order, as the fit bears out"
@@ -70,33 +69,27 @@ def _joined(known: Together, other: Sheet, path: Path) -> Iterator[Together]:
         yield Together(sheet, (*known.stated, stated), (*known.said, how))
 
 
-def _shared(ours: Numbers, theirs: Numbers) -> tuple[int, int, float | None] | None:
-    """Columns by which rows belong together: same numbers, else times that are near; and how near."""
+def _shared(ours: Numbers, theirs: Numbers, path: Path) -> tuple[int, int, dict[str, float]] | None:
+    """Columns by which most rows belong together: same numbers, else times that are near; and how near, as stated."""
     sides = [
         [k for k in n.usable if isinstance(n.key(k), str) and _KEYS & set(n.labels[k].words)] for n in (ours, theirs)
     ]
-    found = [
-        (share + 0.2 * (ours.labels[a].words == theirs.labels[b].words) + 0.1 * (within is None), (a, b, within))
-        for a, b in product(*sides)
-        for share, within in [_share(ours.values[:, a], theirs.values[:, b])]
-        if share >= _SHARED
-    ]
+    found: list[tuple[float, tuple[int, int, dict[str, float]]]] = []
+    for a, b in product(*sides):
+        times, others = (n.whole([k])[:, 0] for n, k in ((ours, a), (theirs, b)))
+        step = float(f"{_STEP * min(float(np.median(np.diff(np.unique(x)))) for x in (times, others)):.2g}")
+        rising = step > 0.0 and bool((np.diff(times) >= 0.0).all())
+        for near in ({}, {"within": step}) if rising else ({},):
+            try:
+                partner = partners(ours.sheet, theirs.sheet, {"by": {ours.key(a): theirs.key(b)}, **near}, path.name)
+            except BadTable:  # no row has a partner, or one has several
+                continue
+            share = float((partner[np.isfinite(ours.values[:, a])] >= 0).mean())
+            score = share + 0.2 * (ours.labels[a].words == theirs.labels[b].words) + 0.1 * (not near)
+            if share >= _SHARED:
+                found.append((score, (a, b, near)))
+                break
     return max(found, key=lambda pair: pair[0])[1] if found else None
-
-
-def _share(a: Array, b: Array) -> tuple[float, float | None]:
-    """Share of the rows with a partner, and how near partners are where their numbers are not the same."""
-    a, b = a[np.isfinite(a)], np.sort(b[np.isfinite(b)])
-    if len(a) < _MIN_SHARED or len(b) < _MIN_SHARED:
-        return 0.0, None
-    if len(np.unique(b)) == len(b) and (same := float(np.isin(a, b).mean())) >= _SHARED:
-        return same, None
-    if (np.diff(a) < 0.0).any():
-        return 0.0, None
-    within = float(f"{_STEP * min(float(np.median(np.diff(np.unique(x)))) for x in (a, b)):.2g}")
-    at = np.clip(np.searchsorted(b, a)[:, None] + np.array([-1, 0]), 0, len(b) - 1)
-    gap = np.abs(a[:, None] - b[at]).min(axis=1)
-    return (float((gap <= within).mean()), within) if within > 0.0 else (0.0, None)
 
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "excel": 86400.0}  # excel: days since 1899-12-30

@@ -18,7 +18,7 @@ import numpy as np
 from modcal_core.errors import BadTable
 from modcal_core.files import to_yaml
 from modcal_core.geometry import se3
-from modcal_core.hypotheses import LENGTHS, MIN_ROWS, judge, likely_orders, rivals, same_poses
+from modcal_core.hypotheses import LENGTHS, MIN_ROWS, judge, likely_orders, same_poses
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Mechanism, is_serial_arm
 from modcal_msgs_py.tables.beside import Draft, MeasuredArm, find_beside
@@ -35,22 +35,20 @@ from modcal_msgs_py.tables.columns import (
 )
 from modcal_msgs_py.tables.convert import ENTRY
 from modcal_msgs_py.tables.fits import (
-    MAX_RAD,
-    Fitted,
+    FittedBody,
     JointChoice,
+    TableRead,
     astray,
     by_target,
     choices_of,
     corrected,
     decided,
-    missed,
     with_deviations,
-    worse,
 )
 from modcal_msgs_py.tables.labels import MEASURED
 from modcal_msgs_py.tables.moments import RowTimes, Together, find_time, stamps_of, together
-from modcal_msgs_py.tables.readings import orientations
-from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, joints_alone, ray_of, sight_columns
+from modcal_msgs_py.tables.readings import MAX_RAD
+from modcal_msgs_py.tables.sights import SightColumns, find_sights, joints_alone, ray_of, sight_columns
 
 _ORDERS = 6  # of columns without labels that are judged in full
 _MAX_BODIES = 10  # that are judged where labels do not tell
@@ -108,17 +106,15 @@ def _rays_alone(way: Together, numbers: Numbers, names: Sequence[str]) -> Propos
     joints = [j for j in joint_columns(numbers, names) if not all(numbers.labels[k].of_instrument for k in j.columns)]
     if not rays or joints or len(rays) + len(time.columns) < len(numbers.usable):
         return None
-    unknown = [one.columns[0] for one in rays if not numbers.labels[one.columns[0]].unit]
-    asked = tuple(f"cannot tell the unit of {numbers.shown(k)}: no label says" for k in unknown)
-    rows = [
-        {"frame": one.frame, "unit": numbers.labels[k].unit or "mm", "column": numbers.key(k)}
-        for one in rays
-        for k in one.columns
-    ]
-    form = way.sheet.form.entry()
-    entry = {"files": way.sheet.path.name, **form, "missing": "skip", "time": time.stated, "ray": rows}
+    asked, rows = list[str](), list[dict[str, Any]]()
+    for one in rays:
+        unit = numbers.labels[one.columns[0]].unit
+        asked += [] if unit else [f"cannot tell the unit of {numbers.shown(*one.columns)}: no label says"]
+        rows.append(one.stated(numbers, {"unit": unit or "mm", "column": None}))
+    entry = {"files": way.sheet.path.name, **way.sheet.form.entry(), "missing": "skip"}
+    entry |= {"time": time.stated, "ray": rows}
     said = (time.said, "lengths without joints are rays of sensors on the gripper, for `modcal measure-object`")
-    return Proposal({**({"undecided": list(asked)} if asked else {}), "tables": [entry]}, (), said, asked)
+    return Proposal({**({"undecided": asked} if asked else {}), "tables": [entry]}, (), said, tuple(asked))
 
 
 def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
@@ -140,34 +136,9 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     search = _Search(numbers, chain, [j for j in labelled if j.role == MEASURED], set(time.columns), watch)
     away = deviation_columns(numbers, {*taken, *time.columns})
     places = with_deviations(numbers, bodies(numbers, {*taken, *away}, set(time.columns)), away)
-    fits = search.every_fit(places, sight_columns(numbers, {*taken, *time.columns, *sure}))
-    questions: tuple[str, ...] = ()
-    assumed: list[str] = []
-    if isinstance(fits, Sighted):
-        read: Fitted | Sighted = fits
-        questions = fits.questions
-    else:
-        fits = search.otherwise(fits)
-        if not fits and search.measured:
-            read = joints_alone(numbers, chain, search.measured[0])
-            told = {k for j in labelled for k in j.columns} | set(time.columns)
-            left = [k for k in numbers.usable if k not in told]
-            unread = f"{numbers.shown(*left)} change and are read as no measurement of the tool: see what they are"
-            questions = (*read.questions, *[unread] * bool(left))
-            assumed = ["no column holds a reading: joints alone, for `modcal articulate`, `payload` and `limits`"]
-        elif not any(f.best.near for f in fits):
-            raise BadTable(way.sheet.path.name, *search.no_arm(fits))
-        else:
-            fits, questions = decided(numbers, fits)
-            read, asked, assumed = _decided(numbers, chain, fits, labelled)
-            questions = (*questions, *asked)
-    stamps = stamps_of(numbers.table, time.stated, 0.0)[0] if time.columns else None
-    used = {*read.choice.columns, *read.columns, *time.columns}
-    draft = Draft(numbers, arm, read.choice, _entry(numbers, time, way, read), used, stamps)
-    draft.asked += questions
-    _say(draft, time, way, read)
-    draft.said += assumed
-    find_beside(draft, labelled, read if isinstance(read, Fitted) else None)
+    read = search.read(places, sight_columns(numbers, {*taken, *time.columns, *sure}), labelled)
+    draft = _drafted(arm, (time, way), numbers, read)
+    find_beside(draft, labelled, next((part for part in read.parts if isinstance(part, FittedBody)), None))
     return _made(draft, way, read, set(time.columns))
 
 
@@ -180,7 +151,28 @@ class _Search:
         self._numbers, self._chain, self.measured = numbers, chain, measured
         self._time, self._watch = time, watch
 
-    def every_fit(self, places: Sequence[Body], instruments: Sequence[SightColumns]) -> list[Fitted] | Sighted:
+    def read(
+        self, places: Sequence[Body], instruments: Sequence[SightColumns], labelled: Sequence[LabelledJoints]
+    ) -> TableRead:
+        """What the rows hold. Raises BadTable where no reading of the columns has to do with the arm."""
+        numbers, chain = self._numbers, self._chain
+        fits = self._every_fit(places, instruments)
+        if isinstance(fits, TableRead):
+            return fits
+        fits = self._otherwise(fits)
+        if not fits and self.measured:
+            read = joints_alone(numbers, chain, self.measured[0])
+            told = {k for j in labelled for k in j.columns} | self._time
+            left = [k for k in numbers.usable if k not in told]
+            unread = f"{numbers.shown(*left)} change and are read as no measurement of the tool: see what they are"
+            return replace(read, questions=(*read.questions, *[unread] * bool(left)))
+        if not any(f.judged.near for f in fits):
+            raise BadTable(numbers.sheet.path.name, *self._no_arm(fits))
+        fits, questions = decided(numbers, fits)
+        read = _decided(numbers, fits, labelled)
+        return replace(read, questions=list(dict.fromkeys((*questions, *read.questions))))
+
+    def _every_fit(self, places: Sequence[Body], instruments: Sequence[SightColumns]) -> list[FittedBody] | TableRead:
         """By labels first, by numbers where labels lead nowhere.
 
         Targets of one body come before any of them alone, distances, directions and heights behind labelled positions.
@@ -194,7 +186,7 @@ class _Search:
         fits = self._fits(rigid_bodies(numbers, places), measured) if measured else []
         tiers = ((named, False), (named, True), (other, False), (points, False), (other, True), (points, True))
         for some, search in tiers:
-            if any(f.best.explained(self._chain) and not f.computed for f in fits):
+            if any(f.best.explained and not f.computed for f in fits):
                 break
             gone = {k for f in fits if f.computed for k in (*f.body.position, *(f.body.turned or ()))}
             left = [b for b in some if not b.shares(gone)]  # no column of a pose that was computed from the joints
@@ -204,7 +196,7 @@ class _Search:
             elif measured:
                 fits += self._fits(left, measured)
             chain = self._chain
-            told = any(f.best.explained(chain) and not f.computed for f in fits)
+            told = any(f.best.explained and not f.computed for f in fits)
             if instruments and measured and is_serial_arm(chain) and not told:
                 self._watch("comparing what distances and directions may mean")
                 if (sighted := find_sights(numbers, chain, measured, instruments)) is not None:
@@ -212,11 +204,11 @@ class _Search:
                 instruments = ()
         return fits
 
-    def _fits(self, places: Sequence[Body], choices: Sequence[LabelledJoints]) -> list[Fitted]:
+    def _fits(self, places: Sequence[Body], choices: Sequence[LabelledJoints]) -> list[FittedBody]:
         """These places with their meanings; of columns that are explained already no other place is looked for."""
-        out: list[Fitted] = []
+        out: list[FittedBody] = []
         for body in places[:_MAX_BODIES]:
-            if any(_covers(f.body, body) and f.best.explained(self._chain) for f in out):
+            if any(_covers(f.body, body) and f.best.explained for f in out):
                 continue
             if (fitted := self._fitted(body, choices)) is not None:
                 out.append(fitted)
@@ -224,7 +216,7 @@ class _Search:
 
     def _fitted(
         self, body: Body, joints: Sequence[LabelledJoints], counted: Sequence[JointChoice] = ()
-    ) -> Fitted | None:
+    ) -> FittedBody | None:
         numbers, values = self._numbers, self._numbers.values
         used = [*body.columns, *(k for j in joints for k in j.columns)]
         rows = np.flatnonzero(np.isfinite(values[:, used]).all(axis=1))
@@ -232,15 +224,9 @@ class _Search:
         if len(rows) < MIN_ROWS:
             return None
         choices = list(counted) or [c for one in joints for c in choices_of(numbers, self._chain, one, rows)]
-        position, turned = body.read(numbers, rows)
-        ways = () if turned is None else orientations(turned)[: 1 if body.points else None]  # as the mapping makes them
-        found = judge(self._chain, [c.q[rows] for c in choices], position, turned, [way.rotations for way in ways])
-        found = [f for f in found if not (body.points and f.meaning.inverse)]
-        told = [f for f in found if f.meaning.unit == numbers.labels[body.position[0]].unit]
-        found = told if any(f.explained(self._chain) for f in told) else found
-        return Fitted(body, tuple(choices), tuple(ways), tuple(found), rows) if found else None
+        return FittedBody.of(numbers, self._chain, body, choices, rows)
 
-    def _searched(self, places: Sequence[Body]) -> list[Fitted]:
+    def _searched(self, places: Sequence[Body]) -> list[FittedBody]:
         """Places with the joints' columns found by what they explain of the readings."""
         numbers, chain = self._numbers, self._chain
         triples = list(dict.fromkeys(body.position for body in places))
@@ -262,7 +248,7 @@ class _Search:
             for order in likely_orders(chain, values, scale, columns, [(t[0], t[1], t[2]) for t in triples], _ORDERS)
         ]
         orders.sort(key=lambda order: order.left)
-        out: list[Fitted] = []
+        out: list[FittedBody] = []
         for t in dict.fromkeys(order.triple for order in orders[:_ORDERS]):
             some = dict.fromkeys(order.columns for order in orders if order.triple == t)
             choices = [LabelledJoints(order, "what they explain of the readings") for order in some]
@@ -270,102 +256,99 @@ class _Search:
                 free = [c for c in choices if not body.shares(set(c.columns))][:_ORDERS]
                 if free and (fitted := self._fitted(body, free)) is not None:
                     out.append(fitted)
-                    if fitted.best.explained(chain) and body.turned is not None:
+                    if fitted.best.explained and body.turned is not None:
                         return out
         return out
 
-    def otherwise(self, fits: list[Fitted]) -> list[Fitted]:
+    def _otherwise(self, fits: list[FittedBody]) -> list[FittedBody]:
         """The same, where the arm misses by more than usual with several targets, or with joints that are counted
         otherwise, where that explains it.
         """
-        if not fits or not self.measured or any(f.best.explained(self._chain) for f in fits):
+        if not fits or not self.measured or any(f.best.explained for f in fits):
             return fits
         self._watch("comparing how joints may be counted")
         labelled = [
             f
             for f in fits
-            if f.choice.columns in [j.columns for j in self.measured] and not f.body.points and not f.body.away
+            if f.best.choice.columns in [j.columns for j in self.measured] and not f.body.points and not f.body.away
         ]
         plain = [f for f in labelled if f.body.named] or labelled
         if not plain:
             return fits
-        first = max(plain, key=lambda f: (f.best.near, f.best.match.score))
+        first = max(plain, key=lambda f: (f.judged.near, f.judged.score))
         point = next((f for f in fits if f.body == replace(first.body, turned=None)), None)
         point = point or self._fitted(replace(first.body, turned=None), self.measured) or first
         if (told := self._of_targets(point)) is not None:
             return [told]
         position = point.body.read(self._numbers, point.rows)[0]
-        choices = [choice.q[point.rows] for choice in point.choices]
+        choices = [c for one in self.measured for c in choices_of(self._numbers, self._chain, one, point.rows)]
         unit = self._numbers.labels[point.body.position[0]].unit
-        found = corrected(self._chain, choices, position, [unit] if unit in LENGTHS else list(LENGTHS))
+        found = corrected(
+            self._chain, [c.q[point.rows] for c in choices], position, [unit] if unit in LENGTHS else list(LENGTHS)
+        )
         if found is None:
             return fits
         k, counted = found
-        some = [point.choices[k].recounted(self._chain, c) for c in counted]
+        some = [choices[k].recounted(self._chain, c) for c in counted]
         alike = [f.body for f in plain if f.body.position == point.body.position]
         joints = [LabelledJoints(some[0].columns, some[0].how)]
         made = [self._fitted(b, joints, some) for b in dict.fromkeys((*alike, point.body))]
-        return [f for f in made if f is not None and f.best.near] or fits
+        return [f for f in made if f is not None and f.judged.near] or fits
 
-    def no_arm(self, fits: Sequence[Fitted]) -> tuple[str, str]:
+    def _no_arm(self, fits: Sequence[FittedBody]) -> tuple[str, str]:
         """Why nothing is proposed, and what to do about it: the readings' axes, where that is proved."""
         if not fits:
             return _NO_ARM, _CHECK
-        best = min(fits, key=lambda f: f.best.match.typical)
-        postures = [choice.q[best.rows] for choice in best.choices]
+        best = min(fits, key=lambda f: f.judged.typical)
+        postures = [one.choice.q[best.rows] for one in best.found]
         found = judge(self._chain, postures, best.body.read(self._numbers, best.rows)[0] * [1.0, 1.0, -1.0])
         if found and found[0].explained(self._chain):
-            names, left = self._numbers.shown(*best.body.position), 1e3 * found[0].match.typical
+            names, left = self._numbers.shown(*best.body.position), 1e3 * found[0].typical
             said = f"are left-handed: with one of the axes turned round the nominal arm misses by {left:.3g} mm"
             return f"{names} {said}", "swap two of the columns, or change the sign of one, as the instrument's axes are"
-        said = f"{_NO_ARM}; the best leave {1e3 * best.best.match.typical:.0f} mm"
+        said = f"{_NO_ARM}; the best leave {1e3 * best.judged.typical:.0f} mm"
         return f"{said}, and no joint that is counted otherwise explains it", _CHECK
 
-    def _of_targets(self, point: Fitted) -> Fitted | None:
-        meaning, numbers, rows = point.best.meaning, self._numbers, point.rows
-        if meaning.way is not None:
-            return None
-        scale = LENGTHS[meaning.unit]
-        position = scale * point.body.read(numbers, rows)[0]
-        free = set(range(numbers.sheet.width)) - {*point.columns, *point.choice.columns, *self._time}
-        texts = {k: [numbers.sheet.column(k)[i] for i in rows] for k in free}
-        q = point.choice.q[rows]
-        column = by_target(self._chain, q, position, texts)
+    def _of_targets(self, point: FittedBody) -> FittedBody | None:
+        """The same where a column tells which of several targets was measured, None where none does."""
+        numbers, choice = self._numbers, point.best.choice
+        rows = point.rows[spread_rows(len(point.rows), _MAX)]
+        free = set(range(numbers.sheet.width)) - {*point.columns, *choice.columns, *self._time}
+        texts = {k: np.array([numbers.sheet.column(k)[i] for i in rows]) for k in sorted(free)}
+        column = by_target(point.judged.case, texts) if "point" in point.best.stated else None
         if column is None:
             return None
-        groups = [np.array(texts[column]) == name for name in dict.fromkeys(texts[column])]
-        most = max(groups, key=lambda rows_of: int(rows_of.sum()))
-        judged = judge(self._chain, [q[most]], position[most] / scale)
-        found = [replace(j, meaning=replace(j.meaning, postures=meaning.postures)) for j in judged]
-        return replace(point, found=tuple(found), target=column) if found and found[0].near else None
+        names, count = np.unique(texts[column], return_counts=True)
+        most = rows[texts[column] == names[np.argmax(count)]]
+        found = FittedBody.of(numbers, self._chain, point.body, [choice], most, column)
+        return replace(found, rows=point.rows) if found is not None and found.judged.near else None
 
 
 def _covers(known: Body, body: Body) -> bool:
     turned = known.turned is None or body.turned is None or bool(set(known.turned) & set(body.turned))
-    alike = (known.away, known.sign) == (body.away, body.sign) and bool(set(known.position) & set(body.position))
+    alike = known.away == body.away and bool(set(known.position) & set(body.position))
     return alike and (turned or not body.named)
 
 
-def _decided(
-    numbers: Numbers, chain: Mechanism, fits: Sequence[Fitted], labelled: Sequence[LabelledJoints]
-) -> tuple[Fitted, list[str], list[str]]:
+def _decided(numbers: Numbers, fits: Sequence[FittedBody], labelled: Sequence[LabelledJoints]) -> TableRead:
     """The place that is proposed, what is to be asked, and what is to be said."""
 
-    def likely(f: Fitted) -> tuple[bool | float, ...]:
-        explained = f.best.explained(chain)
+    def likely(f: FittedBody) -> tuple[bool | float, ...]:
+        explained = f.best.explained
         # numbers that are rotations for themselves are believed where they are near; angles may be read in many ways
         posed = f.body.posed and (explained or len(f.body.turned or ()) > 3)
         order = (f.computed, f.body.computed, not posed, not explained, not f.body.named)
-        return (not f.best.near, *order, -f.best.match.score)
+        return (not f.judged.near, *order, -f.judged.score)
 
     chosen, *rest = sorted(fits, key=likely)
     questions, assumed, best = list[str](), list[str](), chosen.best
-    if not best.explained(chain):
-        said = f"the nominal arm misses by {missed(best)}, {100.0 * best.share:.1f} % of what moves, more than most do"
+    if not best.explained:
+        share = f"{100.0 * chosen.judged.share:.1f} % of what moves"
+        said = f"the nominal arm misses by {best.missed}, {share}, more than most do"
         assumed.append(f"{said}; no other reading of the columns fits better: `modcal calibrate` says what explains it")
     if chosen.computed:
         questions.append("the nominal arm reproduces the readings to micrometres: they look computed from the joints")
-    for other in [f for f in rest if f.best.explained(chain) and not _alike(chosen, f)]:
+    for other in [f for f in rest if f.best.explained and not _alike(chosen, f)]:
         names = [numbers.shown(*f.body.position) for f in (chosen, other)]
         if other.computed or (other.body.computed and not chosen.body.computed):
             assumed.append(f"{names[1]} look computed by the controller and are not used")
@@ -375,76 +358,72 @@ def _decided(
     turned = [f.body.turned for f in rest if f.body.turned is not None]
     if not chosen.body.posed and any(len(t) > 3 or numbers.labels[t[0]].axis("angles") for t in turned):
         questions.append("orientations fit in no convention, positions alone do: state their form, or leave them out")
-    for rival in rivals(chosen.found):
-        either = chosen.otherwise(numbers, rival, "or")
-        questions.append(f"cannot tell {either} ({worse(best, rival)})")
+    for rival in chosen.rivals:
+        questions.append(f"cannot tell {best.otherwise(rival, 'or')} ({best.worse(rival)})")
     by_labels = [j for j in labelled if j.role == MEASURED]
-    if by_labels and chosen.choice.columns not in [j.columns for j in by_labels]:
+    if by_labels and chosen.best.choice.columns not in [j.columns for j in by_labels]:
         named = numbers.shown(*by_labels[0].columns)
         questions.append(f"labels say that the joints are {named}; the arm fits with the columns below instead")
-    return chosen, list(dict.fromkeys(questions)), list(dict.fromkeys((*assumed, *_astray(numbers, chain, chosen))))
+    assumed += _astray(numbers, chosen)
+    return TableRead(best.choice, chosen.rows, [chosen], questions, list(dict.fromkeys(assumed)))
 
 
-def _astray(numbers: Numbers, chain: Mechanism, chosen: Fitted) -> Iterator[str]:
+def _astray(numbers: Numbers, chosen: FittedBody) -> Iterator[str]:
     """Rows that fit no base and tool of the others."""
     rows = chosen.rows[spread_rows(len(chosen.rows), _MAX)]
-    if chosen.target is not None or len(rows) != len(chosen.best.position):
+    if chosen.target is not None or len(rows) != len(chosen.judged.position):
         return
 
     def line(i: int) -> str:
         name = numbers.sheet.column(0)[rows[i]]
-        tells = 0 not in {*chosen.columns, *chosen.choice.columns} and name
+        tells = 0 not in {*chosen.columns, *chosen.best.choice.columns} and name
         return f"line {numbers.sheet.lines[rows[i]]}{f' ({name[:20]})' if tells else ''}"
 
-    for i, k in astray(chain, chosen.choice.q[rows], chosen.best.position):
+    for i, k in astray(chosen.judged.case):
         of = f"its reading belongs to another station, {line(k)} by what fits" if k is not None else "no other fits it"
         yield f"{line(i)} fits the arm in no way: {of}; it is kept, and `modcal calibrate` rejects it"
 
 
-def _alike(one: Fitted, other: Fitted) -> bool:
+def _alike(one: FittedBody, other: FittedBody) -> bool:
     if one.body.position != other.body.position or one.body.turned is None or other.body.turned is None:
         return False
-    A = se3.transform(one.best.R, one.best.position)
-    return len(one.best.R) == len(other.best.R) and same_poses(A, other.best.R, other.best.position)
+    A = se3.transform(one.judged.R, one.judged.position)
+    return len(one.judged.R) == len(other.judged.R) and same_poses(A, other.judged.R, other.judged.position)
 
 
-def _entry(numbers: Numbers, time: RowTimes, way: Together, read: Fitted | Sighted) -> dict[str, Any]:
-    """What a mapping states of the file, its rows, joints and readings."""
-    sheet = numbers.sheet
+def _drafted(arm: MeasuredArm, rows: tuple[RowTimes, Together], numbers: Numbers, read: TableRead) -> Draft:
+    """What is stated of the file, its rows, joints and readings, and what was assumed. rows: when, of which files."""
+    (time, way), sheet, chain = rows, numbers.sheet, arm.chain
     entry: dict[str, Any] = {"files": sheet.path.name, **sheet.form.entry()}
-    columns = np.array(read.columns, dtype=int)
-    if len(read.rows) < len(numbers.values) or np.isnan(numbers.values[np.ix_(read.rows, columns)]).any():
-        entry["missing"] = "skip"
-    if read.zeros and (numbers.values[:, list(read.zeros)] == 0.0).all(axis=1).any():
-        entry["zeros_missing"] = numbers.keys(read.zeros)
-    if way.stated:
-        entry["joined"] = list(way.stated)
-    entry["time"] = time.stated
-    readings = read.entry(numbers)
-    return {**entry, **readings, "joints": dict(readings["joints"])}
-
-
-def _say(draft: Draft, time: RowTimes, way: Together, read: Fitted | Sighted) -> None:
-    """What was assumed of the arm, its joints, the file and its rows."""
-    numbers, chain, sheet = draft.numbers, draft.arm.chain, draft.numbers.sheet
+    said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", time.said]
     pairs = zip(chain.own_names, read.choice.columns, strict=True)
     shown = ", ".join(f"{name} = {numbers.shown(k)}" for name, k in pairs)
-    draft.said += [f"the arm ends at {chain.tip}, and begins at {chain.base}", time.said]
-    draft.said += [f"the joints' columns by {read.choice.how}: {shown}", *way.said]
+    said += [f"the joints' columns by {read.choice.how}: {shown}", *way.said]
     if not sheet.sure:
-        draft.said.append(f"the text is not UTF-8 and is read as {sheet.form.encoding}")
+        said.append(f"the text is not UTF-8 and is read as {sheet.form.encoding}")
     if np.isnan(numbers.values[np.ix_(read.rows, np.array(read.columns, dtype=int))]).any():
-        draft.said.append("an instrument whose cell is empty read nothing in that row")
+        entry["missing"] = "skip"
+        said.append("an instrument whose cell is empty read nothing in that row")
     if lacking := len(numbers.values) - len(read.rows):
-        draft.said.append(f"{lacking} of {len(numbers.values)} rows lack a number that is needed, and are left out")
-    if "zeros_missing" in draft.entry:
-        draft.said.append("rows of zeros are rows in which nothing was read")
+        entry["missing"] = "skip"
+        said.append(f"{lacking} of {len(numbers.values)} rows lack a number that is needed, and are left out")
+    zeros = [k for part in read.parts for k in part.zeros]
+    if zeros and (numbers.values[:, zeros] == 0.0).all(axis=1).any():
+        entry["zeros_missing"] = numbers.keys(zeros)
+        said.append("rows of zeros are rows in which nothing was read")
+    if way.stated:
+        entry["joined"] = list(way.stated)
+    entry |= {"time": time.stated, **read.stated}
+    stamps = stamps_of(numbers.table, time.stated, 0.0)[0] if time.columns else None
+    draft = Draft(numbers, arm, read.choice, entry, {*read.choice.columns, *read.columns, *time.columns}, stamps)
+    draft.said, draft.asked = [*said, *read.assumed], list(read.questions)
+    return draft
 
 
-def _made(draft: Draft, way: Together, read: Fitted | Sighted, texts: set[int]) -> Proposal:
+def _made(draft: Draft, way: Together, read: TableRead, texts: set[int]) -> Proposal:
     """The mapping that was found, with its proof and what was assumed. texts: columns that need not be numbers."""
     numbers, entry, used = draft.numbers, draft.entry, draft.used
-    texts = texts | {k for k in (getattr(read, "target", None),) if k is not None}
+    texts = texts | {part.target for part in read.parts if isinstance(part, FittedBody) and part.target is not None}
     if odd := sorted({text for k in used - texts for text in numbers.odd.get(k, ())}):
         entry["missing_values"] = odd
         draft.said.append(f"{', '.join(odd)} mark cells without a number")
@@ -458,7 +437,8 @@ def _made(draft: Draft, way: Together, read: Fitted | Sighted, texts: set[int]) 
         **draft.arm.stated,
         "tables": [{key: entry[key] for key in ENTRY if key in entry}],
     }
-    return Proposal(mapping, (*read.proved(numbers), *draft.proved), tuple(said), asked)
+    proved = [said for part in read.parts for said in part.proved()]
+    return Proposal(mapping, (*proved, *draft.proved), tuple(said), asked)
 
 
 def _unused(numbers: Numbers, taken: set[int]) -> Iterator[str]:

@@ -26,7 +26,7 @@ SPEEDS = {f"{unit}/s": scale for unit, scale in UNITS.items()}
 EFFORTS = {"N m": 1.0, "N": 1.0, "N mm": 1e-3, "kN m": 1e3}
 COMMANDS = "/joint_commands"
 _ROUNDS = 3  # of the mean shape
-_MAX_RAD = 2.0 * np.pi * 1.05  # of an angle of an orientation
+MAX_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees
 _MIN_LENGTH = 1e-6  # of a quaternion
 _NOT_A_ROTATION = 0.02  # by which an element of RᵀR may be off; exports have three digits and more
 _ON_A_LINE = 1e-3  # m; targets that lie on a line by less make no pose
@@ -210,7 +210,7 @@ def _by_matrix(values: Array, stated: Mapping[str, Any], where: str) -> tuple[Ar
 
 def _by_angles(values: Array, stated: Mapping[str, Any], where: str) -> tuple[Array, np.ndarray]:
     angles = UNITS[stated["unit"]] * values
-    if stated["unit"] == "rad" and (largest := float(np.abs(angles).max(initial=0.0))) > _MAX_RAD:
+    if stated["unit"] == "rad" and (largest := float(np.abs(angles).max(initial=0.0))) > MAX_RAD:
         raise BadTable(where, f"angles reach {largest:.0f} rad: they look like degrees", "state unit: deg")
     every, sequence = np.ones(len(values), bool), str(stated.get("sequence", ""))
     try:
@@ -277,7 +277,7 @@ def orientations(values: Array) -> list[Orientation]:
         return []
     if count == 9 and np.mean(_by_matrix(values, {}, "")[1]) < _USUAL:
         return []
-    units = ({"unit": unit} for unit in (("deg",) if largest > _MAX_RAD else ("rad", "deg")))
+    units = ({"unit": unit} for unit in (("deg",) if largest > MAX_RAD else ("rad", "deg")))
     told: list[dict[str, Any]] = list(units) if count == 3 else [{}]
     orders, forms = _TRIED[count]
     return [

@@ -188,18 +188,17 @@ def _filled(cells: Sequence[str], width: int) -> list[str]:
     return [*cells[:width], *[""] * (width - len(cells))]
 
 
-def _even(rows: list[list[str]], header: Sequence[str]) -> list[list[str]]:
-    """Rows as wide as the widest of them and of the labels."""
-    width = max(len(header), *map(len, rows))
-    return [_filled(row, width) for row in rows]
-
-
 def read_sheet(path: Path, form: Form) -> Sheet:
     """The cells of a file in a stated form; empty lines are left out. Raises BadTable."""
     found, _, _ = texts(path, form.encoding)
     if form.sheet and form.sheet not in found:
         raise BadTable(str(path), f"has no sheet {form.sheet}", f"sheets are {', '.join(found)}")
-    above = (found[form.sheet] if form.sheet else next(iter(found.values()))).split("\n", form.preamble_rows)
+    return _in_form(path, found[form.sheet] if form.sheet else next(iter(found.values())), form)
+
+
+def _in_form(path: Path, text: str, form: Form) -> Sheet:
+    """The cells of a text in a form."""
+    above = text.split("\n", form.preamble_rows)
     body = above[form.preamble_rows] if len(above) > form.preamble_rows else ""
     try:
         filled = list(_cells(body, form.delimiter))
@@ -210,7 +209,8 @@ def read_sheet(path: Path, form: Form) -> Sheet:
     if not rows:
         raise BadTable(str(path), "has no row", "leave the file out")
     header = _labels(filled[0][1], len(rows[0])) if form.header else _names(rows[0])
-    rows = _even(rows, header)
+    width = max(len(header), *map(len, rows))
+    rows = [_filled(row, width) for row in rows]
     units = _units_of_cells(path, rows, form.decimal)
     return Sheet(path, form, header, rows, [form.preamble_rows + line for line, _ in below], units=units)
 
@@ -303,16 +303,12 @@ def _laid_out(path: Path, text: str, form: Form, least: int) -> Sheet:
         if not any(cells) or not all(_UNIT.fullmatch(cell) for cell in cells):
             break
         units_rows += 1
-    named = stacked[len(stacked) - 1 - units_rows] if stacked else _names(every[first])
-    if stacked and len(named) not in (width, width - 1):
-        named = tuple(named[:width])
     upper = stacked[: max(len(stacked) - 1 - units_rows, 0)]
     preamble = table[first - units_rows - bool(stacked)][0] - 1
     form = replace(form, header=bool(stacked), preamble_rows=preamble, units_rows=units_rows if stacked else 0)
-    full = _stacked([*upper, named], width)
-    rows = _even(every[first:], named)
-    units = _stacked([*stacked[len(upper) + 1 :], _units_of_cells(path, rows, sign)], width)
-    return Sheet(path, form, named, rows, [line for line, _ in table[first:]], full, units)
+    sheet = _in_form(path, text, form)
+    full = _stacked([*upper, sheet.header], sheet.width)
+    return replace(sheet, full=full, units=_stacked([*stacked[len(upper) + 1 :], sheet.units], sheet.width))
 
 
 def _stacked(rows: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
@@ -336,7 +332,7 @@ def joined(sheet: Sheet, stated: Mapping[str, Any], folder: Path, source: str, o
             remedy = "give its name relative to the folder of the tables"
             raise BadTable(f"{source}: joined {name}", "is not a file", remedy)
         other = read_sheet(path, Form.stated({"decimal": sheet.form.decimal, **stated}))
-    partner = _partners(sheet, other, stated, source)
+    partner = partners(sheet, other, stated, source)
     names = other.header or tuple(f"{path.stem}.{k}" for k in range(other.width))
     names = tuple(f"{path.stem}.{label}" if label in sheet.header else label for label in names)
     cells = [other.column(k) for k in range(other.width)]
@@ -350,7 +346,7 @@ def joined(sheet: Sheet, stated: Mapping[str, Any], folder: Path, source: str, o
     return Sheet(sheet.path, sheet.form, header, rows, sheet.lines, full, units, sheet.sure)
 
 
-def _partners(sheet: Sheet, other: Sheet, stated: Mapping[str, Any], source: str) -> np.ndarray:
+def partners(sheet: Sheet, other: Sheet, stated: Mapping[str, Any], source: str) -> np.ndarray:
     """The row of the other sheet that belongs to each row (N,), −1 for none."""
     if isinstance(stated["by"], str):
         if stated["by"] != "row":

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 
+from modcal_core.geometry import Array
 from modcal_core.hypotheses import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
 from modcal_core.measurements import BEARING, RANGE, RAY, TOUCH
 from modcal_core.measurements.kinds import kinds
 from modcal_core.robots import Chain, Mechanism
 from modcal_msgs_py.tables.columns import LabelledJoints, Numbers
-from modcal_msgs_py.tables.fits import JointChoice, choices_of, differences
+from modcal_msgs_py.tables.fits import Fitted, JointChoice, MappingCandidate, TableRead, choices_of
 from modcal_msgs_py.tables.labels import grouped, words
-from modcal_msgs_py.tables.readings import READINGS, UNITS
+from modcal_msgs_py.tables.readings import MAX_RAD, READINGS, UNITS
 
-_MAX_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees or gon
 _VECTOR = 2e-3  # by which a direction's length may be off: exports have three digits
 _WORDS = {RANGE: "distances", BEARING: "directions", TOUCH: "heights above a plane", RAY: "rays of the gripper"}
 _JUDGED = 2  # rays that are judged, those with most readings: each is located again in every trial
@@ -61,52 +62,7 @@ _WAYS: Mapping[str, Sequence[Mapping[str, Any]]] = {
 }
 
 
-@dataclass(frozen=True)
-class Way:
-    """One reading of the instruments of a kind: joints and readings as a mapping states them, and how well they fit."""
-
-    choice: JointChoice
-    stated: Mapping[str, Any]
-    match: SightMatch
-
-    def otherwise(self, other: Way, word: str) -> str:
-        """What a mapping of another way would state in place of this one's."""
-        one, two = ({**way.stated, "joints": way.choice.stated} for way in (self, other))
-        return "; ".join(differences(one, two, word))
-
-
-@dataclass(frozen=True)
-class Sighted:
-    """Readings that are no positions, with what they mean: for each kind its ways, best first; or joints alone, such as
-    the encoders of an arm that opens a door.
-    """
-
-    choice: JointChoice
-    rows: np.ndarray
-    found: Mapping[str, Sequence[Way]]
-    columns: tuple[int, ...]
-    questions: tuple[str, ...] = field(default=())
-    zeros: tuple[int, ...] = ()
-
-    def entry(self, numbers: Numbers) -> dict[str, Any]:
-        """Joints and readings as a mapping states them."""
-        every = {key: stated for ways in self.found.values() for key, stated in ways[0].stated.items()}
-        one = {key: stated[0] if len(stated) == 1 else stated for key, stated in every.items()}
-        return {"joints": self.choice.stated, **one}
-
-    def proved(self, numbers: Numbers) -> list[str]:
-        """What the data shows, with what came second."""
-        out = []
-        for kind, (best, *rest) in self.found.items():
-            missed = f"{1e3 * best.match.typical:.3g} mm (median)"
-            out.append(f"{_WORDS[kind]} as stated: the nominal arm misses {len(self.rows)} rows by {missed}")
-            for other in rest[:1]:
-                worse = f"worse by {best.match.score - other.match.score:.0f} in log-likelihood"
-                out.append(f"second best, {worse}: {best.otherwise(other, 'in place of')}")
-        return out
-
-
-def joints_alone(numbers: Numbers, chain: Mechanism, joints: LabelledJoints) -> Sighted:
+def joints_alone(numbers: Numbers, chain: Mechanism, joints: LabelledJoints) -> TableRead:
     """The rows in which every joint has a number, in the unit that labels or sizes tell, without any reading."""
     rows = np.flatnonzero(np.isfinite(numbers.values[:, list(joints.columns)]).all(axis=1))
     told = {numbers.labels[k].unit for k in joints.columns} - {None}
@@ -114,7 +70,8 @@ def joints_alone(numbers: Numbers, chain: Mechanism, joints: LabelledJoints) -> 
     choices = [c for c in choices if {c.stated["unit"], *c.stated.get("units", {}).values()} >= told] or choices
     units = " or ".join(dict.fromkeys(c.stated["unit"] for c in choices))
     asked = f"cannot tell the unit of the joints, {units}: no label says, and no reading goes with them"
-    return Sighted(choices[0], rows, {}, (), (asked,) if len(choices) > 1 else ())
+    said = "no column holds a reading: joints alone, for `modcal articulate`, `payload` and `limits`"
+    return TableRead(choices[0], rows, (), (asked,) if len(choices) > 1 else (), (said,))
 
 
 def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:
@@ -164,7 +121,7 @@ def ray_of(numbers: Numbers, one: SightColumns) -> SightColumns:
 
 def find_sights(
     numbers: Numbers, chain: Chain, joints: Sequence[LabelledJoints], instruments: Sequence[SightColumns]
-) -> Sighted | None:
+) -> TableRead | None:
     """What columns of distances, directions and heights mean; None if no reading of any of them fits the arm."""
     known = np.isfinite(numbers.values)
     read = np.any([known[:, list(i.columns)].all(axis=1) for i in instruments], axis=0)
@@ -172,39 +129,36 @@ def find_sights(
     if len(rows) < MIN_ROWS:
         return None
     choices = [choice for one in joints for choice in choices_of(numbers, chain, one, rows)]
-    found: dict[str, Sequence[Way]] = {}
+    found: list[Fitted] = []
     questions: list[str] = []
     for kind in dict.fromkeys(one.kind for one in instruments):
         mine = [one for one in instruments if one.kind == kind]
         ways = _compared(numbers, chain, choices, rows, mine)
-        if kind == RANGE and not ways[0].match.explained(chain):  # the sensors may be on the gripper
+        if kind == RANGE and not ways[0].explained:  # the sensors may be on the gripper
             rays = [ray_of(numbers, one) for one in mine]
             others = _compared(numbers, chain, choices, rows, rays)
-            if others[0].match.explained(chain):
-                instruments = [one for one in instruments if one.kind != RANGE] + rays
+            if others[0].explained:
                 kind, ways = RAY, others
-        best, *rest = ways
-        names = numbers.shown(*(k for one in mine for k in one.columns))
-        if not best.match.explained(chain):
+        columns = tuple(k for one in mine for k in one.columns)
+        one, names = Fitted(_WORDS[kind], ways, rows, columns, ()), numbers.shown(*columns)
+        if not one.best.explained:
             said = f"{names}: labels call them {_WORDS[kind]}, and no reading of them fits the arm; the best leaves "
-            questions.append(f"{said}{1e3 * best.match.typical:.3g} mm: they are left out")
+            questions.append(f"{said}{one.best.missed}: they are left out")
             continue
-        found[kind] = ways
-        alike = [way for way in rest if not best.match.beyond(way.match)]
+        found.append(one)
         less = f"less than {BEYOND_DOUBT:.0f} in log-likelihood apart"
-        questions += [f"cannot tell of {names}: {best.otherwise(way, 'or')} ({less})" for way in alike[:3]]
+        questions += [f"cannot tell of {names}: {one.best.otherwise(w, 'or')} ({less})" for w in one.rivals[:3]]
     if not found:
         return None
-    choice = next(iter(found.values()))[0].choice
-    if any(ways[0].choice is not choice for ways in found.values()):
+    choice = found[0].best.choice
+    if any(one.best.choice is not choice for one in found):
         questions.append("the readings contradict each other about the joints' columns or their unit")
-    kept = tuple(k for one in instruments if one.kind in found for k in one.columns)
-    return Sighted(choice, rows, found, kept, tuple(questions))
+    return TableRead(choice, rows, found, questions)
 
 
 def _compared(
     numbers: Numbers, chain: Chain, choices: Sequence[JointChoice], rows: np.ndarray, mine: Sequence[SightColumns]
-) -> list[Way]:
+) -> list[MappingCandidate]:
     """What instruments of a kind may mean, the likeliest first."""
     kind, values = mine[0].kind, numbers.values[rows]
     units = {numbers.labels[one.columns[0]].unit for one in mine}
@@ -215,7 +169,7 @@ def _compared(
     angles = [k for one in mine for k in one.columns if len(one.columns) == 2]
     if kind == BEARING:
         largest = float(np.nanmax(np.abs(values[:, angles]), initial=0.0))
-        ways = [way for way in ways if way["unit"] != "rad" or largest < _MAX_RAD] if angles else [{"unit": ""}]
+        ways = [way for way in ways if way["unit"] != "rad" or largest < MAX_RAD] if angles else [{"unit": ""}]
     else:
         if kind == RAY:
             ways = [way for way in ways if {way["unit"]} == units] or ways
@@ -223,26 +177,28 @@ def _compared(
         lengths, of_kind, reach = lengths[np.isfinite(lengths)][:, None], kinds()[kind], chain.reach()
         near = [way for way in ways if of_kind.implausible(UNITS[way["unit"]] * lengths, reach).mean() < 0.5]
         ways = near or ways
-    found = [(way, _judged(numbers, chain, choice, rows, judged, way)) for choice in choices for way in ways]
-    told = [pair for pair in found if {pair[0]["unit"]} == units]
-    found = told if any(one.match.explained(chain) for _, one in told) else found
-    every = [replace(one, stated={mine[0].key: [i.stated(numbers, way) for i in mine]}) for way, one in found]
-    return sorted(every, key=lambda one: (not one.match.explained(chain), -one.match.score))
+    found: list[MappingCandidate] = []
+    for choice, way in product(choices, ways):
+        match = _judged(numbers, chain, choice.q[rows], (rows, judged), way)
+        stated = {mine[0].key: [one.stated(numbers, way) for one in mine]}
+        found.append(MappingCandidate(choice, stated, match, match.explained(chain)))
+    told = [one for one in found if {one.stated[mine[0].key][0].get("unit")} == units]
+    found = told if any(one.explained for one in told) else found
+    return sorted(found, key=lambda one: (not one.explained, -one.fit.score))
 
 
 def _judged(
     numbers: Numbers,
     chain: Chain,
-    choice: JointChoice,
-    rows: np.ndarray,
-    instruments: Sequence[SightColumns],
+    q: Array,
+    seen: tuple[np.ndarray, Sequence[SightColumns]],
     way: Mapping[str, Any],
-) -> Way:
-    """Instruments as a mapping reads them in one way."""
-    sightings, volume = [], 0.0
+) -> SightMatch:
+    """How well instruments that are read in one way fit postures q (m, n) [rad, m]. seen: the rows, and instruments."""
+    sightings, volume, (rows, instruments) = [], 0.0, seen
     for one in instruments:
         x, there = READINGS[one.key].read(numbers.table, one.stated(numbers, way), numbers.sheet.path.name)
         sightings.append(Sighting(one.frame, one.kind, np.where(there[:, None], x, np.nan)[rows]))
         if len(one.columns) < 3:
             volume += len(one.columns) * float(np.log(UNITS[way["unit"]]))
-    return Way(choice, {}, sights_match(chain, choice.q[rows], sightings, volume))
+    return sights_match(chain, q, sightings, volume)
