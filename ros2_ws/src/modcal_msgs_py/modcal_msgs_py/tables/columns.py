@@ -84,6 +84,10 @@ class Numbers:
         there = np.isfinite(self.values).sum(axis=0)
         return [k for k, count in enumerate(there) if count >= max(3, _MIN_FILLED * len(self.values))]
 
+    def of_instruments(self, columns: Sequence[int]) -> bool:
+        """Whether labels call all of these columns distances, directions or heights."""
+        return all(self.labels[k].of_instrument for k in columns)
+
     def free(self, taken: set[int]) -> dict[int, Label]:
         """Labels of the filled columns that are not taken."""
         return {k: self.labels[k] for k in self.filled if k not in taken}

@@ -1,8 +1,8 @@
-"""One place of columns with what it may mean, best first, in words and as a mapping states it, and what proves it.
+"""What columns may mean: fragments of a mapping, read by what reads mappings, with the likelihood of what that gives.
 
 The core compares meanings by a likelihood that single bad rows do not decide, and searches for what is written down
-wrongly. Here is what only a table has: joints that it counts otherwise than the robot description, each as a mapping
-states it; a column that names which of several targets was measured; rows that belong elsewhere.
+wrongly. Here is what only a table has: joints that it counts otherwise than the robot description; a column that names
+which of several targets was measured; rows that belong elsewhere.
 
 A table may hold a goal and the deviation from it. The goal is what the nominal arm says of the joints, and no reading;
 the reading is the goal plus the deviation or minus it, as *deviation* is understood. To first order every error of the

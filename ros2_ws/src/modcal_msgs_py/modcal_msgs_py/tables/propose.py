@@ -1,8 +1,8 @@
 """A mapping for a table that has none: what its columns are, proved by the nominal arm that fits, or asked.
 
 The text says how the file is written (:mod:`sheet`), labels and numbers which columns may be what (:mod:`labels`,
-:mod:`columns`), and the hand-eye problem of the nominal arm which reading of them is right (:mod:`fits`). Where two
-readings fit alike, nothing is chosen in silence.
+:mod:`columns`). Each is a fragment of a mapping, and the nominal arm says which is right (:mod:`fits`, :mod:`sights`);
+the other columns are stated in a draft of the entry (:mod:`beside`). Where two fit alike, nothing is chosen in silence.
 """
 
 from __future__ import annotations
@@ -99,12 +99,11 @@ def find(paths: Sequence[Path], arm: MeasuredArm | Mechanism, watch: Watch = lam
     return min(found, key=lambda made: len(made.open))
 
 
-def _rays_alone(way: Together, numbers: Numbers, names: Sequence[str]) -> Proposal | None:
-    """The mapping of a table that has lengths of rays and no joints, as of boxes in a gripper; None for another one."""
+def _rays_alone(way: Together, numbers: Numbers) -> Proposal | None:
+    """The mapping of a table of lengths of rays without joints, as of boxes in a gripper; None for another one."""
     time = find_time(numbers, set())
     rays = [ray_of(numbers, one) for one in sight_columns(numbers, set(time.columns)) if len(one.columns) == 1]
-    joints = [j for j in joint_columns(numbers, names) if not all(numbers.labels[k].of_instrument for k in j.columns)]
-    if not rays or joints or len(rays) + len(time.columns) < len(numbers.usable):
+    if not rays or len(rays) + len(time.columns) < len(numbers.usable):
         return None
     asked, rows = list[str](), list[dict[str, Any]]()
     for one in rays:
@@ -119,17 +118,14 @@ def _rays_alone(way: Together, numbers: Numbers, names: Sequence[str]) -> Propos
 
 def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     numbers, chain = Numbers.of(way.sheet), arm.chain
-    if (rays := _rays_alone(way, numbers, chain.own_names)) is not None:
+    joints = [j for j in joint_columns(numbers, chain.own_names) if not numbers.of_instruments(j.columns)]
+    if not joints and (rays := _rays_alone(way, numbers)) is not None:
         return rays
     if len(numbers.values) < MIN_ROWS:
         said = f"has {len(numbers.values)} rows, {MIN_ROWS} are needed to tell what its columns are"
         raise BadTable(way.sheet.path.name, said, "write a mapping, see docs/import.md")
     sure = orthonormal(numbers)
-    labelled = [
-        j
-        for j in joint_columns(numbers, chain.own_names)
-        if not set(j.columns) & sure and not all(numbers.labels[k].of_instrument for k in j.columns)
-    ]
+    labelled = [j for j in joints if not set(j.columns) & sure]
     taken = {k for j in labelled for k in j.columns}
     time = find_time(numbers, taken)
     watch("comparing what columns may mean")
@@ -142,27 +138,30 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     return _made(draft, way, read, set(time.columns))
 
 
+@dataclass(frozen=True)
 class _Search:
-    """Likely places of the readings in a table, with what they may mean. measured: joints by their labels."""
+    """Likely places of the readings in a table, with what they may mean. measured: joints by their labels. time: its
+    columns.
+    """
 
-    def __init__(
-        self, numbers: Numbers, chain: Mechanism, measured: Sequence[LabelledJoints], time: set[int], watch: Watch
-    ) -> None:
-        self._numbers, self._chain, self.measured = numbers, chain, measured
-        self._time, self._watch = time, watch
+    numbers: Numbers
+    chain: Mechanism
+    measured: Sequence[LabelledJoints]
+    time: set[int]
+    watch: Watch
 
     def read(
         self, places: Sequence[Body], instruments: Sequence[SightColumns], labelled: Sequence[LabelledJoints]
     ) -> TableRead:
         """What the rows hold. Raises BadTable where no reading of the columns has to do with the arm."""
-        numbers, chain = self._numbers, self._chain
+        numbers, chain = self.numbers, self.chain
         fits = self._every_fit(places, instruments)
         if isinstance(fits, TableRead):
             return fits
         fits = self._otherwise(fits)
         if not fits and self.measured:
             read = joints_alone(numbers, chain, self.measured[0])
-            told = {k for j in labelled for k in j.columns} | self._time
+            told = {k for j in labelled for k in j.columns} | self.time
             left = [k for k in numbers.usable if k not in told]
             unread = f"{numbers.shown(*left)} change and are read as no measurement of the tool: see what they are"
             return replace(read, questions=(*read.questions, *[unread] * bool(left)))
@@ -177,11 +176,11 @@ class _Search:
 
         Targets of one body come before any of them alone, distances, directions and heights behind labelled positions.
         """
-        measured, numbers = self.measured, self._numbers
+        measured, numbers = self.measured, self.numbers
         posed = [b for b in places if b.named and b.turned]
         named = posed or [b for b in places if b.named]
         points = [b for b in places if b.turned is None]
-        among = places if measured else bodies(numbers, set(), self._time)
+        among = places if measured else bodies(numbers, set(), self.time)
         other = [b for b in among if not b.named and b.turned]
         fits = self._fits(rigid_bodies(numbers, places), measured) if measured else []
         tiers = ((named, False), (named, True), (other, False), (points, False), (other, True), (points, True))
@@ -191,14 +190,14 @@ class _Search:
             gone = {k for f in fits if f.computed for k in (*f.body.position, *(f.body.turned or ()))}
             left = [b for b in some if not b.shares(gone)]  # no column of a pose that was computed from the joints
             if search:
-                self._watch("looking for the joints' columns")
+                self.watch("looking for the joints' columns")
                 fits += self._searched(left)
             elif measured:
                 fits += self._fits(left, measured)
-            chain = self._chain
+            chain = self.chain
             told = any(f.best.explained and not f.computed for f in fits)
             if instruments and measured and is_serial_arm(chain) and not told:
-                self._watch("comparing what distances and directions may mean")
+                self.watch("comparing what distances and directions may mean")
                 if (sighted := find_sights(numbers, chain, measured, instruments)) is not None:
                     return sighted
                 instruments = ()
@@ -217,20 +216,20 @@ class _Search:
     def _fitted(
         self, body: Body, joints: Sequence[LabelledJoints], counted: Sequence[JointChoice] = ()
     ) -> FittedBody | None:
-        numbers, values = self._numbers, self._numbers.values
+        numbers, values = self.numbers, self.numbers.values
         used = [*body.columns, *(k for j in joints for k in j.columns)]
         rows = np.flatnonzero(np.isfinite(values[:, used]).all(axis=1))
         rows = rows[~(values[np.ix_(rows, np.array(body.zeros))] == 0.0).all(axis=1)]
         if len(rows) < MIN_ROWS:
             return None
-        choices = list(counted) or [c for one in joints for c in choices_of(numbers, self._chain, one, rows)]
-        return FittedBody.of(numbers, self._chain, body, choices, rows)
+        choices = list(counted) or [c for one in joints for c in choices_of(numbers, self.chain, one, rows)]
+        return FittedBody.of(numbers, self.chain, body, choices, rows)
 
     def _searched(self, places: Sequence[Body]) -> list[FittedBody]:
         """Places with the joints' columns found by what they explain of the readings."""
-        numbers, chain = self._numbers, self._chain
+        numbers, chain = self.numbers, self.chain
         triples = list(dict.fromkeys(body.position for body in places))
-        taken = set(self._time)
+        taken = set(self.time)
         if places and places[0].named:
             taken |= {k for k, label in numbers.labels.items() if label.plainly_turned}
             taken |= {k for b in places for k in b.position}
@@ -266,7 +265,7 @@ class _Search:
         """
         if not fits or not self.measured or any(f.best.explained for f in fits):
             return fits
-        self._watch("comparing how joints may be counted")
+        self.watch("comparing how joints may be counted")
         labelled = [
             f
             for f in fits
@@ -280,16 +279,16 @@ class _Search:
         point = point or self._fitted(replace(first.body, turned=None), self.measured) or first
         if (told := self._of_targets(point)) is not None:
             return [told]
-        position = point.body.read(self._numbers, point.rows)[0]
-        choices = [c for one in self.measured for c in choices_of(self._numbers, self._chain, one, point.rows)]
-        unit = self._numbers.labels[point.body.position[0]].unit
+        position = point.body.read(self.numbers, point.rows)[0]
+        choices = [c for one in self.measured for c in choices_of(self.numbers, self.chain, one, point.rows)]
+        unit = self.numbers.labels[point.body.position[0]].unit
         found = corrected(
-            self._chain, [c.q[point.rows] for c in choices], position, [unit] if unit in LENGTHS else list(LENGTHS)
+            self.chain, [c.q[point.rows] for c in choices], position, [unit] if unit in LENGTHS else list(LENGTHS)
         )
         if found is None:
             return fits
         k, counted = found
-        some = [choices[k].recounted(self._chain, c) for c in counted]
+        some = [choices[k].recounted(self.chain, c) for c in counted]
         alike = [f.body for f in plain if f.body.position == point.body.position]
         joints = [LabelledJoints(some[0].columns, some[0].how)]
         made = [self._fitted(b, joints, some) for b in dict.fromkeys((*alike, point.body))]
@@ -301,9 +300,9 @@ class _Search:
             return _NO_ARM, _CHECK
         best = min(fits, key=lambda f: f.judged.typical)
         postures = [one.choice.q[best.rows] for one in best.found]
-        found = judge(self._chain, postures, best.body.read(self._numbers, best.rows)[0] * [1.0, 1.0, -1.0])
-        if found and found[0].explained(self._chain):
-            names, left = self._numbers.shown(*best.body.position), 1e3 * found[0].typical
+        found = judge(self.chain, postures, best.body.read(self.numbers, best.rows)[0] * [1.0, 1.0, -1.0])
+        if found and found[0].explained(self.chain):
+            names, left = self.numbers.shown(*best.body.position), 1e3 * found[0].typical
             said = f"are left-handed: with one of the axes turned round the nominal arm misses by {left:.3g} mm"
             return f"{names} {said}", "swap two of the columns, or change the sign of one, as the instrument's axes are"
         said = f"{_NO_ARM}; the best leave {1e3 * best.judged.typical:.0f} mm"
@@ -311,16 +310,16 @@ class _Search:
 
     def _of_targets(self, point: FittedBody) -> FittedBody | None:
         """The same where a column tells which of several targets was measured, None where none does."""
-        numbers, choice = self._numbers, point.best.choice
+        numbers, choice = self.numbers, point.best.choice
         rows = point.rows[spread_rows(len(point.rows), _MAX)]
-        free = set(range(numbers.sheet.width)) - {*point.columns, *choice.columns, *self._time}
+        free = set(range(numbers.sheet.width)) - {*point.columns, *choice.columns, *self.time}
         texts = {k: np.array([numbers.sheet.column(k)[i] for i in rows]) for k in sorted(free)}
         column = by_target(point.judged.case, texts) if "point" in point.best.stated else None
         if column is None:
             return None
         names, count = np.unique(texts[column], return_counts=True)
         most = rows[texts[column] == names[np.argmax(count)]]
-        found = FittedBody.of(numbers, self._chain, point.body, [choice], most, column)
+        found = FittedBody.of(numbers, self.chain, point.body, [choice], most, column)
         return replace(found, rows=point.rows) if found is not None and found.judged.near else None
 
 
