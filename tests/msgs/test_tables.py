@@ -14,7 +14,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
-from modcal_msgs_py.tables import import_tables
+from modcal_msgs_py.tables import import_tables, require_mapping
 from modcal_nodes.cli.main import run
 
 TABLE = """time;j1;j2;x;y;z;a;b;c;t
@@ -288,8 +288,6 @@ def test_joints_and_readings_in_tables_of_their_own(tmp_path: Path) -> None:
 
 
 def test_examples_are_what_the_schema_says() -> None:
-    from modcal_msgs_py.tables.convert import require_mapping
-
     for path in sorted((Path(__file__).parents[2] / "examples" / "import").glob("*.yaml")):
         data = yaml.safe_load(path.read_text())
         if "tables" in data:

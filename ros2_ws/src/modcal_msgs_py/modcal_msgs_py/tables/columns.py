@@ -84,10 +84,6 @@ class Numbers:
         there = np.isfinite(self.values).sum(axis=0)
         return [k for k, count in enumerate(there) if count >= max(3, _MIN_FILLED * len(self.values))]
 
-    def of_instruments(self, columns: Sequence[int]) -> bool:
-        """Whether labels call all of these columns distances, directions or heights."""
-        return all(self.labels[k].of_instrument for k in columns)
-
     def free(self, taken: set[int]) -> dict[int, Label]:
         """Labels of the filled columns that are not taken."""
         return {k: self.labels[k] for k in self.filled if k not in taken}
@@ -248,12 +244,15 @@ def orthonormal(numbers: Numbers) -> set[int]:
 
 
 def joint_columns(numbers: Numbers, names: Sequence[str]) -> list[LabelledJoints]:
-    """Choices of the joints' columns by their labels, measured ones first; commanded, velocities and efforts too."""
+    """Choices of the joints' columns by their labels, measured ones first; commanded, velocities and efforts too. Those
+    of an instrument are none.
+    """
     out = _by_name(numbers, names)
     for columns, stem in families(numbers.labels, len(names)):
         if columns not in [choice.columns for choice in out]:
             first, last = (numbers.labels[columns[k]].text for k in (0, -1))
             out.append(LabelledJoints(columns, f"numbered labels {first} … {last}", Label.of(stem).role))
+    out = [choice for choice in out if not all(numbers.labels[k].of_instrument for k in choice.columns)]
     return sorted(out, key=lambda choice: choice.role != MEASURED)
 
 

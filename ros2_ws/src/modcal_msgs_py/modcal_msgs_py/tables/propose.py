@@ -118,7 +118,7 @@ def _rays_alone(way: Together, numbers: Numbers) -> Proposal | None:
 
 def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     numbers, chain = Numbers.of(way.sheet), arm.chain
-    joints = [j for j in joint_columns(numbers, chain.own_names) if not numbers.of_instruments(j.columns)]
+    joints = joint_columns(numbers, chain.own_names)
     if not joints and (rays := _rays_alone(way, numbers)) is not None:
         return rays
     if len(numbers.values) < MIN_ROWS:
