@@ -42,11 +42,10 @@ def one(task: harness.Task) -> harness.Result:
             made = find(written.paths, MeasuredArm(robot.chain, None if plain else robot.inertias))
             if made.open:
                 return {**written.about, "outcome": "asked", "said": "; ".join(made.open)[:300]}
-            if plain:
-                said = judged(written, dict(made.mapping), folder)
-                return {**written.about, "outcome": "right" if said == "right" else "wrong", "said": said}
-            if task["kind"] == "others":
-                said = others.judged(written, import_tables(dict(made.mapping), folder, "bench"))
+            if task["kind"] != "columns":
+                mapping = dict(made.mapping)
+                whole = None if plain else import_tables(mapping, folder, "bench")
+                said = judged(written, mapping, folder) if plain else others.judged(written, whole)
                 return {**written.about, "outcome": "right" if said == "right" else "wrong", "said": said}
             outcome, said = columns_judged(written, dict(made.mapping), folder)
         except ModcalError as error:
