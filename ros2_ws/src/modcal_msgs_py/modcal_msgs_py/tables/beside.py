@@ -110,21 +110,23 @@ def find_beside(draft: Draft, labelled: Sequence[LabelledJoints], fitted: Fitted
 
 def _commanded(draft: Draft, some: Sequence[LabelledJoints]) -> None:
     """Labelled columns that are near the joints in one unit, and in no other."""
-    joints, names, turns = draft.joints, draft.arm.chain.own_names, bool(np.any(draft.arm.chain.revolute))
+    joints, chain, numbers = draft.joints, draft.arm.chain, draft.numbers
     for one in some:
-        found = []
-        for unit in ("rad", "deg") if turns else (joints["unit"],):
-            own = {"unit": unit} if unit != joints["unit"] else {}
-            own |= {"units": joints["units"]} if "units" in joints else {}
-            part = {**own, "columns": dict(zip(names, draft.numbers.keys(one.columns), strict=True))}
-            gap = np.abs(positions(draft.numbers.table, joints, names, part) - draft.choice.q[:, draft.arm.chain.own])
+        gaps, parts = dict[str, float](), dict[str, dict[str, Any]]()
+        columns = dict(zip(chain.own_names, numbers.keys(one.columns), strict=True))
+        units = {"units": joints["units"]} if "units" in joints else {}
+        for unit in ("rad", "deg") if np.any(chain.revolute) else (joints["unit"],):
+            parts[unit] = {**({"unit": unit} if unit != joints["unit"] else {}), **units, "columns": columns}
+            told = positions(numbers.table, joints, chain.own_names, parts[unit])
+            gap = np.abs(told - draft.choice.q[:, chain.own])
             if np.isfinite(gap).any() and bool((np.nanmedian(gap, axis=0) < _FOLLOWS).all()):
-                found.append((float(np.nanmedian(gap)), unit, part))
-        if found:
-            near, unit, joints["commanded"] = min(found, key=lambda way: way[0])
+                gaps[unit] = float(np.nanmedian(gap))
+        if gaps:
+            unit = min(gaps, key=lambda name: gaps[name])
+            joints["commanded"] = parts[unit]
             draft.used |= set(one.columns)
             said = f"columns labelled as commanded are the commanded joints in {unit}"
-            draft.said.append(f"{said}: they are as near as {near:.2g} rad")
+            draft.said.append(f"{said}: they are as near as {gaps[unit]:.2g} rad")
             return
 
 

@@ -57,13 +57,10 @@ class JointChoice:
 
     @classmethod
     def read(cls, numbers: Numbers, chain: Mechanism, joints: LabelledJoints, stated: Mapping[str, Any]) -> JointChoice:
-        """Labelled columns as a mapping reads them that states their units, and may state how they are counted."""
-        names = chain.own_names
-        columns = dict(zip(names, numbers.keys(joints.columns), strict=True))
-        units = {key: stated[key] for key in ("unit", "units") if key in stated}
-        whole = {**units, "columns": columns, **stated}
+        """Labelled columns as a mapping reads them that states these units."""
+        whole = {**stated, "columns": dict(zip(chain.own_names, numbers.keys(joints.columns), strict=True))}
         q = np.zeros((len(numbers.values), chain.n))
-        q[:, chain.own] = positions(numbers.table, whole, names)
+        q[:, chain.own] = positions(numbers.table, whole, chain.own_names)
         return cls(joints.columns, whole, chain.followed(q), joints.how)
 
     def recounted(self, chain: Mechanism, counting: Counting) -> JointChoice:
@@ -219,7 +216,9 @@ class TableRead:
     @property
     def stated(self) -> dict[str, Any]:
         """Joints and readings as a mapping states them."""
-        found = {key: each for part in self.parts for key, each in part.best.stated.items()}
+        found: dict[str, Any] = {}
+        for key, each in (pair for part in self.parts for pair in part.best.stated.items()):
+            found[key] = [*found.get(key, ()), *each] if isinstance(each, list) else each
         one = {key: each[0] if isinstance(each, list) and len(each) == 1 else each for key, each in found.items()}
         return {"joints": dict(self.choice.stated), **one}
 

@@ -133,7 +133,7 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     away = deviation_columns(numbers, {*taken, *time.columns})
     places = with_deviations(numbers, bodies(numbers, {*taken, *away}, set(time.columns)), away)
     read = search.read(places, sight_columns(numbers, {*taken, *time.columns, *sure}), labelled)
-    draft = _drafted(arm, (time, way), numbers, read)
+    draft = _drafted(arm, time, way, numbers, read)
     find_beside(draft, labelled, next((part for part in read.parts if isinstance(part, FittedBody)), None))
     return _made(draft, way, read, set(time.columns))
 
@@ -390,9 +390,9 @@ def _alike(one: FittedBody, other: FittedBody) -> bool:
     return len(one.judged.R) == len(other.judged.R) and same_poses(A, other.judged.R, other.judged.position)
 
 
-def _drafted(arm: MeasuredArm, rows: tuple[RowTimes, Together], numbers: Numbers, read: TableRead) -> Draft:
-    """What is stated of the file, its rows, joints and readings, and what was assumed. rows: when, of which files."""
-    (time, way), sheet, chain = rows, numbers.sheet, arm.chain
+def _drafted(arm: MeasuredArm, time: RowTimes, way: Together, numbers: Numbers, read: TableRead) -> Draft:
+    """What is stated of the file, its rows, joints and readings, and what was assumed."""
+    sheet, chain = numbers.sheet, arm.chain
     entry: dict[str, Any] = {"files": sheet.path.name, **sheet.form.entry()}
     said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", time.said]
     pairs = zip(chain.own_names, read.choice.columns, strict=True)
@@ -414,9 +414,9 @@ def _drafted(arm: MeasuredArm, rows: tuple[RowTimes, Together], numbers: Numbers
         entry["joined"] = list(way.stated)
     entry |= {"time": time.stated, **read.stated}
     stamps = stamps_of(numbers.table, time.stated, 0.0)[0] if time.columns else None
-    draft = Draft(numbers, arm, read.choice, entry, {*read.choice.columns, *read.columns, *time.columns}, stamps)
-    draft.said, draft.asked = [*said, *read.assumed], list(read.questions)
-    return draft
+    used = {*read.choice.columns, *read.columns, *time.columns}
+    every, asked = [*said, *read.assumed], list(read.questions)
+    return Draft(numbers, arm, read.choice, entry, used, stamps, said=every, asked=asked)
 
 
 def _made(draft: Draft, way: Together, read: TableRead, texts: set[int]) -> Proposal:

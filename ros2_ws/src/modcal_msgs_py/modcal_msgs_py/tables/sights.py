@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry import Array
 from modcal_core.hypotheses import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
 from modcal_core.measurements import BEARING, RANGE, RAY, TOUCH
 from modcal_core.measurements.kinds import kinds
@@ -162,9 +161,8 @@ def _compared(
     """What instruments of a kind may mean, the likeliest first."""
     kind, values = mine[0].kind, numbers.values[rows]
     units = {numbers.labels[one.columns[0]].unit for one in mine}
-    judged = mine
-    if kind == RAY:
-        judged = sorted(mine, key=lambda one: -int(np.isfinite(values[:, one.columns[0]]).sum()))[:_JUDGED]
+    read = np.isfinite(values).sum(axis=0)
+    judged = sorted(mine, key=lambda one: -int(read[one.columns[0]]))[:_JUDGED] if kind == RAY else mine
     ways = list(_WAYS[kind])
     angles = [k for one in mine for k in one.columns if len(one.columns) == 2]
     if kind == BEARING:
@@ -175,11 +173,10 @@ def _compared(
             ways = [way for way in ways if {way["unit"]} == units] or ways
         lengths = values[:, [one.columns[0] for one in judged]]  # no instrument of this arm reads so far
         lengths, of_kind, reach = lengths[np.isfinite(lengths)][:, None], kinds()[kind], chain.reach()
-        near = [way for way in ways if of_kind.implausible(UNITS[way["unit"]] * lengths, reach).mean() < 0.5]
-        ways = near or ways
+        ways = [w for w in ways if of_kind.implausible(UNITS[w["unit"]] * lengths, reach).mean() < 0.5] or ways
     found: list[MappingCandidate] = []
     for choice, way in product(choices, ways):
-        match = _judged(numbers, chain, choice.q[rows], (rows, judged), way)
+        match = _judged(numbers, chain, choice, rows, judged, way)
         stated = {mine[0].key: [one.stated(numbers, way) for one in mine]}
         found.append(MappingCandidate(choice, stated, match, match.explained(chain)))
     told = [one for one in found if {one.stated[mine[0].key][0].get("unit")} == units]
@@ -190,15 +187,16 @@ def _compared(
 def _judged(
     numbers: Numbers,
     chain: Chain,
-    q: Array,
-    seen: tuple[np.ndarray, Sequence[SightColumns]],
+    choice: JointChoice,
+    rows: np.ndarray,
+    instruments: Sequence[SightColumns],
     way: Mapping[str, Any],
 ) -> SightMatch:
-    """How well instruments that are read in one way fit postures q (m, n) [rad, m]. seen: the rows, and instruments."""
-    sightings, volume, (rows, instruments) = [], 0.0, seen
+    """How well instruments that are read in one way fit a choice of joints, in these rows."""
+    sightings, volume = [], 0.0
     for one in instruments:
         x, there = READINGS[one.key].read(numbers.table, one.stated(numbers, way), numbers.sheet.path.name)
         sightings.append(Sighting(one.frame, one.kind, np.where(there[:, None], x, np.nan)[rows]))
         if len(one.columns) < 3:
             volume += len(one.columns) * float(np.log(UNITS[way["unit"]]))
-    return sights_match(chain, q, sightings, volume)
+    return sights_match(chain, choice.q[rows], sightings, volume)
