@@ -22,7 +22,6 @@ from modcal_core.calibration.known_distances import (
     without_distances,
 )
 from modcal_core.calibration.linearisation import Linearised, RowView, linearise
-from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import Groups, errors, excess_sigma, row_weights, weigh
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ALL, Effect, all_columns
@@ -123,25 +122,6 @@ def test_fixed_places_stay() -> None:
     names = [p.name for p in fit.parameters]
     assert not [n for n in names if n.startswith("elbow_joint/") or n == "wrist_1_joint/x"]
     assert np.array_equal(fit.model.chain.origins[2], ur10().origins[2])
-
-
-def test_a_fit_that_is_hopeless_ends_where_that_is_seen() -> None:
-    made = record(3, 120, "pose", ur10())
-    start = fit_cell(ur10(), made.samples, Cell()).model
-    parameters = choose_parameters(start, views_of(made.samples), Cell().fixed).parameters
-    steps: list[float] = []
-
-    def hopeless(model: Model, length: float) -> bool:
-        steps.append(length)
-        assert model.chain.n == start.chain.n
-        return len(steps) == 2
-
-    whole = identify(start, made.samples, parameters)
-    ended = identify(start, made.samples, parameters, hopeless=hopeless)
-    assert len(steps) == ended.iterations == 2 < whole.iterations
-    assert steps[1] < steps[0]
-    same = identify(start, made.samples, parameters, hopeless=lambda model, length: False)
-    assert np.array_equal(same.values, whole.values)
 
 
 @pytest.mark.slow

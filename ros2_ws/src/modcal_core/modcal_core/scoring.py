@@ -34,7 +34,9 @@ from modcal_core.calibration import (
     runs_of,
     split,
     squared_residuals,
+    uncertainty,
     with_sockets,
+    without,
 )
 from modcal_core.claim import Claim, claim_at_tool, settled
 from modcal_core.diagnosis import Diagnosis, Loads, located, with_stated
@@ -301,15 +303,14 @@ def _kept(task: Task, seen: _Scored) -> np.ndarray:
 
 def _steps(task: Task, fits: Fits, seen: _Scored) -> tuple[Step, ...]:
     """What each thing that was added leaves of the accepted samples, the moves that were stated in all of them."""
-    left, accepted = seen.errors, seen.accepted
-    stated = _stated(fits.geometric.model, task)
+    left, accepted, found = seen.errors, seen.accepted, fits.diagnosis
+    fit, stated = found.fit, [task.cell.states(cause.effect, task.samples.stamps) for cause in found.causes]
+    known = uncertainty(fit.model, task.train, fit.parameters, fit, task.cell.distances) if found.causes else None
     added = []
-    for cause in fits.diagnosis.causes:
-        if not task.cell.states(cause.effect, task.samples.stamps):
-            known = _stated(cause.fit.model, task)
-            missing = stated[: len(stated) - len(known)] if len(known) < len(stated) else ()
-            model = cause.fit.model.with_effects((*cause.fit.model.effects, *missing))
-            added.append(Step(cause.effect.label, errors(model, accepted)))
+    for i, cause in enumerate(found.causes):
+        if known is not None and not stated[i]:
+            later = [j for j in range(i + 1, len(stated)) if not stated[j]]
+            added.append(Step(cause.effect.label, errors(without(fit.model, known, later), accepted)))
     if fits.together:
         added.append(Step(TOGETHER, left["final"]))
     elif added:

@@ -9,7 +9,7 @@ through but two or three times.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -164,7 +164,6 @@ def identify(
     begin: Array | None = None,
     reject: bool = True,
     most: int | None = None,
-    hopeless: Callable[[Model, float], bool] | None = None,
     spread: bool = True,
 ) -> Fit:
     """The fit of these parameters, and of the model's effects with them, about this model, to the samples.
@@ -172,8 +171,7 @@ def identify(
     keep_effects: leave the effects as they are. tolerance: standard deviations within which no value moves any more.
     begin: values of the parameters to begin from; zero by default. reject: give samples far outside no weight at all;
     otherwise, where wrong ones have been left out already, they only count less. most: iterations, where fewer than
-    usual are enough. hopeless: asked after each step, of the model and the step's length in standard deviations; ends
-    the fit. spread: find how well values are known; otherwise covariance and standard deviations are NaN.
+    usual are enough. spread: find how well values are known; otherwise covariance and standard deviations are NaN.
 
     Raises NotEnoughData when the readings are too few for the parameters.
     """
@@ -186,15 +184,15 @@ def identify(
     few = min(_FEW, len(samples) // _MANY)
     if begin is None and not start.effects and few >= _EACH * P:
         some = replace(problem, samples=samples.select(slice(None, None, len(samples) // few)))
-        values = _Cost(some, _ROUGHLY).least(values, MAX_ITERATIONS)[0].place.values
-    cost = _Cost(problem, tolerance, hopeless)
-    found, hopeful = cost.least(np.concatenate([values, *(e.values for e in fitted)]), most or MAX_ITERATIONS)
+        values = _Cost(some, _ROUGHLY).least(values, MAX_ITERATIONS).place.values
+    cost = _Cost(problem, tolerance)
+    found = cost.least(np.concatenate([values, *(e.values for e in fitted)]), most or MAX_ITERATIONS)
     weights, noise = cost.weigh(found.place)
     H_data, H = cost.curvature(found.place) if spread else (cost.H_data, cost.H)
     covariance = Curvature.of(H).inverse() if spread else np.full_like(H, np.nan)
     # robust weights may oscillate without moving any value that matters, and the minimum may be a valley along which
     # the readings do not determine the values
-    converged = (found.converged and hopeful) or cost.length <= FITTED
+    converged = found.converged or cost.length <= FITTED
     values = found.place.values
     model = model_at(start, parameters, values, np.sqrt(np.diag(covariance)[P:]))
     return Fit(
@@ -231,12 +229,10 @@ class _Cost:
     length: of the last step, in standard deviations. H, H_data: curvature with and without priors, where a step began.
     """
 
-    def __init__(
-        self, problem: _Problem, tolerance: float, hopeless: Callable[[Model, float], bool] | None = None
-    ) -> None:
-        """tolerance: standard deviations from the end, where steps may end. hopeless: see :func:`identify`."""
+    def __init__(self, problem: _Problem, tolerance: float) -> None:
+        """tolerance: standard deviations from the end, where steps may end."""
         around = problem.start.drivers(problem.samples)
-        self.problem, self._tolerance, self._hopeless, self._hopeful = problem, tolerance, hopeless, True
+        self.problem, self._tolerance = problem, tolerance
         self._centre, self._prior = priors(problem.fitted, problem.parameters, around)
         self._equations = System(problem.start, problem.parameters, problem.samples, around)
         self._groups = Groups.of(problem.samples, bool(problem.start.instruments))
@@ -250,9 +246,9 @@ class _Cost:
         self.length = self._last = np.inf
         self.H = self.H_data = np.diag(self._prior**-2.0)
 
-    def least(self, values: Array, most: int) -> tuple[Descent[_Place], bool]:
-        """Where the cost is least, from these values downhill, and whether nobody found that hopeless."""
-        return descend(self._at(values), self._look, self._step, self._ended, most), self._hopeful
+    def least(self, values: Array, most: int) -> Descent[_Place]:
+        """Where the cost is least, from these values downhill."""
+        return descend(self._at(values), self._look, self._step, self._ended, most)
 
     def weigh(self, here: _Place) -> tuple[Array, NoiseModel]:
         """Weights of the samples, (N,), and the noise, found at a place."""
@@ -314,13 +310,7 @@ class _Cost:
         """Whether all following steps together are too short to matter, if they become shorter as the last did."""
         self.length = float(np.sqrt(max(self.length**2, gain)))  # where the cost is no parabola, more is left
         rate = max(self.length / self._last, _SHRINKING) if self._last < np.inf else 1.0
-        if self.length <= self._tolerance or (rate < 1.0 and self.length * rate <= self._tolerance * (1.0 - rate)):
-            return True
-        if self._hopeless is not None:
-            self._hopeful = not self._hopeless(
-                model_at(self.problem.start, self.problem.parameters, here.values), self.length
-            )
-        return not self._hopeful
+        return self.length <= self._tolerance or (rate < 1.0 and self.length * rate <= self._tolerance * (1.0 - rate))
 
 
 def priors(effects: Sequence[Effect], parameters: Sequence[ModelParameter], around: Drivers) -> tuple[Array, Array]:

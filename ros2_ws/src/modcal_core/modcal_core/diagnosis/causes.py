@@ -67,26 +67,23 @@ def _kind(driver: str) -> tuple[int, str]:
 @dataclass(frozen=True)
 class Cause:
     """An effect that was chosen, and why. p_value: that noise would look as good. same_as, rivals: what explains it
-    as well, by name and as effects. fit: with this effect and the ones before it.
+    as well, by name and as effects.
     """
 
     effect: Effect
     p_value: float
     same_as: tuple[str, ...]
     rivals: tuple[Effect, ...]
-    fit: Fit
 
 
 def causes_of_moves(fit: Fit, samples: Samples) -> tuple[Cause, ...]:
-    """The causes of a fit's moves of base and tool, each with those before it: they were found before all others."""
-    effects = fit.model.effects
+    """The causes of a fit's moves of base and tool, which were found before all others."""
     out = []
-    for i, effect in enumerate(effects):
-        model = fit.model.with_effects(effects[: i + 1])
+    for effect in fit.model.effects:
         at = effect.shape.settings["at"]
         same = (*one_motion_names(effect), *_slips_alike(fit, effect, samples), *joints_instead(samples, at))
         size = float(np.max(np.abs(effect.values) / np.maximum(effect.std, 1e-300)))
-        out.append(Cause(effect, max(2.0 * beyond_normal(size), 1e-300), same, (), replace(fit, model=model)))
+        out.append(Cause(effect, max(2.0 * beyond_normal(size), 1e-300), same, ()))
     return tuple(out)
 
 

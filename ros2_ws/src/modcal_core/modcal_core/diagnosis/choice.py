@@ -4,8 +4,6 @@ Scores closer than a hundredfold in chance do not tell candidates apart: they ar
 shape always fits a little better than the cause it imitates; so where a plain cause explains nearly as much, or a few
 plain causes together do, the plain one is taken.
 
-An effect that a fit has already is exchanged for what explains more, were it not there.
-
 A delay of a joint is a share of commanded − measured, or a time. The scan is linear, and there both are one column.
 What tells them apart is of second order, as small as a gear ratio of 1e-5, and would be called one beside the wrong
 form. So the forms are fitted, and compared.
@@ -57,12 +55,8 @@ def choose(
     scanner: Scanner,
     fit: Fit,
     refused: set[tuple[str, str, str, str]],
-    incumbent: Effect | None = None,
 ) -> EffectChoice | None:
-    """The effect to believe, or None when all that explain anything were refused.
-
-    incumbent: an effect that stands already, which another must beat by more than a tie.
-    """
+    """The effect to believe, or None when all that explain anything were refused."""
     allowed = np.ones(len(evidence.effects), bool)
     for key in refused:
         allowed[scanner.numbers_of(key)] = False
@@ -71,8 +65,6 @@ def choose(
     if not (allowed & (evidence.score > 0.0)).any():
         return None
     plain = allowed & (evidence.complexity < FREE)
-    if incumbent is not None and complexity(incumbent) < FREE and plain.any():
-        allowed = plain  # a plain cause is not given up for a free shape
     score = np.where(allowed, evidence.score, -1.0)
     top = int(np.argmax(score))
     if not plain[top] and plain.any():
@@ -82,13 +74,11 @@ def choose(
             top = best_plain
     pool = plain if plain[top] else allowed
     alike = np.flatnonzero(pool & (score >= score[top] - _TIE * evidence.inflation)).tolist()
-    if incumbent is not None and any(evidence.effects[i].key == incumbent.key for i in alike):
-        return None
     best: int = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
     best = _outside(evidence, _whole_curve(evidence, best, allowed), allowed)
     chosen = evidence.effects[best]
     if not family_named(chosen.family).plausible(chosen.started(scanner.amplitudes(fit, chosen))):
-        return choose(evidence, scanner, fit, refused | {chosen.key}, incumbent)
+        return choose(evidence, scanner, fit, refused | {chosen.key})
     rivals = _rivals(evidence, best, alike)
     names = (*one_motion_names(chosen), *(effect.label for effect in rivals))
     share = float(evidence.explained[best])
@@ -154,19 +144,6 @@ def _rivals(evidence: Evidence, best: int, alike: list[int]) -> list[Effect]:
         effect = evidence.effects[i]
         found.setdefault((effect.place, effect.direction, effect.public_driver), effect)
     return list(found.values())[1:]
-
-
-def better_choice(number: int, fit: Fit, scanner: Scanner) -> tuple[EffectChoice, Effect] | None:
-    """The choice that explains more than one of a fit's effects, and its effect with amplitudes to begin from; None
-    where none does, or one that is the same entry of a report.
-    """
-    effects = fit.model.effects
-    old = effects[number]
-    without = replace(fit, model=fit.model.with_effects(effects[:number] + effects[number + 1 :]))
-    better = choose(scanner.evidence(without), scanner, without, set(), incumbent=old)
-    if better is None or better.effect.key == old.key:
-        return None
-    return better, better.effect.started(scanner.amplitudes(without, better.effect))
 
 
 def other_forms(effect: Effect, candidates: Iterable[Effect]) -> tuple[Effect, ...]:

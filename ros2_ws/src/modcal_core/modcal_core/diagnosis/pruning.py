@@ -41,15 +41,13 @@ _NEIGHBOURS = 2  # on either side
 
 def needless(
     fit: Fit, train: Samples, explain: Samples, noise: NoiseModel, distances: Sequence[AnyDistance] = (), keep: int = 0
-) -> tuple[Fit, tuple[int, ...], Uncertainty | None]:
-    """The fit to *train* without the effects it does not need, the numbers of those that were taken out, and how well
-    what is left is known, None where nothing is.
+) -> tuple[Fit, tuple[int, ...]]:
+    """The fit to *train* without the effects it does not need, and the numbers of those that were taken out.
 
     noise: by which misses are measured. keep: so many effects at the beginning stay, whatever they are worth.
     """
     gone: list[int] = []
     left = list(range(len(fit.model.effects)))
-    known: Uncertainty | None = None
     while len(left) > keep:
         known = uncertainty(fit.model, train, fit.parameters, fit, distances)
         limit, have = _limited(fit.model, explain, noise)
@@ -64,7 +62,7 @@ def needless(
         moved, effects = values_without(fit.model, known, [keep + weakest])
         start = fit.start.with_effects(effects)
         fit = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=fit.values + moved)
-    return fit, tuple(gone), known if len(left) > keep else None
+    return fit, tuple(gone)
 
 
 def is_nothing(effects: Sequence[Effect], number: int, known: Uncertainty) -> bool:

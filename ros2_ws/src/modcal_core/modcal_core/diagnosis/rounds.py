@@ -59,21 +59,20 @@ def chosen_together(
 
 def surely_worth(
     model: Model, known: Uncertainty, first: int, missed: float, missed_by: Callable[[Model], float]
-) -> list[tuple[int, Model]]:
+) -> list[int]:
     """Which effects of a model, counted from the first of its new ones, are surely worth having beside those before
-    them, each with the model that has those and it alone.
+    them.
 
     known: covariance of the model's fit, by which others are taken out. missed: what *explain* is missed by without the
     new ones. missed_by: the same of a model.
     """
-    found: list[tuple[int, Model]] = []
+    found: list[int] = []
     count = len(model.effects) - first
     for i in range(count):
-        kept = {i, *(j for j, _ in found)}
-        nested = without(model, known, [first + j for j in range(count) if j not in kept])
-        now = missed_by(nested)
+        gone = [first + j for j in range(count) if j not in (*found, i)]
+        now = missed_by(without(model, known, gone))
         if now < (1.0 - _SURELY * MIN_GAIN) * missed:
-            found.append((i, nested))
+            found.append(i)
             missed = now
     return found
 

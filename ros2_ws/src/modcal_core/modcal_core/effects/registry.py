@@ -201,9 +201,10 @@ def signals(drivers: Drivers, *, temperatures: bool) -> list[str]:
     return [n for n in drivers.signal_names() if n.startswith("temperature:") == temperatures][:MAX_SIGNALS]
 
 
-def span(drivers: Drivers) -> tuple[float, float] | None:
-    """First and last stamp [s], None where no time passes."""
-    low, high = float(drivers.samples.stamps.min()), float(drivers.samples.stamps.max())
+def span(drivers: Drivers, by: str = "time") -> tuple[float, float] | None:
+    """First and last value [s] of a driver that is a time; None where none passes, as outside what was watched."""
+    times = drivers.values(by)
+    low, high = float(times.min()), float(times.max())
     return (low, high) if high > low else None
 
 
@@ -218,7 +219,7 @@ def warm_ups(drivers: Drivers) -> list[Shape]:
 
 def breaks(drivers: Drivers) -> Array:
     """Times between stations at which something may have happened [s]."""
-    stamps = np.unique(drivers.samples.stamps)
+    stamps = np.unique(drivers.values("time"))
     between = 0.5 * (stamps[1:] + stamps[:-1])[MIN_SIDE - 1 : -MIN_SIDE or None]
     if len(between) <= MAX_BREAKS:
         return np.asarray(between)

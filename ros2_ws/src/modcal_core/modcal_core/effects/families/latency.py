@@ -20,7 +20,7 @@ NAME = "latency"
 
 def candidates(drivers: Drivers) -> Iterator[Effect]:
     """A delay, and one that grows, where readings were taken in motion."""
-    within = span(drivers)
+    within = span(drivers, "clock")
     if not in_motion(drivers):
         return
     yield late()
