@@ -12,8 +12,9 @@ from scipy.integrate import solve_ivp
 
 from modcal_core.calibration.covariance import Uncertainty
 from modcal_core.correction.correction import ArmState, Correction
-from modcal_core.effects.drivers import Drivers, NominalArm, delayed
+from modcal_core.effects.drivers import DriverLimits, Drivers, NominalArm, delayed
 from modcal_core.effects.effect import AXIS, Effect, motion
+from modcal_core.effects.registry import candidates
 from modcal_core.effects.shapes import KINDS, Shape
 from modcal_core.effects.sizes import AxisCurves
 from modcal_core.geometry import so3
@@ -214,3 +215,13 @@ def test_a_table_without_a_clock_has_rows_and_no_seconds(clock: bool, words: str
     (step,) = (e for e in report.effects if e.family == "step")
     assert words in step.sentence
     assert step.parameters["at"][2] == ("s" if clock else "rows")
+
+
+@pytest.mark.parametrize("ended", [0.0, 1e4])
+def test_nothing_grows_where_no_time_passes(ended: float) -> None:
+    """Long after a recording the clock of its effects stands: what settled since then would be beyond all numbers."""
+    samples = record(1, 40, "point").samples
+    end = float(samples.stamps.max()) - ended
+    drivers = Drivers(samples, NominalArm(ur10(), limits=DriverLimits((end - 600.0, end))))
+    by_time = [effect for effect in candidates(drivers) if effect.driver == "time"]
+    assert bool(by_time) == (ended == 0.0)
