@@ -83,8 +83,8 @@ def arm_faults(
 class ImageMoments:
     """stamps: of the images [s], (N,); empty where only their order is known. approach: the direction each joint last
     moved in, −1, 0 (unknown) or 1, (N, n). effort: of the actuators, (N, n). Empty where unknown. signals: tracks of
-    whatever else was recorded. stop: number of the stop of each image, which images of other cameras share, (N,); −1,
-    or empty, where none does.
+    whatever else was recorded. stop: number of the stop of each image, which images of other cameras share, (N,);
+    empty where none does.
     """
 
     stamps: Array = field(default_factory=lambda: np.empty(0))

@@ -38,7 +38,7 @@ from modcal_core.calibration import RowView
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.bundle import BoardView, PrintedTarget
 from modcal_core.camera.corners import POSE, CornerTable
-from modcal_core.camera.equations import ALONE, CameraRows, SolvedEquations, stops_of
+from modcal_core.camera.equations import CameraRows, SolvedEquations
 from modcal_core.camera.fit import LIKELIER, CameraFit, fit_cameras
 from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, Scanner, Space, choose
 from modcal_core.effects import Drivers, Effect, candidates
@@ -312,7 +312,9 @@ def find_change(fit: CameraFit) -> Moved | None:
     is beyond doubt.
     """
     # a camera that was moved would put the others' images of the same stops elsewhere as well
-    cameras = tuple(replace(one, stop=np.full(len(one.stop), ALONE)) for one in fit.equations.cameras)
+    cameras = fit.equations.cameras
+    before = np.cumsum([0, *(len(one.stop) for one in cameras)])
+    cameras = tuple(replace(one, stop=k + np.arange(len(one.stop))) for k, one in zip(before, cameras, strict=False))
     fit = replace(fit, equations=replace(fit.equations, cameras=cameras))
     T, rows = fit.tool, cameras[0]
     N = len(T)
@@ -320,7 +322,7 @@ def find_change(fit: CameraFit) -> Moved | None:
         return None
     wider = of_twist(rows, np.zeros((N, POSE, 1)))
     wider[:, POSE : POSE + 2, 0] = fit.state.lens.values[:2]
-    order = stops_of(cameras)[0]
+    order = np.arange(N)
     changes = [
         Change({0: of_twist(rows, moved)}, _USUAL, order, half=half, places=T[:, :3, 3])
         for half, moved in zip((WORLD, TIP), fit.poses.half_motions(T), strict=True)

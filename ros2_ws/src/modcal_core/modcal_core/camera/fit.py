@@ -37,15 +37,7 @@ from modcal_core.camera.corners import (
     corner_rows,
     grams,
 )
-from modcal_core.camera.equations import (
-    ALONE,
-    BesideRows,
-    CameraRows,
-    Equations,
-    ReadingsBeside,
-    Sizes,
-    SolvedEquations,
-)
+from modcal_core.camera.equations import BesideRows, CameraRows, Equations, ReadingsBeside, Sizes, SolvedEquations
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import Mounting
 from modcal_core.effects import Effect
@@ -122,7 +114,7 @@ class Camera:
         moved = poses.as_twists(T, np.concatenate([motions, by_clock], axis=2))
         sweep = moved[:, :, -1] if poses.moves else None
         rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
-        stop = poses.moments.stop if len(poses.moments.stop) else np.full(len(T), ALONE)
+        stop = poses.moments.stop if len(poses.moments.stop) else np.arange(len(T))
         corners = int((table.weight > 0.0).sum())
         return CameraRows(grams(table, rows), moved, poses.as_twists(T, own), columns, corners, stop, rows.pixels)
 
@@ -147,48 +139,45 @@ class Cameras:
 
     @cached_property
     def columns(self) -> tuple[np.ndarray, ...]:
-        """Where the values of each camera stand among all, (P + 16 + Z,); -1 for one that stays as it is."""
-        first = self.first
-        out, count = [np.arange(len(first.free))], len(first.free)
-        count += 0 if self.beside is None else len(self.beside.own)
-        at = {p.name: i for i, p in enumerate(first.poses.parameters)}
-        effects = list(range(len(at), first.poses.count))
-        for one in self.every[1:]:
-            of_arm = [at[p.name] if p.of_arm else -1 for p in one.poses.parameters]
-            behind = np.arange(first.poses.count, len(one.prior.mean) + 1 + first.poses.count)
-            columns = np.r_[of_arm, effects, np.where(_shared(first, one), behind, -1)].astype(int)
-            own = np.flatnonzero(one.free & (columns < 0))
-            columns[own] = count + np.arange(len(own))
-            out.append(columns)
-            count += len(own)
+        """Where the values of each camera stand among all, (P + 16 + Z,): what cameras share at one place."""
+        at, out = dict[tuple[str | int, str | int], int](), []
+        for k, one in enumerate(self.every):
+            names: list[tuple[str | int, str | int]]
+            names = [("arm" if p.of_arm else k, p.name) for p in one.poses.parameters]
+            names += [("effects", i) for i in range(one.poses.count - len(names))]
+            names += [(0 if shared else k, i) for i, shared in enumerate(_shared(self.first, one))]
+            out.append(np.array([at.setdefault(name, len(at)) for name in names]))
+            if k == 0 and self.beside is not None:
+                at |= {("beside", i): len(at) + i for i in range(len(self.beside.own))}
         return tuple(out)
 
     @cached_property
-    def expected(self) -> ValuePrior:
-        """The prior of all V values, and where a fit begins."""
+    def expected(self) -> tuple[ValuePrior, np.ndarray]:
+        """(the prior of all V values, and where a fit begins; which of them are fitted, (V,))."""
         own = np.empty(0) if self.beside is None else self.beside.prior_std
         known = len(self.first.free) + len(own)
         count = max(known, 1 + max(int(columns.max()) for columns in self.columns))
-        start, mean, information = np.zeros(count), np.zeros(count), np.zeros((count, count))
-        instruments = np.arange(known - len(own), known)
-        information[instruments, instruments] = own**-2.0
-        for k, (one, columns) in enumerate(zip(self.every, self.columns, strict=True)):
-            rows, (begin, middle, whole) = np.flatnonzero(columns >= known * (k > 0)), one.expected
-            at = columns[rows]
-            start[at], mean[at], information[np.ix_(at, at)] = begin[rows], middle[rows], whole[np.ix_(rows, rows)]
-        return ValuePrior(start, mean, information)
+        start, mean, free, information = (
+            np.zeros(count),
+            np.zeros(count),
+            np.ones(count, bool),
+            np.zeros((count, count)),
+        )
+        information[known - len(own) : known, known - len(own) : known] = np.diag(own**-2.0)
+        # what several share is as the first of them has it
+        for one, at in list(zip(self.every, self.columns, strict=True))[::-1]:
+            start[at], mean[at], information[np.ix_(at, at)] = one.expected
+            free[at] = one.free
+        return ValuePrior(start, mean, information), free
 
     def states(self, x: Array) -> list[CameraState]:
         """The state of each camera at values (V,) of all."""
-        every = zip(self.every, self.columns, strict=True)
-        return [one.begin.at(np.where(columns >= 0, x[columns], one.begin.vector)) for one, columns in every]
+        return [one.begin.at(x[columns]) for one, columns in zip(self.every, self.columns, strict=True)]
 
     def equations(self, x: Array) -> Equations:
         """The equations at values (V,) of all cameras and other instruments."""
-        first, (_, mean, information) = self.first, self.expected
+        first, ((_, mean, information), free) = self.first, self.expected
         every = zip(self.every, self.states(x), self.columns, strict=True)
-        free = np.ones(len(x), bool)
-        free[: len(first.free)] = first.free
         return Equations(
             tuple(one.rows(state, columns) for one, state, columns in every),
             x - mean,
@@ -212,7 +201,7 @@ class Cameras:
 
 
 def _shared(first: Camera, one: Camera) -> np.ndarray:
-    """Which of clock, lens, shape, readout and places a further camera shares with the first, (16 + Z,) bool."""
+    """Which of clock, lens, shape, readout and places a camera shares with the first, (16 + Z,) bool."""
     out, same = np.zeros(1 + len(one.prior.mean), bool), one.table.target == first.table.target
     out[1:][SCALE] = same
     same_side = same and one.poses.camera_on_tip == first.poses.camera_on_tip
@@ -337,7 +326,7 @@ class CameraFit:
     def std(self) -> list[Array]:
         """Standard deviations of the values of each camera, (P + 16 + Z,), 0 of what was not fitted."""
         std = np.sqrt(np.diag(self.covariance))
-        return [np.where(columns >= 0, std[columns], 0.0) for columns in self.cameras.columns]
+        return [std[columns] for columns in self.cameras.columns]
 
     @property
     def pixels(self) -> Array:
@@ -406,7 +395,7 @@ def fit_cameras(
 
     sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
-    x = cameras.expected.start if start is None else start
+    x = cameras.expected[0].start if start is None else start
     afar, stated = sizes == START, cameras.first.poses.arm_stated
     if stated is not None:
         sizes = replace(sizes, arm=stated)

@@ -223,9 +223,7 @@ def _information(fit: CameraFit, target: CalibrationTarget, q: Array) -> Array:
     first, P = fit.cameras.first, fit.poses.count
     camera = replace(first, table=CornerTable.of(views, target), poses=first.poses.at_postures(q))
     rows = camera.rows(fit.state, fit.cameras.columns[0])
-    G = rows.grams[:, :-1, :-1]
-    E = G - G[:, :, :POSE] @ rows.own_twists(replace(fit.sizes, noise=1.0)) @ G[:, :POSE]
-    by = np.zeros((len(q), E.shape[1], len(fit.covariance)))
+    by = np.zeros((len(q), rows.grams.shape[1] - 1, len(fit.covariance)))
     by[:, :POSE, rows.columns[:P]] = rows.moved[:, :, :P]
-    by[:, np.arange(POSE, E.shape[1]), rows.columns[P + 1 :]] = 1.0
-    return np.asarray(np.swapaxes(by, 1, 2) @ E @ by)
+    by[:, np.arange(POSE, by.shape[1]), rows.columns[P + 1 :]] = 1.0
+    return replace(fit.equations, cameras=(rows,)).by_change(replace(fit.sizes, noise=1.0), {0: by})[0]
