@@ -60,19 +60,8 @@ class CameraSpace(Space):
         return self.whitened(self.view.unit_column(place, direction).reshape(6, -1))
 
 
-class CameraScanner(Scanner):
-    """Candidates weighed against what a camera fit leaves over."""
-
-    _known: tuple[CameraFit, CameraSpace] | None = None
-
-    def space_of(self, fit: CameraFit) -> CameraSpace:  # type: ignore[override]
-        """The rows of all images, and what is fitted."""
-        if self._known is None or self._known[0] is not fit:
-            self._known = fit, _space(fit, self.drivers)
-        return self._known[1]
-
-
-def _space(fit: CameraFit, drivers: Drivers) -> CameraSpace:
+def camera_space(fit: CameraFit, drivers: Drivers) -> CameraSpace:
+    """The rows of all images of a camera fit, and what is fitted."""
     solved = fit.equations.solve(fit.sizes)
     moved = fit.equations.cameras[0].moved
     E = solved.of_views
@@ -133,7 +122,7 @@ def find_causes(
     left: EffectChoice | None = None
     if not looked_for:
         return fit, (), None
-    scanner = CameraScanner(looked_for, drivers)
+    scanner = Scanner(looked_for, drivers, camera_space)
     while len(causes) < _MAX and len(refused) < _REFUSED:
         if not scanner.enough(fit):  # type: ignore[arg-type]
             break

@@ -25,7 +25,7 @@ from modcal_core.camera.bundle import PrintScale, alike
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import FREE, READOUT, SCALE, SHAPE, common_prior
 from modcal_core.camera.equations import SolvedEquations
-from modcal_core.camera.fit import LIKELIER, CameraFit, usual
+from modcal_core.camera.fit import LIKELIER, CameraFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.effects import ReportEntry
 from modcal_core.geometry import Array
@@ -235,8 +235,6 @@ def findings(fit: CameraFit, other_length: bool, q: Array) -> tuple[CameraFindin
         value, std = fit.x[rows], np.sqrt(np.diag(C)[rows])
         off = value - [scale.x - 1.0, scale.y - 1.0] if of_size else value
         held = fit.equations.with_block(rows, np.diag(_EXACT * np.diag(fit.equations.information)[rows]), off)
-        if held.solve(fit.sizes).misfit() + usual(fit.sizes) - plain <= LIKELIER:  # other sizes only help it
-            continue
         gain = fit.weighed(held)[1] - plain
         if gain <= LIKELIER:
             continue

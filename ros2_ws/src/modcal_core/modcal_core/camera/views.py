@@ -209,8 +209,9 @@ def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator) -
     wanted = (away > _NEAR * usual) & (away < _FAR * usual)
     if isinstance(target, MarkerBundle):
         wanted &= shown.sum(axis=1) >= _FEWEST * float(np.median(np.bincount(fit.table.view)))
-        return np.asarray(tried[wanted][in_view(fit, tried[wanted])][:_POOL])
-    return np.asarray(tried[shown.all(axis=1) & _same_side(fit, seen, centre) & wanted & (tilt <= STEEPEST)][:_POOL])
+    else:
+        wanted &= shown.all(axis=1) & (tilt <= STEEPEST)
+    return np.asarray(tried[wanted][in_view(fit, tried[wanted])][:_POOL])
 
 
 def _information(fit: CameraFit, target: CalibrationTarget, q: Array) -> Array:
