@@ -256,7 +256,7 @@ def test_derivatives_of_rows_beside_images() -> None:
     x = cameras.expected.start
     at = x + 1e-3 * np.random.default_rng(0).normal(size=len(x))
     rows = cameras.equations(at).beside
-    own = np.arange(len(cameras.first.free), len(x))
+    own = np.arange(len(cameras.columns[0]), len(x))
     of_arm = np.r_[np.arange(cameras.first.poses.count), own]
     assert (np.delete(rows.J, of_arm, axis=1) == 0.0).all()
 

@@ -116,11 +116,14 @@ _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
 class ValuePrior(NamedTuple):
-    """start: of V values in a fit, (V,). mean, information: of their prior, (V,) and (V, V)."""
+    """start: of V values in a fit, (V,). mean, information: of their prior, (V,) and (V, V). free: which of them are
+    fitted, (V,) bool.
+    """
 
     start: Array
     mean: Array
     information: Array
+    free: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -177,7 +180,7 @@ class ArmPoses:
             settings = np.where(np.arange(len(effect.values)) < len(effect.amplitudes), 0.0, effect.values)
             parts.append((effect.values, settings, prior_stds(effect, self.drivers())))
         start, mean, std = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return ValuePrior(start, mean, np.diag(std**-2.0))
+        return ValuePrior(start, mean, np.diag(std**-2.0), np.ones(len(std), bool))
 
     @property
     def moves(self) -> bool:

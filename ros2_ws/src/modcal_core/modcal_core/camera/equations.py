@@ -112,11 +112,6 @@ class CameraRows:
     stop: np.ndarray
     pixels: Array
 
-    def covariance_of_views(self, sizes: Sizes) -> Array:
-        """Q of each image's own twist, (N, 6, 6)."""
-        own = self.own * sizes.off(self.own.shape[2])
-        return np.asarray(own @ np.swapaxes(own, 1, 2))
-
 
 @dataclass(frozen=True)
 class _Sums:
@@ -403,7 +398,8 @@ class SolvedEquations:
     def S(self) -> Array:
         """S of each image of the first camera, (N, 6, 6)."""
         rows, unit = self.equations.cameras[0], self.sizes.noise**-2
-        Q = rows.covariance_of_views(self.sizes)
+        own = rows.own * self.sizes.off(rows.own.shape[2])
+        Q = own @ np.swapaxes(own, 1, 2)
         return np.asarray(Q @ np.linalg.inv(np.eye(POSE) + unit * rows.grams[:, :POSE, :POSE] @ Q))
 
     @property

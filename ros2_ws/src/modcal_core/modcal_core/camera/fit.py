@@ -93,17 +93,13 @@ class Camera:
         return replace(self, table=self.table.select(views), poses=self.poses.select(views))
 
     @property
-    def free(self) -> np.ndarray:
-        """Which of its values, clock, lens, shape, readout and places are fitted, (P + 16 + Z,) bool."""
-        common = self.prior.free & (self.poses.moves | (np.arange(len(self.prior.free)) != READOUT))
-        return np.r_[np.ones(self.poses.count, bool), self.poses.moves, common]
-
-    @property
     def expected(self) -> ValuePrior:
-        """The prior of these, and where a fit begins."""
-        _, mean, information = self.poses.values
+        """The prior of its values, clock, lens, shape, readout and places, (P + 16 + Z,), and where a fit begins."""
+        _, mean, information, free = self.poses.values
         whole = block_diag(information, np.array([[CLOCK_S**-2]]), self.prior.information)
-        return ValuePrior(self.begin.vector, np.r_[mean, 0.0, self.prior.mean], whole)
+        free = np.r_[free, self.poses.moves, self.prior.free]
+        free[len(mean) + 1 + READOUT] &= self.poses.moves
+        return ValuePrior(self.begin.vector, np.r_[mean, 0.0, self.prior.mean], whole, free)
 
     def rows(self, state: CameraState, columns: np.ndarray) -> CameraRows:
         """Its factors at a state. columns: where its values stand among those of all."""
@@ -152,23 +148,18 @@ class Cameras:
         return tuple(out)
 
     @cached_property
-    def expected(self) -> tuple[ValuePrior, np.ndarray]:
-        """(the prior of all V values, and where a fit begins; which of them are fitted, (V,))."""
+    def expected(self) -> ValuePrior:
+        """The prior of all V values, and where a fit begins."""
         own = np.empty(0) if self.beside is None else self.beside.prior_std
-        known = len(self.first.free) + len(own)
+        known = len(self.columns[0]) + len(own)
         count = max(known, 1 + max(int(columns.max()) for columns in self.columns))
-        start, mean, free, information = (
-            np.zeros(count),
-            np.zeros(count),
-            np.ones(count, bool),
-            np.zeros((count, count)),
-        )
-        information[known - len(own) : known, known - len(own) : known] = np.diag(own**-2.0)
+        out = ValuePrior(np.zeros(count), np.zeros(count), np.zeros((count, count)), np.ones(count, bool))
+        instruments = np.arange(known - len(own), known)
+        out.information[instruments, instruments] = own**-2.0
         # what several share is as the first of them has it
         for one, at in list(zip(self.every, self.columns, strict=True))[::-1]:
-            start[at], mean[at], information[np.ix_(at, at)] = one.expected
-            free[at] = one.free
-        return ValuePrior(start, mean, information), free
+            out.start[at], out.mean[at], out.information[np.ix_(at, at)], out.free[at] = one.expected
+        return out
 
     def states(self, x: Array) -> list[CameraState]:
         """The state of each camera at values (V,) of all."""
@@ -176,7 +167,7 @@ class Cameras:
 
     def equations(self, x: Array) -> Equations:
         """The equations at values (V,) of all cameras and other instruments."""
-        first, ((_, mean, information), free) = self.first, self.expected
+        first, (_, mean, information, free) = self.first, self.expected
         every = zip(self.every, self.states(x), self.columns, strict=True)
         return Equations(
             tuple(one.rows(state, columns) for one, state, columns in every),
@@ -193,7 +184,7 @@ class Cameras:
         """The rows of other instruments at values (V,) of all."""
         if self.beside is None:
             return None
-        poses, own = self.first.poses, len(self.first.free) + np.arange(len(self.beside.own))
+        poses, own = self.first.poses, len(self.columns[0]) + np.arange(len(self.beside.own))
         arm, effects = np.flatnonzero(poses.of_arm), np.arange(len(poses.parameters), poses.count)
         columns = np.r_[arm, effects, own]
         among = [poses.parameters[i] for i in arm]
@@ -219,10 +210,8 @@ _USUAL_LOGS = START.logs  # asked for with every step of the search
 _FACTOR = np.log([10.0, 10.0, 10.0, 10.0, 10.0, 2.0, 10.0])
 _MIN = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
 _MAX = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
-_EVALUATIONS = 400  # many times what a search takes
 _NO_SIZES = 1e12  # of −2 log likelihood
 _DOWNHILL: Any = {"ftol": 1e-7, "gtol": 0.02, "eps": 1e-4}  # −2 log likelihood moves by 1 at a standard deviation
-_ROUGH, _ROUGHLY = 2.0, 0.3  # the same, and of logarithms, where the search from afar may end
 
 
 def usual(sizes: Sizes) -> float:
@@ -235,12 +224,11 @@ def likeliest(
     equations: Equations,
     start: Sizes,
     misfit_of: Callable[[SolvedEquations], float] = SolvedEquations.misfit,
-    afar: bool = False,
 ) -> Sizes:
     """The sizes that make the data likeliest.
 
-    misfit_of: −2 log likelihood of the equations with their sizes. afar: start where nothing is known of them. A size
-    that is far too small is nowhere seen to matter, so slopes alone may leave it there.
+    misfit_of: −2 log likelihood of the equations with their sizes. A size that is far too small is nowhere seen to
+    matter, so slopes alone may leave it there: each is tried larger first.
     """
     faults = equations.faults
     begin = start if faults is None or faults.stated is None else replace(start, arm=faults.stated)
@@ -262,12 +250,7 @@ def likeliest(
         return found + usual(Sizes.of_logs(full)) + float(np.abs(logs - full[unknown]).sum())
 
     first = known[unknown]
-    around = np.vstack([first, first + np.eye(len(first))])
-    if afar:
-        options: Any = {"initial_simplex": around, "maxfev": _EVALUATIONS, "fatol": _ROUGH, "xatol": _ROUGHLY}
-        first = minimize(misfit, first, method="Nelder-Mead", options=options).x
-    else:
-        first = min(around, key=misfit)
+    first = min((first, *(first + np.eye(len(first)))), key=misfit)
     bounds = list(zip(_MIN[unknown], _MAX[unknown], strict=True))
     return Sizes.of_logs(inside(minimize(misfit, first, method="L-BFGS-B", bounds=bounds, options=_DOWNHILL).x))
 
@@ -395,8 +378,8 @@ def fit_cameras(
 
     sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
-    x = cameras.expected[0].start if start is None else start
-    afar, stated = sizes == START, cameras.first.poses.arm_stated
+    x = cameras.expected.start if start is None else start
+    stated = cameras.first.poses.arm_stated
     if stated is not None:
         sizes = replace(sizes, arm=stated)
 
@@ -418,7 +401,7 @@ def fit_cameras(
         x, equations = found.place[0], found.place[1].equations
         if settled or k == _ROUNDS:
             break
-        new, afar = likeliest(equations, sizes, afar=afar), False
+        new = likeliest(equations, sizes)
         settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
         sizes = new
     return CameraFit(cameras, x, sizes, equations.solve(sizes).covariance(), equations, found.converged)

@@ -243,18 +243,14 @@ def view_distances(fit: CameraFit) -> tuple[Array, np.ndarray]:
     """(squared distance of each image's pose from the arm's, in its own standard deviations, (N,); along how many
     directions it shows it, (N,), which is what it is on average).
     """
-    rows = fit.equations.cameras[0]
-    G, Q = rows.grams[:, :POSE] / fit.sizes.noise**2, rows.covariance_of_views(fit.sizes)
-    inner = G[:, :, :POSE]
+    G = fit.equations.cameras[0].grams[:, :POSE] / fit.sizes.noise**2
+    inner, score = G[:, :, :POSE], G[:, :, -1:]
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("nii->ni", inner), 1e-300))
-    values, vectors = np.linalg.eigh(inner * scale[:, :, None] * scale[:, None])
-    shown = values > _SEEN * np.maximum(values[:, -1:], 1e-300)
-    basis = scale[:, :, None] * vectors * (shown / np.sqrt(np.where(shown, values, 1.0)))[:, None]
-    # the score in directions of unit information: its covariance is 1 + that of the image's own twist
-    back = np.swapaxes(basis, 1, 2)
-    z, along = back @ G[:, :, -1:], back @ inner
-    square = np.swapaxes(z, 1, 2) @ np.linalg.solve(np.eye(POSE) + along @ Q @ np.swapaxes(along, 1, 2), z)
-    return square[:, 0, 0], shown.sum(axis=1)
+    scale = scale[:, :, None] * scale[:, None]
+    inverse = np.linalg.pinv(scale * inner, _SEEN, hermitian=True) * scale
+    # by how much an image's own twist, as free as it may be, lowers its cost, less what its likeliest one does
+    square = np.swapaxes(score, 1, 2) @ (inverse - fit.equations.solve(fit.sizes).S) @ score
+    return square[:, 0, 0], np.rint(np.einsum("nij,nji->n", inverse, inner)).astype(int)
 
 
 def elsewhere(fit: CameraFit) -> np.ndarray:
