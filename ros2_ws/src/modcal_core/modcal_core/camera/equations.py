@@ -112,6 +112,13 @@ class CameraRows:
     stop: np.ndarray
     pixels: Array
 
+    def by_all(self, products: Array, size: int) -> Array:
+        """Products (N, m, 22 + Z) with an image's columns as those with all values and residual, (N, m, size + 1)."""
+        out = np.zeros((*products.shape[:2], size + 1))
+        parts = [products[:, :, :POSE] @ self.moved, products[:, :, POSE:]]
+        out[:, :, np.r_[self.columns, size]] = np.concatenate(parts, axis=2)
+        return out
+
 
 @dataclass(frozen=True)
 class _Sums:
@@ -133,22 +140,14 @@ class _Sums:
         inner, rows = np.zeros((count, m, m)), np.zeros((count, m, size + 1))
         whole = np.zeros((size + 1, size + 1))
         for one, stop in zip(cameras, stops, strict=True):
-            K = one.moved.shape[2]
-            G = one.grams[:, :POSE]
-            to_pose = np.swapaxes(one.own, 1, 2) @ G
-            np.add.at(inner, stop, to_pose[:, :, :POSE] @ one.own)
-            by = np.concatenate([to_pose[:, :, :POSE] @ one.moved, to_pose[:, :, POSE:]], axis=2)
-            A = one.moved.reshape(-1, K)
-            cross = A.T @ G[:, :, POSE:].reshape(len(A), -1)
-            part = np.block(
-                [
-                    [A.T @ (G[:, :, :POSE] @ one.moved).reshape(-1, K), cross],
-                    [cross.T, one.grams[:, POSE:, POSE:].sum(0)],
-                ]
-            )
-            every = np.r_[one.columns, size]
-            whole[np.ix_(every, every)] += part
-            np.add.at(rows, np.ix_(stop, np.arange(m), every), by)
+            by_twist, own = one.by_all(one.grams[:, :POSE], size), np.swapaxes(one.own, 1, 2)
+            np.add.at(inner, stop, own @ one.grams[:, :POSE, :POSE] @ one.own)
+            np.add.at(rows, stop, own @ by_twist)
+            moving, still = one.columns[: one.moved.shape[2]], np.r_[one.columns[one.moved.shape[2] :], size]
+            by_moved = np.tensordot(one.moved, by_twist, ((0, 1), (0, 1)))
+            whole[moving] += by_moved
+            whole[np.ix_(still, moving)] += by_moved[:, still].T
+            whole[np.ix_(still, still)] += one.grams[:, POSE:, POSE:].sum(0)
         return cls(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), inner, rows)
 
 
@@ -340,8 +339,7 @@ class Equations:
             one, stop = self.cameras[camera], stops[camera]
             by = np.swapaxes(D, 1, 2) @ one.grams[:, :-1] / sizes.noise**2
             np.add.at(own, stop, by[:, :, :-1] @ D)
-            full = np.concatenate([by[:, :, :POSE] @ one.moved, by[:, :, POSE:]], axis=2)
-            np.add.at(cross, np.ix_(stop, np.arange(k), np.r_[one.columns, size]), full)
+            np.add.at(cross, stop, one.by_all(by, size))
             np.add.at(back, stop, by[:, :, :POSE] @ one.own)
         back *= off
         taken = back @ np.linalg.inv(inner)

@@ -150,7 +150,7 @@ def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     kept = kept.without(whys)
     model = FISHEYE if images.fisheye else PINHOLE
     lens = stated or first_lens(kept.table, images.size, model)
-    prior = common_prior(lens, target.scale, images.stated if stated is not None else None, images.flat)
+    prior = common_prior(lens, target, images.stated if stated is not None else None, images.flat)
     lens = stated or Lens(prior.mean[:LENS], images.size, model)
     for _ in range(_CLEANED):
         fit = fit_lens(kept.table, lens, prior.free[:LENS], prior.information[:LENS, :LENS])
@@ -186,11 +186,11 @@ def _of_body(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     posed = table.select(whole)
     lens = lens or lens_by_arm(posed, A[whole], usual, images.camera_on_tip)
     mounting = _mounting(chain, images, q[whole], board_poses(posed, lens)).by_arm(A)
-    prior = common_prior(lens, target.scale, images.stated if images.lens is not None else None)
+    prior = common_prior(lens, target, images.stated if images.lens is not None else None)
     far = gross(corner_rows(table, lens, np.zeros(SHAPE), mounting.T_camera_target).pixels)
     kept = replace(kept, table=replace(table, weight=np.where(far, 0.0, 1.0)))
     kept = kept.without(np.where(mostly_out(table, far), ELSEWHERE, ""))
-    return kept, lens, prior.with_places(target.place_prior()), mounting
+    return kept, lens, prior, mounting
 
 
 def _mounting(chain: Chain, images: CameraImages, q: Array, poses: BoardPose) -> Mounting:

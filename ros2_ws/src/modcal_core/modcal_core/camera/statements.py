@@ -174,7 +174,7 @@ def _relaxed(fit: CameraFit) -> Iterator[tuple[str, Array, Array]]:
     if prior.places is None:  # a body has no bow
         yield BOW, np.eye(SHAPE - 2) / _ANY_BOW_M**2, prior.mean[BENT]
     if given.lens is not None and given.stated != FREE:
-        unknown = common_prior(given.lens, PrintScale(), None)
+        unknown = common_prior(given.lens, given.target, None)
         yield LENS_VALUES, unknown.information[:LENS, :LENS], unknown.mean[:LENS]
 
 
