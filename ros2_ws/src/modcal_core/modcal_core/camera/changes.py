@@ -136,7 +136,7 @@ def find_causes(
         x = np.concatenate([before, *(e.values for e in effects), behind])
         better = fit_cameras(fit.cameras.with_effects(effects), x, fit.sizes)
         gain = fit.misfit - better.misfit
-        if better.converged and gain > LIKELIER and np.less(*held_out(better, fit)):
+        if better.converged and gain > LIKELIER and held_out(better)[0] < held_out(fit)[0]:
             sizes = fit.sizes.joint, better.sizes.joint
             causes.append(CameraCause(started, choice.p_value, choice.same_as, *sizes, gain))
             fit, left = better, None
