@@ -156,14 +156,12 @@ def test_one_error_of_the_arm_a_stop_is_what_a_fit_of_every_stops_own_would_leav
         camera(rng, [3, 2, 9, 24, 1, 0], 3, np.r_[0, 1, count - 1, 5 + np.arange(17)]),
     ]
     offset, information = rng.normal(size=count), np.diag(rng.uniform(1.0, 2.0, count))
-    together: dict[int, int] = {}
-    rows, right = [], []
+    together, rows, right = dict[int, int](), [], []
     for seen, eq in cameras:
         for i, (own, stop) in enumerate(zip(seen / SIZES.noise, eq.stop, strict=True)):
             at = together.setdefault(int(stop), len(together))
             row = np.zeros((ROWS, count + 20 * (JOINTS + 3)))
-            by = np.concatenate([own[:, :6] @ eq.moved[i], own[:, 6:-1]], axis=1)
-            row[:, eq.columns] = by
+            row[:, eq.columns] = np.concatenate([own[:, :6] @ eq.moved[i], own[:, 6:-1]], axis=1)
             of_stop = eq.own[i] * SIZES.off(eq.own.shape[2])
             row[:, count + at * (JOINTS + 3) + np.arange(JOINTS + 3)] = own[:, :6] @ of_stop
             rows.append(row)
