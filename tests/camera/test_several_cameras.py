@@ -162,8 +162,7 @@ def test_one_error_of_the_arm_a_stop_is_what_a_fit_of_every_stops_own_would_leav
             at = together.setdefault(int(stop), len(together))
             row = np.zeros((ROWS, count + 20 * (JOINTS + 3)))
             row[:, eq.columns] = np.concatenate([own[:, :6] @ eq.moved[i], own[:, 6:-1]], axis=1)
-            of_stop = eq.own[i] * SIZES.off(eq.own.shape[2])
-            row[:, count + at * (JOINTS + 3) + np.arange(JOINTS + 3)] = own[:, :6] @ of_stop
+            row[:, count + at * (JOINTS + 3) + np.arange(JOINTS + 3)] = own[:, :6] @ (eq.own[i] * SIZES.off(JOINTS + 3))
             rows.append(row)
             right.append(own[:, -1])
     assert len(together) == 8 + 6 - 4
