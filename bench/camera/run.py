@@ -146,8 +146,7 @@ def named(task: harness.Task) -> harness.Result:
 def moved(task: harness.Task) -> harness.Result:
     """Of each change: seen, rightly named, and nothing else; and of quiet images the alarms."""
     seed, on_tip = task["seed"], bool(task["seed"] % 2)
-    length, angle = DISPLACED[seed // 2 % 2]
-    s = scene(9000 + seed, on_tip, count=25, length_std=length, angle_std=angle, board=cells.MEASURED)
+    s = scene(9000 + seed, on_tip, 25, *DISPLACED[seed // 2 % 2], board=cells.MEASURED)
     rng = np.random.default_rng(seed)
     fit = solved(s, rng, look_for_effects=False).fit
     watch = CameraWatch(fit, s.board)

@@ -103,7 +103,7 @@ def test_likelihood_is_that_of_the_whole_normal_distribution() -> None:
     few = [v.select(np.arange(0, len(v), 5)) for v in s.views[:2]]
     table = CornerTable.of(few, s.board)
     arm = start(s)[1].select(np.arange(2))
-    prior = common_prior(LENS, s.board.scale)
+    prior = common_prior(LENS, s.board)
     cameras = alone(table, arm, prior, LENS)
     eq = cameras.equations(cameras.expected.start)
     # base and tool are known to some centimetres here, so that the covariance written out has digits left
@@ -252,11 +252,11 @@ def test_too_few_readings_beside_images_are_refused() -> None:
 def test_derivatives_of_rows_beside_images() -> None:
     s = scene(12, True, count=8)
     table, arm = start(s)
-    cameras = replace(alone(table, arm, common_prior(s.lens, s.board.scale), s.lens), beside=tracked(s, count=4))
+    cameras = replace(alone(table, arm, common_prior(s.lens, s.board), s.lens), beside=tracked(s, count=4))
     x = cameras.expected.start
     at = x + 1e-3 * np.random.default_rng(0).normal(size=len(x))
     rows = cameras.equations(at).beside
-    own = np.arange(len(cameras.first.free), len(x))
+    own = np.arange(len(cameras.columns[0]), len(x))
     of_arm = np.r_[np.arange(cameras.first.poses.count), own]
     assert (np.delete(rows.J, of_arm, axis=1) == 0.0).all()
 

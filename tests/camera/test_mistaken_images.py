@@ -123,6 +123,13 @@ def test_copies_of_images_say_nothing_more() -> None:
     assert set(twice.camera.left_out) == {v.name for v in copies}
 
 
+def test_joints_a_row_too_high_are_named_of_many_images() -> None:
+    """More images than hypotheses are sifted on: where a row belongs cannot be asked of some of them."""
+    s = scene(3, True, count=30)
+    with pytest.raises(BadRecording, match="each stands 1 row too high"):
+        solved(replace(s, q=np.roll(s.q, 1, axis=0)))
+
+
 def test_two_boards_in_turn_are_refused() -> None:
     """Every other image shows a board of the same print that lies 0.2 m away."""
     s = images(False)

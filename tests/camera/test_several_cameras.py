@@ -14,7 +14,7 @@ from finite_differences import assert_jacobian
 from modcal_core.camera.bundle import PrintedTarget
 from modcal_core.camera.claim import APPLY
 from modcal_core.camera.corners import POSE
-from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, numbered
+from modcal_core.camera.equations import CameraRows, Equations, Sizes, numbered
 from modcal_core.camera.fit import CameraImages
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.solve import CameraSolution, solve_camera
@@ -150,22 +150,19 @@ def camera(rng: np.random.Generator, stop: list[int], K: int, columns: np.ndarra
 def test_one_error_of_the_arm_a_stop_is_what_a_fit_of_every_stops_own_would_leave() -> None:
     """Against normal equations in which what joints and tool are off by at every stop are parameters themselves."""
     rng = np.random.default_rng(4)
-    count = 5 + 15 + 4
+    count = 5 + 15 + 4 + 1
     cameras = [
-        camera(rng, [0, 1, 2, ALONE, ALONE, 3, ALONE, ALONE], 5, np.arange(count)),
-        camera(rng, [3, 2, 9, ALONE, 1, 0], 3, np.r_[0, 1, -1, 5 + np.arange(17)]),
+        camera(rng, [0, 1, 2, 20, 21, 3, 22, 23], 5, np.arange(count - 1)),
+        camera(rng, [3, 2, 9, 24, 1, 0], 3, np.r_[0, 1, count - 1, 5 + np.arange(17)]),
     ]
     offset, information = rng.normal(size=count), np.diag(rng.uniform(1.0, 2.0, count))
-    together: dict[tuple[int, int], int] = {}
-    rows, right = [], []
-    for k, (seen, eq) in enumerate(cameras):
+    together, rows, right = dict[int, int](), [], []
+    for seen, eq in cameras:
         for i, (own, stop) in enumerate(zip(seen / SIZES.noise, eq.stop, strict=True)):
-            at = together.setdefault((0, int(stop)) if stop != ALONE and stop != 9 else (1 + k, i), len(together))
+            at = together.setdefault(int(stop), len(together))
             row = np.zeros((ROWS, count + 20 * (JOINTS + 3)))
-            by = np.concatenate([own[:, :6] @ eq.moved[i], own[:, 6:-1]], axis=1)
-            row[:, eq.columns[eq.columns >= 0]] = by[:, eq.columns >= 0]
-            of_stop = eq.own[i] * SIZES.off(eq.own.shape[2])
-            row[:, count + at * (JOINTS + 3) + np.arange(JOINTS + 3)] = own[:, :6] @ of_stop
+            row[:, eq.columns] = np.concatenate([own[:, :6] @ eq.moved[i], own[:, 6:-1]], axis=1)
+            row[:, count + at * (JOINTS + 3) + np.arange(JOINTS + 3)] = own[:, :6] @ (eq.own[i] * SIZES.off(JOINTS + 3))
             rows.append(row)
             right.append(own[:, -1])
     assert len(together) == 8 + 6 - 4
@@ -187,15 +184,15 @@ def test_images_of_one_stop_by_name_by_joints_or_by_time() -> None:
     q = np.array([[0.0, 1.0], [0.5, 1.0], [0.0, 1.0], [2.0, 0.0]])
     unknown = [np.empty(0), np.empty(0)]
     named = numbered([q, q[[2, 0, 1]]], [["1", "2", "3", "4"], ["3", "1", "2"]], unknown)
-    assert [list(one) for one in named] == [[0, 1, 2, ALONE], [2, 0, 1]]
+    assert [list(one) for one in named] == [[0, 1, 2, 3], [2, 0, 1]]
     # names of their own: visits of one posture are taken in turn
     by_joints = numbered([q, q[[2, 0, 1]]], [["a1", "a2", "a3", "a4"], ["b1", "b2", "b3"]], unknown)
-    assert [list(one) for one in by_joints] == [[0, 1, 2, ALONE], [0, 2, 1]]
+    assert [list(one) for one in by_joints] == [[0, 1, 2, 3], [0, 2, 1]]
     timed = numbered(
         [q, q[[0, 2]] + 2e-4],
         [["10", "20", "30", "40"], ["10.1", "30.1"]],
         [np.arange(1, 5) * 10.0, np.array([10.1, 30.1])],
     )
-    assert [list(one) for one in timed] == [[0, ALONE, 1, ALONE], [0, 1]]
+    assert [list(one) for one in timed] == [[0, 1, 2, 3], [0, 2]]
     far = numbered([q[:1], q[:1]], [["10"], ["90"]], [np.array([10.0]), np.array([90.0])])
-    assert [list(one) for one in far] == [[ALONE], [ALONE]]
+    assert [list(one) for one in far] == [[0], [1]]

@@ -24,7 +24,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core": (2590, 1470),
     "modcal_core/articulation": (5120, 3500),
     "modcal_core/calibration": (5950, 3760),
-    "modcal_core/camera": (4510, 2900),
+    "modcal_core/camera": (4410, 2820),
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (1230, 790),
     "modcal_core/diagnosis": (2900, 2000),
@@ -55,8 +55,8 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "tests": (46670, 32330),
     "modcal_core/sentinel": (1340, 960),
 }
-SOURCE = (89900, 59000)
-TEXT = 185200  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (89750, 58860)
+TEXT = 185050  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

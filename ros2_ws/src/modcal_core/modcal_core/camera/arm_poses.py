@@ -83,8 +83,8 @@ def arm_faults(
 class ImageMoments:
     """stamps: of the images [s], (N,); empty where only their order is known. approach: the direction each joint last
     moved in, −1, 0 (unknown) or 1, (N, n). effort: of the actuators, (N, n). Empty where unknown. signals: tracks of
-    whatever else was recorded. stop: number of the stop of each image, which images of other cameras share, (N,); −1,
-    or empty, where none does.
+    whatever else was recorded. stop: number of the stop of each image, which images of other cameras share, (N,);
+    empty where none does.
     """
 
     stamps: Array = field(default_factory=lambda: np.empty(0))
@@ -116,11 +116,14 @@ _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
 class ValuePrior(NamedTuple):
-    """start: of V values in a fit, (V,). mean, information: of their prior, (V,) and (V, V)."""
+    """start: of V values in a fit, (V,). mean, information: of their prior, (V,) and (V, V). free: which of them are
+    fitted, (V,) bool.
+    """
 
     start: Array
     mean: Array
     information: Array
+    free: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -177,7 +180,7 @@ class ArmPoses:
             settings = np.where(np.arange(len(effect.values)) < len(effect.amplitudes), 0.0, effect.values)
             parts.append((effect.values, settings, prior_stds(effect, self.drivers())))
         start, mean, std = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return ValuePrior(start, mean, np.diag(std**-2.0))
+        return ValuePrior(start, mean, np.diag(std**-2.0), np.ones(len(std), bool))
 
     @property
     def moves(self) -> bool:

@@ -38,7 +38,7 @@ from modcal_core.calibration import RowView
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.bundle import BoardView, PrintedTarget
 from modcal_core.camera.corners import POSE, CornerTable
-from modcal_core.camera.equations import ALONE, CameraRows, SolvedEquations, stops_of
+from modcal_core.camera.equations import CameraRows, SolvedEquations
 from modcal_core.camera.fit import LIKELIER, CameraFit, fit_cameras
 from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, Scanner, Space, choose
 from modcal_core.effects import Drivers, Effect, candidates
@@ -60,36 +60,22 @@ class CameraSpace(Space):
         return self.whitened(self.view.unit_column(place, direction).reshape(6, -1))
 
 
-class CameraScanner(Scanner):
-    """Candidates weighed against what a camera fit leaves over."""
-
-    _known: tuple[CameraFit, CameraSpace] | None = None
-
-    def space_of(self, fit: CameraFit) -> CameraSpace:  # type: ignore[override]
-        """The rows of all images, and what is fitted."""
-        if self._known is None or self._known[0] is not fit:
-            self._known = fit, _space(fit, self.drivers)
-        return self._known[1]
-
-
-def _space(fit: CameraFit, drivers: Drivers) -> CameraSpace:
+def camera_space(fit: CameraFit, drivers: Drivers) -> CameraSpace:
+    """The rows of all images of a camera fit, and what is fitted."""
     solved = fit.equations.solve(fit.sizes)
-    moved = fit.equations.cameras[0].moved
     E = solved.of_views
     N = len(E)
     size = np.einsum("nii->n", E[:, :, :POSE])
     L = np.linalg.cholesky(E[:, :, :POSE] + (_ONLY_ROUNDING * size)[:, None, None] * np.eye(POSE))
     white = np.swapaxes(L, 1, 2)
-    beside = np.linalg.solve(L, E[:, :, POSE:])  # by lens and sheet, and the residual
-    rows = np.zeros((N, POSE, len(fit.x)))
-    rows[:, :, fit.equations.cameras[0].columns] = np.concatenate([white @ moved, beside[:, :, :-1]], axis=2)
-    rows = rows[:, :, solved.use].transpose(1, 0, 2)
+    products = np.concatenate([white, np.linalg.solve(L, E[:, :, POSE:])], axis=2)
+    whole = fit.equations.cameras[0].by_all(products, len(fit.x)).transpose(1, 0, 2)
+    rows, residual = whole[:, :, solved.use], whole[:, :, -1]
     # a root of all that stands beside these rows is left out below them: lens and sheet, other instruments, the prior
     scale = 1.0 / np.sqrt(np.diag(solved.H))
     root = np.linalg.cholesky(solved.H * np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
     by = (rows.reshape(POSE * N, -1) * scale).T
     Q = solve_triangular(root, by, lower=True, check_finite=False).T.reshape(POSE, N, -1)
-    residual = np.asarray(beside[:, :, -1].T)
     residual = residual - Q @ np.einsum("cNp,cN->p", Q, residual)
     now = fit.poses.model_at(fit.state.values)
     T = now.predict_samples(drivers.samples)
@@ -104,7 +90,7 @@ def _space(fit: CameraFit, drivers: Drivers) -> CameraSpace:
 
 _MAX = 6  # effects, for time
 _REFUSED = 2  # choices that did not hold, before the search ends
-_PARTS, _ENOUGH = 4, 6  # each of which is predicted from the others; images, of which enough for a mounting are left
+_HELD, _ENOUGH = 4, 6  # one image of so many is held out; images, of which enough for a mounting are left
 _NOT_HERE = ("tracker", "base", "tool")  # lens and sheet have parameters; moves are looked for on their own
 
 
@@ -133,7 +119,7 @@ def find_causes(
     left: EffectChoice | None = None
     if not looked_for:
         return fit, (), None
-    scanner = CameraScanner(looked_for, drivers)
+    scanner = Scanner(looked_for, drivers, camera_space)
     while len(causes) < _MAX and len(refused) < _REFUSED:
         if not scanner.enough(fit):  # type: ignore[arg-type]
             break
@@ -150,7 +136,7 @@ def find_causes(
         x = np.concatenate([before, *(e.values for e in effects), behind])
         better = fit_cameras(fit.cameras.with_effects(effects), x, fit.sizes)
         gain = fit.misfit - better.misfit
-        if better.converged and gain > LIKELIER and predicted(better) < predicted(fit):
+        if better.converged and gain > LIKELIER and held_out(better)[0] < held_out(fit)[0]:
             sizes = fit.sizes.joint, better.sizes.joint
             causes.append(CameraCause(started, choice.p_value, choice.same_as, *sizes, gain))
             fit, left = better, None
@@ -172,36 +158,19 @@ def _valued(fit: CameraFit) -> tuple[Effect, ...]:
     return tuple(out)
 
 
-def _unseen(fit: CameraFit, part: int) -> tuple[np.ndarray, CornerTable, Array]:
-    """(every fourth image, mask (N,); its corners; how far these are from where a fit of the others has them [px])."""
-    first = fit.cameras.first
-    held = np.arange(first.table.views) % _PARTS == part
-    every = (first.select(~held), *fit.cameras.every[1:])
-    others = fit_cameras(replace(fit.cameras, every=every), fit.x, fit.sizes, fixed_sizes=True)
-    unseen = first.select(held)
-    return held, unseen.table, unseen.rows(others.state, np.empty(0, int)).pixels
-
-
 def held_out(*fits: CameraFit) -> tuple[float, ...]:
     """RMS of each fit on every fourth image, fitted to the others at the same sizes [px]; NaN for too few images."""
-    if fits[0].table.views < _ENOUGH:
-        return (float("nan"),) * len(fits)
-    return tuple(table.rms(gap) for _, table, gap in (_unseen(fit, _PARTS - 1) for fit in fits))
-
-
-def predicted(fit: CameraFit) -> float:
-    """Mean square of the residuals [px²] of every fourth image, and so on, predicted from fits of the others.
-
-    Each image counts by no more than a few times the median, so that none rules alone. NaN for too few images.
-    """
-    if fit.table.views < _ENOUGH:
-        return float("nan")
-    square = np.empty(fit.table.views)
-    for part in range(_PARTS):
-        held, table, gap = _unseen(fit, part)
-        total = np.bincount(table.view, table.weight * (gap**2).sum(1), table.views)
-        square[held] = total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0)
-    return float(np.minimum(square, 25.0 * np.median(square)).mean())
+    out = []
+    for fit in fits:
+        first = fit.cameras.first
+        held = np.arange(first.table.views) % _HELD == _HELD - 1
+        if len(held) < _ENOUGH:
+            return (float("nan"),) * len(fits)
+        every = (first.select(~held), *fit.cameras.every[1:])
+        others = fit_cameras(replace(fit.cameras, every=every), fit.x, fit.sizes, fixed_sizes=True)
+        unseen = first.select(held)
+        out.append(unseen.table.rms(unseen.rows(others.state, np.empty(0, int)).pixels))
+    return tuple(out)
 
 
 WORLD, TIP = "world", "tip"  # halves that may be moved: that in the world, and that on the arm
@@ -302,9 +271,28 @@ def of_twist(rows: CameraRows, twists: Array) -> Array:
     return out
 
 
-def half_name(poses: ArmPoses, half: str) -> str:
-    """Whether this half is the camera or the target."""
-    return "camera" if (half == TIP) == poses.camera_on_tip else "target"
+@dataclass(frozen=True)
+class _Watched:
+    """Images of one camera: what it is called, the arm at them, T_frame_tool (N, 4, 4) [m], and their equations."""
+
+    camera: str
+    poses: ArmPoses
+    tool: Array
+    rows: CameraRows
+
+
+def half_changes(seen: Sequence[_Watched], order: np.ndarray) -> list[Change]:
+    """A change of each half: of every camera its own, of the target on either side one for all. order: of the stops."""
+    found: dict[tuple[str, str], dict[int, Array]] = {}
+    for k, one in enumerate(seen):
+        for half, twists in zip((WORLD, TIP), one.poses.half_motions(one.tool), strict=True):
+            name = one.camera if (half == TIP) == one.poses.camera_on_tip else "target"
+            found.setdefault((half, name), {})[k] = of_twist(one.rows, twists)
+    places = [one.tool[:, :3, 3] for one in seen]
+    return [
+        Change(moved, _USUAL, order, name, half, np.concatenate([places[k] for k in moved]))
+        for (half, name), moved in found.items()
+    ]
 
 
 def find_change(fit: CameraFit) -> Moved | None:
@@ -312,20 +300,17 @@ def find_change(fit: CameraFit) -> Moved | None:
     is beyond doubt.
     """
     # a camera that was moved would put the others' images of the same stops elsewhere as well
-    cameras = tuple(replace(one, stop=np.full(len(one.stop), ALONE)) for one in fit.equations.cameras)
+    cameras = fit.equations.cameras
+    before = np.cumsum([0, *(len(one.stop) for one in cameras)])
+    cameras = tuple(replace(one, stop=k + np.arange(len(one.stop))) for k, one in zip(before, cameras, strict=False))
     fit = replace(fit, equations=replace(fit.equations, cameras=cameras))
-    T, rows = fit.tool, cameras[0]
-    N = len(T)
+    N = fit.table.views
     if N < 2 * _EDGE:
         return None
-    wider = of_twist(rows, np.zeros((N, POSE, 1)))
+    wider = of_twist(cameras[0], np.zeros((N, POSE, 1)))
     wider[:, POSE : POSE + 2, 0] = fit.state.lens.values[:2]
-    order = stops_of(cameras)[0]
-    changes = [
-        Change({0: of_twist(rows, moved)}, _USUAL, order, half=half, places=T[:, :3, 3])
-        for half, moved in zip((WORLD, TIP), fit.poses.half_motions(T), strict=True)
-    ]
-    changes.append(Change({0: wider}, _USUAL_FOCAL, order))
+    changes = half_changes([_Watched("camera", fit.poses, fit.tool, cameras[0])], np.arange(N))
+    changes.append(Change({0: wider}, _USUAL_FOCAL, np.arange(N), "camera"))
     solved, places = fit.equations.solve(fit.sizes), np.arange(_EDGE, N - _EDGE + 1)
     screened = [(one, *one.best(solved, places)[:2]) for one in changes]
     weighed = [(one, at, *one.weighed(fit, np.array([at]))) for one, gain, at in screened if gain >= _SCREEN]
@@ -335,9 +320,7 @@ def find_change(fit: CameraFit) -> Moved | None:
     gain = fit.weighed()[1] - misfit
     if gain < _GAIN:
         return None
-    if one.half:
-        return Moved(half_name(fit.poses, one.half), at, *one.size(x), gain)
-    return Moved("camera", at, 0.0, 0.0, gain, float(x[0]))
+    return Moved(one.name, at, *one.size(x), gain) if one.half else Moved(one.name, at, 0.0, 0.0, gain, float(x[0]))
 
 
 _WINDOW = 8  # images that are looked back on
@@ -417,27 +400,19 @@ class CameraWatch:
 
     def _weighed(self, seen: Sequence[_Seen]) -> tuple[SolvedEquations, list[Change]]:
         """(the equations of these images, what may have been changed among them)."""
-        halves: dict[tuple[str, str], dict[int, Array]] = {}
-        rows: list[CameraRows] = []
-        tools = []
+        watched: list[_Watched] = []
         for camera in dict.fromkeys(one.camera for one in seen):
             own, (known, state, columns) = [one for one in seen if one.camera == camera], self._cameras[camera]
             at = known.poses.at_postures(np.stack([one.q for one in own]))
             table = CornerTable.of([one.view for one in own], self._target)
             here = replace(known, table=table, poses=at).rows(state, columns)
-            T = at.tool_at(state.values)
             label = "camera" if len(self._cameras) == 1 else f"camera {camera}" if camera else "first camera"
-            for half, twists in zip((WORLD, TIP), at.half_motions(T), strict=True):
-                name = label if half_name(at, half) == "camera" else "target"
-                halves.setdefault((half, name), {})[len(rows)] = of_twist(here, twists)
-            rows.append(replace(here, stop=np.array([one.stop for one in own])))
-            tools.append(T[:, :3, 3])
-        solved = replace(self._known, cameras=tuple(rows)).solve(self._fit.sizes)
+            here = replace(here, stop=np.array([one.stop for one in own]))
+            watched.append(_Watched(label, at, at.tool_at(state.values), here))
+        rows = tuple(one.rows for one in watched)
+        solved = replace(self._known, cameras=rows).solve(self._fit.sizes)
         order = np.arange(len({one.stop for one in seen}))
-        changes = [
-            Change(moved, _USUAL, order, name=name, half=half, places=np.concatenate([tools[k] for k in moved]))
-            for (half, name), moved in halves.items()
-        ]
+        changes = half_changes(watched, order)
         for j, joint in enumerate(self._fit.poses.model.chain.names):
             slipped = {k: of_twist(one, one.own[:, :, j : j + 1]) for k, one in enumerate(rows)}
             changes.append(Change(slipped, _USUAL[3:4], order, name=f"joint {joint}"))

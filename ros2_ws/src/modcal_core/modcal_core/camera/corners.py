@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from modcal_core.camera.bundle import BoardView, CalibrationTarget, PlacePrior, PrintScale
+from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle, PlacePrior
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
 from modcal_core.geometry import Array, so3
@@ -296,34 +296,28 @@ class CommonPrior:
         """Prior mean of shape and marker places, (5 + Z,)."""
         return shape_of(self.mean)
 
-    def with_places(self, places: PlacePrior) -> CommonPrior:
-        """The same with markers whose places are expected so, of a body, which has no bow."""
-        Z = len(places.apart)
-        information = np.zeros((COMMON + Z, COMMON + Z))
-        information[:COMMON, :COMMON] = self.information[:COMMON, :COMMON]
-        information[COMMON:, COMMON:] = places.information(1.0)
-        free = np.r_[self.free[:COMMON], np.ones(Z, bool)]
-        free[BOW] = False
-        return CommonPrior(np.r_[self.mean[:COMMON], np.zeros(Z)], information, free, places)
 
-
-def common_prior(lens: Lens, scale: PrintScale, stated: str | None = None, flat: bool = False) -> CommonPrior:
-    """The prior of this lens and print.
+def common_prior(lens: Lens, target: CalibrationTarget, stated: str | None = None, flat: bool = False) -> CommonPrior:
+    """The prior of this lens and target.
 
     stated: what becomes of the lens's values; None: they are a start, no statement. flat: whether the sheet is known to
     be flat (glass, aluminium).
     """
     width, f = float(lens.size[0]), float(lens.values[:2].mean())
-    mean = np.r_[lens.values, scale.x - 1.0, scale.y - 1.0, np.zeros(COMMON - SCALE.stop)]
+    places = target.place_prior() if isinstance(target, MarkerBundle) else None
+    count, scale = COMMON + target.values_of_place * target.marker_count, target.scale
+    mean = np.r_[lens.values, scale.x - 1.0, scale.y - 1.0, np.zeros(count - SCALE.stop)]
     if stated not in (TOLERANCE, FIXED):
         mean[2:LENS] = [0.5 * (width - 1.0), 0.5 * (lens.size[1] - 1.0), 0.0, 0.0, 0.0, 0.0, 0.0]
     std = _LENS_STD[lens.model, stated == TOLERANCE] * np.r_[f, f, width, width, np.ones(LENS - 4)]
-    information = np.zeros((COMMON, COMMON))
+    information = np.zeros((count, count))
     information[:LENS, :LENS] = np.diag(std**-2)
     information[SCALE, SCALE] = np.linalg.inv(scale.covariance)
     information[BOW, BOW] = np.eye(SHAPE - 2) / BOW_M**2
     information[READOUT, READOUT] = READOUT_S**-2
-    free = np.ones(COMMON, bool)
+    if places is not None:
+        information[COMMON:, COMMON:] = places.information(1.0)
+    free = np.ones(count, bool)
     free[:LENS] = lens.used & (stated != FIXED)
-    free[BOW] = not flat
-    return CommonPrior(mean, information, free)
+    free[BOW] = not flat and places is None  # a body has no bow
+    return CommonPrior(mean, information, free, places)

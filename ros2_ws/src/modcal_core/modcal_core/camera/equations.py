@@ -53,7 +53,6 @@ from modcal_core.measurements import BEARING, Samples
 from modcal_core.measurements.kinds import dimensions, kinds
 from modcal_core.robots import Chain, Inertias
 
-ALONE = -1  # number of the stop of an image that no other camera's is known to share
 _NEAR = 1e-3  # rad, m: joints of one stop, read at the moments of two images; a stop is told by no less
 _NEAR_S = 2.0  # s, between two images of one stop: each camera's is taken from its middle
 MIN = 3  # readings, from which base and tool of an instrument can be placed about an arm that is known
@@ -100,9 +99,9 @@ class CameraRows:
 
     grams (N, 22 + Z, 22 + Z): products of each image's columns, at noise 1. moved (N, 6, K): twists by the K parameters
     of arm and clock. own (N, 6, n + 3): twists by joints and shifts of an image's own. columns (K + 15 + Z,):
-    where its parameters stand among those of all cameras, −1 for one that is not fitted. corners: number in use. stop
-    (N,): number of each image's stop, which images of other cameras may share; ALONE where unknown. pixels (M, 2): by
-    how much corners are elsewhere than the model has them [px].
+    where its parameters stand among those of all cameras. corners: number in use. stop (N,): number of each image's
+    stop, which images of other cameras may share. pixels (M, 2): by how much corners are elsewhere than the model has
+    them [px].
     """
 
     grams: Array
@@ -113,15 +112,12 @@ class CameraRows:
     stop: np.ndarray
     pixels: Array
 
-    def covariance_of_views(self, sizes: Sizes) -> Array:
-        """Q of each image's own twist, (N, 6, 6)."""
-        own = self.own * sizes.off(self.own.shape[2])
-        return np.asarray(own @ np.swapaxes(own, 1, 2))
-
-    def own_twists(self, sizes: Sizes) -> Array:
-        """S of each image, (N, 6, 6)."""
-        Q = self.covariance_of_views(sizes)
-        return np.asarray(Q @ np.linalg.inv(np.eye(POSE) + self.grams[:, :POSE, :POSE] / sizes.noise**2 @ Q))
+    def by_all(self, products: Array, size: int) -> Array:
+        """Products (N, m, 22 + Z) with an image's columns as those with all values and residual, (N, m, size + 1)."""
+        out = np.zeros((*products.shape[:2], size + 1))
+        parts = [products[:, :, :POSE] @ self.moved, products[:, :, POSE:]]
+        out[:, :, np.r_[self.columns, size]] = np.concatenate(parts, axis=2)
+        return out
 
 
 @dataclass(frozen=True)
@@ -144,44 +140,26 @@ class _Sums:
         inner, rows = np.zeros((count, m, m)), np.zeros((count, m, size + 1))
         whole = np.zeros((size + 1, size + 1))
         for one, stop in zip(cameras, stops, strict=True):
-            K = one.moved.shape[2]
-            G = one.grams[:, :POSE]
-            to_pose = np.swapaxes(one.own, 1, 2) @ G
-            np.add.at(inner, stop, to_pose[:, :, :POSE] @ one.own)
-            by = np.concatenate([to_pose[:, :, :POSE] @ one.moved, to_pose[:, :, POSE:]], axis=2)
-            A = one.moved.reshape(-1, K)
-            cross = A.T @ G[:, :, POSE:].reshape(len(A), -1)
-            part = np.block(
-                [
-                    [A.T @ (G[:, :, :POSE] @ one.moved).reshape(-1, K), cross],
-                    [cross.T, one.grams[:, POSE:, POSE:].sum(0)],
-                ]
-            )
-            keep = np.flatnonzero(np.r_[one.columns, size] >= 0)
-            at = np.r_[one.columns, size][keep]
-            whole[np.ix_(at, at)] += part[np.ix_(keep, keep)]
-            np.add.at(rows, stop, _spread(by[:, :, keep], at, size + 1))
+            by_twist, own = one.by_all(one.grams[:, :POSE], size), np.swapaxes(one.own, 1, 2)
+            np.add.at(inner, stop, own @ one.grams[:, :POSE, :POSE] @ one.own)
+            np.add.at(rows, stop, own @ by_twist)
+            moving, still = one.columns[: one.moved.shape[2]], np.r_[one.columns[one.moved.shape[2] :], size]
+            by_moved = np.tensordot(one.moved, by_twist, ((0, 1), (0, 1)))
+            whole[moving] += by_moved
+            whole[np.ix_(still, moving)] += by_moved[:, still].T
+            whole[np.ix_(still, still)] += one.grams[:, POSE:, POSE:].sum(0)
         return cls(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), inner, rows)
 
 
-def _spread(part: Array, at: np.ndarray, size: int) -> Array:
-    """Columns (N, m, K) where they stand among so many, (N, m, size)."""
-    out = np.zeros((*part.shape[:2], size))
-    out[:, :, at] = part
-    return out
-
-
 def stops_of(cameras: Sequence[CameraRows]) -> list[np.ndarray]:
-    """The stop of every image (N,) of each camera, from 0 on, one of its own where it is not known."""
+    """The stop of every image (N,) of each camera, from 0 on."""
     given = [one.stop for one in cameras]
-    known = np.concatenate(given)
-    alone = known == ALONE
-    known[alone] = known.max(initial=ALONE) + 1 + np.arange(alone.sum())
-    return np.split(np.unique(known, return_inverse=True)[1], np.cumsum([len(stop) for stop in given])[:-1])
+    number = np.unique(np.concatenate(given), return_inverse=True)[1]
+    return np.split(number, np.cumsum([len(stop) for stop in given])[:-1])
 
 
 def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequence[Array]) -> list[np.ndarray]:
-    """The stop of every image of several cameras: a number that images of one stop share, ALONE where there is none.
+    """The stop of every image of several cameras: a number that images of one stop share.
 
     q: joints at the images of each camera, (N, n). names: of the images. stamps: [s], empty where they are not known.
     Images are of one stop where their joints are the same and they were taken at nearly the same time; of several
@@ -190,16 +168,15 @@ def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequenc
     cameras, joints = np.repeat(np.arange(len(q)), [len(one) for one in q]), np.concatenate(list(q))
     called = np.array([name for one in names for name in one], dtype=object)
     at = np.concatenate([t if len(t) else np.full(len(one), np.nan) for t, one in zip(stamps, q, strict=True)])
-    stop = np.full(len(joints), ALONE)
+    stop, open_ = np.arange(len(joints)), np.ones(len(joints), bool)
     for i in range(len(joints)):
-        if stop[i] == ALONE:
+        if open_[i]:
             late = np.nan_to_num(np.abs(at - at[i]))  # where no time is known, the joints say it
-            same = (np.abs(joints - joints[i]).max(axis=1) <= _NEAR) & (late <= _NEAR_S) & (stop == ALONE)
+            same = (np.abs(joints - joints[i]).max(axis=1) <= _NEAR) & (late <= _NEAR_S) & open_
             near = np.flatnonzero(same & ((cameras != cameras[i]) | (np.arange(len(joints)) == i)))
             near = near[np.lexsort((late[near], called[near] != called[i]))]
             first = near[np.unique(cameras[near], return_index=True)[1]]
-            if len(first) > 1:
-                stop[first] = stop.max() + 1
+            stop[first], open_[first] = i, len(first) < 2
     return np.split(stop, np.cumsum([len(one) for one in q])[:-1])
 
 
@@ -362,9 +339,7 @@ class Equations:
             one, stop = self.cameras[camera], stops[camera]
             by = np.swapaxes(D, 1, 2) @ one.grams[:, :-1] / sizes.noise**2
             np.add.at(own, stop, by[:, :, :-1] @ D)
-            full = np.concatenate([by[:, :, :POSE] @ one.moved, by[:, :, POSE:]], axis=2)
-            every = np.r_[one.columns, size]
-            np.add.at(cross, stop, _spread(full[:, :, every >= 0], every[every >= 0], size + 1))
+            np.add.at(cross, stop, one.by_all(by, size))
             np.add.at(back, stop, by[:, :, :POSE] @ one.own)
         back *= off
         taken = back @ np.linalg.inv(inner)
@@ -420,7 +395,10 @@ class SolvedEquations:
     @cached_property
     def S(self) -> Array:
         """S of each image of the first camera, (N, 6, 6)."""
-        return self.equations.cameras[0].own_twists(self.sizes)
+        rows, unit = self.equations.cameras[0], self.sizes.noise**-2
+        own = rows.own * self.sizes.off(rows.own.shape[2])
+        Q = own @ np.swapaxes(own, 1, 2)
+        return np.asarray(Q @ np.linalg.inv(np.eye(POSE) + unit * rows.grams[:, :POSE, :POSE] @ Q))
 
     @property
     def of_views(self) -> Array:

@@ -37,15 +37,7 @@ from modcal_core.camera.corners import (
     corner_rows,
     grams,
 )
-from modcal_core.camera.equations import (
-    ALONE,
-    BesideRows,
-    CameraRows,
-    Equations,
-    ReadingsBeside,
-    Sizes,
-    SolvedEquations,
-)
+from modcal_core.camera.equations import BesideRows, CameraRows, Equations, ReadingsBeside, Sizes, SolvedEquations
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import Mounting
 from modcal_core.effects import Effect
@@ -101,17 +93,13 @@ class Camera:
         return replace(self, table=self.table.select(views), poses=self.poses.select(views))
 
     @property
-    def free(self) -> np.ndarray:
-        """Which of its values, clock, lens, shape, readout and places are fitted, (P + 16 + Z,) bool."""
-        common = self.prior.free & (self.poses.moves | (np.arange(len(self.prior.free)) != READOUT))
-        return np.r_[np.ones(self.poses.count, bool), self.poses.moves, common]
-
-    @property
     def expected(self) -> ValuePrior:
-        """The prior of these, and where a fit begins."""
-        _, mean, information = self.poses.values
+        """The prior of its values, clock, lens, shape, readout and places, (P + 16 + Z,), and where a fit begins."""
+        _, mean, information, free = self.poses.values
         whole = block_diag(information, np.array([[CLOCK_S**-2]]), self.prior.information)
-        return ValuePrior(self.begin.vector, np.r_[mean, 0.0, self.prior.mean], whole)
+        free = np.r_[free, self.poses.moves, self.prior.free]
+        free[len(mean) + 1 + READOUT] &= self.poses.moves
+        return ValuePrior(self.begin.vector, np.r_[mean, 0.0, self.prior.mean], whole, free)
 
     def rows(self, state: CameraState, columns: np.ndarray) -> CameraRows:
         """Its factors at a state. columns: where its values stand among those of all."""
@@ -122,7 +110,7 @@ class Camera:
         moved = poses.as_twists(T, np.concatenate([motions, by_clock], axis=2))
         sweep = moved[:, :, -1] if poses.moves else None
         rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
-        stop = poses.moments.stop if len(poses.moments.stop) else np.full(len(T), ALONE)
+        stop = poses.moments.stop if len(poses.moments.stop) else np.arange(len(T))
         corners = int((table.weight > 0.0).sum())
         return CameraRows(grams(table, rows), moved, poses.as_twists(T, own), columns, corners, stop, rows.pixels)
 
@@ -147,48 +135,40 @@ class Cameras:
 
     @cached_property
     def columns(self) -> tuple[np.ndarray, ...]:
-        """Where the values of each camera stand among all, (P + 16 + Z,); -1 for one that stays as it is."""
-        first = self.first
-        out, count = [np.arange(len(first.free))], len(first.free)
-        count += 0 if self.beside is None else len(self.beside.own)
-        at = {p.name: i for i, p in enumerate(first.poses.parameters)}
-        effects = list(range(len(at), first.poses.count))
-        for one in self.every[1:]:
-            of_arm = [at[p.name] if p.of_arm else -1 for p in one.poses.parameters]
-            behind = np.arange(first.poses.count, len(one.prior.mean) + 1 + first.poses.count)
-            columns = np.r_[of_arm, effects, np.where(_shared(first, one), behind, -1)].astype(int)
-            own = np.flatnonzero(one.free & (columns < 0))
-            columns[own] = count + np.arange(len(own))
-            out.append(columns)
-            count += len(own)
+        """Where the values of each camera stand among all, (P + 16 + Z,): what cameras share at one place."""
+        at, out = dict[tuple[str | int, str | int], int](), []
+        for k, one in enumerate(self.every):
+            names: list[tuple[str | int, str | int]]
+            names = [("arm" if p.of_arm else k, p.name) for p in one.poses.parameters]
+            names += [("effects", i) for i in range(one.poses.count - len(names))]
+            names += [(0 if shared else k, i) for i, shared in enumerate(_shared(self.first, one))]
+            out.append(np.array([at.setdefault(name, len(at)) for name in names]))
+            if k == 0 and self.beside is not None:
+                at |= {("beside", i): len(at) + i for i in range(len(self.beside.own))}
         return tuple(out)
 
     @cached_property
     def expected(self) -> ValuePrior:
         """The prior of all V values, and where a fit begins."""
         own = np.empty(0) if self.beside is None else self.beside.prior_std
-        known = len(self.first.free) + len(own)
+        known = len(self.columns[0]) + len(own)
         count = max(known, 1 + max(int(columns.max()) for columns in self.columns))
-        start, mean, information = np.zeros(count), np.zeros(count), np.zeros((count, count))
+        out = ValuePrior(np.zeros(count), np.zeros(count), np.zeros((count, count)), np.ones(count, bool))
         instruments = np.arange(known - len(own), known)
-        information[instruments, instruments] = own**-2.0
-        for k, (one, columns) in enumerate(zip(self.every, self.columns, strict=True)):
-            rows, (begin, middle, whole) = np.flatnonzero(columns >= known * (k > 0)), one.expected
-            at = columns[rows]
-            start[at], mean[at], information[np.ix_(at, at)] = begin[rows], middle[rows], whole[np.ix_(rows, rows)]
-        return ValuePrior(start, mean, information)
+        out.information[instruments, instruments] = own**-2.0
+        # what several share is as the first of them has it
+        for one, at in list(zip(self.every, self.columns, strict=True))[::-1]:
+            out.start[at], out.mean[at], out.information[np.ix_(at, at)], out.free[at] = one.expected
+        return out
 
     def states(self, x: Array) -> list[CameraState]:
         """The state of each camera at values (V,) of all."""
-        every = zip(self.every, self.columns, strict=True)
-        return [one.begin.at(np.where(columns >= 0, x[columns], one.begin.vector)) for one, columns in every]
+        return [one.begin.at(x[columns]) for one, columns in zip(self.every, self.columns, strict=True)]
 
     def equations(self, x: Array) -> Equations:
         """The equations at values (V,) of all cameras and other instruments."""
-        first, (_, mean, information) = self.first, self.expected
+        first, (_, mean, information, free) = self.first, self.expected
         every = zip(self.every, self.states(x), self.columns, strict=True)
-        free = np.ones(len(x), bool)
-        free[: len(first.free)] = first.free
         return Equations(
             tuple(one.rows(state, columns) for one, state, columns in every),
             x - mean,
@@ -204,7 +184,7 @@ class Cameras:
         """The rows of other instruments at values (V,) of all."""
         if self.beside is None:
             return None
-        poses, own = self.first.poses, len(self.first.free) + np.arange(len(self.beside.own))
+        poses, own = self.first.poses, len(self.columns[0]) + np.arange(len(self.beside.own))
         arm, effects = np.flatnonzero(poses.of_arm), np.arange(len(poses.parameters), poses.count)
         columns = np.r_[arm, effects, own]
         among = [poses.parameters[i] for i in arm]
@@ -212,7 +192,7 @@ class Cameras:
 
 
 def _shared(first: Camera, one: Camera) -> np.ndarray:
-    """Which of clock, lens, shape, readout and places a further camera shares with the first, (16 + Z,) bool."""
+    """Which of clock, lens, shape, readout and places a camera shares with the first, (16 + Z,) bool."""
     out, same = np.zeros(1 + len(one.prior.mean), bool), one.table.target == first.table.target
     out[1:][SCALE] = same
     same_side = same and one.poses.camera_on_tip == first.poses.camera_on_tip
@@ -230,10 +210,8 @@ _USUAL_LOGS = START.logs  # asked for with every step of the search
 _FACTOR = np.log([10.0, 10.0, 10.0, 10.0, 10.0, 2.0, 10.0])
 _MIN = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
 _MAX = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
-_EVALUATIONS = 400  # many times what a search takes
 _NO_SIZES = 1e12  # of −2 log likelihood
 _DOWNHILL: Any = {"ftol": 1e-7, "gtol": 0.02, "eps": 1e-4}  # −2 log likelihood moves by 1 at a standard deviation
-_ROUGH, _ROUGHLY = 2.0, 0.3  # the same, and of logarithms, where the search from afar may end
 
 
 def usual(sizes: Sizes) -> float:
@@ -246,12 +224,11 @@ def likeliest(
     equations: Equations,
     start: Sizes,
     misfit_of: Callable[[SolvedEquations], float] = SolvedEquations.misfit,
-    afar: bool = False,
 ) -> Sizes:
     """The sizes that make the data likeliest.
 
-    misfit_of: −2 log likelihood of the equations with their sizes. afar: start where nothing is known of them. A size
-    that is far too small is nowhere seen to matter, so slopes alone may leave it there.
+    misfit_of: −2 log likelihood of the equations with their sizes. A size that is far too small is nowhere seen to
+    matter, so slopes alone may leave it there: each is tried larger first.
     """
     faults = equations.faults
     begin = start if faults is None or faults.stated is None else replace(start, arm=faults.stated)
@@ -273,12 +250,7 @@ def likeliest(
         return found + usual(Sizes.of_logs(full)) + float(np.abs(logs - full[unknown]).sum())
 
     first = known[unknown]
-    around = np.vstack([first, first + np.eye(len(first))])
-    if afar:
-        options: Any = {"initial_simplex": around, "maxfev": _EVALUATIONS, "fatol": _ROUGH, "xatol": _ROUGHLY}
-        first = minimize(misfit, first, method="Nelder-Mead", options=options).x
-    else:
-        first = min(around, key=misfit)
+    first = min((first, *(first + np.eye(len(first)))), key=misfit)
     bounds = list(zip(_MIN[unknown], _MAX[unknown], strict=True))
     return Sizes.of_logs(inside(minimize(misfit, first, method="L-BFGS-B", bounds=bounds, options=_DOWNHILL).x))
 
@@ -337,7 +309,7 @@ class CameraFit:
     def std(self) -> list[Array]:
         """Standard deviations of the values of each camera, (P + 16 + Z,), 0 of what was not fitted."""
         std = np.sqrt(np.diag(self.covariance))
-        return [np.where(columns >= 0, std[columns], 0.0) for columns in self.cameras.columns]
+        return [std[columns] for columns in self.cameras.columns]
 
     @property
     def pixels(self) -> Array:
@@ -407,7 +379,7 @@ def fit_cameras(
     sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
     x = cameras.expected.start if start is None else start
-    afar, stated = sizes == START, cameras.first.poses.arm_stated
+    stated = cameras.first.poses.arm_stated
     if stated is not None:
         sizes = replace(sizes, arm=stated)
 
@@ -429,7 +401,7 @@ def fit_cameras(
         x, equations = found.place[0], found.place[1].equations
         if settled or k == _ROUNDS:
             break
-        new, afar = likeliest(equations, sizes, afar=afar), False
+        new = likeliest(equations, sizes)
         settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
         sizes = new
     return CameraFit(cameras, x, sizes, equations.solve(sizes).covariance(), equations, found.converged)

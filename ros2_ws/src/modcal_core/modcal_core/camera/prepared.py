@@ -79,10 +79,9 @@ _GROSS = 10.0  # times the median distance from where corners should be: errors 
 ELSEWHERE = "far from where the arm has it"
 
 
-def fitted(camera: Camera, last: CameraFit | None = None, fixed_sizes: bool = False) -> CameraFit:
-    """A fit of one camera. last: one to begin with. fixed_sizes: take the sizes of errors as they are there."""
-    begin, sizes = (None, START) if last is None else (last.x, last.sizes)
-    return fit_cameras(Cameras((camera,)), begin, sizes, fixed_sizes)
+def fitted(camera: Camera, last: CameraFit | None = None) -> CameraFit:
+    """A fit of one camera. last: one to begin with."""
+    return fit_cameras(Cameras((camera,)), *((None, START) if last is None else (last.x, last.sizes)))
 
 
 def nominal(camera: Camera) -> CameraFit:
@@ -150,7 +149,7 @@ def _of_sheet(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     kept = kept.without(whys)
     model = FISHEYE if images.fisheye else PINHOLE
     lens = stated or first_lens(kept.table, images.size, model)
-    prior = common_prior(lens, target.scale, images.stated if stated is not None else None, images.flat)
+    prior = common_prior(lens, target, images.stated if stated is not None else None, images.flat)
     lens = stated or Lens(prior.mean[:LENS], images.size, model)
     for _ in range(_CLEANED):
         fit = fit_lens(kept.table, lens, prior.free[:LENS], prior.information[:LENS, :LENS])
@@ -186,11 +185,12 @@ def _of_body(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     posed = table.select(whole)
     lens = lens or lens_by_arm(posed, A[whole], usual, images.camera_on_tip)
     mounting = _mounting(chain, images, q[whole], board_poses(posed, lens)).by_arm(A)
-    prior = common_prior(lens, target.scale, images.stated if images.lens is not None else None)
-    far = gross(corner_rows(table, lens, np.zeros(SHAPE), mounting.T_camera_target).pixels)
+    prior = common_prior(lens, target, images.stated if images.lens is not None else None)
+    off = np.linalg.norm(corner_rows(table, lens, np.zeros(SHAPE), mounting.T_camera_target).pixels, axis=1)
+    far = off > _GROSS * float(np.median(off))
     kept = replace(kept, table=replace(table, weight=np.where(far, 0.0, 1.0)))
     kept = kept.without(np.where(mostly_out(table, far), ELSEWHERE, ""))
-    return kept, lens, prior.with_places(target.place_prior()), mounting
+    return kept, lens, prior, mounting
 
 
 def _mounting(chain: Chain, images: CameraImages, q: Array, poses: BoardPose) -> Mounting:
@@ -219,12 +219,6 @@ def agreeing(table: CornerTable, residual: Array, pixels: Array | None = None) -
     return np.asarray((near if pixels is None else near | (np.abs(pixels) <= _CORNER_PX)).all(axis=1))
 
 
-def gross(off: Array) -> np.ndarray:
-    """Which corners (M,) have residuals (M, 2) above a multiple of the median."""
-    size = np.linalg.norm(off, axis=1)
-    return np.asarray(size > _GROSS * float(np.median(size)))
-
-
 def mostly_out(table: CornerTable, out: np.ndarray) -> np.ndarray:
     """Images (N,) most of whose points (mask (M,)) are out."""
     count = np.bincount(table.view, minlength=table.views)
@@ -243,18 +237,14 @@ def view_distances(fit: CameraFit) -> tuple[Array, np.ndarray]:
     """(squared distance of each image's pose from the arm's, in its own standard deviations, (N,); along how many
     directions it shows it, (N,), which is what it is on average).
     """
-    rows = fit.equations.cameras[0]
-    G, Q = rows.grams[:, :POSE] / fit.sizes.noise**2, rows.covariance_of_views(fit.sizes)
-    inner = G[:, :, :POSE]
+    G = fit.equations.cameras[0].grams[:, :POSE] / fit.sizes.noise**2
+    inner, score = G[:, :, :POSE], G[:, :, -1:]
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("nii->ni", inner), 1e-300))
-    values, vectors = np.linalg.eigh(inner * scale[:, :, None] * scale[:, None])
-    shown = values > _SEEN * np.maximum(values[:, -1:], 1e-300)
-    basis = scale[:, :, None] * vectors * (shown / np.sqrt(np.where(shown, values, 1.0)))[:, None]
-    # the score in directions of unit information: its covariance is 1 + that of the image's own twist
-    back = np.swapaxes(basis, 1, 2)
-    z, along = back @ G[:, :, -1:], back @ inner
-    square = np.swapaxes(z, 1, 2) @ np.linalg.solve(np.eye(POSE) + along @ Q @ np.swapaxes(along, 1, 2), z)
-    return square[:, 0, 0], shown.sum(axis=1)
+    scale = scale[:, :, None] * scale[:, None]
+    inverse = np.linalg.pinv(scale * inner, _SEEN, hermitian=True) * scale
+    # by how much an image's own twist, as free as it may be, lowers its cost, less what its likeliest one does
+    square = np.swapaxes(score, 1, 2) @ (inverse - fit.equations.solve(fit.sizes).S) @ score
+    return square[:, 0, 0], np.rint(np.einsum("nij,nji->n", inverse, inner)).astype(int)
 
 
 def elsewhere(fit: CameraFit) -> np.ndarray:
@@ -286,28 +276,22 @@ def far_markers(fit: CameraFit) -> np.ndarray:
 
 
 def first_fit(camera: Camera) -> CameraFit:
-    """A fit of one camera: misread points of a body, and images nowhere near the arm, are left out.
-
-    The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or marker would make all
-    errors look as large as its own.
-    """
-    body, far, last = camera.table.places > 0, np.zeros(camera.table.markers, bool), None
-    for usual_sizes in (True, False) if body else (False,):
-        for _ in range(_CLEANED if body else 1):
-            fit = fitted(camera, last, fixed_sizes=usual_sizes)
-            out = fit.table.weight == 0.0
-            if body:
-                far |= far_markers(fit)
-                out = (gross(fit.pixels) if usual_sizes else misread_points(fit)) | far[fit.table.marker]
-            last = replace(fit, sizes=START) if usual_sizes else fit
-            again = _without(camera, out, None if usual_sizes else fit)
-            if again is None:
-                break
-            camera = again
-    return fit if again is None else fitted(camera, fit)
+    """A fit of one camera: misread points of a body, and images nowhere near the arm, are left out."""
+    body, far, fit = camera.table.places > 0, np.zeros(camera.table.markers, bool), None
+    for _ in range(_CLEANED if body else 1):
+        fit = fitted(camera, fit)
+        out = fit.table.weight == 0.0
+        if body:
+            far |= far_markers(fit)
+            out = misread_points(fit) | far[fit.table.marker]
+        again = _without(camera, out, fit)
+        if again is None:
+            return fit
+        camera = again
+    return fitted(camera, fit)
 
 
-def _without(camera: Camera, out: np.ndarray, fit: CameraFit | None = None) -> Camera | None:
+def _without(camera: Camera, out: np.ndarray, fit: CameraFit) -> Camera | None:
     """The images without these points (M,) and without those most of whose points they are; None if nothing changes,
     or too little is left. fit: where points are as they were, without images that are elsewhere by it.
     """
@@ -315,7 +299,7 @@ def _without(camera: Camera, out: np.ndarray, fit: CameraFit | None = None) -> C
     strange = mostly_out(table, out) if table.places else np.zeros(table.views, bool)
     if (weight == table.weight).all() and not strange.any():
         # not before misread points are out, which draw their image away
-        strange = strange if fit is None else elsewhere(fit)
+        strange = elsewhere(fit)
         if not strange.any():
             return None
     if (~strange).sum() < MIN_VIEWS:

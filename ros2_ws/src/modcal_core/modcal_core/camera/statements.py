@@ -25,7 +25,7 @@ from modcal_core.camera.bundle import PrintScale, alike
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import FREE, READOUT, SCALE, SHAPE, common_prior
 from modcal_core.camera.equations import SolvedEquations
-from modcal_core.camera.fit import LIKELIER, CameraFit, usual
+from modcal_core.camera.fit import LIKELIER, CameraFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.effects import ReportEntry
 from modcal_core.geometry import Array
@@ -174,7 +174,7 @@ def _relaxed(fit: CameraFit) -> Iterator[tuple[str, Array, Array]]:
     if prior.places is None:  # a body has no bow
         yield BOW, np.eye(SHAPE - 2) / _ANY_BOW_M**2, prior.mean[BENT]
     if given.lens is not None and given.stated != FREE:
-        unknown = common_prior(given.lens, PrintScale(), None)
+        unknown = common_prior(given.lens, given.target, None)
         yield LENS_VALUES, unknown.information[:LENS, :LENS], unknown.mean[:LENS]
 
 
@@ -235,8 +235,6 @@ def findings(fit: CameraFit, other_length: bool, q: Array) -> tuple[CameraFindin
         value, std = fit.x[rows], np.sqrt(np.diag(C)[rows])
         off = value - [scale.x - 1.0, scale.y - 1.0] if of_size else value
         held = fit.equations.with_block(rows, np.diag(_EXACT * np.diag(fit.equations.information)[rows]), off)
-        if held.solve(fit.sizes).misfit() + usual(fit.sizes) - plain <= LIKELIER:  # other sizes only help it
-            continue
         gain = fit.weighed(held)[1] - plain
         if gain <= LIKELIER:
             continue

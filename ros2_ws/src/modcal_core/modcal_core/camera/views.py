@@ -16,7 +16,7 @@ import numpy as np
 
 from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
 from modcal_core.camera.claim import frame_basis
-from modcal_core.camera.corners import POSE, CornerTable
+from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import Lens
 from modcal_core.errors import NotEnoughData
@@ -209,8 +209,9 @@ def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator) -
     wanted = (away > _NEAR * usual) & (away < _FAR * usual)
     if isinstance(target, MarkerBundle):
         wanted &= shown.sum(axis=1) >= _FEWEST * float(np.median(np.bincount(fit.table.view)))
-        return np.asarray(tried[wanted][in_view(fit, tried[wanted])][:_POOL])
-    return np.asarray(tried[shown.all(axis=1) & _same_side(fit, seen, centre) & wanted & (tilt <= STEEPEST)][:_POOL])
+    else:
+        wanted &= shown.all(axis=1) & (tilt <= STEEPEST)
+    return np.asarray(tried[wanted][in_view(fit, tried[wanted])][:_POOL])
 
 
 def _information(fit: CameraFit, target: CalibrationTarget, q: Array) -> Array:
@@ -220,12 +221,9 @@ def _information(fit: CameraFit, target: CalibrationTarget, q: Array) -> Array:
         ids = np.flatnonzero(shown)
         cov = np.tile(_NOISE_PX**2 * np.eye(2), (len(ids), 1, 1))
         views.append(BoardView(f"{k}", ids, np.zeros((len(ids), 2)), cov))
-    first, P = fit.cameras.first, fit.poses.count
+    first = fit.cameras.first
     camera = replace(first, table=CornerTable.of(views, target), poses=first.poses.at_postures(q))
     rows = camera.rows(fit.state, fit.cameras.columns[0])
-    G = rows.grams[:, :-1, :-1]
-    E = G - G[:, :, :POSE] @ rows.own_twists(replace(fit.sizes, noise=1.0)) @ G[:, :POSE]
-    by = np.zeros((len(q), E.shape[1], len(fit.covariance)))
-    by[:, :POSE, rows.columns[:P]] = rows.moved[:, :, :P]
-    by[:, np.arange(POSE, E.shape[1]), rows.columns[P + 1 :]] = 1.0
-    return np.asarray(np.swapaxes(by, 1, 2) @ E @ by)
+    each = np.broadcast_to(np.eye(rows.grams.shape[1]), rows.grams.shape)
+    by = rows.by_all(each, len(fit.covariance))[:, :-1, :-1]
+    return replace(fit.equations, cameras=(rows,)).by_change(replace(fit.sizes, noise=1.0), {0: by})[0]

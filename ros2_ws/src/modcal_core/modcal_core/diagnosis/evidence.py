@@ -17,10 +17,11 @@ scan: the same data have the same chance.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 
@@ -101,9 +102,11 @@ class Evidence:
 class Scanner:
     """Candidates at certain samples, set up once and weighed against the residual of any fit."""
 
-    def __init__(self, effects: Sequence[Effect], drivers: Drivers) -> None:
-        """effects: the candidates. drivers: at the samples they are looked for on."""
-        self.drivers = drivers
+    def __init__(
+        self, effects: Sequence[Effect], drivers: Drivers, space: Callable[[Any, Drivers], Space] = Space.of
+    ) -> None:
+        """effects: the candidates. drivers: at the samples they are looked for on. space: of a fit at these samples."""
+        self.drivers, self._space = drivers, space
         self._composed: dict[Key, list[tuple[int, int, Array | float]]] = {}
         self._parts: dict[tuple[str, bytes], Parts] = {}  # between the times of steps
         self._spectra: dict[tuple[str, float], Spectrum] = {}  # as long as the longest list of candidates asks for
@@ -193,7 +196,7 @@ class Scanner:
         for known, space in self._seen:
             if known is fit:
                 return space
-        found = Space.of(fit, self.drivers)
+        found = self._space(fit, self.drivers)
         self._seen = [*self._seen[-_KEPT:], (fit, found)]
         return found
 

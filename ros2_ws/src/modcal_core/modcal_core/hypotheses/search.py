@@ -151,8 +151,9 @@ def _nearer(after: HandEyeFit, before: HandEyeFit) -> bool:
 def _followed(state: SearchState, table: Sequence[Hypothesis] | None) -> list[SearchState]:
     """The states that one more hypothesis leads to; what takes a search is asked where nothing else ends it."""
     case = state.fit.case
-    if table is not None:
-        return _fitted(state, _sifted(case, table))
+    if table is not None:  # where rows belong elsewhere cannot be asked of some stations
+        by_row = [h for h in table if h.touches == "rows"]
+        return _fitted(state, [*_sifted(case, [h for h in table if h.touches != "rows"]), *by_row])
     trials = _fitted(state, _sifted(case, _whole(case)))
     laborious = not state.said or bool(state.fit.agree(2.0).mean() >= MANY)  # else nonsense is followed for long
     held = int(state.fit.agree(2.0).sum()) > _HELD
