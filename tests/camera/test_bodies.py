@@ -26,10 +26,10 @@ from finite_differences import assert_jacobian
 
 from modcal_core.camera.bundle import APRILTAG_ORDER, ARUCO_ORDER, BoardView, MarkerBundle
 from modcal_core.camera.corners import COMMON, SHAPE, CornerTable, corner_rows, images_with_pose
-from modcal_core.camera.fit import CameraFit, Cameras, fit_cameras
+from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import IN_WORLD, board_poses, require_order
-from modcal_core.camera.prepared import far_markers, prepare_images, together
+from modcal_core.camera.prepared import far_markers, fitted, prepare_images, together
 from modcal_core.camera.solve import CameraProblem, CameraSolution, left_out_points, solve_camera
 from modcal_core.camera.target_file import target_from_data
 from modcal_core.camera.views import plan_images
@@ -316,7 +316,7 @@ def test_a_marker_far_from_where_the_others_have_it() -> None:
     s = body_scene(11, 40, 1, Faults(misread=0.0, late=0), True, drawing=measured(icosahedron()))
     (images,) = together((s.images[0],))
     ready = prepare_images(s.chain, images)
-    fit = fit_cameras(Cameras((ready,)), fixed_sizes=True)
+    fit = fitted(ready, fixed_sizes=True)
     assert not far_markers(fit).any()
     K, values = fit.table.markers, fit.table.places
     used = np.flatnonzero(np.bincount(fit.table.marker, minlength=K) > 5)

@@ -79,9 +79,10 @@ _GROSS = 10.0  # times the median distance from where corners should be: errors 
 ELSEWHERE = "far from where the arm has it"
 
 
-def fitted(camera: Camera, last: CameraFit | None = None) -> CameraFit:
-    """A fit of one camera. last: one to begin with."""
-    return fit_cameras(Cameras((camera,)), *((None, START) if last is None else (last.x, last.sizes)))
+def fitted(camera: Camera, last: CameraFit | None = None, fixed_sizes: bool = False) -> CameraFit:
+    """A fit of one camera. last: one to begin with. fixed_sizes: take the sizes of errors as they are there."""
+    begin, sizes = (None, START) if last is None else (last.x, last.sizes)
+    return fit_cameras(Cameras((camera,)), begin, sizes, fixed_sizes)
 
 
 def nominal(camera: Camera) -> CameraFit:
@@ -186,8 +187,7 @@ def _of_body(chain: Chain, images: CameraImages, kept: _Kept) -> _Start:
     lens = lens or lens_by_arm(posed, A[whole], usual, images.camera_on_tip)
     mounting = _mounting(chain, images, q[whole], board_poses(posed, lens)).by_arm(A)
     prior = common_prior(lens, target, images.stated if images.lens is not None else None)
-    off = np.linalg.norm(corner_rows(table, lens, np.zeros(SHAPE), mounting.T_camera_target).pixels, axis=1)
-    far = off > _GROSS * float(np.median(off))
+    far = gross(corner_rows(table, lens, np.zeros(SHAPE), mounting.T_camera_target).pixels)
     kept = replace(kept, table=replace(table, weight=np.where(far, 0.0, 1.0)))
     kept = kept.without(np.where(mostly_out(table, far), ELSEWHERE, ""))
     return kept, lens, prior, mounting
@@ -217,6 +217,12 @@ def agreeing(table: CornerTable, residual: Array, pixels: Array | None = None) -
     sigma = max(_TO_SIGMA * float(np.median(size[table.weight > 0.0])), 1e-9)
     near = size <= _CORNER * sigma
     return np.asarray((near if pixels is None else near | (np.abs(pixels) <= _CORNER_PX)).all(axis=1))
+
+
+def gross(off: Array) -> np.ndarray:
+    """Which corners (M,) have residuals (M, 2) above a multiple of the median."""
+    size = np.linalg.norm(off, axis=1)
+    return np.asarray(size > _GROSS * float(np.median(size)))
 
 
 def mostly_out(table: CornerTable, out: np.ndarray) -> np.ndarray:
@@ -276,22 +282,28 @@ def far_markers(fit: CameraFit) -> np.ndarray:
 
 
 def first_fit(camera: Camera) -> CameraFit:
-    """A fit of one camera: misread points of a body, and images nowhere near the arm, are left out."""
-    body, far, fit = camera.table.places > 0, np.zeros(camera.table.markers, bool), None
-    for _ in range(_CLEANED if body else 1):
-        fit = fitted(camera, fit)
-        out = fit.table.weight == 0.0
-        if body:
-            far |= far_markers(fit)
-            out = misread_points(fit) | far[fit.table.marker]
-        again = _without(camera, out, fit)
-        if again is None:
-            return fit
-        camera = again
-    return fitted(camera, fit)
+    """A fit of one camera: misread points of a body, and images nowhere near the arm, are left out.
+
+    The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or marker would make all
+    errors look as large as its own.
+    """
+    body, far, last = camera.table.places > 0, np.zeros(camera.table.markers, bool), None
+    for usual_sizes in (True, False) if body else (False,):
+        for _ in range(_CLEANED if body else 1):
+            fit = fitted(camera, last, fixed_sizes=usual_sizes)
+            out = fit.table.weight == 0.0
+            if body:
+                far |= far_markers(fit)
+                out = (gross(fit.pixels) if usual_sizes else misread_points(fit)) | far[fit.table.marker]
+            last = replace(fit, sizes=START) if usual_sizes else fit
+            again = _without(camera, out, None if usual_sizes else fit)
+            if again is None:
+                break
+            camera = again
+    return fit if again is None else fitted(camera, fit)
 
 
-def _without(camera: Camera, out: np.ndarray, fit: CameraFit) -> Camera | None:
+def _without(camera: Camera, out: np.ndarray, fit: CameraFit | None = None) -> Camera | None:
     """The images without these points (M,) and without those most of whose points they are; None if nothing changes,
     or too little is left. fit: where points are as they were, without images that are elsewhere by it.
     """
@@ -299,7 +311,7 @@ def _without(camera: Camera, out: np.ndarray, fit: CameraFit) -> Camera | None:
     strange = mostly_out(table, out) if table.places else np.zeros(table.views, bool)
     if (weight == table.weight).all() and not strange.any():
         # not before misread points are out, which draw their image away
-        strange = elsewhere(fit)
+        strange = strange if fit is None else elsewhere(fit)
         if not strange.any():
             return None
     if (~strange).sum() < MIN_VIEWS:
