@@ -2,10 +2,9 @@
 
 Every candidate is a direction at a place times numbers, one a sample. What is asked of a bank are sums over the samples
 of its numbers times something: times the residual under the signs of each trial, times the projector, and, for the
-products of its columns with each other, times their squares. Three kinds of numbers need three ways to sum:
+products of its columns with each other, times their squares. Two kinds of numbers have two ways to sum:
 
 * waves of a joint's angle, nine in ten of all candidates: an FFT (:mod:`spectra`);
-* what begins or ends at some time: running sums in the order of time;
 * all others: products of matrices, one for each place and direction.
 """
 
@@ -13,12 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from modcal_core.diagnosis.spectra import Key, KnownSums, Parts, Spectrum
+from modcal_core.diagnosis.spectra import Key, KnownSums, Spectrum
 from modcal_core.effects import Effect
 from modcal_core.geometry import Array
 
@@ -89,51 +88,6 @@ class WaveBank:
     def gram(self, columns: Mapping[Key, Array]) -> Array:
         """See :class:`Bank`."""
         return self.spectrum.gram(self.which, np.sum(columns[self.key] ** 2, axis=0))
-
-
-@dataclass(frozen=True)
-class StepBank:
-    """What is −1 before a time of its own and nothing from then on, or nothing and then 1.
-
-    parts: samples between the times. at: which of these begins with each one's time, (C,). after: whether it is what is
-    from then on that is not nothing. since: which begins with the time
-    from which on it is 1 instead, (C,).
-    """
-
-    effects: tuple[Effect, ...]
-    keys: tuple[Key, ...]
-    parts: Parts
-    at: np.ndarray
-    after: bool
-    since: np.ndarray | None = None
-
-    @property
-    def width(self) -> int:
-        """See :class:`Bank`."""
-        return len(self.keys)
-
-    def sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
-        """See :class:`Bank`."""
-        sign = -1.0 if self.since is None and not self.after else 1.0
-        columns = [of[key] for key in self.keys]
-        each = [self._part(known.once("running", self.parts, x, partial(self.parts.running, x))) for x in columns]
-        return sign * np.stack(each, axis=1)
-
-    def gram(self, columns: Mapping[Key, Array]) -> Array:
-        """See :class:`Bank`."""
-        m, each = self.width, [columns[key] for key in self.keys]
-        pairs = [(a, b) for a in range(m) for b in range(a, m)]
-        columns_of_both = np.stack([np.sum(each[a] * each[b], axis=0) for a, b in pairs], axis=1)
-        both = self._part(self.parts.running(columns_of_both))
-        out = np.empty((len(self.at), m, m))
-        for (a, b), product in zip(pairs, both.T, strict=True):
-            out[:, a, b] = out[:, b, a] = product
-        return out
-
-    def _part(self, running: Array) -> Array:
-        """Sums on the one side of each time, (C, k), from the running sums."""
-        before = running[self.at] if self.since is None else running[self.at] - running[self.since]
-        return np.asarray(running[-1] - before if self.after else before)
 
 
 @dataclass(frozen=True)

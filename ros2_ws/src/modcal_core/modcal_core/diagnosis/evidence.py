@@ -31,18 +31,16 @@ from modcal_core.diagnosis.banks import (
     GatheredBank,
     NumberBank,
     NumberPool,
-    StepBank,
     WaveBank,
     gathered,
     wave_step,
 )
 from modcal_core.diagnosis.space import Space
-from modcal_core.diagnosis.spectra import Key, Parts, Spectrum, squared
+from modcal_core.diagnosis.spectra import Key, Spectrum, squared
 from modcal_core.effects import (
     AXIS,
     LENGTH,
     PERIODIC,
-    STEPS,
     Drivers,
     Effect,
     columns,
@@ -108,7 +106,6 @@ class Scanner:
         """effects: the candidates. drivers: at the samples they are looked for on. space: of a fit at these samples."""
         self.drivers, self._space = drivers, space
         self._composed: dict[Key, list[tuple[int, int, Array | float]]] = {}
-        self._parts: dict[tuple[str, bytes], Parts] = {}  # between the times of steps
         self._spectra: dict[tuple[str, float], Spectrum] = {}  # as long as the longest list of candidates asks for
         lists = sorted(_alike(effects), key=lambda alike: -_highest(alike))
         several: list[Bank] = []
@@ -134,15 +131,10 @@ class Scanner:
         self._seen: list[tuple[Fit, Space]] = []
 
     def _at_once(self, alike: list[Effect]) -> Bank:
-        """The bank of candidates that differ in their cycles or times alone."""
+        """The bank of candidates that differ in their cycles alone."""
         first, effects = alike[0], tuple(alike)
         keys, _ = self._factor(first)
         x = self.drivers.values(first.driver)
-        if first.shape.kind in STEPS:
-            ends = [[e.shape.settings[name] for e in alike] for name in ("since", "at") if name in first.shape.settings]
-            parts, which = self._parts_at(first.driver, x, np.concatenate(ends).tolist())
-            since, at = which[: len(which) - len(alike)], which[-len(alike) :]
-            return StepBank(effects, keys, parts, at, first.shape.kind == "step", since if len(since) else None)
         cycles = _cycles(alike)
         step = wave_step(cycles)
         if step is None:
@@ -152,19 +144,6 @@ class Scanner:
         if key not in self._spectra:
             self._spectra[key] = Spectrum(x, step, int(which.max()))
         return WaveBank(effects, keys[0], which, self._spectra[key])
-
-    def _parts_at(self, driver: str, x: Array, times: Sequence[float]) -> tuple[Parts, np.ndarray]:
-        """The samples between some values of a driver, and which part begins with each, (C,).
-
-        x: the driver's, (N,).
-        """
-        order = np.argsort(x, kind="stable")
-        before = np.searchsorted(x[order], times)
-        edges = np.unique(np.r_[0, before[before < len(order)]])
-        key = driver, edges.tobytes()
-        if key not in self._parts:
-            self._parts[key] = Parts(order, edges)
-        return self._parts[key], np.searchsorted(edges, before)
 
     def _factor(self, effect: Effect) -> tuple[tuple[Key, ...], Array]:
         """The directions at places of an effect's columns, and their numbers (m, N)."""
@@ -352,7 +331,7 @@ def _multiples(effect: Effect) -> np.ndarray:
 
 
 def _alike(effects: Sequence[Effect]) -> list[list[Effect]]:
-    """The effects in lists: those that differ in their cycles or their times alone are set up at once.
+    """The effects in lists: those that differ in their cycles alone are set up at once.
 
     Nine in ten candidates are of that kind.
     """
@@ -360,7 +339,6 @@ def _alike(effects: Sequence[Effect]) -> list[list[Effect]]:
     for i, effect in enumerate(effects):
         kind = effect.shape.kind
         repeats = kind in PERIODIC and effect.direction == AXIS
-        begins = kind in STEPS and effect.direction != LENGTH
-        key = (effect.place, effect.direction, effect.driver, kind) if repeats or begins else i
+        key = (effect.place, effect.direction, effect.driver, kind) if repeats else i
         lists.setdefault(key, []).append(effect)
     return list(lists.values())

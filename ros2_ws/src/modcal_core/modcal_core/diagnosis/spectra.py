@@ -117,22 +117,6 @@ class KnownSums:
         return made
 
 
-class Parts:
-    """Samples in parts, one after the other along an order."""
-
-    def __init__(self, order: np.ndarray, edges: np.ndarray) -> None:
-        """order: of the samples, (N,). edges: how many are before each part, each number once, the first 0."""
-        self._count = len(edges)
-        parts = np.ones(len(order)), order, np.append(edges, len(order))
-        self._of_each = scipy.sparse.csr_array(parts, shape=(len(edges), len(order)))  # each sample once, in its part
-
-    def running(self, matrix: Array) -> Array:
-        """Sums of the rows of a matrix (N, k) before each part and of all, (parts + 1, k)."""
-        running = np.zeros((self._count + 1, matrix.shape[1]))
-        np.cumsum(self._of_each @ matrix, axis=0, out=running[1:])
-        return running
-
-
 def squared(sums: Array) -> Array:
     """``sums sumsᵀ`` of each candidate, (C, m, m), pair by pair: a product of small matrices for each is slower."""
     C, m, _ = sums.shape
