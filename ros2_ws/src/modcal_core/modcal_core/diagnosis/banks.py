@@ -10,14 +10,13 @@ products of its columns with each other, times their squares. Two kinds of numbe
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from modcal_core.diagnosis.spectra import Key, KnownSums, Spectrum
+from modcal_core.diagnosis.spectra import Key, Spectrum
 from modcal_core.effects import Effect
 from modcal_core.geometry import Array
 
@@ -43,7 +42,7 @@ class Bank(Protocol):
         """How many columns each candidate has."""
         ...
 
-    def sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
+    def sums(self, of: Mapping[Key, Array]) -> Array:
         """Numbers of each candidate times the matrix (N, k) of each column's key, (C, m, k)."""
         ...
 
@@ -73,17 +72,10 @@ class WaveBank:
         """See :class:`Bank`."""
         return 2 * self.which.shape[1]
 
-    def sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
+    def sums(self, of: Mapping[Key, Array]) -> Array:
         """See :class:`Bank`."""
-        columns = of[self.key]
-        waves = known.once("waves", self.spectrum, columns, lambda: self.spectrum.sums(columns))
-        each = [waves[among] for among in self._ranges]
-        return each[0] if len(each) == 1 else np.concatenate(each, axis=1)
-
-    @cached_property
-    def _ranges(self) -> list[slice | np.ndarray]:
-        """Where the waves of each candidate's first, second, … number are, (C,) each."""
-        return [_range(which) for which in self.which.T]
+        waves = self.spectrum.sums(of[self.key])
+        return np.concatenate([waves[among] for among in self.which.T], axis=1)
 
     def gram(self, columns: Mapping[Key, Array]) -> Array:
         """See :class:`Bank`."""
@@ -108,7 +100,7 @@ class NumberBank:
         """See :class:`Bank`."""
         return len(self.of_columns)
 
-    def sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
+    def sums(self, of: Mapping[Key, Array]) -> Array:
         """See :class:`Bank`."""
         C, m, N = self.numbers.shape
         out = np.empty((C, m, of[self.of_columns[0]].shape[1]))
@@ -140,39 +132,37 @@ class NumberBank:
         return out
 
 
-class NumberPool:
-    """The numbers of many candidates, each once for a key: for each key what they ask for is one product."""
+class GatheredBank:
+    """Banks of any numbers, of as many columns each, as one: each number stands once, and a key takes one product."""
 
-    def __init__(self, banks: Iterable[NumberBank]) -> None:
-        found: dict[Key, list[tuple[int, int, Array]]] = {}
-        self._rows: dict[int, np.ndarray] = {}
-        for bank in banks:
-            self._rows[id(bank)] = np.empty(bank.numbers.shape[:2], np.int64)
-            for key, some in bank.groups().items():
-                found.setdefault(key, []).extend((id(bank), a, bank.numbers[:, a]) for a in some)
-        self._numbers: dict[Key, np.ndarray] = {}
-        first = 0
+    def __init__(self, parts: Sequence[NumberBank]) -> None:
+        self._parts = parts
+        self.effects = tuple(effect for part in parts for effect in part.effects)
+        self.keys = tuple(dict.fromkeys(key for part in parts for key in part.keys))
+        self.width = parts[0].width
+        found: dict[Key, list[tuple[int, int]]] = {}
+        for i, part in enumerate(parts):
+            for a, key in enumerate(part.of_columns):
+                found.setdefault(key, []).append((i, a))
+        rows = [np.empty(part.numbers.shape[:2], np.int64) for part in parts]
+        self._numbers: dict[Key, Array] = {}
+        count = 0
         for key, several in found.items():
-            once, which = _each_once(np.concatenate([numbers for _, _, numbers in several]))
-            for bank_id, a, numbers in several:
-                self._rows[bank_id][:, a], which = first + which[: len(numbers)], which[len(numbers) :]
+            once, which = _each_once(np.concatenate([parts[i].numbers[:, a] for i, a in several]))
+            for i, a in several:
+                rows[i][:, a], which = count + which[: len(rows[i])], which[len(rows[i]) :]
             self._numbers[key] = once
-            first += len(once)
-        self._count = first
+            count += len(once)
+        self._rows = np.concatenate(rows)  # which of all numbers, key after key, each candidate's columns have, (C, m)
 
-    def rows(self, bank: NumberBank) -> np.ndarray:
-        """Which of all numbers, key after key, the columns of each candidate of a bank have, (C, m)."""
-        return self._rows[id(bank)]
+    def sums(self, of: Mapping[Key, Array]) -> Array:
+        """See :class:`Bank`."""
+        out = np.concatenate([numbers @ of[key] for key, numbers in self._numbers.items()])
+        return out[self._rows]
 
-    def times(self, of: Mapping[Key, Array]) -> Array:
-        """All numbers times the matrices (N, k) of their keys, (R, k)."""
-        some = of[next(iter(self._numbers))]
-        out = np.empty((self._count, some.shape[1]), some.dtype)
-        first = 0
-        for key, numbers in self._numbers.items():
-            np.matmul(numbers.astype(some.dtype, copy=False), of[key], out=out[first : first + len(numbers)])
-            first += len(numbers)
-        return out
+    def gram(self, columns: Mapping[Key, Array]) -> Array:
+        """See :class:`Bank`."""
+        return np.concatenate([part.gram(columns) for part in self._parts])
 
 
 def _each_once(numbers: Array) -> tuple[Array, np.ndarray]:
@@ -181,42 +171,6 @@ def _each_once(numbers: Array) -> tuple[Array, np.ndarray]:
     which = np.array([seen.setdefault(row.tobytes(), len(seen)) for row in numbers], np.int64)
     first = np.unique(which, return_index=True)[1]
     return numbers[first], which
-
-
-@dataclass(frozen=True)
-class GatheredBank:
-    """Banks of any numbers, of as many columns each, as one. pool: what has their numbers."""
-
-    parts: tuple[NumberBank, ...]
-    pool: NumberPool
-
-    @cached_property
-    def effects(self) -> tuple[Effect, ...]:
-        """See :class:`Bank`."""
-        return tuple(effect for part in self.parts for effect in part.effects)
-
-    @cached_property
-    def keys(self) -> tuple[Key, ...]:
-        """See :class:`Bank`."""
-        return tuple(dict.fromkeys(key for part in self.parts for key in part.keys))
-
-    @property
-    def width(self) -> int:
-        """See :class:`Bank`."""
-        return self.parts[0].width
-
-    def sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
-        """See :class:`Bank`."""
-        return np.asarray(known.once("numbers", self.pool, of, lambda: self.pool.times(of))[self._rows])
-
-    def gram(self, columns: Mapping[Key, Array]) -> Array:
-        """See :class:`Bank`."""
-        return np.concatenate([part.gram(columns) for part in self.parts])
-
-    @cached_property
-    def _rows(self) -> np.ndarray:
-        """Which of the pool's numbers each candidate's columns have, (C, m)."""
-        return np.concatenate([self.pool.rows(part) for part in self.parts])
 
 
 def gathered(banks: Iterable[NumberBank]) -> list[NumberBank]:
@@ -228,13 +182,6 @@ def gathered(banks: Iterable[NumberBank]) -> list[NumberBank]:
         NumberBank(tuple(e for bank in some for e in bank.effects), of, np.concatenate([bank.numbers for bank in some]))
         for of, some in alike.items()
     ]
-
-
-def _range(rows: np.ndarray) -> slice | np.ndarray:
-    """Rows as a slice, which copies nothing, where they are evenly spaced."""
-    step = int(rows[1] - rows[0]) if len(rows) > 1 else 1
-    even = step > 0 and bool((np.diff(rows) == step).all())
-    return slice(int(rows[0]), int(rows[-1]) + 1, step) if even else rows
 
 
 def wave_step(cycles: Array) -> float | None:

@@ -30,7 +30,6 @@ from modcal_core.diagnosis.banks import (
     Bank,
     GatheredBank,
     NumberBank,
-    NumberPool,
     WaveBank,
     gathered,
     wave_step,
@@ -196,9 +195,9 @@ class Scanner:
         total = np.sum(left.Q**2, axis=(0, 1)) + 1e-300
         share, score, best = [np.zeros(0)], [np.zeros(0)], np.zeros(len(signs))
         for bank, (gram, own) in zip(self.banks, self._grams(space), strict=True):
-            taken = squared(bank.sums(more.against, more.sums)) if beside else 0.0
+            taken = squared(bank.sums(more.against)) if beside else 0.0
             inverse, sizes = inverses(gram - taken, own)
-            shares = explained(inverse, bank.sums(left.against, left.sums)) / total
+            shares = explained(inverse, bank.sums(left.against)) / total
             share.append(shares[:, 0])
             score.append(np.zeros(len(shares)))
             for m in np.unique(sizes).tolist():
@@ -255,7 +254,7 @@ class Scanner:
             fitted.against.update(fitted.contract(columns))
             for bank in self.banks:
                 gram = bank.gram(columns)
-                along = squared(bank.sums(fitted.against, fitted.sums))
+                along = squared(bank.sums(fitted.against))
                 space.grams.append((gram - along, np.einsum("cii->ci", gram).copy()))
         return space.grams
 
@@ -306,11 +305,10 @@ def score_table(m: int, freedom: int) -> tuple[Array, Array] | None:
 
 
 def _gathered(banks: Sequence[Bank]) -> Iterator[Bank]:
-    """Banks in their order; neighbours of any numbers, alike in width, made one with one pool of numbers."""
-    pool = NumberPool(bank for bank in banks if isinstance(bank, NumberBank))
+    """Banks in their order; neighbours of any numbers, alike in width, made one."""
     for (_, numbers), some in groupby(banks, lambda bank: (bank.width, isinstance(bank, NumberBank))):
         if numbers:
-            yield GatheredBank(tuple(bank for bank in some if isinstance(bank, NumberBank)), pool)
+            yield GatheredBank([bank for bank in some if isinstance(bank, NumberBank)])
         else:
             yield from some
 

@@ -13,38 +13,27 @@ import numpy as np
 import scipy.linalg
 
 from modcal_core.calibration import Fit, Groups, RowView, linearise
-from modcal_core.diagnosis.spectra import Key, KnownSums
+from modcal_core.diagnosis.spectra import Key
 from modcal_core.effects import Drivers
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 
 _ROUNDING = 1e-12  # of the square of a column, added to what is inverted
 _NOTHING = 1e-8  # square of a direction that the samples show nothing of
-_MANY = 200_000  # numbers of directions; of fewer, double precision costs nothing worth saving
 _FARTHEST = 8.0  # times the median size: noise of any usual tail stays inside, and no sample may rule alone
 
 
 @dataclass(frozen=True)
 class Directions:
-    """Orthonormal directions, or a residual. Q: (rows, N, P). against: contractions of columns with them, (N, P). sums:
-    of contractions.
-    """
+    """Orthonormal directions, or a residual. Q: (rows, N, P). against: contractions of columns with them, (N, P)."""
 
     Q: Array
     against: dict[Key, Array] = field(default_factory=dict)
-    sums: KnownSums = field(default_factory=KnownSums)
 
     def contract(self, columns: Mapping[Key, Array]) -> dict[Key, Array]:
-        """Contractions of columns (6, N) with the directions, sample by sample, (N, P) each.
-
-        Of many they are in single precision: what lies along them is known to a millionth of a column's square, and
-        of that less than 0.0025 is never asked for.
-        """
-        kind = np.float32 if self.Q.size >= _MANY else np.float64
+        """Contractions of columns (6, N) with the directions, sample by sample, (N, P) each."""
         units = np.stack([column[: len(self.Q)] for column in columns.values()])
-        out = np.ascontiguousarray(units.transpose(2, 0, 1), kind) @ np.ascontiguousarray(
-            self.Q.transpose(1, 0, 2), kind
-        )
+        out = np.ascontiguousarray(units.transpose(2, 0, 1)) @ np.ascontiguousarray(self.Q.transpose(1, 0, 2))
         return {key: out[:, i] for i, key in enumerate(columns)}
 
 
@@ -151,9 +140,7 @@ def _orthonormal(J: Array, held: Array) -> Array:
     size = np.sqrt(square + held**2)
     J /= size[:, None]
     L = np.asarray(np.linalg.cholesky(J @ J.T + np.diag((held / size) ** 2 + _ROUNDING)), dtype=float)
-    if J.size:  # by the triangle's inverse, from the right: half of the time of a solution, and of its digits
-        inverse = scipy.linalg.lapack.dtrtri(np.asfortranarray(L), lower=1)[0]
-        J = scipy.linalg.blas.dtrmm(1.0, inverse, J.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
+    J = scipy.linalg.solve_triangular(L, J, lower=True, overwrite_b=True, check_finite=False)
     kept = np.einsum("ij,ij->i", J, J) > _NOTHING
     return J if kept.all() else J[kept]
 

@@ -8,9 +8,8 @@ SIAM J. Sci. Comput. 2019); it agrees to 1e-8 of the sum of the |f_n|.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cached_property, lru_cache
-from typing import Any, TypeVar
 
 import numpy as np
 import scipy
@@ -22,7 +21,6 @@ _FINER = 2.0  # how much finer the grid is than the highest wave needs
 _STEEP = 3.067 * _WIDTH  # of the kernel, times what a grid so fine leaves of it (the paper's 0.976 π)
 _NODES = 40  # of the quadrature for the kernel's transform
 _AT_ONCE = 64  # columns, whose grids then stay near the processor
-_T = TypeVar("_T")
 Key = tuple[int, object]  # a place, and a direction there or what else moves
 
 
@@ -100,21 +98,6 @@ def _shares(points: int, most: int) -> Array:
     z, weight = np.polynomial.legendre.leggauss(_NODES)
     phase = np.arange(most + 1)[:, None] * (z * (np.pi * _WIDTH / points))
     return np.asarray(2.0 / _WIDTH / (np.cos(phase) @ (_kernel(z) * weight)))
-
-
-class KnownSums:
-    """Sums that were computed already: banks share them. Of one scan, whose matrices stay as long."""
-
-    def __init__(self) -> None:
-        self._made: dict[tuple[str, int, int], tuple[object, object, Any]] = {}
-
-    def once(self, name: str, owner: object, matrix: object, compute: Callable[[], _T]) -> _T:
-        """What is computed by this name of an owner and a matrix."""
-        key = name, id(owner), id(matrix)
-        if key not in self._made:  # both are kept, so that nothing else takes their numbers
-            self._made[key] = owner, matrix, compute()
-        made: _T = self._made[key][2]
-        return made
 
 
 def squared(sums: Array) -> Array:
