@@ -27,7 +27,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/camera": (4420, 2830),
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (1230, 790),
-    "modcal_core/diagnosis": (2730, 1870),
+    "modcal_core/diagnosis": (2560, 1760),
     "modcal_core/effects": (3010, 1950),
     "modcal_core/geometry": (590, 400),
     "modcal_core/impedance": (3550, 2470),
@@ -55,8 +55,8 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "tests": (46650, 32320),
     "modcal_core/sentinel": (1340, 960),
 }
-SOURCE = (89450, 58650)
-TEXT = 184800  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (89300, 58550)
+TEXT = 184600  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
