@@ -24,7 +24,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core": (2590, 1470),
     "modcal_core/articulation": (5120, 3500),
     "modcal_core/calibration": (5940, 3760),
-    "modcal_core/camera": (4420, 2830),
+    "modcal_core/camera": (4440, 2840),
     "modcal_core/claim": (1240, 770),
     "modcal_core/correction": (1230, 790),
     "modcal_core/diagnosis": (2560, 1760),

@@ -90,7 +90,7 @@ def camera_space(fit: CameraFit, drivers: Drivers) -> CameraSpace:
 
 _MAX = 6  # effects, for time
 _REFUSED = 2  # choices that did not hold, before the search ends
-_HELD, _ENOUGH = 4, 6  # one image of so many is held out; images, of which enough for a mounting are left
+_PARTS, _ENOUGH = 4, 6  # each of which is predicted from the others; images, of which enough for a mounting are left
 _NOT_HERE = ("tracker", "base", "tool")  # lens and sheet have parameters; moves are looked for on their own
 
 
@@ -136,7 +136,7 @@ def find_causes(
         x = np.concatenate([before, *(e.values for e in effects), behind])
         better = fit_cameras(fit.cameras.with_effects(effects), x, fit.sizes)
         gain = fit.misfit - better.misfit
-        if better.converged and gain > LIKELIER and held_out(better)[0] < held_out(fit)[0]:
+        if better.converged and gain > LIKELIER and predicted(better) < predicted(fit):
             sizes = fit.sizes.joint, better.sizes.joint
             causes.append(CameraCause(started, choice.p_value, choice.same_as, *sizes, gain))
             fit, left = better, None
@@ -158,19 +158,36 @@ def _valued(fit: CameraFit) -> tuple[Effect, ...]:
     return tuple(out)
 
 
+def _unseen(fit: CameraFit, part: int) -> tuple[np.ndarray, CornerTable, Array]:
+    """(every fourth image, mask (N,); its corners; how far these are from where a fit of the others has them [px])."""
+    first = fit.cameras.first
+    held = np.arange(first.table.views) % _PARTS == part
+    every = (first.select(~held), *fit.cameras.every[1:])
+    others = fit_cameras(replace(fit.cameras, every=every), fit.x, fit.sizes, fixed_sizes=True)
+    unseen = first.select(held)
+    return held, unseen.table, unseen.rows(others.state, np.empty(0, int)).pixels
+
+
 def held_out(*fits: CameraFit) -> tuple[float, ...]:
     """RMS of each fit on every fourth image, fitted to the others at the same sizes [px]; NaN for too few images."""
-    out = []
-    for fit in fits:
-        first = fit.cameras.first
-        held = np.arange(first.table.views) % _HELD == _HELD - 1
-        if len(held) < _ENOUGH:
-            return (float("nan"),) * len(fits)
-        every = (first.select(~held), *fit.cameras.every[1:])
-        others = fit_cameras(replace(fit.cameras, every=every), fit.x, fit.sizes, fixed_sizes=True)
-        unseen = first.select(held)
-        out.append(unseen.table.rms(unseen.rows(others.state, np.empty(0, int)).pixels))
-    return tuple(out)
+    if fits[0].table.views < _ENOUGH:
+        return (float("nan"),) * len(fits)
+    return tuple(table.rms(gap) for _, table, gap in (_unseen(fit, _PARTS - 1) for fit in fits))
+
+
+def predicted(fit: CameraFit) -> float:
+    """Mean square of the residuals [px²] of every fourth image, and so on, predicted from fits of the others.
+
+    Each image counts by no more than a few times the median, so that none rules alone. NaN for too few images.
+    """
+    if fit.table.views < _ENOUGH:
+        return float("nan")
+    square = np.empty(fit.table.views)
+    for part in range(_PARTS):
+        held, table, gap = _unseen(fit, part)
+        total = np.bincount(table.view, table.weight * (gap**2).sum(1), table.views)
+        square[held] = total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0)
+    return float(np.minimum(square, 25.0 * np.median(square)).mean())
 
 
 WORLD, TIP = "world", "tip"  # halves that may be moved: that in the world, and that on the arm
