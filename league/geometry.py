@@ -79,9 +79,12 @@ def fit(task: Task, geometry: bool = True, basis: Basis = none, learn: bool = Fa
         scale = np.maximum(scale, FINEST)
         weight = np.where(kinds == 2, 1.0, 1.0 / scale[np.minimum(kinds, 1)])
         A = (J * weight[:, None]).T @ (J * weight[:, None])
-        C = np.linalg.inv(A + np.diag(prior**-2.0))
-        new = C @ ((J * weight[:, None]).T @ (weight * (r + J @ x)))
-        now, x = _moved(now, new - x, replace(now, covariance=C)), new
+        H = A + np.diag(prior**-2.0)
+        unit = 1.0 / np.sqrt(np.diag(H))  # at unit diagonal, or metres beside radians cost the inverse its digits
+        C = np.linalg.inv(H * np.outer(unit, unit)) * np.outer(unit, unit)
+        # a step, not the values themselves: where little is left, rounding would be larger than it
+        way = C @ ((J * weight[:, None]).T @ (weight * r) - x / prior**2)
+        now, x = _moved(now, way, replace(now, covariance=C)), x + way
         if learn and step > 2:
             for g in np.unique(groups[~ends]):
                 at = groups == g
