@@ -202,7 +202,7 @@ def signals(drivers: Drivers, *, temperatures: bool) -> list[str]:
 
 
 def span(drivers: Drivers, by: str = "time") -> tuple[float, float] | None:
-    """First and last value [s] of a driver that is a time; None where none passes, as outside what was watched."""
+    """First and last value [s] of a driver that is a time; None if it stands still, as outside what was watched."""
     times = drivers.values(by)
     low, high = float(times.min()), float(times.max())
     return (low, high) if high > low else None

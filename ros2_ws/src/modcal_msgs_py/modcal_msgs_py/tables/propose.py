@@ -309,7 +309,7 @@ class _Search:
         return f"{said}, and no joint that is counted otherwise explains it", _CHECK
 
     def _of_targets(self, point: FittedBody) -> FittedBody | None:
-        """The same where a column tells which of several targets was measured, None where none does."""
+        """The same if a column tells which of several targets was measured, else None."""
         numbers, choice = self.numbers, point.best.choice
         rows = point.rows[spread_rows(len(point.rows), _MAX)]
         free = set(range(numbers.sheet.width)) - {*point.columns, *choice.columns, *self.time}
