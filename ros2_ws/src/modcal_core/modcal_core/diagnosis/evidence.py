@@ -53,7 +53,7 @@ from modcal_core.geometry import Array
 MIN_FREEDOM = 20  # rows beyond what is fitted
 _ONLY_ROUNDING = 1e-13  # added to what is inverted, so that it can be
 # A column is nothing whose square is less of the largest, as where a sample touches the end of a curve's function by
-# rounding; and where all are less than that, whose inverse single precision has no number for
+# rounding; and where all are less than that, which no sample shows
 _ROUNDING, _NO_SQUARE = 1e-24, 1e-30
 _MIN_NEW = 0.0025  # share of a candidate's square (5 % of its size) that the fit cannot make by itself
 _TRIALS = 79  # with random signs: their law's location is known to a ninth of its scale

@@ -105,9 +105,8 @@ def _searched(fit: Fit, sought: Sought, reject: bool = True) -> Diagnosis:
         if choice is None or missed > _MAX_REFUSED:
             break
         if choice.p_value > SIGNIFICANT and train.moving.any():
-            left = (
-                left or choice
-            )  # neighbours in motion share their errors: that *explain* is predicted shows too little
+            # neighbours in motion share their errors: that *explain* is predicted shows too little
+            left = left or choice
             break
         sought.progress(choice.effect.label)
         if search.add_several(evidence, choice, refused) or search.add(choice):
