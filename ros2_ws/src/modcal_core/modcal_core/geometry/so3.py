@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-_SMALL_ANGLE = 5e-3  # rad; of smaller ones the next terms of cosine and sine are less than 3e-17
 _LOG_SERIES_BELOW = 1e-4  # rad; the next term of the series is then below 1e-18
 # Of the coefficients of the exponential: 1, t², t⁴. The next terms are below 2e-16, where quotients would lose digits
 _SERIES_BELOW = 1e-2  # rad
@@ -30,7 +29,6 @@ HAT = np.array(
 
 _EYE = np.eye(3)
 _FIRST, _LATER = [1, 2, 0], [2, 0, 1]  # rows and columns of the odd part
-_SMALL_SINE = 0.1  # of angles whose cosine says nothing that their sine does not
 
 
 def hat(w: ArrayLike) -> Array:
@@ -63,20 +61,9 @@ def rodrigues_coefficients(angle: Array) -> tuple[Array, Array, Array]:
     return np.where(small, a, sine), np.where(small, b, 2.0 * half * half), np.where(small, c, (1.0 - sine) / safe**2)
 
 
-def cos_sin(angle: Array) -> tuple[Array, Array]:
-    """(cos t, sin t) of angles t [rad], small ones, as errors of joints are, in a fifth of the time."""
-    if angle.size and max(float(angle.max()), -float(angle.min())) >= _SMALL_ANGLE:
-        return np.cos(angle), np.sin(angle)
-    t2 = angle * angle
-    return 1.0 - t2 * (0.5 - t2 * (1.0 / 24.0)), angle * (1.0 - t2 * (1.0 / 6.0 - t2 * (1.0 / 120.0)))
-
-
 def exp(w: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
-    w = np.asarray(w, dtype=float)
-    a, b, _ = rodrigues_coefficients(np.sqrt(np.einsum("...i,...i->...", w, w)))
-    W = hat(w)
-    return _EYE + a[..., None, None] * W + b[..., None, None] * (W @ W)
+    return exp_and_left_jacobian(w)[0]
 
 
 def exp_rows(w: Array) -> tuple[tuple[Array, Array, Array], ...]:
@@ -107,12 +94,6 @@ def exp_and_left_jacobian(w: ArrayLike) -> tuple[Array, Array]:
 def log(R: ArrayLike) -> Array:
     """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), with angle in [0, π]."""
     R = np.asarray(R, dtype=float)
-    if R.size:  # where all are small, as residuals are: the sine of the angle along its axis is the odd part
-        sine = 0.5 * (R[..., _LATER, _FIRST] - R[..., _FIRST, _LATER])
-        n = np.sqrt(np.einsum("...i,...i->...", sine, sine))
-        if n.max() < _SMALL_SINE and np.einsum("...ii->...", R).min() > 1.0:
-            safe = np.maximum(n, _LOG_SERIES_BELOW)
-            return np.asarray(sine * np.where(n < safe, 1.0 + n * n / 6.0, np.arcsin(safe) / safe)[..., None])
     q = to_quaternion(R)
     q = np.where(q[..., 3:] < 0.0, -q, q)
     v, s = q[..., :3], q[..., 3]
@@ -126,10 +107,7 @@ def log(R: ArrayLike) -> Array:
 
 def left_jacobian(w: ArrayLike) -> Array:
     """Left Jacobian (..., 3, 3) of SO(3), ``exp(w + d) ≈ exp(J d) exp(w)`` for small d; transposed, the right one."""
-    w = np.asarray(w, dtype=float)
-    _, b, c = rodrigues_coefficients(np.linalg.norm(w, axis=-1))
-    W = hat(w)
-    return np.eye(3) + b[..., None, None] * W + c[..., None, None] * (W @ W)
+    return exp_and_left_jacobian(w)[1]
 
 
 def left_jacobian_inverse(w: ArrayLike) -> Array:
@@ -161,49 +139,26 @@ def from_quaternion(q: ArrayLike) -> Array:
     return R
 
 
-def _quaternion_products() -> Array:
-    """What the elements of a rotation, row by row, give to ``4 q qᵀ − 1`` for its quaternion q, (9, 16)."""
-    out = np.zeros((3, 3, 4, 4))
-    for i in range(3):
-        out[i, i] = np.diag([1.0 if j in (i, 3) else -1.0 for j in range(4)])
-        j, k = (i + 1) % 3, (i + 2) % 3
-        for a, b in ((i, j), (j, i)):
-            out[a, b, i, j] = out[a, b, j, i] = 1.0  # q_i q_j by the sum, q_k w by the difference
-            out[a, b, k, 3] = out[a, b, 3, k] = -1.0 if (a, b) == (i, j) else 1.0
-    return out.reshape(9, 16)
-
-
-_PRODUCTS = _quaternion_products()
-
-
 def to_quaternion(R: ArrayLike) -> Array:
     """Quaternions x y z w (..., 4) of rotation matrices (..., 3, 3); of the two signs, one that divides safely.
 
     Of the four ways to write q from R, the one with the largest divisor is taken, so no angle loses digits.
     """
     R = np.asarray(R, dtype=float)
-    K = R.reshape(-1, 9) @ _PRODUCTS
-    squares = K[:, ::5]
-    squares += 1.0
-    q = K.reshape(-1, 4, 4)[np.arange(len(K)), squares.argmax(axis=1)]
-    q /= np.sqrt(np.einsum("ni,ni->n", q, q))[:, None]
-    return q.reshape(*R.shape[:-2], 4)
+    trace = np.trace(R, axis1=-2, axis2=-1)[..., None, None]
+    K = np.empty((*R.shape[:-2], 4, 4))  # 4 q qᵀ
+    K[..., :3, :3] = R + np.swapaxes(R, -1, -2) + (1.0 - trace) * _EYE
+    K[..., 3, :3] = K[..., :3, 3] = R[..., _LATER, _FIRST] - R[..., _FIRST, _LATER]
+    K[..., 3:, 3:] = 1.0 + trace
+    best = np.diagonal(K, axis1=-2, axis2=-1).argmax(axis=-1)
+    q = np.take_along_axis(K, best[..., None, None], axis=-2)[..., 0, :]
+    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
 def from_rpy(rpy: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) of URDF roll-pitch-yaw (..., 3) [rad]: ``Rz(yaw) Ry(pitch) Rx(roll)``."""
-    half = 0.5 * np.asarray(rpy, dtype=float)
-    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(half), -1, 0), np.moveaxis(np.sin(half), -1, 0)
-    q = np.stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ],
-        axis=-1,
-    )
-    return from_quaternion(q)
+    roll, pitch, yaw = np.moveaxis(np.asarray(rpy, dtype=float)[..., None] * _EYE, -2, 0)
+    return exp(yaw) @ exp(pitch) @ exp(roll)
 
 
 def to_rpy(R: ArrayLike) -> Array:
@@ -220,14 +175,13 @@ def to_rpy(R: ArrayLike) -> Array:
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
-def mean(R: ArrayLike, weights: ArrayLike | None = None) -> Array:
-    """Mean rotation (..., 3, 3) of rotations (..., n, 3, 3): the one with least weighted squared chordal distance.
+def mean(R: ArrayLike) -> Array:
+    """Mean rotation (..., 3, 3) of rotations (..., n, 3, 3): the one with least squared chordal distance.
 
-    It is the polar factor of the weighted sum, so q and −q cannot pull it apart.
+    It is the polar factor of the sum, so q and −q cannot pull it apart.
     """
     R = np.asarray(R, dtype=float)
-    weights = np.ones(R.shape[-3]) if weights is None else np.asarray(weights)
-    return nearest_rotation(np.einsum("n,...nij->...ij", weights, R))
+    return nearest_rotation(R.sum(axis=-3))
 
 
 def nearest_rotation(A: ArrayLike) -> Array:

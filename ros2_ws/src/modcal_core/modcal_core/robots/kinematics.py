@@ -148,7 +148,7 @@ def moved_frame(axes: Array, p: Array, twist: Array) -> None:
         for axis, size in zip(axes, twist[:3], strict=True):
             p += axis * size
     if twist[5].any() and not twist[3:5].any():  # about the joint's axis, as most are
-        c, s = so3.cos_sin(twist[5])
+        c, s = np.cos(twist[5]), np.sin(twist[5])
         x, y = axes[0].copy(), axes[1].copy()
         axes[0] = c * x + s * y
         axes[1] = c * y - s * x
