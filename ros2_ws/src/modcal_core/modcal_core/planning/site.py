@@ -278,7 +278,6 @@ def _basis(z: Array) -> Array:
 
 _SHARE_OF_REACH = 0.04  # radius of a link where none is stated: 5 cm of an arm of 1.3 m
 _NEIGHBOURS = 2.0  # sums of radii along the arm within which spheres are not compared
-_BLOCK = 2000  # postures at a time
 
 
 @dataclass(frozen=True)
@@ -368,14 +367,6 @@ def clearance(spheres: Spheres, site: Site, q: Array) -> Array:
 
     It is negative where something touches, and the site's margin is taken off already.
     """
-    out = np.full(len(q), np.inf)
-    for first in range(0, len(q), _BLOCK):
-        rows = slice(first, first + _BLOCK)
-        out[rows] = _clearance(spheres, site, q[rows])
-    return out - site.margin
-
-
-def _clearance(spheres: Spheres, site: Site, q: Array) -> Array:
     at = spheres.at(_frames(spheres.chain, q))
     out = np.where(takes(spheres.chain, q), np.inf, -np.inf)
     for i in np.unique(spheres.pairs[:, 0]):
@@ -395,7 +386,7 @@ def _clearance(spheres: Spheres, site: Site, q: Array) -> Array:
         high = spheres.link > 1
         gap = at[high, 2] - spheres.radius[high, None] - site.floor
         out = np.minimum(out, gap.min(axis=0, initial=np.inf))
-    return out
+    return out - site.margin
 
 
 def visible(spheres: Spheres, site: Site, q: Array) -> np.ndarray:

@@ -17,11 +17,6 @@ from numpy.typing import ArrayLike
 from modcal_core.geometry import Array, crossed_rows, se3, so3, tool_from
 from modcal_core.robots.chain import Chain
 
-# Sets of positions whose sines are kept: what is fitted, what judges it, and both. With fewer samples it is not worth
-# it, and of more they take too much memory
-_SETS_KEPT, _FEWEST_KEPT, _MOST_KEPT = 3, 64, 20_000
-_kept: list[tuple[Array, Array, Array]] = []  # positions (n, N), cosines and sines
-
 
 @dataclass(frozen=True)
 class Loop:
@@ -99,7 +94,7 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
     q = np.ascontiguousarray(q.T)
     n, N = q.shape
     M = chain.along_z
-    c, s = _cos_sin(q)
+    c, s = np.cos(q), np.sin(q)
     axes = np.empty((n + 1, 3, 3, N))
     p = np.empty((n + 1, 3, N))
     axes[0] = M[0, :3, :3].T[:, :, None]
@@ -125,20 +120,6 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
     if n in twists:
         moved_frame(axes[n], p[n], twists[n])
     return Frames(axes, p)
-
-
-def _cos_sin(q: Array) -> tuple[Array, Array]:
-    """Cosines and sines of joint positions (n, N), a third of the time of their frames: those that were asked for last
-    are kept, for a fit asks for the same ones at each step.
-    """
-    if not _FEWEST_KEPT <= q.shape[1] <= _MOST_KEPT:
-        return np.cos(q), np.sin(q)
-    known = tuple(_kept)
-    found = next((one for one in known if np.array_equal(one[0], q)), None)
-    if found is None:
-        found = q.copy(), np.cos(q), np.sin(q)
-        _kept[:] = [found, *known[: _SETS_KEPT - 1]]
-    return found[1:]
 
 
 def moved_frame(axes: Array, p: Array, twist: Array) -> None:

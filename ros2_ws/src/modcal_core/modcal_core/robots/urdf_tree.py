@@ -181,21 +181,14 @@ def document(urdf_xml: str) -> Any:
 def _element(text: bytes) -> Any:
     """The root element. Elements whose prefix is not declared are passed over, as the parsers of ROS do."""
     # A declared encoding was true of the bytes; this is text already. Outside entities are nobody's business here.
-    parsers = (
-        etree.XMLParser(
-            encoding="utf-8", resolve_entities=False, no_network=True, remove_comments=True, recover=recover
-        )
-        for recover in (False, True)
+    parser = etree.XMLParser(
+        encoding="utf-8", resolve_entities=False, no_network=True, remove_comments=True, recover=True
     )
-    try:
-        return etree.fromstring(text, next(parsers))
-    except etree.XMLSyntaxError as error:
-        parser = next(parsers)
-        root = etree.fromstring(text, parser)
-        faults = [e for e in parser.error_log if e.domain != etree.ErrorDomains.NAMESPACE]
-        if faults:
-            raise ValueError(f"{faults[0].message}, line {faults[0].line}, column {faults[0].column}") from error
-        return root
+    root = etree.fromstring(text, parser)
+    faults = [e for e in parser.error_log if e.domain != etree.ErrorDomains.NAMESPACE]
+    if faults:
+        raise ValueError(f"{faults[0].message}, line {faults[0].line}, column {faults[0].column}")
+    return root
 
 
 def _unexpanded() -> BadRobot:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from modcal_core.geometry import Array
@@ -85,7 +83,5 @@ def _far_off(position: Array, far: float, spread: float) -> tuple[str, str]:
 
 def _norm(vectors: Array) -> Array:
     """Lengths (m,) of vectors (m, k), whatever they hold: infinite where a square overflows."""
-    if len(vectors) == 1:  # of a reading as it comes, whose every microsecond counts
-        return np.array([math.hypot(*vectors[0].tolist())])
     with np.errstate(over="ignore"):
         return np.asarray(np.linalg.norm(vectors, axis=1))

@@ -21,9 +21,6 @@ def indirect_rows(samples: Samples) -> np.ndarray:
 def dimensions(samples: Samples) -> Array:
     """In how many directions each reading sees, (N,)."""
     out = np.empty(len(samples))
-    if len(samples.kinds) == 1:
-        out[:] = kinds()[samples.kinds[0]].dimensions
-        return out
     for name in samples.kinds:
         out[samples.kind == name] = kinds()[name].dimensions
     return out
