@@ -79,7 +79,7 @@ def test_arrays_may_come_with_commands() -> None:
     samples = Samples.from_arrays(q, points=p, commanded=q + 1e-3)
     np.testing.assert_allclose(samples.following, 1e-3)
     assert np.array_equal(samples.select(np.array([3])).following, samples.following[3:4])
-    with pytest.raises(BadRecording, match="commanded: have shape"):
+    with pytest.raises(BadRecording, match="commanded: has shape"):
         Samples.from_arrays(q, points=p, commanded=q[:, :2])
 
 

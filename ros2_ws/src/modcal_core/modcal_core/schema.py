@@ -32,7 +32,17 @@ TEXT: Schema = {"type": "string"}
 
 def record(required: Sequence[str] = (), /, **properties: Schema) -> Schema:
     """A mapping with these keys and no others."""
-    return {"type": "object", "required": required, "properties": properties, "additionalProperties": False}
+    return {**holding(required, **properties), "additionalProperties": False}
+
+
+def holding(required: Sequence[str] = (), /, **properties: Schema) -> Schema:
+    """A mapping with these keys, and whatever others."""
+    return {"type": "object", "required": required, "properties": properties}
+
+
+def mapping_of(values: Schema) -> Schema:
+    """A mapping whose values are all like this."""
+    return {"type": "object", "additionalProperties": values}
 
 
 def list_of(items: Schema, least: int = 0, most: int | None = None) -> Schema:

@@ -27,7 +27,7 @@ from modcal_core.measurements.kinds.kind import farthest
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack, joints_by_time
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots import Mechanism
+from modcal_core.robots import JointColumns, Mechanism
 
 JOINTS = "joint states without a finite position"
 BEYOND = "joint states with a position that no joint has"
@@ -108,24 +108,20 @@ class _Ledger:
 
 def _followed(recording: Recording, chain: Mechanism | None) -> Recording:
     """The recording with joints that mimic another one, where their own positions were not recorded."""
-    followers = () if chain is None else chain.follows
     known = {name for track in recording.joints for name in track.names}
-    new = [(chain.names[f.joint], f) for f in followers if chain is not None and chain.names[f.joint] not in known]
-    if not new:
+    new = () if chain is None else [f for f in chain.follows if chain.names[f.joint] not in known]
+    if chain is None or not new:
         return recording
     tracks = []
     for track in recording.joints:
-        here = [(name, track.names.index(f.leader), f) for name, f in new if f.leader in track.names]
-        k, factor, offset = [i for _, i, _ in here], [f.factor for *_, f in here], [f.offset for *_, f in here]
-        tracks.append(
-            replace(
-                track,
-                names=(*track.names, *(name for name, *_ in here)),
-                position=np.c_[track.position, track.position[:, k] * factor + offset],
-                velocity=np.c_[track.velocity, track.velocity[:, k] * factor],
-                effort=np.c_[track.effort, np.full((len(track.stamps), len(k)), np.nan)],
-            )
-        )
+        told = JointColumns.of(chain.names, new, track.names)
+        led = ~told.own
+        whole = {
+            "position": np.c_[track.position, told.positions(track.position)[:, led]],
+            "velocity": np.c_[track.velocity, told.velocities(track.velocity)[:, led]],
+            "effort": np.c_[track.effort, told.efforts(track.effort)[:, led]],
+        }
+        tracks.append(replace(track, names=(*track.names, *(chain.names[j] for j in told.joints[led])), **whole))
     return replace(recording, joints=tuple(tracks))
 
 

@@ -16,7 +16,7 @@ from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array
 from modcal_core.measurements.alignment import at_steady_rate
 from modcal_core.measurements.checks import require_usable
-from modcal_core.measurements.dropouts import MAX_GLITCHES, cleaned
+from modcal_core.measurements.dropouts import MAX_GLITCHES, cleaned, hung
 from modcal_core.measurements.dwells import MIN_RETURNS, StationRules, find_dwells, returns
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POINT, POSE, Recording, joints_by_time
@@ -62,7 +62,6 @@ _LATE = 0.5  # s from stamp to reception; no transport takes so long, so a clock
 _CLOCKS = 0.05  # s between two topics' delays; transport on one network differs by less
 _CONSTANT = 1e-4  # rad or m; an encoder's noise at standstill stays below, and a joint in use does not
 _GAP = 10.0  # times the usual period that make a silence worth saying
-_STUCK = 5  # identical readings in a row, of an instrument with noise
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,6 @@ def inspect(recording: Recording, chain: Mechanism | None = None) -> Inspection:
         name = f"{reading.topic} ({reading.frame})"
         facts.append(_facts(reading.topic, f"{reading.kind} in frame {reading.frame}", reading.stamps))
         findings += _clock_findings(name, reading.stamps, reading.received)
-        findings += _stuck_finding(name, reading.values)
         findings += [f"{name}: {said}: the arm's motion will decide."] if (said := at_steady_rate(reading)[1]) else []
     for signal in recording.signals:
         facts.append(_facts(signal.topic, signal.name, signal.stamps))
@@ -115,7 +113,8 @@ def inspect(recording: Recording, chain: Mechanism | None = None) -> Inspection:
             findings.append(f"Cannot be used for calibration: {error}.")
         else:
             elsewhere = out_of_time(clean.recording, chain.names)
-            findings += [*clean.notes, *elsewhere, *_returns_finding(clean.recording, chain)]
+            repeated = hung(clean.recording, chain.names).notes
+            findings += [*clean.notes, *elsewhere, *repeated, *_returns_finding(clean.recording, chain)]
             recording = clean.recording
     return Inspection(tuple(facts), _uses(recording, chain), tuple(findings))
 
@@ -164,20 +163,6 @@ def _receive_finding(recording: Recording) -> list[str]:
         f"{r.topic} ({r.frame}): its clock is {offset:+.3f} s off that of the joint states, by times of reception."
         for r in recording.readings
         if np.isfinite(r.received).any() and abs(offset := usual - float(np.nanmedian(r.received - r.stamps))) > _CLOCKS
-    ]
-
-
-def _stuck_finding(name: str, values: Array) -> list[str]:
-    if len(values) < 2 * _STUCK or np.ptp(values, axis=0).max() == 0.0:
-        return []  # a ball in a socket always reads the same
-    same = (np.diff(values, axis=0) == 0.0).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.r_[False, same, False].astype(int)))
-    runs = edges[1::2] - edges[::2]
-    long = runs[runs >= _STUCK]
-    if not len(long):
-        return []
-    return [
-        f"{name}: {len(long)} times the same reading {_STUCK} or more times in a row: the target may have been lost."
     ]
 
 

@@ -324,21 +324,19 @@ def joints_of(
     q: ArrayLike, names: Sequence[str] | None, stamps: ArrayLike | None, efforts: ArrayLike | None
 ) -> JointTrack:
     """Joint states: one row a posture, APART seconds between them where no stamps are given. Raises BadRecording."""
-    positions = _numbers("q", q, 2)
+    positions = _numbers("q", q, (None, None))
     N, n = positions.shape
     if N == 0:
         raise NotEnoughData("arrays", "hold no row", "give one posture and one reading a row")
     if names is not None and (len(names) != n or len(set(names)) != n):
         raise BadRecording("names", f"{len(set(names))} names for {n} columns of q", "give each column a name")
     columns = tuple(f"column_{j}" for j in range(n)) if names is None else tuple(names)
-    t: Array = APART * np.arange(N, dtype=float) if stamps is None else _numbers("stamps", stamps, 1, N)
+    t: Array = APART * np.arange(N, dtype=float) if stamps is None else _numbers("stamps", stamps, (N,))
     if not (np.diff(t) > 0.0).all():
         row = int(np.argmax(np.diff(t) <= 0.0)) + 1
         raise BadRecording("stamps", f"do not increase at row {row}", "give rows in the order of time")
     unknown = np.full((N, n), np.nan)
-    effort = unknown if efforts is None else _numbers("efforts", efforts, 2, N)
-    if effort.shape != (N, n):
-        raise BadRecording("efforts", f"have shape {effort.shape}, not {(N, n)}", "give one number a joint")
+    effort = unknown if efforts is None else _numbers("efforts", efforts, (N, n))
     return JointTrack(columns, t, positions, unknown, effort, np.full(N, np.nan))
 
 
@@ -346,10 +344,7 @@ def commands_of(commanded: ArrayLike | None, joints: JointTrack) -> tuple[JointT
     """Commanded positions beside these joint states, row by row; none where none are given. Raises BadRecording."""
     if commanded is None:
         return ()
-    told, wanted = _numbers("commanded", commanded, 2, len(joints.stamps)), joints.position.shape
-    if told.shape != wanted:
-        raise BadRecording("commanded", f"have shape {told.shape}, not {wanted}", "give one number a joint")
-    unknown = np.full(wanted, np.nan)
+    told, unknown = _numbers("commanded", commanded, joints.position.shape), np.full(joints.position.shape, np.nan)
     return (JointTrack(joints.names, joints.stamps, told, unknown, unknown, joints.received, "arrays"),)
 
 
@@ -363,15 +358,12 @@ def readings_of(
         raise BadRecording("arrays", said, "give one of them; join samples of several with followed_by")
     tracks: list[tuple[str, str, Array]] = []
     if points is not None:
-        values = _numbers("points", points, 2, len(t), finite=False)
-        if values.shape[1] != 3:
-            raise BadRecording("points", f"have shape {values.shape}, not ({len(t)}, 3)", "give x y z [m] in each row")
-        tracks.append((POINT, frame, values))
+        tracks.append((POINT, frame, _numbers("points", points, (len(t), 3), finite=False)))
     elif poses is not None:
         tracks.append((POSE, frame, _poses(poses, len(t))))
     else:
         for anchor, distances in (ranges or {}).items():
-            tracks.append((RANGE, anchor, _numbers(f"ranges to {anchor}", distances, 1, len(t), finite=False)[:, None]))
+            tracks.append((RANGE, anchor, _numbers(f"ranges to {anchor}", distances, (len(t),), finite=False)[:, None]))
     out = []
     for kind, name, values in tracks:
         good = np.isfinite(values).all(axis=1)
@@ -408,7 +400,7 @@ def _poses(poses: ArrayLike, N: int) -> Array:
 def signals_of(kind: str, given: Mapping[str, ArrayLike] | None, t: Array) -> list[SignalTrack]:
     """Temperatures or signals at these stamps, by name. Raises BadRecording."""
     return [
-        SignalTrack(f"{kind}:{name}", t, _numbers(f"{kind} {name}", values, 1, len(t))[:, None], kind)
+        SignalTrack(f"{kind}:{name}", t, _numbers(f"{kind} {name}", values, (len(t),))[:, None], kind)
         for name, values in (given or {}).items()
     ]
 
@@ -428,15 +420,15 @@ def sigma_of(name: str, given: ArrayLike | None, stamps: Array, t: Array, found:
     return values[rows]
 
 
-def _numbers(name: str, values: ArrayLike, dimensions: int, count: int | None = None, finite: bool = True) -> Array:
-    """An array of finite numbers with this number of dimensions and rows. Raises BadRecording."""
+def _numbers(name: str, values: ArrayLike, shape: tuple[int | None, ...], finite: bool = True) -> Array:
+    """An array of finite numbers of this shape, None standing for any number. Raises BadRecording."""
     try:
         out = np.array(values, dtype=float)
     except (TypeError, ValueError) as error:
         raise BadRecording(name, f"is not an array of numbers ({error})", "give numbers") from error
-    if out.ndim != dimensions or (count is not None and len(out) != count):
-        wanted = "(N, n)" if count is None else f"{count} rows" + (f" of {dimensions} dimensions" * (dimensions > 1))
-        raise BadRecording(name, f"has shape {out.shape}, not {wanted}", "give one row a posture")
+    if out.ndim != len(shape) or any(count not in (None, has) for count, has in zip(shape, out.shape, strict=True)):
+        wanted = str(shape).replace("None", "any")
+        raise BadRecording(name, f"has shape {out.shape}, not {wanted}", "give one row a posture, one number a column")
     if finite and not np.isfinite(out).all():
         row = int(np.argmin(np.isfinite(out.reshape(len(out), -1)).all(axis=1)))
         raise BadRecording(f"{name}, row {row}", "is not finite", "leave such rows out")

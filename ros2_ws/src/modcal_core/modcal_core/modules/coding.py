@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadTable, refusing
 from modcal_core.modules.library import JOINT, LINK, SIZES, TURNS, Assembly, Library, Module, ModuleType
-from modcal_core.schema import TEXT, list_of, record, require, stated
+from modcal_core.schema import TEXT, list_of, mapping_of, record, require, stated
 
 BASES = SIZES * TURNS
 DOT = "·"
@@ -236,9 +236,9 @@ _MODULE = record(("module",), module=TEXT, length={"type": "integer"}, turn={"en
 _AIM = record(
     ("columns", "rows"),
     columns=list_of(TEXT),
-    rows={"type": "object", "additionalProperties": list_of({"type": ["string", "null"]})},
-    sizes={"type": "object", "additionalProperties": list_of({"type": "integer"})},
-    serials={"type": "object", "additionalProperties": list_of(_SERIAL)},
+    rows=mapping_of(list_of({"type": ["string", "null"]})),
+    sizes=mapping_of(list_of({"type": "integer"})),
+    serials=mapping_of(list_of(_SERIAL)),
 )
 _SCHEMA = record(
     ("modcal_assembly",),

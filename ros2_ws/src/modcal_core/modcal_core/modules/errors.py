@@ -47,7 +47,7 @@ from modcal_core.measurements import Samples
 from modcal_core.modules.coding import assembly_from_data, assembly_to_data
 from modcal_core.modules.library import TO_AXIS, Assembly, Library, ModuleTolerance, Piece, chain_of, origins, pieces
 from modcal_core.robots import Chain
-from modcal_core.schema import NUMBER, SIZE, TEXT, list_of, require, whole
+from modcal_core.schema import NUMBER, SIZE, TEXT, holding, list_of, mapping_of, require, whole
 
 # --- What one recording of an assembly says of the modules in it
 
@@ -315,32 +315,22 @@ def _without(information: Array, C: Array, std: Array) -> Array:
 
 _FORMAT = 1  # of the file
 _FIX = "give a file that modcal modules learn wrote"
-_PART = {"type": "object", "required": ("mean",), "properties": {"mean": list_of(NUMBER, 6, 6)}}
-_KIND = {
-    "type": "object",
-    "required": ("parts",),
-    "properties": {"parts": {"type": "object", "additionalProperties": _PART}},
-}
-_RECORDING = {
-    "type": "object",
-    "required": ("stations", "residual_m", "deviation", "information"),
-    "properties": {
-        "stations": whole(0, 10**9),
-        "residual_m": SIZE,
-        "deviation": list_of(list_of(NUMBER, 6, 6)),
-        "information": list_of(NUMBER),
-    },
-}
-_SCHEMA = {
-    "type": "object",
-    "required": ("modcal_module_store", "library", "modules", "assemblies"),
-    "properties": {
-        "modcal_module_store": {"enum": [_FORMAT]},
-        "library": TEXT,
-        "modules": {"type": "object", "additionalProperties": _KIND},
-        "assemblies": list_of(_RECORDING),
-    },
-}
+_KIND = holding(("parts",), parts=mapping_of(holding(("mean",), mean=list_of(NUMBER, 6, 6))))
+_OWN = ("stations", "residual_m", "deviation", "information")  # beside what an assembly's file holds
+_RECORDING = holding(
+    _OWN,
+    stations=whole(0, 10**9),
+    residual_m=SIZE,
+    deviation=list_of(list_of(NUMBER, 6, 6)),
+    information=list_of(NUMBER),
+)
+_SCHEMA = holding(
+    ("modcal_module_store", "library", "modules", "assemblies"),
+    modcal_module_store={"enum": [_FORMAT]},
+    library=TEXT,
+    modules=mapping_of(_KIND),
+    assemblies=list_of(_RECORDING),
+)
 
 
 def store_to_data(known: ModuleErrors, library: Library) -> dict[str, Any]:
@@ -413,8 +403,7 @@ def _recording_to_data(w: RecordingEvidence, library: Library) -> dict[str, Any]
 
 
 def _recording_from_data(data: Mapping[str, Any], library: Library, source: str) -> RecordingEvidence:
-    own = _RECORDING["required"]
-    assembly: Assembly = assembly_from_data({k: v for k, v in data.items() if k not in own}, library, source)
+    assembly: Assembly = assembly_from_data({k: v for k, v in data.items() if k not in _OWN}, library, source)
     size = 6 * (assembly.n - 1)
     lower, deviation = np.tril_indices(size), np.array(data["deviation"], dtype=float)
     if len(deviation) != assembly.n - 1 or len(data["information"]) != len(lower[0]):

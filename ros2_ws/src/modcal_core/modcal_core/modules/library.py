@@ -25,7 +25,7 @@ import numpy as np
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, se3, sealed, so3
 from modcal_core.robots import Chain
-from modcal_core.schema import NUMBER, POSITIVE, SIZE, TEXT, list_of, record, require, stated, whole
+from modcal_core.schema import NUMBER, POSITIVE, SIZE, TEXT, list_of, mapping_of, record, require, stated, whole
 
 BASE, JOINT, LINK, GRIPPER = "base", "joint", "link", "gripper"
 ROLES = (BASE, JOINT, LINK, GRIPPER)
@@ -262,7 +262,7 @@ _SCHEMA = record(
     modcal_modules={"enum": [_FORMAT]},
     name=TEXT,
     tolerances=record((), module=_TOLERANCE, interface=_TOLERANCE),
-    modules={"type": "object", "additionalProperties": _TYPE},
+    modules=mapping_of(_TYPE),
 )
 
 

@@ -17,7 +17,7 @@ from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import APART, POINT, POSE, TRAVEL, Samples
 from modcal_core.measurements.kinds import KIND_NAMES
-from modcal_core.schema import NUMBER, SIZE, TEXT, list_of, record, require, whole
+from modcal_core.schema import NUMBER, SIZE, TEXT, holding, list_of, record, require, whole
 from modcal_core.verdict import Floor
 
 MIN_STATIONS = 6  # at random; what is wrong at two fifths of all postures shows at one of six with 95 %
@@ -242,21 +242,18 @@ _STATION = record(
     row={"type": "integer"},
     **dict.fromkeys(("q", "reading", "approach", "effort"), _NUMBERS),
 )
-_SCHEMA = {
-    "type": "object",
-    "required": ("modcal_measure", "robot", "joints", "reading", "goal", "seed", "stations"),
-    "properties": {
-        "modcal_measure": {"enum": [FORMAT]},
-        "robot": TEXT,
-        "joints": list_of(TEXT, 1),
-        "reading": {"enum": (POINT, POSE)},
-        "on_tool": {"type": "boolean"},
-        "seed": whole(0, 2**63),
-        "began": {"type": ["number", "null"]},
-        "goal": {"type": "object"},
-        "stations": list_of(_STATION),
-    },
-}
+_SCHEMA = holding(
+    ("modcal_measure", "robot", "joints", "reading", "goal", "seed", "stations"),
+    modcal_measure={"enum": [FORMAT]},
+    robot=TEXT,
+    joints=list_of(TEXT, 1),
+    reading={"enum": (POINT, POSE)},
+    on_tool={"type": "boolean"},
+    seed=whole(0, 2**63),
+    began={"type": ["number", "null"]},
+    goal={"type": "object"},
+    stations=list_of(_STATION),
+)
 _REMEDY = "give the session.yaml that modcal measure wrote, or another folder"
 
 

@@ -32,7 +32,7 @@ from modcal_core.robots import (
     takes,
     tool_frames,
 )
-from modcal_core.schema import NUMBER, POSITIVE, SIZE, TEXT, list_of, record, require, stated
+from modcal_core.schema import NUMBER, POSITIVE, SIZE, TEXT, list_of, mapping_of, record, require, stated
 
 FORMAT = 1  # of the file
 BASE = "base"
@@ -153,7 +153,7 @@ _SCHEMA = record(
     surroundings=record(
         (), floor_m=NUMBER, spheres=list_of(record(("center_m",), **_BALL)), boxes=list_of(list_of(_PAIR, 3, 3))
     ),
-    limits={"type": "object", "additionalProperties": _PAIR},
+    limits=mapping_of(_PAIR),
     workspace=record((), box_m=list_of(_PAIR, 3, 3)),
 )
 _REMEDY = "correct the file, as docs/planning.md shows one"

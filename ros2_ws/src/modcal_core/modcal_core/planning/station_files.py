@@ -11,19 +11,16 @@ import numpy as np
 from modcal_core.errors import BadCommand, BadTable
 from modcal_core.geometry import Array
 from modcal_core.robots import vector
-from modcal_core.schema import NUMBER, TEXT, list_of, require, stated
+from modcal_core.schema import NUMBER, TEXT, holding, list_of, require, stated
 
-_STATIONS = list_of({"type": "object", "required": ("position",)})
-_SCHEMA = {
-    "type": "object",
-    "required": ("modcal_plan", "joints"),
-    "properties": {
-        "modcal_plan": {"enum": [1]},
-        "joints": list_of(TEXT),
-        "stations": _STATIONS,
-        "ties": list_of({"type": "object", "properties": {"stations": _STATIONS}}),
-    },
-}
+_STATIONS = list_of(holding(("position",)))
+_SCHEMA = holding(
+    ("modcal_plan", "joints"),
+    modcal_plan={"enum": [1]},
+    joints=list_of(TEXT),
+    stations=_STATIONS,
+    ties=list_of(holding((), stations=_STATIONS)),
+)
 _PLAN = "give the plan.yaml that modcal plan wrote"
 
 
@@ -63,16 +60,9 @@ def _of_joints(joints: Sequence[str], rows: Mapping[str, Any], names: Sequence[s
 _RISE = 1.5  # peak of a cubic's speed over its mean
 _MIN_LEAD = 0.5  # s from the start to the first point
 _MAX_POINTS = 100_000  # of a file, for memory
-_TIME = {"type": "object", "required": ("sec", "nanosec"), "properties": {"sec": NUMBER, "nanosec": NUMBER}}
-_PLACED = {"positions": list_of(NUMBER), "time_from_start": _TIME}
-_TRAJECTORY = {
-    "type": "object",
-    "required": ("joint_names", "points"),
-    "properties": {
-        "joint_names": list_of(TEXT, 1),
-        "points": list_of({"type": "object", "required": tuple(_PLACED), "properties": _PLACED}, 1, _MAX_POINTS),
-    },
-}
+_TIME = holding(("sec", "nanosec"), sec=NUMBER, nanosec=NUMBER)
+_PLACED = holding(("positions", "time_from_start"), positions=list_of(NUMBER), time_from_start=_TIME)
+_TRAJECTORY = holding(("joint_names", "points"), joint_names=list_of(TEXT, 1), points=list_of(_PLACED, 1, _MAX_POINTS))
 _FORM = "give joint_names and points with positions and time_from_start, as modcal plan writes them"
 
 

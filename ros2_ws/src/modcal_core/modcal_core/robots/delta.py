@@ -42,7 +42,7 @@ from modcal_core.errors import BadRobot, BadTable, refusing
 from modcal_core.geometry import Array, cross, se3, so3
 from modcal_core.robots.chain import Follower, read_only
 from modcal_core.robots.kinematics import Loop
-from modcal_core.schema import NUMBER, TEXT, Schema, list_of, record, require, stated
+from modcal_core.schema import NUMBER, TEXT, Schema, list_of, mapping_of, record, require, stated
 
 ARMS = 3
 CONSTANTS = 6
@@ -387,7 +387,7 @@ _ROWS, _TOWER_ROWS = (  # in the order of constants
 )
 _RADII = ("fixed_radius_m", "platform_radius_m")
 _EACH: Schema = {"type": ["number", "array"], "items": NUMBER, "minItems": ARMS, "maxItems": ARMS}
-_LIMITED: Schema = {"type": "object", "additionalProperties": list_of(NUMBER, 2, 2)}
+_LIMITED = mapping_of(list_of(NUMBER, 2, 2))
 _SCHEMA = record(
     ("modcal_delta", "joints"),
     modcal_delta={"enum": [_FORMAT]},

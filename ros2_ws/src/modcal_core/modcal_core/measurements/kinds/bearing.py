@@ -13,10 +13,8 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.measurements.kinds.kind import Kind, Scene, Sight
+from modcal_core.measurements.kinds.kind import UNIT, Kind, Scene, Sight, lengths, not_unit
 from modcal_core.measurements.recording import BEARING, POINT, ReadingTrack
-
-_UNIT = 1e-3  # how far from 1 the length of a direction may be
 
 
 class Bearing(Kind):
@@ -77,14 +75,8 @@ class Bearing(Kind):
 
     def implausible(self, values: Array, reach: float) -> np.ndarray:
         """Directions that are no unit vectors."""
-        with np.errstate(over="ignore"):
-            return np.asarray(~(np.abs(np.linalg.norm(values, axis=1) - 1.0) <= _UNIT))
+        return np.asarray(~(np.abs(lengths(values) - 1.0) <= UNIT))
 
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """Directions that are no unit vectors."""
-        norm = np.linalg.norm(track.values, axis=1)
-        worst = int(np.argmax(np.abs(norm - 1.0)))
-        if abs(norm[worst] - 1.0) <= _UNIT:
-            return None
-        said = f"a bearing has length {norm[worst]:.3f} at {track.stamps[worst]:.3f} s, 1 ± {_UNIT:g} is allowed"
-        return said, "publish unit vectors"
+        return not_unit("bearing", track.values, track.stamps, "publish unit vectors")

@@ -28,6 +28,7 @@ MESSAGES = (  # types of messages whose numbers can be readings
 )
 KIND_NAMES = np.dtype("U32")  # of the column of kinds in samples; a kind with a longer name is refused
 ORIGIN, POSE_OF_FRAME, PLANE = "origin", "pose", "plane"
+UNIT = 1e-3  # how far from 1 the length of a direction, or of a quaternion, may be
 FARTHEST_OF_REACH = 20.0  # times the arm's reach, the same for arms so large that 50 m is near
 FARTHEST = 50.0  # m from the tracker; beyond it, or far beyond the arm's reach, positions are suspected of millimetres
 
@@ -200,6 +201,21 @@ def scene_in(T_frame_base: Array, T_base_tool: Array, target: Array | None = Non
 def farthest(reach: float) -> float:
     """Distance [m] from its tracker beyond which nothing that an arm of this reach [m] holds can be."""
     return max(FARTHEST, FARTHEST_OF_REACH * reach)
+
+
+def lengths(vectors: Array) -> Array:
+    """Lengths (m,) of vectors (m, k), whatever they hold: infinite where a square overflows."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.linalg.norm(vectors, axis=1))
+
+
+def not_unit(name: str, vectors: Array, stamps: Array, remedy: str) -> tuple[str, str] | None:
+    """The complaint of vectors (m, k) that are not all of length one."""
+    length = lengths(vectors)
+    worst = int(np.argmax(np.abs(length - 1.0)))
+    if abs(length[worst] - 1.0) <= UNIT:
+        return None
+    return f"a {name} has length {length[worst]:.3f} at {stamps[worst]:.3f} s, 1 ± {UNIT:g} is allowed", remedy
 
 
 def millimetres(name: str, largest: float, limit: float) -> tuple[str, str] | None:

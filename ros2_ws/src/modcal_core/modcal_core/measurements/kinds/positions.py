@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.measurements.kinds.kind import Kind, farthest
+from modcal_core.measurements.kinds.kind import UNIT, Kind, farthest, lengths, not_unit
 from modcal_core.measurements.recording import POINT, POSE, ReadingTrack
 
 _SPREAD = 5.0  # times the arm's reach; millimetres spread a thousand times as far, and an arm itself no more than once
 _MILLI = 150.0  # the same from which no other usual unit is as small
-_UNIT = 1e-3  # how far from 1 a quaternion's norm may be
 
 
 class Point(Kind):
@@ -26,12 +25,12 @@ class Point(Kind):
     def implausible(self, values: Array, reach: float) -> np.ndarray:
         """Positions farther from the tracker than any arm could be."""
         most = farthest(reach)  # by component first: a square may overflow
-        return np.asarray((np.abs(values[:, :3]) > most).any(axis=1) | (_norm(values[:, :3]) > most))
+        return np.asarray((np.abs(values[:, :3]) > most).any(axis=1) | (lengths(values[:, :3]) > most))
 
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """Positions in millimetres."""
         position = track.values[:, :3]
-        spread = float(_norm(position - np.median(position, axis=0)).mean())
+        spread = float(lengths(position - np.median(position, axis=0)).mean())
         far = float(np.linalg.norm(np.median(position, axis=0)))
         if spread <= _SPREAD * reach and far > farthest(reach):
             return _far_off(position, far, spread)
@@ -60,16 +59,12 @@ class Pose(Point):
 
     def implausible(self, values: Array, reach: float) -> np.ndarray:
         """Positions too far away, and quaternions that are no rotations."""
-        return np.asarray(super().implausible(values, reach) | ~(np.abs(_norm(values[:, 3:]) - 1.0) <= _UNIT))
+        return np.asarray(super().implausible(values, reach) | ~(np.abs(lengths(values[:, 3:]) - 1.0) <= UNIT))
 
     def complaint(self, track: ReadingTrack, reach: float) -> tuple[str, str] | None:
         """Positions in millimetres, quaternions that are none."""
-        norm = np.linalg.norm(track.values[:, 3:], axis=1)
-        worst = int(np.argmax(np.abs(norm - 1.0)))
-        if (said := super().complaint(track, reach)) is None and abs(norm[worst] - 1.0) > _UNIT:
-            length = f"a quaternion has length {norm[worst]:.3f} at {track.stamps[worst]:.3f} s"
-            return f"{length}, 1 ± {_UNIT:g} is allowed", "publish unit quaternions x y z w"
-        return said
+        remedy = "publish unit quaternions x y z w"
+        return super().complaint(track, reach) or not_unit("quaternion", track.values[:, 3:], track.stamps, remedy)
 
 
 def _far_off(position: Array, far: float, spread: float) -> tuple[str, str]:
@@ -79,9 +74,3 @@ def _far_off(position: Array, far: float, spread: float) -> tuple[str, str]:
         step = 1e3 * float(np.spacing(np.float32(far)))
         said += f", in single precision, whose resolution is {step:.2g} mm there"
     return said, "subtract a place near the arm from all positions, in double precision"
-
-
-def _norm(vectors: Array) -> Array:
-    """Lengths (m,) of vectors (m, k), whatever they hold: infinite where a square overflows."""
-    with np.errstate(over="ignore"):
-        return np.asarray(np.linalg.norm(vectors, axis=1))
