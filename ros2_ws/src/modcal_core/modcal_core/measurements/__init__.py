@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from modcal_core.measurements.inspection import inspect, out_of_time
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged, efforts_at_rest
-    from modcal_core.measurements.path import TRAVEL, UNKNOWN, WIDTHS, ahead, went_on
+    from modcal_core.measurements.path import TRAVEL, UNKNOWN, WIDTHS, ahead, directions, went_on
     from modcal_core.measurements.recording import APART, BEARING, IMPORTED, ORDER_ONLY, PART, POINT, POSE, RANGE, RAY
     from modcal_core.measurements.recording import SOCKETS, TARGETS, TOUCH, UNREAD, JointTrack, Listed, ReadingTrack
     from modcal_core.measurements.recording import Recording, SignalTrack, Stretch, commanded_at, following, is_told

@@ -11,7 +11,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.kind import FARTHEST
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import IMPORTED, UNREAD, JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.recording import IMPORTED, UNREAD, JointTrack, ReadingTrack, Recording, noted
 from modcal_core.robots import Mechanism
 
 # --- Refusals of what was imported from tables: the remedy lies in the mapping, for nobody can record it again
@@ -27,21 +27,16 @@ _IN_THE_MAPPING = {
 }
 
 
-def imported_by(notes: Sequence[str]) -> str | None:
-    """Name of the mapping by which a recording with these notes was imported; None where it was recorded."""
-    return next((note.removeprefix(IMPORTED).rstrip(".") for note in notes if note.startswith(IMPORTED)), None)
-
-
 @contextmanager
 def remedies_of(notes: Sequence[str]) -> Iterator[None]:
     """Refusals from within say what to do about a recording with these notes."""
     try:
         yield
     except BadRecording as error:
-        mapping = imported_by(notes)
-        if mapping is None or error.remedy not in _IN_THE_MAPPING:
+        mappings = noted(notes, IMPORTED)
+        if not mappings or error.remedy not in _IN_THE_MAPPING:
             raise
-        remedy = f"{_IN_THE_MAPPING[error.remedy]} in {mapping}, and import again"
+        remedy = f"{_IN_THE_MAPPING[error.remedy]} in {mappings[0]}, and import again"
         raise BadRecording(error.offender, error.limit, remedy) from error
 
 
@@ -129,7 +124,7 @@ def _require_one_source(track: JointTrack, chain: Mechanism) -> None:
 def _require_readings(recording: Recording, chain: Mechanism) -> None:
     tracks = [r for r in recording.readings if len(r.stamps) and r.kind in kinds()]
     if not tracks:
-        unread = [note.removeprefix(UNREAD).rstrip(".") for note in recording.warnings if note.startswith(UNREAD)]
+        unread = noted(recording.warnings, UNREAD)
         raise BadRecording(
             "tracker",
             f"no message on {POSITIONS}, nor on {', '.join(k.topic for k in kinds().values() if not k.direct)}",

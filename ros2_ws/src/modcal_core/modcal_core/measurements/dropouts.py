@@ -126,10 +126,7 @@ def _followed(recording: Recording, chain: Mechanism | None) -> Recording:
 
 
 def elsewhen(stamps: Array) -> np.ndarray:
-    """True for the few stamps (m,) that lie far from all others, as those of a clock that was not set for a moment.
-
-    None where there are many: then they are recordings of several days.
-    """
+    """True for the few stamps (m,) that lie far from all others, as those of a clock that was not set for a moment."""
     if len(stamps) < 3:
         return np.zeros(len(stamps), dtype=np.bool_)
     off = np.abs(stamps - np.median(stamps))
@@ -174,9 +171,8 @@ def _beyond(track: JointTrack, mine: list[int], chain: Mechanism | None) -> np.n
 
 
 def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTrack:
-    """The track with velocities and efforts that are finite or, for a whole joint, unknown.
-
-    Where a few are not, those before and after stand in: a mean over a dwell must not be lost to one number.
+    """The track with velocities and efforts that are finite or, for a whole joint, unknown; where a few are not, those
+    before and after stand in.
     """
     changed: dict[str, Array] = {}
     for what in ("velocity", "effort"):
@@ -235,10 +231,8 @@ def _readings(track: ReadingTrack, reach: float, ledger: _Ledger) -> ReadingTrac
 
 
 def _require_one_unit(track: ReadingTrack, whole: np.ndarray, odd: np.ndarray, reach: float) -> None:
-    """Raises BadRecording where the implausible ones of whole readings are plausible with another unit in some cells.
-
-    So they are where a part was recorded in another unit, or an export writes short lengths in millimetres: then what
-    is left may hold such numbers as well, which are only small enough to be metres.
+    """Raises BadRecording where the implausible ones of whole readings are plausible with another unit in some cells:
+    what is left may hold such numbers as well, which are only small enough to be metres.
     """
     if not kinds()[track.kind].direct:
         return
@@ -305,10 +299,7 @@ class Hung:
 
 
 def hung(recording: Recording, names: tuple[str, ...]) -> Hung:
-    """What a tracker repeated while it hung. Of each run the first reading is none of them.
-
-    Stamps have to be on the joints' clock already.
-    """
+    """What a tracker, on the joints' clock, repeated while it hung; of each run the first reading is none of them."""
     t, q = joints_by_time(recording, names)
     found, notes, doubts = [], [], []
     for track in recording.readings:
@@ -367,10 +358,7 @@ def dropped(
     since: float = -np.inf,
     until: float = np.inf,
 ) -> Dropped:
-    """How many readings stamped within [since, until) are in none of these samples, by reason.
-
-    samples: cut from the recording.
-    """
+    """How many readings stamped within [since, until) are in none of these samples of the recording, by reason."""
     t, q = joints_by_time(recording, samples.names)
     count = dict.fromkeys((BETWEEN, GLITCHES, OUTSIDE, ALONE, UNKNOWN), 0)
     dwells: Array | None = None

@@ -22,7 +22,7 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.path import PLAY, TRAVEL, UNKNOWN, came_by, went_on
+from modcal_core.measurements.path import PLAY, UNKNOWN, came_by, directions, went_on
 from modcal_core.measurements.recording import ReadingTrack
 
 # --- Some rows of many, spread evenly over them, that no raster of postures meets
@@ -84,17 +84,15 @@ class _Stand:
 def find_dwells(t: Array, q: Array, rules: StationRules, fitted: bool = True) -> Array:
     """Start and end [s] of the times the arm stood still, (d, 2), settling time already taken off.
 
-    t: stamps, sorted, (m,). q: positions, (m, n). Where nothing is recorded between standstills, each is a dwell by
-    itself, however it compares with the rules' times. fitted: shorten the rules' times where standstills are mostly
-    shorter than they ask for.
+    t: stamps, sorted, (m,). q: positions, (m, n). Where nothing is recorded between standstills, each is a dwell,
+    however short. fitted: shorten the rules' times where standstills are mostly shorter than they ask for.
     """
     return settling_dwells(t, q, rules, fitted)[:, 1:]
 
 
 def settling_dwells(t: Array, q: Array, rules: StationRules, fitted: bool = True) -> Array:
-    """As :func:`find_dwells`, (d, 3), and before start and end when each began with what is left for settling [s].
-
-    That is earlier only where a standstill was recorded by itself: elsewhere the time after stopping is the rules'.
+    """As :func:`find_dwells`, (d, 3), and before start and end when each began with what is left for settling [s],
+    which is earlier only where a standstill was recorded by itself.
     """
     stands = _stands(t, q, rules)
     if fitted and stands:
@@ -119,9 +117,8 @@ def settling_dwells(t: Array, q: Array, rules: StationRules, fitted: bool = True
 
 
 def fitted_rules(rules: StationRules, times: Array, recorded: float) -> StationRules:
-    """The rules with shorter times where most standstills are too short for them.
-
-    times: how long the arm stood each time [s]; those shorter than SHORTEST do not count. recorded: seconds.
+    """The rules with shorter times where most standstills, of these times (d,) [s], are too short for them; those
+    shorter than SHORTEST do not count. recorded: seconds.
     """
     stood = times[times >= SHORTEST]
     asked = rules.settle + rules.least + 0.5 * rules.window
@@ -168,18 +165,12 @@ def _spread(q: Array, width: int, apart: np.ndarray) -> Array:
 
 
 def running_max(x: Array, width: int) -> Array:
-    """The largest of each column within half a window before and after, (m, n); width is odd.
-
-    In blocks of the window's width, of which every window meets two: the largest from a block's beginning on, and up to
-    its end, are all that is needed (van Herk 1992), so that the time does not grow with the width.
-    """
-    blocks = -(-(len(x) + width - 1) // width)
-    padded = np.full((blocks * width, x.shape[1]), -np.inf)
-    padded[width // 2 : width // 2 + len(x)] = x
-    cut = padded.reshape(blocks, width, -1)
-    from_begin = np.maximum.accumulate(cut, axis=1).reshape(padded.shape)
-    to_end = np.maximum.accumulate(cut[:, ::-1], axis=1)[:, ::-1].reshape(padded.shape)
-    return np.maximum(to_end[: len(x)], from_begin[width - 1 : width - 1 + len(x)])
+    """The largest of each column within half a window before and after, (m, n); width is odd."""
+    out, size = np.pad(x, ((width // 2,) * 2, (0, 0)), constant_values=-np.inf), 1
+    while size < width:  # of windows twice as wide each time
+        step = min(size, width - size)
+        out, size = np.maximum(out[:-step], out[step:]), size + step
+    return out
 
 
 def inliers(position: Array) -> np.ndarray:
@@ -367,7 +358,5 @@ def _alike(q: Array) -> list[list[int]]:
 
 def _sides(approach: Array, q: Array) -> Array:
     """Which way each joint arrives, −1, 0 or 1, (N, n): as recorded, else as it comes from the visit before."""
-    step = np.diff(q, axis=0, prepend=q[:1])
-    come = np.where(np.abs(step) > TRAVEL, np.sign(step), 0.0)
     known = (approach != 0.0).any(axis=1)
-    return np.asarray(np.where(known[:, None], approach, come))
+    return np.asarray(np.where(known[:, None], approach, directions(np.diff(q, axis=0, prepend=q[:1]))))

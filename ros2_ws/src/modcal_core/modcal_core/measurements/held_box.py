@@ -106,9 +106,7 @@ def measure_box(scan: Scan, size: ArrayLike | None = None) -> Box:
     found = [(least_squares(miss, np.zeros(3), args=(starts[k],)), starts[k]) for k in np.argsort(cost)[:_POLISHED]]
     R = min(((x.cost, i, R @ so3.exp(x.x)) for i, (x, R) in enumerate(found)), key=lambda best: best[:2])[2]
     if not _outside(R, r, p, axis, end):
-        raise NotEnoughData(
-            f"{len(p)} rays on the box", "no box has these faces there", "check which ray meets which face"
-        )
+        raise NotEnoughData(f"{len(p)} rays on the box", "no box has these faces there", "check which face each meets")
     s = sigma(R)
     along, half, residual = _solved(R, p - centre, axis, end, s, known)
     T = se3.transform(R, centre + R @ along)

@@ -18,6 +18,11 @@ PLAY = (1.0 + 1e-6) * TRAVEL  # of a follower that tells it, a little more, so t
 UNKNOWN = np.stack([-WIDTHS, WIDTHS])  # of a joint of whose path nothing is known
 
 
+def directions(step: Array) -> Array:
+    """Which way joints go by a step (..., n) from one place to another, −1, 0 (unknown) or 1."""
+    return np.where(np.abs(step) > TRAVEL, np.sign(step), 0.0)
+
+
 def ahead(path: Array, widths: Array, rows: np.ndarray) -> Array:
     """How far numbers are ahead of followers with play at the least and at the most, (N, n, 2, widths).
 

@@ -34,6 +34,11 @@ UNREAD = "The bag also holds "
 PART = "#"  # between the topic and the field, in the name of a signal that is one of many numbers in a message
 
 
+def noted(notes: Sequence[str], what: str) -> list[str]:
+    """What notes that begin with these words say behind them."""
+    return [note.removeprefix(what).rstrip(".") for note in notes if note.startswith(what)]
+
+
 @dataclass(frozen=True)
 class _Track:
     """What has a row for each message in all of its arrays, stamps among them."""
@@ -78,9 +83,7 @@ class JointTrack(_Track):
 
 @dataclass(frozen=True)
 class ReadingTrack(_Track):
-    """Readings of one instrument in one frame.
-
-    kind: one of measurements/kinds, of which pose, point, range, bearing, touch and ray have names here. values: (m, 7)
+    """Readings of one instrument in one frame. kind: one of measurements/kinds. values: (m, 7)
     x y z qx qy qz qw for poses, as many numbers as the kind has for others, in m and unit length. frame: the readings'
     frame_id. stated: what the instrument says of its own error at each reading, RMS over space of position [m] and
     angle [rad], (m, 2), NaN where it says nothing; None: nowhere. by_type: whether nobody named the topic.
@@ -153,14 +156,12 @@ class Recording:
     @property
     def sockets(self) -> tuple[str, ...]:
         """Frames that a note states to be sockets."""
-        stated = [note.removeprefix(SOCKETS).rstrip(".") for note in self.warnings if note.startswith(SOCKETS)]
-        return tuple(name for names in stated for name in names.split(", "))
+        return tuple(name for names in noted(self.warnings, SOCKETS) for name in names.split(", "))
 
     @property
     def arm(self) -> tuple[str, str] | None:
         """Base and tip links of the arm that was measured, where `modcal import` noted them."""
-        noted = next((note.removeprefix(ARM).rstrip(".") for note in self.warnings if note.startswith(ARM)), None)
-        base, arrow, tip = (noted or "").partition(_BETWEEN)
+        base, arrow, tip = next(iter(noted(self.warnings, ARM)), "").partition(_BETWEEN)
         return (base, tip) if arrow else None
 
     def of_arm(self, base: str, tip: str) -> Recording:
@@ -170,8 +171,7 @@ class Recording:
     @property
     def tool_changes(self) -> tuple[float, ...]:
         """Stamps [s] at which a note states that another target on the tool is measured."""
-        stated = [note.removeprefix(TARGETS).rstrip(".") for note in self.warnings if note.startswith(TARGETS)]
-        return tuple(float(stamp) for stamps in stated for stamp in stamps.split(", "))
+        return tuple(float(stamp) for stamps in noted(self.warnings, TARGETS) for stamp in stamps.split(", "))
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -181,10 +181,8 @@ class Recording:
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of a recording that is too long to be held whole.
-
-    It begins a little before ``since`` and goes on a little after ``until`` (stamps of joint states [s]), so that what
-    happens there is seen whole; but only samples between the two are this piece's own.
+    """A stretch of a recording that is too long to be held whole. Only samples between since and until (stamps of joint
+    states [s]) are its own; it goes on a little at either end, so that what happens there is seen whole.
     """
 
     recording: Recording
@@ -193,11 +191,10 @@ class Stretch:
 
 
 def joints_by_time(recording: Recording, names: tuple[str, ...], *more: str) -> tuple[Array, ...]:
-    """Stamps (m,), in their order, and positions (m, n) of the named joints, whichever publishers they came from.
+    """Stamps (m,), in their order, and positions (m, n) of the named joints, NaN where there is no such joint.
 
-    more: "velocity" and "effort", whose columns follow. All are to be read only: they may be the recording's own.
-    Joints spread over several publishers are interpolated onto the stamps of the one that carries most of them. Missing
-    joints are left to the caller's checks: their columns are NaN.
+    more: "velocity" and "effort", whose columns follow. All may be the recording's own, not to be written to. Joints of
+    several publishers are interpolated onto the stamps of the one that carries most of them.
     """
     tracks = sorted(_of_one_order(recording.joints), key=lambda t: (-sum(n in t.names for n in names), -len(t.stamps)))
     if not tracks:
@@ -246,9 +243,8 @@ _FARTHEST = 0.2  # rad or m; a joint that is farther away does not follow this c
 
 
 def commanded_at(tracks: Sequence[JointTrack], names: Sequence[str], stamps: Array) -> Array:
-    """Commanded positions (N, n) [rad, m] of the named joints at the stamps (N,) [s]; NaN where nothing was commanded.
-
-    tracks: commands, those of a topic that is preferred first.
+    """Commanded positions (N, n) [rad, m] of the named joints at the stamps (N,) [s], by the first of these tracks that
+    tells; NaN where nothing was commanded.
     """
     out = np.full((len(stamps), len(names)), np.nan)
     for j, name in enumerate(names):
@@ -260,10 +256,8 @@ def commanded_at(tracks: Sequence[JointTrack], names: Sequence[str], stamps: Arr
 
 
 def following(tracks: Sequence[JointTrack], names: Sequence[str], t: Array, q: Array, spans: Array) -> Array:
-    """Commanded − measured (N, n) [rad, m] of samples taken over spans (N, 2) [s], NaN where unknown.
-
-    t: stamps of joint states, sorted, (m,); q: positions (m, n). It is averaged over the joint states in a span, and
-    interpolated to a span of no length, which is one stamp.
+    """Commanded − measured (N, n) [rad, m], NaN where unknown, averaged over the joint states in spans (N, 2) [s], and
+    interpolated to one of no length. t: stamps of joint states, sorted, (m,); q: positions (m, n).
     """
     if not len(t) or not any(name in track.names for track in tracks for name in names):
         return np.full((len(spans), len(names)), np.nan)
@@ -380,9 +374,7 @@ def _poses(poses: ArrayLike, N: int) -> Array:
         R = values[:, :3, :3]
         off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
         if (off > 1e-3).any():
-            raise BadRecording(
-                f"pose of row {int(np.argmax(off))}", "is not a rotation matrix", "give proper rotations"
-            )
+            raise BadRecording(f"pose of row {int(np.argmax(off))}", "is not a rotation matrix", "give rotations")
         out = np.full((N, 7), np.nan)
         good = np.isfinite(values).all(axis=(1, 2))
         out[good] = se3.to_pose(values[good])
@@ -463,8 +455,6 @@ def told_at(t: Array, x: Array, stamps: Array, moving: np.ndarray) -> Array:
 
 
 def staircase(t: Array, x: Array, step: float) -> tuple[Array, Array]:
-    """The same commands as a course that rises within a step [s] before each message, stamps (2 m,) and values."""
+    """The same commands as a course that rises within a step [s] before each message, stamps (2 m − 1,) and values."""
     before = np.maximum(t[1:] - step, t[:-1])
-    return np.r_[t[0], np.stack([before, t[1:]], axis=1).ravel()], np.r_[
-        x[0], np.stack([x[:-1], x[1:]], axis=1).ravel()
-    ]
+    return np.sort(np.r_[t, before]), np.repeat(x, 2)[:-1]

@@ -308,10 +308,9 @@ _ARRAYS = tuple(f.name for f in fields(Samples) if f.name not in SHARED)
 
 
 def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> Samples:
-    """The samples of a recording, for these joints in this order.
+    """The samples of a recording, for these joints in this order; stations keep their number over all instruments.
 
-    Stations keep their number over all instruments. Raises BadRecording when joints and readings have nothing in
-    common.
+    Raises BadRecording when joints and readings have nothing in common.
     """
     return Samples(**paired_columns(recording, names, rules))
 
@@ -338,10 +337,8 @@ _MAX = 500  # stations that are asked; spread over the recording
 
 
 def explained_by_posture(samples: Samples, at: float) -> tuple[str, ...]:
-    """Joints whose position alone tells whether a station comes before a moment [s] or after it.
-
-    Each station is put on the side on which the stations lie that are nearest to it in that joint. Where the order has
-    nothing to do with the joint, that is right for half of them.
+    """Joints whose position alone tells whether a station comes before a moment [s] or after it, by those that are
+    nearest to it in that joint. Where the order has nothing to do with the joint, half of them are right.
     """
     first = np.unique(samples.station, return_index=True)[1]  # several instruments read at each
     rows = first[spread_rows(len(first), _MAX)]
@@ -380,11 +377,10 @@ def marks_of(samples: Samples) -> tuple[int, ...]:
 
 
 def share_of_known(marks: tuple[int, ...], samples: Samples, rounded: bool = False) -> tuple[float, int]:
-    """Which share of the samples is in the recording that had these marks, as far as they tell, and of how many; 0
-    without marks.
+    """Which share of the samples, and of how many, is in the recording that had these marks; 0 without marks.
 
-    rounded: of positions to a tenth of a millimetre, at postures to a milliradian, at whatever time. Copies that were
-    written with fewer digits agree in nearly all; new readings agree in some, where the arm came back.
+    rounded: of positions to 0.1 mm, at postures to a milliradian, at whatever time. Copies that were written with fewer
+    digits agree in nearly all; new readings agree in some, where the arm came back.
     """
     kept = np.array([m for m in marks if m % 2 == rounded], int)
     own = _rounded_marks(samples) if rounded else _marks(samples)
@@ -426,8 +422,7 @@ _COPIES = 0.2  # share; a ball that rests at one place may read alike now and th
 def after(other: Samples, before: Samples) -> tuple[Samples, float]:
     """The samples of another recording, and by how much [s] they were put later so as not to run into those before.
 
-    Recordings of one arm cannot overlap in time: their stamps are of different clocks, or count rows. They are put one
-    typical step between stations behind the others, signals and all.
+    Where they overlap in time, clocks differ or count rows: they are put one typical step behind, signals and all.
     """
     low, high = float(other.stamps.min()), float(other.stamps.max())
     if low > before.stamps.max() or high < before.stamps.min():
@@ -439,10 +434,8 @@ def after(other: Samples, before: Samples) -> tuple[Samples, float]:
 
 
 def require_new(other: Samples, before: Samples, name: str) -> None:
-    """Raises BadRecording where another recording repeats readings of those before to the last digit.
-
-    No instrument reads the same twice: it is the same recording, or a part of it, given again. Its stations would
-    count as returns that repeat perfectly, and as witnesses of what they were fitted to.
+    """Raises BadRecording where another recording repeats readings of those before to the last digit: given again, its
+    stations would count as returns that repeat perfectly, and as witnesses of what they were fitted to.
     """
     copies = int(np.isin(_marks(other, False), _marks(before, False)).sum())
     if copies > _COPIES * len(other):
@@ -463,9 +456,8 @@ _MARK = f"{PART}joint "
 
 
 def other_joints(recording: Recording, samples: Samples) -> tuple[SignalTrack, ...]:
-    """A signal for each joint that moves and is none of the arm's: its position [rad or m] at the samples.
-
-    recording: on the clock of the samples.
+    """For each joint of a recording, on the clock of the samples, that moves and is none of the arm's its position
+    [rad or m] at the samples.
     """
     at = np.unique(samples.stamps)
     found: dict[str, SignalTrack] = {}

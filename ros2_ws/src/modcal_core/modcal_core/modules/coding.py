@@ -253,9 +253,8 @@ _SCHEMA = record(
 
 @refusing
 def assembly_from_data(data: Any, library: Library, source: str) -> Assembly:
-    """The assembly that nested mappings and lists describe, checked against the library. Raises BadTable.
-
-    Where several of a list of modules, a matrix and a code are given, they must say the same.
+    """The assembly that nested mappings and lists describe, checked against the library. Several of a list of modules,
+    a matrix and a code must say the same. Raises BadTable.
     """
     top = stated(data)
     require(top, _SCHEMA, source, _SEE)

@@ -216,10 +216,7 @@ def learn(recordings: Sequence[RecordingEvidence], library: Library) -> ModuleEr
 
 
 def surprise(known: ModuleErrors, new: RecordingEvidence, library: Library) -> Surprise:
-    """Whether a new assembly is as its modules, with what is known of them, should be.
-
-    A module that was bent, or mistaken for another, makes p small.
-    """
+    """Whether a new assembly is as its modules should be: one that was bent, or mistaken for another, makes p small."""
     own = tuple(sorted({*_inner_keys(new.assembly, library), *known.keys}))
     B, C, std = _maps(new.assembly, library, own)
     spread = np.diag(np.concatenate([part_std(library.module, part) ** 2 for _, part in own]) if own else np.empty(0))
@@ -300,9 +297,8 @@ def _tails(segment: Sequence[Piece]) -> list[Array]:
 
 
 def _without(information: Array, C: Array, std: Array) -> Array:
-    """The information that is left when unknown C u is added: ``(Λ⁻¹ + C Σ Cᵀ)⁻¹``, for singular Λ too.
-
-    By Woodbury on a root L of Λ, ``L (1 + Lᵀ C Σ Cᵀ L)⁻¹ Lᵀ``, in which nothing is subtracted.
+    """The information that is left when unknown C u is added: ``(Λ⁻¹ + C Σ Cᵀ)⁻¹``, for singular Λ too: by Woodbury on
+    a root L of Λ, ``L (1 + Lᵀ C Σ Cᵀ L)⁻¹ Lᵀ``, in which nothing is subtracted.
     """
     value, vector = np.linalg.eigh(information)
     L = vector * np.sqrt(np.maximum(value, 0.0))
@@ -376,15 +372,12 @@ def twists_from_data(data: Any, source: str) -> dict[Key, Array]:
 
 def with_recording(known: ModuleErrors, new: RecordingEvidence, library: Library) -> ModuleErrors:
     """What is known after one more assembly; one of the same name is replaced, for it is the same flanges seen again.
-
-    Raises BadTable where an assembly of other modules has that name already.
+    Raises BadTable where it is of other modules.
     """
     for old in known.recordings:
         if old.assembly.name == new.assembly.name and old.assembly != new.assembly:
-            said = "is a different assembly in this store"
-            raise BadTable(
-                f"assembly {new.assembly.name}", said, "give each assembly a name of its own, also when rebuilt"
-            )
+            said, remedy = "is a different assembly in this store", "give each its own name, also when rebuilt"
+            raise BadTable(f"assembly {new.assembly.name}", said, remedy)
     kept = [w for w in known.recordings if w.assembly.name != new.assembly.name]
     return learn([*kept, new], library)
 

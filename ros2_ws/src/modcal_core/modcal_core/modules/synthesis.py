@@ -105,9 +105,8 @@ class Synthesis:
 def synthesize(
     task: SynthesisTask, library: Library, seed: int = 0, workers: int = 1, watch: Watch | None = None
 ) -> Synthesis:
-    """The best assemblies of the library for a task, of as few joints as can be.
-
-    watch: called after every generation. Raises NotReachable where none of up to ``task.last`` joints was found.
+    """The best assemblies of the library for a task, of as few joints as can be. watch: called after every generation.
+    Raises NotReachable where none of up to ``task.last`` joints was found.
     """
     library = allowed(library, task.modules)
     coding = Coding(library)

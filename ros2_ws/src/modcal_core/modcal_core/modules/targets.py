@@ -84,10 +84,8 @@ class Target:
         return e * self.mask
 
     def miss(self, T: ArrayLike) -> tuple[Array, Array]:
-        """How far poses (..., 4, 4) miss it: way [m] and angle [rad], (...) each, of what counts.
-
-        The angle is that between the axes where one is free, else that of the turn where none is; with two free, the
-        part of the turn about the one that counts.
+        """How far poses (..., 4, 4) miss it: way [m] and angle [rad], (...) each. The angle is between the axes where
+        one is free, of the turn where none is; with two free, of the turn about the one that counts.
         """
         T = np.asarray(T, dtype=float)
         e = self.error(T)

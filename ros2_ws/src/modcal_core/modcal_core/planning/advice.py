@@ -124,9 +124,7 @@ class Method:
 
 
 class Advisor:
-    """Advises on one robot at one place. Nothing of what it remembers matters but for time: the same session gets the
-    same advice from another advisor.
-    """
+    """Advises on one robot at one place; the same session gets the same advice from another advisor."""
 
     def __init__(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.measurements import LEFT, TRAVEL
+from modcal_core.measurements import LEFT, directions
 from modcal_core.planning.chooser import Chooser
 from modcal_core.planning.outlook import Outlook, Refit, nominal_outlook
 from modcal_core.planning.pool import Pool
@@ -106,8 +106,7 @@ def return_stations(session: Session, count: int) -> list[Station]:
     free = np.ones(len(rows), bool)
     while len(out) < count:
         step = q - last
-        side = np.where(np.abs(step) > TRAVEL, np.sign(step), 0.0)
-        other = np.mean(side * way < 0.0, axis=1)
+        other = np.mean(directions(step) * way < 0.0, axis=1)
         other[~free | (np.abs(step).max(axis=1) <= LEFT)] = 0.0
         k = int(np.argmax(other))
         if other[k] == 0.0:

@@ -130,7 +130,7 @@ def refit(
 
 def proven_over(refitted: Refit, where: Array) -> Refit:
     """The same once its error was proven at postures drawn at random, of which these (M, n) stand for all: it is known
-    wherever they are drawn from. Else geometry alone would count beyond the few stations of the fit, unproven.
+    wherever they are drawn from, not only about the few stations of the fit.
     """
     known = refitted.calibration
     low, high = np.minimum(known.seen[0], where.min(axis=0)), np.maximum(known.seen[1], where.max(axis=0))
@@ -225,10 +225,7 @@ class Outlook:
 
 def nominal_outlook(pool: Pool, kind: str, fixed: Sequence[str] = ()) -> Outlook:
     """The outlook before anything is measured. fixed: parameters that are as the drawing has them, by name, place or
-    pattern.
-
-    Functions for what nobody named are as wide as the claim expects them: were they wider, most stations would look for
-    what most arms do not have.
+    pattern. Functions for what nobody named are no wider than the claim expects them: most arms do not have it.
     """
     model, noise, q = pool.at.model, pool.at.site.noise, pool.q[pool.offered]
     fitted = choose_parameters(model, (View(kind, 0),), fixed).parameters

@@ -137,7 +137,6 @@ class Planner:
 
     def to_accuracy(self, wanted: float, least: int) -> tuple[Array, Claim, dict[int, Claim]]:
         """The fewest stations whose claim meets the wish [m], by doubling and halving, their claim, and what was tried.
-
         Raises NotPlannable where as many as a plan may have do not.
         """
         search = Search.of(self._rows, self.outlook.H, self.outlook.gamma)

@@ -104,10 +104,9 @@ def survey(
     candidates: int = CANDIDATES,
     drawn: bool = False,
 ) -> Pool:
-    """The postures of a robot that are allowed and seen. Raises NotPlannable where there are hardly any.
-
-    reading: ``point`` or ``pose``. candidates: how many postures. drawn: as many more, which are drawn at random and
-    stand for where accuracy counts; else all that touch nothing do.
+    """The postures of a robot that are allowed and seen. reading: ``point`` or ``pose``. candidates: how many postures.
+    drawn: as many more, which are drawn at random and stand for where accuracy counts; else all that touch nothing do.
+    Raises NotPlannable where there are hardly any.
     """
     spheres = spheres_of(with_limits(chain, site), site)
     chain = one_turn(spheres, site, rng)
@@ -162,9 +161,8 @@ def of_recording(q: Array, rng: np.random.Generator) -> Pool:
 
 
 def with_limits(chain: Mechanism, site: Site) -> Mechanism:
-    """The chain within the site's narrower limits, a little kept free at either end, where controllers stop.
-
-    Raises BadTable for a joint that is not there, and for limits that leave nothing.
+    """The chain within the site's narrower limits, a little kept free at either end, where controllers stop. Raises
+    BadTable for a joint that is not there, and for limits that leave nothing.
     """
     lower, upper = joint_ranges(chain)
     off = np.minimum(_OFF_LIMITS, 0.05 * (upper - lower))

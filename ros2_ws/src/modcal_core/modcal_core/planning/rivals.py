@@ -102,9 +102,7 @@ def propose(
     low, high = _around(calibration)
     q = pool.q[((pool.q >= low) & (pool.q <= high)).all(axis=1)][:_CANDIDATES]
     if len(q) < count:
-        raise NotPlannable(
-            f"{count} stations", f"only {len(q)} postures are allowed", "ask for fewer, or widen the site"
-        )
+        raise NotPlannable(f"{count} stations", f"{len(q)} postures are allowed", "ask for fewer, or widen the site")
     geometry = choose_parameters(model, [View(calibration.kind, 0)]).parameters
     imitation = model.with_effects((*(e for i, e in enumerate(model.effects) if i != effect), other))
     recorded = len(calibration.postures)
@@ -171,8 +169,8 @@ def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> s
 def separations(
     calibration: Calibration, pool: Pool, count: int, rng: np.random.Generator
 ) -> Iterator[tuple[DecidingStations, str]]:
-    """What separates each effect from each of its rivals, and why postures cannot, "" where they may: without stations
-    then. Raises NotPlannable where fewer postures are allowed.
+    """What separates each effect from each of its rivals, and "", or no stations and why postures cannot. Raises
+    NotPlannable where fewer postures are allowed.
     """
     for i, rivals in enumerate(calibration.rivals):
         for j, rival in enumerate(rivals):

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.measurements import TRAVEL
+from modcal_core.measurements import directions
 
 _STEP = 0.02  # rad or m between two postures of a way that are checked
 _NEIGHBOURS = 20  # nearest postures of a roadmap that a way may lead to
@@ -40,9 +40,8 @@ def is_free(a: Array, b: Array, free: Free) -> bool:
 
 
 class Roadmap:
-    """Allowed postures (N, n), and the ways between near ones, each free until it has been looked at.
-
-    free: says of postures (N, n) which are allowed. It is drawn when the first straight way is not free.
+    """Allowed postures (N, n), and the ways between near ones, each free until ``free`` has said of it what is
+    allowed. It is drawn when the first straight way is not free.
     """
 
     def __init__(self, q: Array, free: Free) -> None:
@@ -90,9 +89,8 @@ class Roadmap:
 
 
 def free_way(start: Array, goal: Array, free: Free, over: Array) -> list[Array] | None:
-    """Postures from the start to the goal (n,), straight ways between them being free; None if none is found.
-
-    over: free postures (m, n) that the way may lead over where it cannot be straight.
+    """Postures from the start to the goal (n,), straight ways between them being free; None if none is found. over:
+    free postures (m, n) that the way may lead over where it cannot be straight.
     """
     between = Roadmap(np.vstack([start, goal, over]), free).way(0, 1)
     return None if between is None else [start, *between, goal]
@@ -123,17 +121,15 @@ class TimedMotion:
 
 def timed(way: list[Array], speed: Array) -> TimedMotion:
     """The motion along these postures, at rest at each, no joint faster than its speed (n,) [rad/s, m/s]."""
-    t, q, v = [0.0], [way[0]], [np.zeros_like(way[0])]
+    t, q, v = [np.zeros(1)], [way[0][None]], [np.zeros((1, len(way[0])))]
     for a, b in pairwise(way):
         duration = max(_PEAK * float(np.max(np.abs(b - a) / speed)), 2.0 * _PERIOD)
         count = int(np.ceil(duration / _PERIOD))
-        begin = t[-1]
-        for k in range(1, count + 1):
-            u = k / count
-            t.append(begin + u * duration)
-            q.append(a + (b - a) * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5))
-            v.append((b - a) * 30.0 * u**2 * (1.0 - u) ** 2 / duration)
-    return TimedMotion(np.array(t), np.array(q), np.array(v))
+        u = np.arange(1, count + 1) / count
+        t.append(t[-1][-1] + u * duration)
+        q.append(a + np.outer(10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5, b - a))
+        v.append(np.outer(30.0 * u**2 * (1.0 - u) ** 2 / duration, b - a))
+    return TimedMotion(np.concatenate(t), np.concatenate(q), np.concatenate(v))
 
 
 # --- Which stations of a tour are visited a second time, and when: what the arm does not repeat is seen only there
@@ -155,15 +151,15 @@ class Tour:
 
 
 def with_returns(q: Array, count: int = RETURNS, passable: Passable | None = None) -> Tour:
-    """A tour through stations q (k, n), in their order, that comes back to ``count`` of them.
-
-    There are none where fewer than three stations are there to each return. passable: whether the arm may go straight
-    from one posture (n,) to another; None: always.
+    """A tour through stations q (k, n), in their order, that comes back to ``count`` of them; to none where fewer than
+    three are there to each return. passable: whether the arm may go straight from one posture (n,) to another.
     """
     k = len(q)
     if count < 1 or k < max(_STATIONS_EACH * count, 3):
         return Tour(np.arange(k), ())
-    came = _sides(np.vstack([q[:1], q[:-1]]), q)  # from where the first one is reached is not known: it is left out
+    came = directions(
+        np.diff(q, axis=0, prepend=q[:1])
+    )  # from where the first one is reached is not known: it is left out
     half = min(max(1, k // (4 * count)), _CHOICES)
     after: dict[int, int] = {}  # the station that is visited again after a stop
     for r in range(count):
@@ -173,7 +169,7 @@ def with_returns(q: Array, count: int = RETURNS, passable: Passable | None = Non
         for m in range(max(last - half, 2), min(last + half, k - 1) + 1):
             if m not in after and m + 1 not in after.values():  # a first visit keeps the side it was reached from
                 i = np.setdiff1d(np.arange(m - 1), list(after.values()))
-                other = np.mean(_sides(q[m], q[i]) * came[i] < 0.0, axis=1)
+                other = np.mean(directions(q[i] - q[m]) * came[i] < 0.0, axis=1)
                 # the share of joints that come from the other side, less what the time in between is off
                 worth = other - np.abs(m - i - wanted) / m
                 choices += [(float(worth[j]), m, -int(i[j])) for j in np.flatnonzero(other > 0.0)]
@@ -181,18 +177,12 @@ def with_returns(q: Array, count: int = RETURNS, passable: Passable | None = Non
             here = q[-minus]
             if passable is None or (passable(q[m], here) and (m + 1 >= k or passable(here, q[m + 1]))):
                 after[m] = -minus
-                came[m + 1 : m + 2] = _sides(here, q[m + 1 : m + 2])
+                came[m + 1 : m + 2] = directions(q[m + 1 : m + 2] - here)
                 break
     order = [s for m in range(k) for s in ((m, after[m]) if m in after else (m,))]
     first: dict[int, int] = {}
     pairs = [(first[s], at) for at, s in enumerate(order) if first.setdefault(s, at) < at]
     return Tour(np.array(order), tuple(pairs))
-
-
-def _sides(before: Array, here: Array) -> Array:
-    """From which side each joint comes, −1, 0 or 1, (m, n)."""
-    way = here - before
-    return np.where(np.abs(way) > TRAVEL, np.sign(way), 0.0)
 
 
 _ROUNDS = 20  # iterations
@@ -216,9 +206,8 @@ class Route:
 
 
 def route(q: Array, free: Free, between: Array, start: Array | None = None, returns: int = 0) -> Route:
-    """A short way through stations q (k, n), from the one nearest to start, that comes back to some of them.
-
-    free: says of postures (N, n) which are allowed, (N,). between: allowed postures that ways may lead over, (N, n).
+    """A short way through stations q (k, n), from the one nearest to start, that comes back to some of them, over such
+    postures ``between`` (N, n) as are needed. free: says of postures (N, n) which are allowed, (N,).
     """
     order = _shortened(q, nearest_order(q, q[0] if start is None else start))
     tour = with_returns(q[order], returns)

@@ -40,7 +40,7 @@ from numpy.typing import ArrayLike
 
 from modcal_core.calibration import View, choose_parameters, linearise
 from modcal_core.errors import BadTable
-from modcal_core.geometry import Array, se3
+from modcal_core.geometry import DIRECTIONS, Array, se3
 from modcal_core.measurements import POSE
 from modcal_core.planning.pool import one_frame_model, readings_at
 from modcal_core.robots import Chain, Mechanism, joint_ranges, random_postures, read_rows, takes, to_dh
@@ -88,9 +88,8 @@ class ClosedChain:
         kept = sorted({k for pattern in patterns for k in self.matching(pattern)})
         if not kept:
             return self
-        return replace(
-            self, factors=tuple(self.factors[k] for k in kept), jacobian=lambda q: self.jacobian(q)[..., kept]
-        )
+        factors = tuple(self.factors[k] for k in kept)
+        return replace(self, factors=factors, jacobian=lambda q: self.jacobian(q)[..., kept])
 
     def matching(self, pattern: str) -> list[int]:
         """Numbers of the parameters that a name or pattern names. Raises BadTable where there are none."""
@@ -101,22 +100,20 @@ class ClosedChain:
 
 
 _DH = (("theta", 5), ("d", 2), ("a", 0), ("alpha", 3))  # in the order in which a row moves the frame
-_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def dh_closed_chain(
     chain: Chain, T_measuring_base: Array | None = None, point: ArrayLike = (0.0, 0.0, 0.0)
 ) -> ClosedChain:
-    """The closed chain in 4 n + 9 parameters. point: what is measured, in the tip [m].
-
-    Raises NotRepresentable where DH cannot hold the arm: take :func:`calibration_chain` then.
+    """The closed chain in 4 n + 9 parameters. point: what is measured, in the tip [m]. Raises NotRepresentable where DH
+    cannot hold the arm: take :func:`calibration_chain` then.
     """
     rows = read_rows(to_dh(chain), "dh", {key: NUMBER for key, _ in _DH})
     columns = {key: rows.column(key) for key, _ in _DH}
     base = np.eye(4) if T_measuring_base is None else np.asarray(T_measuring_base, dtype=float)
-    named = [(f"base/{_AXES[d]}", d) for d in range(6)]
+    named = [(f"base/{DIRECTIONS[d]}", d) for d in range(6)]
     named += [(f"{joint}/{key}", d) for joint in chain.names for key, d in _DH]
-    named += [(f"point/{_AXES[d]}", d) for d in range(3)]
+    named += [(f"point/{DIRECTIONS[d]}", d) for d in range(3)]
 
     def jacobian(q: Array) -> Array:
         q = np.atleast_2d(np.asarray(q, dtype=float))
@@ -160,7 +157,6 @@ def calibration_chain(
 
 def sizes_of(closed: ClosedChain, length: float, angle: float, tolerances: Mapping[str, float] | None = None) -> Array:
     """Sizes Δg of the parameters' errors, (P,): one for lengths [m], one for angles [rad], others by name or pattern.
-
     Raises BadTable for a pattern that names nothing and for a size that is negative or not finite.
     """
     out = np.array([length if f.is_length else angle for f in closed.factors])
@@ -181,14 +177,12 @@ _SAME = 1e-6  # rad
 
 
 def orthogonal_array(factors: int, levels: int) -> np.ndarray:
-    """The smallest array of strength 2 with these columns, entries 0 … levels − 1, (levels^k, factors).
-
-    Raises BadTable unless levels is a prime, and where the array would have more than 20 000 rows.
+    """The smallest array of strength 2 with these columns, entries 0 … levels − 1, (levels^k, factors). Raises BadTable
+    unless levels is a prime, and where the array would have more than 20 000 rows.
     """
     if levels < 2 or any(levels % d == 0 for d in range(2, int(levels**0.5) + 1)):
-        raise BadTable(
-            f"orthogonal array of {levels} levels", "the number is not a prime", "choose 2, 3, 5, 7, 11 or 13"
-        )
+        what = f"orthogonal array of {levels} levels"
+        raise BadTable(what, "the number is not a prime", "choose 2, 3, 5, 7, 11 or 13")
     k = 2
     while (levels**k - 1) // (levels - 1) < factors:
         k += 1
@@ -205,15 +199,12 @@ def orthogonal_array(factors: int, levels: int) -> np.ndarray:
 
 
 def array_postures(chain: Mechanism, levels: int = LEVELS) -> Array:
-    """Postures (N, n) [rad, m] of the orthogonal array, every joint at so many levels from its least to its largest.
-
-    Where some levels of a turning joint would be the same angle, its levels are spread over one turn instead.
+    """Postures (N, n) [rad, m] of the orthogonal array, every joint at so many levels from its least to its largest, or
+    over one turn where some of them would be the same angle.
     """
     low, high = joint_ranges(chain)
     array = orthogonal_array(chain.n, levels)
-    q = np.stack(
-        [_levels(low[k], high[k], levels, bool(chain.revolute[k]))[array[:, k]] for k in range(chain.n)], axis=1
-    )
+    q = np.column_stack([_levels(low[k], high[k], levels, chain.revolute[k])[array[:, k]] for k in range(chain.n)])
     return q[takes(chain, q)]
 
 
@@ -345,9 +336,8 @@ class JointGain:
 
 
 def joint_use(G: Array, sizes: Array, J: Array, std: Array) -> JointGain:
-    """Sensitivity and observability together: derivatives G (N, 3, P) where it counts, J (R, P) of what is measured.
-
-    std: of each reading [m or rad], (R,). sizes: Δg (P,) [m, rad].
+    """Sensitivity and observability together: derivatives G (N, 3, P) where it counts, J (R, P) of what is measured
+    with these deviations (R,) [m or rad]; sizes Δg (P,) [m, rad].
     """
     before = np.diag(sizes**2)
     after = left_by(J, std, sizes)

@@ -32,9 +32,8 @@ MAX_STATIONS = 400  # more than any arm has needed in the benchmarks; without an
 @dataclass(frozen=True)
 class Goal:
     """accuracy: [m] at the tool, None: as good as this arm and instrument allow. statistic: of the errors at stations
-    drawn at random. stations: most that are measured, returns and proof included.
-    seconds: most that it may take. instrument: RMS over space [m] that the instrument is stated to add to an error.
-    ties: also separate explanations that the readings leave open.
+    drawn at random. stations, seconds: most that it may take. instrument: RMS over space [m] that the instrument is
+    stated to add to an error. ties: also separate explanations that the readings leave open.
     """
 
     accuracy: float | None = None
@@ -151,8 +150,7 @@ class Station:
 @dataclass(frozen=True)
 class Session:
     """names: of the joints, in the order of all postures. stations: in the order in which they were asked for.
-    carried: the instrument is on the tool, and reads poses of a
-    target that stands still.
+    carried: the instrument is on the tool, and reads poses of a target that stands still.
     """
 
     names: tuple[str, ...]
@@ -185,9 +183,8 @@ class Session:
         return replace(self, stations=tuple(every))
 
     def samples(self, rows: list[int]) -> Samples:
-        """The measured stations with these numbers, as samples, in the order in which they were measured.
-
-        Also of an instrument on the tool they say where the tool is in a frame that stands still.
+        """The measured stations with these numbers, as samples, in the order in which they were measured; also of an
+        instrument on the tool they say where the tool is in a frame that stands still.
         """
         stations, N, n = [self.stations[i] for i in rows], len(rows), len(self.names)
         reading = np.array([s.reading for s in stations], dtype=float).reshape(N, -1)

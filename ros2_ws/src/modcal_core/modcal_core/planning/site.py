@@ -85,9 +85,8 @@ class Noise:
 
 @dataclass(frozen=True)
 class Ball:
-    """A sphere. link: BASE or the joint that moves it, None for one of the surroundings. centre: (3,) [m]; radius [m].
-
-    Of a link the centre is given in the frame of the joint, as a URDF has it.
+    """A sphere. link: BASE or the joint that moves it, None for one of the surroundings. centre: (3,) [m], in the frame
+    of the joint, as a URDF has it; radius [m].
     """
 
     centre: Array
@@ -224,10 +223,8 @@ _AROUND = Cone(np.array([0.0, 0.0, 1.0]), np.pi)  # every direction
 
 
 def view_postures(chain: Chain, site: Site, count: int, rng: np.random.Generator) -> Array:
-    """Postures (m, n) within the joints' limits at which the site's instrument looks at the target.
-
-    count: lines of sight that are tried; those that the arm does not reach are left out. What stands in between, and
-    what the arm must not touch, is not asked here.
+    """Postures (m, n) within the joints' limits at which the site's instrument looks at the target, whatever stands in
+    between. count: lines of sight that are tried; those that the arm does not reach are left out.
     """
     tracker, target = site.tracker, site.target
     assert tracker is not None
@@ -303,15 +300,15 @@ class Spheres:
 
 def spheres_of(chain: Mechanism, site: Site) -> Spheres:
     """The spheres of an arm at a site. Raises BadTable for a sphere on a link that is not there."""
+    size = _SHARE_OF_REACH * chain.reach() if site.link_radius is None else site.link_radius
     if not is_serial_arm(chain):
-        return _of_closed(chain, site)
+        return _of_closed(chain, site.spheres, size)
     lines = _lines(chain, site.moving)
     start = np.r_[0.0, np.cumsum([np.linalg.norm(b - a) for a, b in lines])]
     if site.spheres:
         link, centre = _given(chain, site.spheres)
         radius = np.array([b.radius for b in site.spheres])
     else:
-        size = _SHARE_OF_REACH * chain.reach() if site.link_radius is None else site.link_radius
         parts = [(k, p) for k, (a, b) in enumerate(lines) for p in _along(a, b, size)]
         link, centre = np.array([k for k, _ in parts]), np.array([p for _, p in parts])
         radius = np.full(len(parts), size)
@@ -321,12 +318,11 @@ def spheres_of(chain: Mechanism, site: Site) -> Spheres:
     return Spheres(chain, link, centre, radius, along, np.stack([i[far], j[far]], axis=1))
 
 
-def _of_closed(chain: Mechanism, site: Site) -> Spheres:
+def _of_closed(chain: Mechanism, stated: Sequence[Ball], size: float) -> Spheres:
     """One sphere at the tip of a robot of closed chains: what carries it is above, and does not touch itself."""
-    if site.spheres:
+    if stated:
         said = "belongs to a serial arm: of this robot only the tip is looked at"
-        raise BadTable(f"sphere on link '{site.spheres[0].link}'", said, "leave spheres out, state link_radius_m")
-    size = _SHARE_OF_REACH * chain.reach() if site.link_radius is None else site.link_radius
+        raise BadTable(f"sphere on link '{stated[0].link}'", said, "leave spheres out, state link_radius_m")
     at = np.array([chain.tool_place])
     return Spheres(chain, at, np.zeros((1, 3)), np.array([size]), np.zeros(1), np.zeros((0, 2), dtype=int))
 
@@ -363,9 +359,8 @@ def _given(chain: Chain, balls: Sequence[Ball]) -> tuple[np.ndarray, Array]:
 
 
 def clearance(spheres: Spheres, site: Site, q: Array) -> Array:
-    """The least free distance [m] at postures q (N, n), (N,): to itself, the floor, and the obstacles; inf if to none.
-
-    It is negative where something touches, and the site's margin is taken off already.
+    """The least free distance [m], less the margin, at postures q (N, n), (N,): to itself, the floor, and the
+    obstacles; inf if to none, negative where something touches.
     """
     at = spheres.at(_frames(spheres.chain, q))
     out = np.where(takes(spheres.chain, q), np.inf, -np.inf)

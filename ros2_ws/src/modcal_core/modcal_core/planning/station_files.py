@@ -75,10 +75,8 @@ class Trajectory:
     q: Array
 
     def led_up_to(self, position: Array, speed: float, farthest: float) -> Trajectory:
-        """The trajectory, its first point reached from ``position`` (n,) at no more than ``speed`` [rad/s, m/s].
-
-        Raises BadCommand where a joint would have to go farther than ``farthest`` [rad, m]: nobody has looked at that
-        way.
+        """The trajectory, its first point reached from ``position`` (n,) at no more than ``speed`` [rad/s, m/s]. Raises
+        BadCommand where a joint would have to go farther than ``farthest`` [rad, m]: nobody has looked at that way.
         """
         off = np.abs(self.q[0] - position)
         if not off.max() <= farthest:

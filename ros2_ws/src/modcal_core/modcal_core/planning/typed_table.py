@@ -176,9 +176,8 @@ _BETTER = 4.0  # times smaller must be what is missed, before all readings are s
 
 
 def require_likely(session: Session, mechanism: Mechanism, read: Sequence[int], source: str) -> None:
-    """Raises BadTable for the first of these stations whose reading cannot be one of this arm, with what it may be.
-
-    read: numbers of the stations that were read just now. Nothing is asked of a Delta, nor of few stations.
+    """Raises BadTable for the first of the stations read just now whose reading cannot be one of this arm, with what it
+    may be. Nothing is asked of a Delta, nor of few stations.
     """
     rows = session.rows()
     if not is_serial_arm(mechanism) or len(rows) < _MIN or not read:
@@ -208,9 +207,8 @@ def _require_convention(as_is: HandEyeFit, source: str) -> None:
 
 
 def _meant(p: Array, expected: Array, k: int, numbers: Sequence[int], limit: float, elsewhere: str) -> tuple[str, str]:
-    """What the reading p (3,) [m] of row k may have been meant to be, "" where it is at its place, and what to do.
-
-    expected: positions by the other readings (N, 3). numbers: of the stations (N,).
+    """What the reading p (3,) [m] of row k may have been meant to be, "" where it is at its place, and what to do, by
+    what the other readings let expect (N, 3) of the stations with these numbers (N,).
     """
     gap, far = p - expected[k], np.linalg.norm(expected - p, axis=1)
     if far[k] < limit:

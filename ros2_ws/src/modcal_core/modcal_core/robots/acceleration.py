@@ -55,9 +55,8 @@ DOWN = (0.0, 0.0, -STANDARD_GRAVITY)
 def bias_torque(
     chain: Chain, inertias: Inertias, q: ArrayLike, velocity: ArrayLike, gravity: ArrayLike = DOWN
 ) -> Array:
-    """Drive torques C(q, q̇) q̇ + g(q) (N, n) [N m; N] that go with no joint acceleration.
-
-    q, velocity: (N, n) [rad, m; rad/s, m/s]. gravity: acceleration of free fall (3,) [m/s²] in the base.
+    """Drive torques C(q, q̇) q̇ + g(q) (N, n) [N m; N] that go with no joint acceleration. q, velocity: (N, n). gravity:
+    acceleration of free fall (3,) [m/s²] in the base.
     """
     return bias_of(Bodies.at(chain, inertias, q), velocity, gravity)
 
@@ -129,9 +128,8 @@ class Drives:
         new = np.array(getattr(self, what))
         for name, value in values.items():
             if name not in self.names:
-                raise BadRobot(
-                    f"{what} of joint '{name}'", "is not of this arm", f"name one of {', '.join(self.names)}"
-                )
+                known = ", ".join(self.names)
+                raise BadRobot(f"{what} of joint '{name}'", "is not of this arm", f"name one of {known}")
             least = "above 0" if what in ("torque", "speed") else "0 or more"
             if not np.isfinite(value) or value < 0.0 or (value == 0.0 and least == "above 0"):
                 raise BadRobot(f"{what} of joint {name}", f"is {value:g}, not a number {least}", "correct it")
@@ -256,17 +254,13 @@ class Window:
     upper: Array
 
     def equivalent(self) -> tuple[Array, Array]:
-        """Bounds (N, n) [rad/s², m/s²] of each joint by its equivalent inertia, the diagonal of M.
-
-        Where the drive cannot hold the joint, both bounds have one sign.
-        """
+        """Bounds (N, n) of each joint by its equivalent inertia; both have one sign where the drive cannot hold it."""
         inertia = np.diagonal(self.matrix, axis1=1, axis2=2)
         return self.lower / inertia, self.upper / inertia
 
     def given(self, acceleration: ArrayLike) -> tuple[Array, Array]:
-        """Bounds (N, n) of each joint while the others accelerate as given, (N, n) or (n,); all drives are minded.
-
-        NaN where no acceleration of this joint keeps them all within their limits.
+        """Bounds (N, n) of each joint while the others accelerate as given, (N, n) or (n,), all drives within their
+        limits; NaN where there are none.
         """
         a = np.broadcast_to(np.asarray(acceleration, dtype=float), self.lower.shape)
         taken = (self.matrix @ a[..., None]) - self.matrix * a[:, None, :]  # row k, by all but joint i: (N, k, i)
@@ -343,9 +337,7 @@ class LoadedArm:
         """The arm with this share of its torque, in this gravity. Raises BadRobot for numbers that are none."""
         g = np.asarray(gravity, dtype=float).ravel()
         if not (np.isfinite(share) and 0.0 < share <= 1.0):
-            raise BadRobot(
-                "share of the torque", f"{share:g} is not above 0 and at most 1", "give a share, such as 0.8"
-            )
+            raise BadRobot("share of the torque", f"{share:g} is not above 0 and at most 1", "give a share such as 0.8")
         if g.shape != (3,) or not np.isfinite(g).all() or np.linalg.norm(g) > 100.0:
             raise BadRobot("gravity", "is not x y z of 100 m/s² at most", "give it in the base link, such as 0 0 -9.81")
         return replace(self, share=float(share), gravity=g)

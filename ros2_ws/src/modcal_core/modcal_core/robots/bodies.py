@@ -133,13 +133,9 @@ class Payload:
         if not (np.isfinite(mass) and mass >= 0.0):
             raise BadRobot("payload: mass", f"{mass:g} kg is not 0 or more", "give kilograms")
         if c.shape != (3,) or not np.isfinite(c).all() or np.abs(c).max() > 10.0:
-            raise BadRobot(
-                "payload: centre", f"{_said(c)} is not a point within 10 m of the tip", "give x y z in metres"
-            )
+            raise BadRobot("payload: centre", f"{_said(c)} is not a point within 10 m of the tip", "give metres")
         if i.shape != (6,) or not np.isfinite(i).all():
-            raise BadRobot(
-                "payload: inertia", f"{_said(i)} is not six numbers", "give ixx iyy izz ixy ixz iyz in kg m²"
-            )
+            raise BadRobot("payload: inertia", f"{_said(i)} is not six numbers", "give ixx iyy izz ixy ixz iyz [kg m²]")
         tensor = np.array([[i[0], i[3], i[4]], [i[3], i[1], i[5]], [i[4], i[5], i[2]]])
         least = np.linalg.eigvalsh(0.5 * np.trace(tensor) * np.eye(3) - tensor).min()  # Σ m r rᵀ of a body is not < 0
         if least < -_SAME * max(1e-3, float(np.abs(i).max())):
@@ -149,10 +145,7 @@ class Payload:
 
 
 def with_payload(inertias: Inertias, chain: Chain, payload: Payload) -> Inertias:
-    """The bodies of a chain with a payload in its tip link, folded into the body of the last joint.
-
-    Masses add, centres are weighted, inertias are carried to the common centre (Steiner).
-    """
+    """The bodies of a chain with a payload in its tip link, folded into the body of the last joint (Steiner)."""
     T_joint_tip = chain.origins[-1]
     R, c = T_joint_tip[:3, :3], se3.apply(T_joint_tip, payload.centre)
     mass, com, inertia = (np.array(a) for a in (inertias.mass, inertias.com, inertias.inertia))
@@ -222,10 +215,7 @@ def mass_matrix(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
 
 
 def equivalent_inertia(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
-    """J_i of every joint (N, n) [kg m²; kg where it slides], the diagonal of M. q: joint positions (N, n).
-
-    The inertia that joint i meets while all the others stand still.
-    """
+    """The inertia that each joint meets while all others stand still, at q (N, n): the diagonal of M, (N, n)."""
     return np.diagonal(mass_matrix(chain, inertias, q), axis1=1, axis2=2)
 
 

@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot, BadTable, refusing
-from modcal_core.geometry import Array, cross, se3, so3
+from modcal_core.geometry import DIRECTIONS, Array, cross, se3, so3
 from modcal_core.robots.chain import Follower, read_only
 from modcal_core.robots.kinematics import Loop
 from modcal_core.schema import NUMBER, TEXT, Schema, list_of, mapping_of, record, require, stated
@@ -51,8 +51,7 @@ LEAN = PROXIMAL  # of a tower
 # Names and units of an arm's constants, and of a tower's
 _OF_ARM = {"zero": "rad", "ratio": "1", "azimuth": "rad", "offset": "m", "proximal": "m", "distal": "m"}
 _OF_TOWER = {"zero": "m", "ratio": "1", "azimuth": "rad", "offset": "m", "lean": "rad", "distal": "m"}
-TOOL = ("x", "y", "z", "rx", "ry", "rz")
-PARAMETERS = ARMS * CONSTANTS + len(TOOL)
+PARAMETERS = ARMS * CONSTANTS + len(DIRECTIONS)
 _MAX_LEAN = 1.4  # rad from upright; a rail that lies flat moves the platform sideways alone
 _LIMITS = {False: (-0.7, 1.3), True: (-0.5, 0.5)}  # rad of an arm, m of a carriage, where none are stated
 
@@ -192,7 +191,7 @@ class Delta:
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the entries of :attr:`vector`, as reports have them."""
         arms = [f"{name}/{constant}" for constant in self.units for name in self.names[:ARMS]]
-        return (*arms, *(f"tool/{d}" for d in TOOL))
+        return (*arms, *(f"tool/{d}" for d in DIRECTIONS))
 
     def with_vector(self, X: ArrayLike) -> Delta:
         """The same robot with other structural parameters (24,)."""
@@ -320,9 +319,8 @@ def inverse_rows(a: Array) -> Array:
 
 
 def level_rods(axes: Array, along: Array, gains: Array, radius: float, base: Array) -> Array:
-    """How a level platform turns and its middle shifts by each arm's rods, as of :class:`Loop`, (3 arms, 5, 2, 3, N).
-
-    axes: as of :func:`tilted`. along, gains: of the rods (3 arms, 3, N). base: its axes, (3, 3, N).
+    """How a level platform turns and its middle shifts by each arm's rods, as of :class:`Loop`, (3 arms, 5, 2, 3, N),
+    by axes as of :func:`tilted`, of the rods along and gains (3 arms, 3, N), and those of the base (3, 3, N).
     """
     turns = inverse_rows(np.stack([cross(axes[i, 2], along[i]) for i in range(3)]))
     out = np.zeros((3, 5, 2, *turns.shape[1:]))
@@ -406,9 +404,8 @@ _SEE = "see docs/delta.md"
 
 @refusing
 def delta_from_data(data: Any, source: str) -> Delta:
-    """The Delta that this data describes; raises BadTable, naming the source, for what is missing or not understood.
-
-    Raises BadRobot for constants that no Delta has.
+    """The Delta that this data describes. Raises BadTable, naming the source, for what is missing or not understood,
+    and BadRobot for constants that no Delta has.
     """
     top = stated(data)
     require(top, _SCHEMA, source, _SEE)

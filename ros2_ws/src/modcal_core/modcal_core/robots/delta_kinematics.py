@@ -124,9 +124,8 @@ def frames(
 
 
 def forward(delta: Delta, q: ArrayLike) -> Array:
-    """Tip poses T_base_tip (..., 4, 4) for joint positions q (..., n) [rad].
-
-    Raises NotReachable where no platform fits the arms, and where they leave it loose.
+    """Tip poses T_base_tip (..., 4, 4) for joint positions q (..., n). Raises NotReachable where no platform fits the
+    arms, and where they leave it loose.
     """
     q = np.asarray(q, dtype=float)
     flat = q.reshape(-1, delta.n)
@@ -149,9 +148,8 @@ def looseness(f: Frames) -> Array:
 
 
 def stretch(delta: Delta, f: Frames) -> Array:
-    """Sines of the angles between each arm and its rod as the motor sees them, (3, N); 0 where an arm is stretched.
-
-    Of a linear Delta the cosines of those between a tower and its rod, negative where the rod leads upwards.
+    """Sines of the angles between each arm and its rod as the motor sees them, (3, N); of a linear Delta the cosines of
+    those between a tower and its rod, negative where the rod leads upwards.
     """
     rates = np.stack([f.loops[1 + i].rates[0, ZERO] for i in range(ARMS)])
     return -rates if delta.linear else np.abs(rates) / delta.constants[PROXIMAL, :, None]
@@ -213,9 +211,8 @@ def tool_positions(delta: Delta, q: ArrayLike) -> Array:
 
 
 def position_jacobians(delta: Delta, q: ArrayLike) -> tuple[Array, Array, Array]:
-    """Positions (N, 3) of the drawing's tool, and their derivatives by parameters (N, 3, 24) and joints (N, 3, n).
-
-    Parameters stand as in :attr:`Delta.vector`. Units m, m per (rad, 1 or m), m/rad. NaN where no platform fits.
+    """Positions (N, 3) [m] of the drawing's tool, and their derivatives by :attr:`Delta.vector` (N, 3, 24) and by the
+    joints (N, 3, n). NaN where no platform fits.
     """
     q = np.asarray(q, dtype=float)
     f = frames(delta, q, T_tip_tool=delta.T_tip_tool)
@@ -236,8 +233,7 @@ def position_jacobians(delta: Delta, q: ArrayLike) -> tuple[Array, Array, Array]
 
 def payload_wrench(delta: Delta, q: ArrayLike, weight: float) -> Array:
     """What a weight [N] at the tip, along −z, asks of every joint, (n, 6, N); row 5 is the torque about its axis [N m].
-
-    By virtual work: the weight times how far a unit motion of the joint lifts the tip.
+    By virtual work.
     """
     f = frames(delta, q)
     out = np.zeros((delta.n, 6, f.p.shape[2]))

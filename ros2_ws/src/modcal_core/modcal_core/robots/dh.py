@@ -67,9 +67,8 @@ class TableRows:
         origins[0] = self.T_base @ origins[0]
         origins[-1] = origins[-1] @ self.T_tool
         revolute = [row.get("type", "revolute") == "revolute" for row in self.rows]
-        lower, upper = (
-            [row.get(key, end) for row in self.rows] for key, end in (("lower", -np.inf), ("upper", np.inf))
-        )
+        lower = [row.get("lower", -np.inf) for row in self.rows]
+        upper = [row.get("upper", np.inf) for row in self.rows]
         return Chain.build(self.names, origins, axes, revolute, lower, upper, self.base_link, self.tip_link)
 
 
@@ -197,9 +196,7 @@ def to_mdh(chain: Chain, largest_offset: float = 10.0) -> dict[str, Any]:
     T_tool = _about_z(-twist, -along) @ rows.beyond
     joints = [*rows.links, last]
     before = [_Link(0.0, 0.0), *rows.links]
-    columns = [
-        own.data() | {key: b.data()[key] for key in ("a", "alpha")} for own, b in zip(joints, before, strict=True)
-    ]
+    columns = [replace(own, a=b.a, alpha=b.alpha).data() for own, b in zip(joints, before, strict=True)]
     return write_rows("mdh", chain, columns, rows.T_base, T_tool)
 
 

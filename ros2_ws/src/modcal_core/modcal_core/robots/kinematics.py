@@ -83,9 +83,8 @@ class Frames:
 
 
 def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None) -> Frames:
-    """Frames before every joint, and the tip, for joint positions q (N, n) [rad, m].
-
-    twists: small motions (6, N) [m, rad] put in at places 0 … n, each in the frame of its place.
+    """Frames before every joint, and the tip, for joint positions q (N, n) [rad, m]. twists: small motions (6, N) [m,
+    rad] put in at places 0 … n, each in the frame of its place.
     """
     twists = twists or {}
     q = np.asarray(q, dtype=float)
@@ -148,10 +147,7 @@ def chain_forward(chain: Chain, q: ArrayLike) -> Array:
 
 
 def spatial_jacobian(chain: Chain, q: ArrayLike, f: Frames | None = None) -> Array:
-    """Spatial Jacobians (N, 6, n): column i is the base-frame twist of joint i at unit speed.
-
-    f: the frames at these positions, where they are known already.
-    """
+    """Spatial Jacobians (N, 6, n): column i is the base-frame twist of joint i at unit speed. f: the frames there."""
     f = frames(chain, q) if f is None else f
     axis, at = f.axes[:-1, 2].transpose(1, 2, 0), f.p[:-1].transpose(1, 2, 0)  # (3, N, n)
     out = np.concatenate([so3.cross(at, axis), axis])

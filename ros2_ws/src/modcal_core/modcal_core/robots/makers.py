@@ -79,9 +79,8 @@ def lacks_hash(data: Mapping[str, Any]) -> bool:
 
 @refusing
 def from_ur_kinematics(data: Mapping[str, Any]) -> Chain:
-    """The arm that UR's description makes of a ``kinematics`` table, from base_link to tool0. Raises BadTable.
-
-    Limits are those of UR's arms, one turn to either side.
+    """The arm that UR's description makes of a ``kinematics`` table, from base_link to tool0, each joint within one
+    turn to either side. Raises BadTable.
     """
     rows = data.get("kinematics")
     if not isinstance(rows, Mapping) or not all(isinstance(rows.get(link), Mapping) for link in _UR.values()):
@@ -103,9 +102,7 @@ def ur_conf_table(text: str, nominal: Chain) -> dict[str, Any]:
     rows = zip(DH, found, strict=True)
     deltas = np.array([vector(row[1].split(",") if row else [], len(_UR), f"delta_{key}") for key, row in rows])
     if _ur_prefix(nominal.names) is None:
-        raise BadTable(
-            "calibration.conf", f"is of a UR; this arm has {', '.join(nominal.names)}", "give the UR's --urdf"
-        )
+        raise BadTable("calibration.conf", f"is of a UR; this arm has {', '.join(nominal.names)}", "give its --urdf")
     first, links, numbers = _HALF_TURN @ nominal.origins[0], nominal.origins[1:-1], np.zeros((4, len(_UR)))
     alpha = np.arctan2(links[:, 2, 1], links[:, 1, 1])
     numbers[1] = np.r_[first[2, 3], np.cos(alpha) * links[:, 2, 3] - np.sin(alpha) * links[:, 1, 3]]
@@ -134,10 +131,8 @@ def laid_out_as(chain: Chain, nominal: Chain) -> Chain:
 
 
 def _as_laid_out(chain: Chain, made: Chain) -> dict[str, Array]:
-    """The joints' origins (4, 4) by name in the frames of UR's description, the first behind its half turn, where made
-    has them. Raises BadTable where that is another arm.
-
-    The axes at zero are compared as lines, and the frames of made are put onto those of the chain.
+    """The joints' origins (4, 4) by name in the frames of UR's description, as made has them, the first behind its half
+    turn, put onto the axes of the chain. Raises BadTable where that is another arm.
     """
     at_zero, frames = chain.T_base_joint_home, made.T_base_joint_home
     axes = np.einsum("kij,kj->ki", at_zero[:-1, :3, :3], chain.axes)
@@ -156,10 +151,8 @@ def _as_laid_out(chain: Chain, made: Chain) -> dict[str, Array]:
         raise BadTable("factory kinematics", said, "give the file of this arm, in a layout of the same zeros")
     frames = np.array(frames[:-1])
     frames[-1] = tip
-    turn = np.cross(frames[:, :3, 2], axes)
-    frames[:, :3, :3] = so3.exp(turn) @ frames[:, :3, :3]
-    turn = np.cross(frames[:, :3, 2], axes)  # of what is left of a small turn, nothing
-    frames[:, :3, :3] = so3.exp(turn) @ frames[:, :3, :3]
+    for _ in range(2):  # of what is left of a small turn, nothing
+        frames[:, :3, :3] = so3.exp(np.cross(frames[:, :3, 2], axes)) @ frames[:, :3, :3]
     frames[:, :3, 3] = points + axes * np.sum(axes * (frames[:, :3, 3] - points), axis=1, keepdims=True)
     steps = se3.inverse(np.concatenate([_HALF_TURN[None], frames[:-1]])) @ frames
     return dict(zip(chain.names, steps, strict=True))

@@ -205,18 +205,13 @@ def is_delta(robot: object) -> TypeGuard[Delta]:
 
 
 def forward(robot: Mechanism, q: ArrayLike) -> Array:
-    """Tip poses T_base_tip (..., 4, 4) for joint positions q (..., n) [rad, m].
-
-    Raises NotReachable for postures that a Delta cannot take.
-    """
+    """Tip poses T_base_tip (..., 4, 4) for joint positions q (..., n). Raises NotReachable where a Delta cannot be."""
     return delta_kinematics.forward(robot, q) if isinstance(robot, Delta) else kinematics.chain_forward(robot, q)
 
 
 def tool_frames(robot: Mechanism, T_tip_tool: Array, q: ArrayLike, twists: Mapping[int, Array] | None = None) -> Frames:
-    """Frames of every place up to the tool, seen from the root, for joint positions q (N, n) [rad, m].
-
-    T_tip_tool: (4, 4) [m]. twists: small motions (6, N) [m, rad] put in at places, each in the frame of its place.
-    Postures that a Delta cannot take are NaN.
+    """Frames of every place up to the tool (4, 4) in the tip, seen from the root, at postures q (N, n); NaN where a
+    Delta cannot be there. twists: small motions (6, N) [m, rad] put in at places, each in the frame of its place.
     """
     if isinstance(robot, Delta):
         return delta_kinematics.frames(robot, q, twists, T_tip_tool)
@@ -231,18 +226,14 @@ def payload_wrench(robot: Mechanism, q: Array, down: Array = bodies.DOWN, held: 
 
 
 def offset_wrench(robot: Mechanism, q: Array, down: Array = bodies.DOWN, held: HeldBehind | None = None) -> Array:
-    """How the weight of 1 kg as every joint bears it changes with its offset from the tip, (3, n, 6, N), as in
-    :mod:`modcal_core.robots.bodies`; of a Delta nothing is known of it, and it is zero.
-    """
+    """How that changes with each metre of its offset from the tip, (3, n, 6, N); unknown of a Delta, and zero."""
     if isinstance(robot, Delta):
         return np.zeros((3, robot.n, 6, len(np.asarray(q))))
     return bodies.offset_wrench(robot, q, down, held)
 
 
 def gravity_wrench(robot: Mechanism, inertias: Inertias, q: ArrayLike, moved: Array | None = None) -> Array:
-    """Weight of the links beyond each joint, (n, 6, N), as in :mod:`modcal_core.robots.bodies`; of a Delta nothing is
-    known of it, and it is zero.
-    """
+    """Weight of the links beyond each joint, (n, 6, N), as there; unknown of a Delta, and zero."""
     if isinstance(robot, Delta):
         return np.zeros((robot.n, 6, len(np.asarray(q))))
     return bodies.chain_gravity_wrench(robot, inertias, np.asarray(q, dtype=float), moved)
@@ -268,10 +259,7 @@ def joint_ranges(robot: Mechanism) -> tuple[Array, Array]:
 
 
 def random_postures(robot: Mechanism, count: int, rng: np.random.Generator) -> Array:
-    """Joint positions (count, n), uniform within the limits; a full turn, or ±0.5 m, where there is none.
-
-    Of a Delta, only postures that its platform can take.
-    """
+    """Joint positions (count, n), uniform within :func:`joint_ranges`; of a Delta, such as its platform can take."""
     low, high = joint_ranges(robot)
     if is_serial_arm(robot):
         return robot.followed(rng.uniform(low, high, (count, robot.n)))

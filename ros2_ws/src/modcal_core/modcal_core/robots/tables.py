@@ -132,10 +132,8 @@ _READERS = {"dh": from_dh, "mdh": from_mdh, "cpc": from_cpc}
 
 @refusing
 def from_table(table: Mapping[str, Any]) -> Chain:
-    """The chain of a DH, modified DH or CPC table, which must say its ``convention``, or of UR's ``kinematics``.
-
-    Axes that are nearly parallel have a common normal hundreds of metres away; such constants are written at the arm
-    itself. Raises BadTable.
+    """The chain of a DH, modified DH or CPC table, which must say its ``convention``, or of UR's ``kinematics``. Of
+    nearly parallel axes, whose common normal is far away, constants stand at the arm itself. Raises BadTable.
     """
     if isinstance(table, Mapping) and "kinematics" in table:
         return from_ur_kinematics(table)
@@ -270,9 +268,7 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
 
 
 def _require_units(joints: Sequence[Mapping[str, Any]], chain: Chain, unit: str, source: str) -> None:
-    """Raises BadTable for a turn or a length that no arm has, in this unit. Lengths that cancel are those of nearly
-    parallel axes.
-    """
+    """Raises BadTable for a turn, or a length that does not cancel with another, that no arm has, in this unit."""
     limits = [(key, _FULL_TURN * UNITS[unit][1]) for key in _ANGLES]
     if _longest(chain) > _LONGEST_M and _longest(from_cpc(to_cpc(chain))) > _LONGEST_M:
         limits += [(key, _LONGEST_M * UNITS[unit][0]) for key in _LENGTHS]

@@ -125,10 +125,8 @@ _FARTHEST = 20.0  # m; an arm whose constants add up to more is suspected of mil
 def read_chain(
     urdf_xml: str, base: str | None = None, tip: str | None = None, recorded: Collection[str] | None = None
 ) -> Chain:
-    """The chain from base to tip link of a URDF.
-
-    base: default the root link. tip: default see :func:`modcal_core.robots.urdf.tips`. recorded: names of
-    the joints that were recorded; a default tip is sought behind those only. Raises BadRobot.
+    """The chain from base to tip link of a URDF; by default from the root to the first of :func:`tips`. recorded: names
+    of the joints that were recorded; a default tip is sought behind those only. Raises BadRobot.
     """
     tree = parse(urdf_xml)
     base = tree.root() if base is None else tree.link(base)
@@ -183,9 +181,8 @@ def other_tips(urdf_xml: str, base: str, recorded: Collection[str] | None = None
 
 
 def read_path(urdf_xml: str, base: str, tip: str) -> tuple[tuple[str, ...], ...]:
-    """For each constant M_k of the chain from base to tip the names of the URDF joints whose origins make it up.
-
-    In order; the last of segment k < n is the moving joint k + 1, all others are fixed. Raises BadRobot.
+    """For each constant M_k of the chain from base to tip the URDF joints whose origins make it up, in order: fixed but
+    for the last of segment k < n, which is joint k + 1. Raises BadRobot.
     """
     tree = parse(urdf_xml)
     segments: list[list[str]] = [[]]

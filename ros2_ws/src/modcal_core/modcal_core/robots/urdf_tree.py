@@ -23,6 +23,7 @@ from modcal_core.geometry import Array, se3, sealed, so3
 # Moving joints that a chain may hold: True where the joint turns.
 TURNS = {"revolute": True, "continuous": True, "prismatic": False}
 FIX = "correct the URDF"
+_WHOLE = "robot description"
 _NO_XML = "give a URDF file; modcal import TABLE --out arm.urdf makes one of a DH or CPC table"
 _ONE_ROBOT = "describe one robot, with meshes in files of their own"
 _MAX_TURN = 4.0 * np.pi  # rad; an <origin rpy> beyond this was meant in degrees
@@ -95,7 +96,7 @@ class Tree:
         roots = [link for link in self.links if link not in self.above]
         if len(roots) != 1:
             said = f"has {len(roots)} root links" + (f" ({', '.join(roots[:4])})" if roots else "")
-            raise BadRobot("robot description", said, "connect its links to one tree, or give --base")
+            raise BadRobot(_WHOLE, said, "connect its links to one tree, or give --base")
         return roots[0]
 
     def joint(self, name: str) -> Joint:
@@ -108,10 +109,8 @@ class Tree:
     def link(self, name: str) -> str:
         """The name, if there is such a link. Raises BadRobot, with the names that come closest."""
         if name not in self.links:
-            close = difflib.get_close_matches(name, self.links, n=3, cutoff=0.3) or self.links[:5]
-            raise BadRobot(
-                f"link '{name}'", "is not in the robot description", f"choose one such as {', '.join(close)}"
-            )
+            close = ", ".join(difflib.get_close_matches(name, self.links, n=3, cutoff=0.3) or self.links[:5])
+            raise BadRobot(f"link '{name}'", "is not in the robot description", f"choose one such as {close}")
         return name
 
     def path(self, base: str, tip: str) -> list[Joint]:
@@ -132,14 +131,12 @@ def parse(urdf_xml: str) -> Tree:
     root = document(urdf_xml)
     for tag in ("link", "joint"):
         if (count := sum(_local(child) == tag for child in root)) > _MAX_JOINTS:
-            raise BadRobot("robot description", f"has {count} {tag}s, {_MAX_JOINTS} is the limit", _ONE_ROBOT)
-    name, version = _required(root, "name", "robot description"), root.get("version") or "1.0"
+            raise BadRobot(_WHOLE, f"has {count} {tag}s, {_MAX_JOINTS} is the limit", _ONE_ROBOT)
+    name, version = _required(root, "name", _WHOLE), root.get("version") or "1.0"
     if version != "1.0":
-        raise BadRobot("robot description", f"is of version {version}, only 1.0 is supported", FIX)
+        raise BadRobot(_WHOLE, f"is of version {version}, only 1.0 is supported", FIX)
     joints = tuple(_joint(e) for e in root if _local(e) == "joint")
-    links = tuple(
-        (_required(e, "name", "robot description"), _child(e, "inertial")) for e in root if _local(e) == "link"
-    )
+    links = tuple((_required(e, "name", _WHOLE), _child(e, "inertial")) for e in root if _local(e) == "link")
     bodies = {link: _inertial(own, link) for link, own in links if own is not None}
     inertials = {link: own for link, own in bodies.items() if own is not None}
     notes = (
@@ -159,10 +156,10 @@ def document(urdf_xml: str) -> Any:
     """The root element of a URDF text, whatever it holds. Raises BadRobot for what is not XML, no URDF, or xacro."""
     if len(urdf_xml) > _MAX_TEXT:
         said = f"has {1e-6 * len(urdf_xml):.0f} million characters, {1e-6 * _MAX_TEXT:.0f} million is the limit"
-        raise BadRobot("robot description", said, _ONE_ROBOT)
+        raise BadRobot(_WHOLE, said, _ONE_ROBOT)
     text = urdf_xml.lstrip("\ufeff \t\r\n")
     if not text:
-        raise BadRobot("robot description", "is not XML (it is empty)", "give a URDF file")
+        raise BadRobot(_WHOLE, "is not XML (it is empty)", "give a URDF file")
     try:
         root = _element(text.encode("utf-8", errors="replace"))
     except (etree.XMLSyntaxError, ValueError) as error:
@@ -170,9 +167,9 @@ def document(urdf_xml: str) -> Any:
             raise _unexpanded() from error
         said = getattr(error, "msg", None) or str(error)
         remedy = "give a URDF file" if text.startswith("<") else _NO_XML
-        raise BadRobot("robot description", f"is not XML ({said})", remedy) from error
+        raise BadRobot(_WHOLE, f"is not XML ({said})", remedy) from error
     if _local(root) != "robot":
-        raise BadRobot("robot description", f"is <{_local(root)}>, not <robot>", "give a URDF file")
+        raise BadRobot(_WHOLE, f"is <{_local(root)}>, not <robot>", "give a URDF file")
     if any(isinstance(e.tag, str) and "xacro" in (e.prefix, *re.split("[}/:]", e.tag)[:-1]) for e in root.iter()):
         raise _unexpanded()
     return root
@@ -181,9 +178,7 @@ def document(urdf_xml: str) -> Any:
 def _element(text: bytes) -> Any:
     """The root element. Elements whose prefix is not declared are passed over, as the parsers of ROS do."""
     # A declared encoding was true of the bytes; this is text already. Outside entities are nobody's business here.
-    parser = etree.XMLParser(
-        encoding="utf-8", resolve_entities=False, no_network=True, remove_comments=True, recover=True
-    )
+    parser = etree.XMLParser(encoding="utf-8", resolve_entities=False, remove_comments=True, recover=True)
     root = etree.fromstring(text, parser)
     faults = [e for e in parser.error_log if e.domain != etree.ErrorDomains.NAMESPACE]
     if faults:
@@ -192,7 +187,7 @@ def _element(text: bytes) -> Any:
 
 
 def _unexpanded() -> BadRobot:
-    return BadRobot("robot description", "holds xacro commands", "expand it first: xacro FILE > robot.urdf")
+    return BadRobot(_WHOLE, "holds xacro commands", "expand it first: xacro FILE > robot.urdf")
 
 
 def _local(element: Any) -> str:
@@ -232,7 +227,7 @@ def _numbers(element: Any, key: str, default: Sequence[float], what: str, finite
 
 
 def _joint(element: Any) -> Joint:
-    name, kind = _required(element, "name", "robot description"), element.get("type")
+    name, kind = _required(element, "name", _WHOLE), element.get("type")
     what = f"joint {name}"
     if kind not in _KINDS:
         raise BadRobot(what, f"Invalid joint type: {kind}", f"choose {', '.join(_KINDS)}")
@@ -242,9 +237,8 @@ def _joint(element: Any) -> Joint:
             raise BadRobot(what, f"has no <{tag}>", FIX)
         ends.append(_required(end, "link", what))
     limit, mimic = _child(element, "limit"), _child(element, "mimic")
-    drive = {
-        key: text for part in (limit, _child(element, "dynamics")) if part is not None for key, text in part.items()
-    }
+    parts = limit, _child(element, "dynamics")
+    drive = {key: text for part in parts if part is not None for key, text in part.items()}
     lower, upper = -np.inf, np.inf
     if kind != "continuous" and limit is not None and (limit.get("lower") or limit.get("upper")):
         lower, upper = (float(_numbers(limit, key, [0.0], f"{what}:", False)[0]) for key in ("lower", "upper"))
@@ -338,4 +332,4 @@ def _check(tree: Tree) -> None:
     if looped := next((joint.name for joint in tree.joints if joint.child not in reached), None):
         raise BadRobot(f"joint {looped}", "closes a loop", "give a tree of links")
     if depth > _DEEPEST:  # more than Python's stack should be asked for
-        raise BadRobot("robot description", f"has {depth} joints in a row, {_DEEPEST} is the limit", _ONE_ROBOT)
+        raise BadRobot(_WHOLE, f"has {depth} joints in a row, {_DEEPEST} is the limit", _ONE_ROBOT)

@@ -56,11 +56,8 @@ def calibrated_urdf(urdf_xml: str, nominal: Chain, calibrated: Chain) -> str:
 
 
 def write_origins(urdf_xml: str, origins: Mapping[str, Array]) -> str:
-    """The same text with the origins (4, 4) [m] of the named joints put in.
-
-    A value that already says the same is kept as it is written. A joint without an origin gets one as its first child,
-    unless it is the identity.
-    Raises BadRobot for a joint that the URDF does not have.
+    """The same text with the origins (4, 4) [m] of the named joints put in; a value that already says the same is kept
+    as it is written. Raises BadRobot for a joint that the URDF does not have.
     """
     raw = urdf_xml.encode("utf-8", errors="surrogatepass")
     places = _find_joints(raw)
@@ -135,8 +132,6 @@ def _find_joints(raw: bytes) -> dict[str, _OriginSpan]:
         if tag == "joint" and stack == ["robot"]:
             joint = attributes.get("name", "")
             places[joint] = _OriginSpan(_end_of_tag(raw, at))
-            if raw[: places[joint].inside].endswith(b"/>"):  # no inside to put anything in
-                del places[joint]
         elif tag == "origin" and stack == ["robot", "joint"] and places[joint].origin is None:
             places[joint].origin = (at, _end_of_tag(raw, at))
         stack.append(tag)
@@ -162,9 +157,8 @@ def _end_of_tag(raw: bytes, start: int) -> int:
 
 
 def chain_urdf(chain: Chain, name: str = "arm") -> str:
-    """The URDF text of a chain: links without bodies, moving joints, and a fixed one to the tip.
-
-    Reading it gives the same kinematics, names and limits; torques and speeds are not known and stand as 0.
+    """The URDF text of a chain: links without bodies, moving joints, whose torques and speeds stand as 0, and a fixed
+    one to the tip. Reading it gives the same kinematics, names and limits.
     """
     robot = ET.Element("robot", name=name)
     taken = {chain.base, chain.tip}
