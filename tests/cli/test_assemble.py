@@ -11,7 +11,7 @@ import pytest
 import yaml
 from cells import joint_track
 from cli.conftest import Refused
-from modules.arms import LIBRARY, five_joints
+from modules.arms import LIBRARY, five_joints, numbered
 from modules.workshop import Arm, Made, shelf_of
 
 from modcal_core.geometry import se3
@@ -153,7 +153,7 @@ def test_from_recordings_to_a_better_start(
     assert json.loads(capsys.readouterr().out)["as_known"] is False
     assert store.read_text() != before
     store.write_text(before)
-    other = assembly_to_data(five_joints().with_serials([m.serial for m in reversed(assembly.modules)]), library)
+    other = assembly_to_data(numbered(five_joints(), [m.serial for m in reversed(assembly.modules)]), library)
     (tmp_path / "other.yaml").write_text(yaml.safe_dump({**other, "name": "five_joints"}))
     assert run(["modules", "learn", str(tmp_path / "other.yaml"), str(one), "--modules", str(store)]) == 2
     assert "is a different assembly in this store" in capsys.readouterr().err

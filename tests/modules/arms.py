@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from modcal_core.modules.library import Assembly, published
@@ -20,6 +23,13 @@ def random_assembly(rng: np.random.Generator, joints: int | None = None) -> Asse
 
     parts = [(JOINTS[draw(2)], draw(4), LINKS[draw(4)], draw(8), draw(4)) for _ in range(n)]
     return Assembly.build((draw(8), draw(4)), parts)
+
+
+def numbered(assembly: Assembly, serials: Sequence[str]) -> Assembly:
+    """The same of these physical modules, one serial number each, base to gripper."""
+    return replace(
+        assembly, modules=tuple(replace(m, serial=s) for m, s in zip(assembly.modules, serials, strict=True))
+    )
 
 
 def five_joints() -> Assembly:

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from modules.arms import LIBRARY, five_joints, random_assembly
+from modules.arms import LIBRARY, five_joints, numbered, random_assembly
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
@@ -83,7 +83,7 @@ def test_twists_as_printed(rng: np.random.Generator) -> None:
 
 
 def test_known_errors_of_modules_travel_with_their_serial_numbers(rng: np.random.Generator) -> None:
-    assembly = five_joints().with_serials([f"S{k}" for k in range(12)])
+    assembly = numbered(five_joints(), [f"S{k}" for k in range(12)])
     errors = {("S2", "whole"): 1e-3 * rng.normal(size=6), ("S3", "to_axis"): 1e-3 * rng.normal(size=6)}
     errors |= {("S3", "from_axis"): 1e-3 * rng.normal(size=6), ("elsewhere", "whole"): np.ones(6)}
     chain = chain_of(assembly, LIBRARY, errors)
@@ -195,7 +195,7 @@ def test_the_example_runs() -> None:
 
 def test_the_list_and_the_matrix_are_one_arm() -> None:
     listed, matrix = (assembly_from_data(yaml.safe_load(text), LIBRARY, "docs") for text in blocks("yaml"))
-    assert matrix == listed.with_serials([""] * len(listed.modules))
+    assert matrix == numbered(listed, [""] * len(listed.modules))
 
 
 def test_the_table_of_modules_is_the_library() -> None:
@@ -249,7 +249,7 @@ def test_a_library_with_other_modules_has_its_own_genes() -> None:
     del data["modules"]["LR-II"]
     coding = Coding(library_from_data(data, "mine.yaml"))
     assert coding.shape == (4, 4, 4, 8, 4)
-    joint, _, link, size, _ = coding.fields(np.arange(coding.genes))
+    joint, _, link, size, _ = coding.fields(np.arange(np.prod(coding.shape)))
     assert np.array_equal(coding.buildable, (joint < 3) & (link < 3) & ((link != 1) | (size == 0)))
     assembly = Assembly.build((1, 2), [("JX", 1, "LP", 0, 3)])
     assert coding.text(coding.genome(assembly)) == "00110 10·01·01·000·11"
@@ -305,7 +305,7 @@ def test_round_trip(serials: bool, rng: np.random.Generator) -> None:
         if serials:
             count = len(assembly.modules)
             known = [f"S{k}" if rng.random() < 0.7 else "" for k in range(count)]
-            assembly = assembly.with_serials(known)
+            assembly = numbered(assembly, known)
         data = assembly_to_data(assembly, LIBRARY)
         assert assembly_from_data(data, LIBRARY, "written") == assembly
         for alone in ("modules", "aim"):

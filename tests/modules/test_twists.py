@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from cells import samples_of, slider_arm
-from modules.arms import LIBRARY, five_joints, random_assembly
+from modules.arms import LIBRARY, five_joints, numbered, random_assembly
 from modules.workshop import Arm, Made, shelf_of
 
 from modcal_core.calibration.adjoint import identify_twists
@@ -155,7 +155,7 @@ PARALLEL = Assembly.build(  # joints 2, 3 and 4 are parallel
 def measured(assembly: Assembly, seed: int, count: int = 150) -> tuple[Chain, Samples]:
     """A ball on the gripper, seen by a laser tracker at random postures of the assembly as it was made."""
     rng = np.random.default_rng(seed)
-    named = assembly.with_serials([f"S{k}" for k in range(len(assembly.modules))])
+    named = numbered(assembly, [f"S{k}" for k in range(len(assembly.modules))])
     made = Made()
     arm = Arm(named, shelf_of(named.modules, made, rng), made, rng)
     chain = chain_of(named, LIBRARY)

@@ -150,7 +150,6 @@ WRONG: dict[str, tuple[Callable[[Any], Chain], Any]] = {
     "base: xyz: it has 2 entries, 3 are allowed": (from_cpc, {"base": {"xyz": [1, 2]}, **GOOD}),
     "convention 'dhh' is unknown: write convention: dh, mdh, cpc": (from_table, {"convention": "dhh", **GOOD}),
     "b: has length 1.41421, not 1": (from_cpc, {"joints": [{"name": "a", "b": [1, 0, 1]}]}),
-    "b: is longer than 1": (from_cpc, {"joints": [{"name": "a", "b": [1, 1]}]}),
     "b: points straight back": (from_cpc, {"joints": [{"name": "a", "b": [0, 0, -1]}]}),
     "reversed: 1 is not true or false": (from_cpc, {"joints": [{"name": "a", "reversed": 1}]}),
 }

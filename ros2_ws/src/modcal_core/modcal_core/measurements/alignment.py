@@ -2,13 +2,12 @@
 
 The speed of the tool is the same in every frame, so the speed that the tracker reports and the speed that the joints
 imply are one signal seen twice. Sliding one along the other, the lag with the highest correlation is the offset to half
-a grid step; from there it is fitted together with the point that the tracker sees, which is not known yet and whose
-speed peaks at other times than the tip's. The same done piece by piece shows drift.
+a grid step. The same done piece by piece shows drift.
 
-The speed of the tracked point is |v + dR/dt r|, with v and R of the tip link and r the point in it. Speeds of the tip
-alone peak at other times than those of a point a hand's length away, up to some milliseconds on twenty motions, so the
-delay is fitted together with r, by Gauss-Newton on the speeds. Its standard deviation is the sandwich estimate over
-stretches of time, which needs no model of the noise (Huber 1967; Liang and Zeger 1986).
+The speed of the tracked point is |v + dR/dt r|, with v and R of the tip link and r the point in it, which is not known
+yet and whose speed peaks some milliseconds beside the tip's: both are fitted, by Gauss-Newton on the speeds. The
+standard deviation of the delay is the sandwich estimate over stretches of time, which needs no model of the noise
+(Huber 1967; Liang and Zeger 1986).
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Messages of a recording that say nothing: numbers that are not finite or cannot be, lost targets, lost clocks.
 
-They are left out, counted and said. Where they are more than single wrong readings, the verdict is open for it. A
-recording is refused when nothing is left, or too little for what is asked of it; and, by what is wrong with it, where
-most of its messages are wrong, as those of a tracker that publishes millimetres, or a part of them in another unit.
+They are left out, counted and said. Where they are more than single wrong readings, the verdict is open for it; where
+nothing is left, or most messages are wrong in the same way (millimetres), the recording is refused.
 
-A mean over a station, or a few stations in a row, would take them for measurements of postures that nobody measured.
 Alone a run of equal readings says little: a coarse instrument repeats itself at rest, a bridge that publishes faster
 than its tracker does so in motion. It must last, and the arm must have been elsewhere meanwhile.
 """

@@ -2,15 +2,12 @@
 
 There is one detector. A stream asks it about the last seconds of joint states as soon as a stand has ended.
 
-Of a raster, every n-th row may have one joint in the same place each time: what depends on that joint is then not seen
-at all. The rows i with the smallest fractional parts of i φ, φ the golden ratio, come at three distances, near one
-another (three-distance theorem), and take each residue of every period equally often (Weyl): they are as even as every
-n-th row, and have no period.
+Of a raster, every n-th row may have one joint in the same place each time. The rows i with the smallest fractional
+parts of i φ, φ the golden ratio, are as even as every n-th row (three-distance theorem) and have no period (Weyl).
 
-Of such a standstill a tenth is left for settling, although whoever recorded it may have waited for that, or for too
-short a time. Over all of them the readings tell: the arm has settled from where a tenth of the standstill, on average,
-lies about the mean of what follows as far as the scatter lets it. What settles below that adds no more to a mean than
-the readings take off.
+Of a standstill that was recorded by itself a tenth is left for settling, or what the readings of all of them tell: the
+arm has settled from where a tenth of the standstill, on average, lies about the mean of what follows as far as the
+scatter lets it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """What is in a recording, what it can be used for, and what looks wrong, without fitting anything.
 
-A tracker that begins earlier, or goes on after the joint states have ended, loses nothing but what no posture is known
-of. Where as long a part of the joint states has no reading as the readings outside take, these are that part: at an
-hour's distance since summer time ended, or a day's since midnight. By motion only jumps of some seconds are found
-(:mod:`modcal_core.measurements.alignment`).
+A tracker that begins earlier than the joint states, or goes on, loses nothing. Where as long a part of these has no
+reading as the readings outside take, they are that part: an hour away since summer time ended, or a day.
 """
 
 from __future__ import annotations
@@ -143,10 +141,7 @@ def _clock_findings(name: str, stamps: Array, received: Array) -> list[str]:
         usual = float(np.median(forward))
         gaps = forward[forward > max(_GAP * usual, _MIN_GAP)]
         if 0 < len(gaps) <= _RARE * len(forward):
-            out.append(
-                f"{name}: silent {len(gaps)} times for up to {gaps.max():.2f} s; "
-                f"it usually publishes every {usual:.3f} s."
-            )
+            out.append(f"{name}: silent {len(gaps)} times for up to {gaps.max():.2f} s, usually {usual:.3f} s.")
     late = received - stamps
     if np.isfinite(late).any() and abs(float(np.nanmedian(late))) > _LATE:
         out.append(f"{name}: stamps are {float(np.nanmedian(late)):+.2f} s from the time they were received.")

@@ -57,11 +57,6 @@ class Coding:
         """How many codes each field of a gene has: joint, turn, link, length, next turn."""
         return len(self.joints), TURNS, len(self.links), SIZES, TURNS
 
-    @property
-    def genes(self) -> int:
-        """How many genes there are, buildable or not."""
-        return int(np.prod(self.shape))
-
     def fields(self, genes: ArrayLike) -> np.ndarray:
         """The five fields of genes (...), (5, ...)."""
         return np.stack(np.unravel_index(np.asarray(genes), self.shape))
@@ -69,7 +64,7 @@ class Coding:
     @cached_property
     def buildable(self) -> np.ndarray:
         """Whether the library has the joint, the link and its length, for every gene, (genes,)."""
-        joint, _, link, size, _ = self.fields(np.arange(self.genes))
+        joint, _, link, size, _ = self.fields(np.arange(np.prod(self.shape)))
         sizes = np.array([0 if kind is None else kind.sizes for kind in self.links])
         return np.array([kind is not None for kind in self.joints])[joint] & (size < sizes[link])
 

@@ -1,14 +1,12 @@
 """What each of many candidates is worth, and the genetic search over assemblies of a given number of joints.
 
-Requirements are checked in the order of what they cost. A genome that breaks a rule of structure is not built. An arm
-that cannot be long enough is not sent anywhere. Descents (:mod:`modcal_core.modules.targets`) begin from a few postures
-with a few steps, and go on where they may get there. What reaches every target is looked for again from more postures,
-and for each target the best is taken by what the other requirements say of it.
+Requirements are checked in the order of what they cost: structure, length, descents
+(:mod:`modcal_core.modules.targets`) from a few postures with a few steps, which go on where they may get there. What
+reaches every target is looked for again from more postures, the best of which is taken by the other requirements.
 
-Unlike the source's search, which gives all that breaks a hard requirement the same cost (``bench/synthesis.py``
-compares): candidates that break something are compared by how much (Deb's rules), what is seen to break the rules of
-structure is not made, cuts are between modules and changes take one field or swap two sub-assemblies, and none is
-judged twice.
+Unlike the source's search (``bench/synthesis.py`` compares) candidates that break something are compared by how much
+(Deb's rules), what breaks the rules of structure is not made, cuts are between modules and changes take one field or
+swap two sub-assemblies, and none is judged twice.
 """
 
 from __future__ import annotations

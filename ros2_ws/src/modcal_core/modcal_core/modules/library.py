@@ -14,8 +14,8 @@ module and every pair of flanges. Behind each piece stands the error of its owne
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
 from typing import Any
@@ -196,11 +196,6 @@ class Assembly:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints in the arm that comes of it: joint_1 …"""
         return tuple(f"joint_{k + 1}" for k in range(self.n))
-
-    def with_serials(self, serials: Sequence[str]) -> Assembly:
-        """The same assembly of these physical modules, one serial number each, base to gripper."""
-        named = (replace(m, serial=s) for m, s in zip(self.modules, serials, strict=True))
-        return replace(self, modules=tuple(named))
 
     def checked(self, library: Library, source: str = "assembly") -> Assembly:
         """The same assembly, if it can be built from this library. Raises BadTable at the first fault."""

@@ -1,10 +1,9 @@
 """What an assembly is judged by, each requirement one small function, all in one table.
 
-What breaks a *hard* one is rejected; *soft* ones cost, and costs are added up, each with its weight. Some are both. A
-function says by how much a hard one is broken (0: it is met), so that a search sees which of two rejected candidates is
-nearer, and what a soft one costs: of an arm, one number each, or one for each posture that may reach a target, (K, S).
-The first two stand by themselves: what they reject is looked at no further. ``structure`` is asked of many genomes at
-once; whether an arm reaches its targets at all, of many arms: :mod:`modcal_core.modules.evaluation`.
+What breaks a *hard* one is rejected; *soft* ones cost, each with its weight. Some are both. A function says by how much
+a hard one is broken (0: it is met), so that a search sees which of two rejected candidates is nearer, and what a soft
+one costs: of an arm, one number each, or one for each posture that may reach a target, (K, S). The first two are asked
+of many genomes or arms at once, and what they reject is looked at no further (:mod:`modcal_core.modules.evaluation`).
 """
 
 from __future__ import annotations

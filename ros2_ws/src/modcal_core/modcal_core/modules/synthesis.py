@@ -5,8 +5,7 @@
         if one of them meets everything that is hard: stop
 
 The fewest that can do is the number of constraints Σm of the most demanding target. Candidates are judged in batches of
-a fixed size, in as many processes as wanted: which process judges a batch changes nothing, so a seed gives the same
-result on any machine with the same arithmetic.
+a fixed size, in as many processes as wanted, so that a seed gives the same result with any number of them.
 """
 
 from __future__ import annotations

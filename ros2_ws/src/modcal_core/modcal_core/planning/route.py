@@ -1,11 +1,10 @@
 """The order in which stations are visited, and the way between them, in the joints' space.
 
-A return is left in between and come back to from another side, so that backlash is part of what is seen. Returns are
-spread over the whole tour, and every other one is short, so that slow drift is told from scatter, which does not grow.
+A return is come back to from another side, so that backlash is part of what is seen. Returns are spread over the whole
+tour, and every other one is short, so that slow drift is told from scatter, which does not grow.
 
 Ways are straight. Where one would touch something, a way over other allowed postures is looked for: a roadmap whose
-edges are checked only when a shortest way wants to use them (lazy PRM; Bohlin & Kavraki 2000), at steps of 0.02 rad.
-That does not take the place of a motion planner.
+edges are checked only when a shortest way wants to use them (lazy PRM; Bohlin & Kavraki 2000).
 """
 
 from __future__ import annotations

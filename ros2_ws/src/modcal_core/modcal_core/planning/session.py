@@ -1,9 +1,8 @@
 """What has been measured so far: a list of stations that only grows, from which everything else follows.
 
-A station is planned, then measured or not: the tracker may not see it, the arm may not reach it. A session that is read
-from its file again goes on where it stopped. An accuracy is proven where the upper end of the claim
-(:mod:`modcal_core.claim`) is within it, over postures drawn at random from all that are allowed and seen. Some stations
-are such postures, which no fit sees: what the model lacks there counts as it does where it was fitted.
+A station is planned, then measured or not: the tracker may not see it, the arm may not reach it. An accuracy is proven
+where the upper end of the claim (:mod:`modcal_core.claim`) is within it, over postures drawn at random from all that
+are allowed and seen. Some stations are such postures, which no fit sees.
 """
 
 from __future__ import annotations

@@ -2,13 +2,9 @@
 
 Positions and axes of the tracker, and what to keep out of, are given in the arm's base link; those of the target in its
 tip. A camera on the tool is given in the tip, its target in the base link. Links are named by the joint that moves
-them, the first one ``base``.
-
-The line of sight is drawn first, in both cones and within range, then a turn about it; the arm is brought there by
-inverse kinematics: evenly over what can be seen, not over the joints' ranges.
-
-Spheres stand along the straight lines from joint to joint, or where a site puts them. Two of them are compared where
-they are more than twice the sum of their radii apart along the arm: nearer ones are neighbours round a bend.
+them, the first one ``base``. Spheres stand along the straight lines from joint to joint, or where a site puts them. Two
+of them are compared where they are more than twice the sum of their radii apart along the arm: nearer ones are
+neighbours round a bend.
 """
 
 from __future__ import annotations
@@ -217,7 +213,8 @@ def _balls(data: Mapping[str, Any]) -> tuple[Ball, ...]:
     return tuple(Ball(np.array(r["center_m"], dtype=float), float(r.get("radius_m", 0.0)), r.get("link")) for r in rows)
 
 
-# --- Postures that show the target: where random ones hardly ever do, as with a camera that looks at a board
+# --- Postures that show the target, evenly over what can be seen: a line of sight in both cones, a turn about it, and
+# inverse kinematics, where random ones hardly ever do, as with a camera that looks at a board
 
 _AROUND = Cone(np.array([0.0, 0.0, 1.0]), np.pi)  # every direction
 

@@ -1,10 +1,8 @@
-"""The tables of a session: what a technician with a spreadsheet is asked for, in degrees and millimetres, and what came
-back.
+"""The tables of a session: what a technician is asked for, in degrees and millimetres, and what came back.
 
 What a spreadsheet does to a file on the way (semicolons, decimal commas, byte order marks, UTF-16) is undone; what may
-have been typed wrongly is refused with its row, and nothing of that table is taken in: whoever stands beside the arm
-can still correct it. Base and tool are those on which most stations agree (:mod:`modcal_core.hypotheses.hand_eye`). A
-nominal arm is a centimetre off at most; another unit, another row's reading or a wrong digit are off by more.
+have been typed wrongly is refused with its row, and nothing of that table is taken in. Base and tool are those on which
+most stations agree: a nominal arm is a centimetre off at most; another unit, row or digit are off by more.
 """
 
 from __future__ import annotations
@@ -150,11 +148,8 @@ def _filled(filled: FilledTable, number: int, cells: Mapping[str, str], turns: n
 
 def _taken_before(at: str, number: int, station: Station) -> BadTable:
     was = "with another reading" if station.state == MEASURED else f"as {station.state}"
-    return BadTable(
-        at,
-        f"station {number + 1} was taken in before, {was}",
-        "open the table again, which has the stations asked for now",
-    )
+    said = f"station {number + 1} was taken in before, {was}"
+    return BadTable(at, said, "open the table again, which has the stations asked for now")
 
 
 def _number(cell: str, where: str) -> float:

@@ -1,9 +1,8 @@
 """Forward kinematics and Jacobians of a chain: of many postures at once, and of one where a clock runs.
 
 ``frames`` gives the frames just *before* each joint's motion (where a link error sits), the joint's axis as z, and the
-tip. Jacobian columns follow from them: a twist e at a frame T moves the tip by ``Ad(T) e`` seen from the base.
-Everything that needs a chain's kinematics asks here, but for the descents of many different arms
-(:mod:`modcal_core.modules.targets`), which tests hold to this, to twelve digits.
+tip. Jacobian columns follow from them: a twist e at a frame T moves the tip by ``Ad(T) e`` seen from the base. Only the
+descents of many different arms (:mod:`modcal_core.modules.targets`) have kinematics of their own.
 """
 
 from __future__ import annotations

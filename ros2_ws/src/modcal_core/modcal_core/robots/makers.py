@@ -1,12 +1,10 @@
 """Kinematics in the forms that the makers' own descriptions read.
 
 Universal Robots' description takes a ``kinematics`` table keyed by link (``kinematics_params_file:=``), Franka's one
-keyed by joint; both hold, for each joint, the xyz [m] and rpy [rad] of its URDF ``<origin>``. Any other arm gets the
-same values keyed by joint name.
-
-A file that the maker's tool took from an arm is compared with the description that was calibrated. The description may
-lay out the same arm in other frames (the older ones of UR have axes along y): the axes are then the same lines, bases
-and tips differ by right angles, and the factory's frames are moved onto the calibrated axes.
+keyed by joint, any other arm's is keyed by joint name; all hold, for each joint, the xyz [m] and rpy [rad] of its URDF
+``<origin>``. The description that was calibrated may lay out the same arm in other frames (the older ones of UR have
+axes along y) than the maker's file: the axes are then the same lines, bases and tips differ by right angles, and the
+factory's frames are moved onto the calibrated axes.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ A row is the step *behind* its joint. beta and the third component of l commute 
 export leaves them 0: four numbers a joint, and no jump but for opposite axes. Those are avoided by ``reversed: true``:
 the joint counts negatively about its b. Base and tool are poses; the rest of the table is as in
 :mod:`modcal_core.robots.dh`. All of b is written, as bz from bx and by loses half of the digits between perpendicular
-axes; two are read, too.
+axes.
 
 CSV has comment lines (``# convention: dh``, ``# base_link: …``, ``# tip_link: …``, ``# base: x y z roll pitch yaw``,
 ``# tool: …``, ``# unit: mm deg``), then a head and one row a joint: name, type, the convention's columns, lower, upper.
@@ -60,7 +60,7 @@ from modcal_core.schema import NUMBER, Schema, list_of, require
 # --- Complete and parametrically continuous (CPC) tables, to and from chains
 
 _KEYS: dict[str, Schema] = {
-    "b": list_of(NUMBER, 2, 3),
+    "b": list_of(NUMBER, 3, 3),
     "l": list_of(NUMBER, 3, 3),
     "beta": NUMBER,
     "reversed": {"type": "boolean"},
@@ -107,10 +107,6 @@ def to_cpc(chain: Chain) -> dict[str, Any]:
 
 
 def _direction(b: Array, what: str) -> Array:
-    if len(b) == 2:
-        if b @ b > 1.0:
-            raise BadTable(what, f"is longer than 1 ({np.sqrt(b @ b):.6g})", "give a direction")
-        b = np.r_[b, np.sqrt(1.0 - b @ b)]
     length = float(np.linalg.norm(b))
     if abs(length - 1.0) > 1e-6:
         raise BadTable(what, f"has length {length:.6g}, not 1", "give a direction")

@@ -139,15 +139,10 @@ def parse(urdf_xml: str) -> Tree:
     links = tuple((_required(e, "name", _WHOLE), _child(e, "inertial")) for e in root if _local(e) == "link")
     bodies = {link: _inertial(own, link) for link, own in links if own is not None}
     inertials = {link: own for link, own in bodies.items() if own is not None}
-    notes = (
-        *(
-            f"Link {name} has an <inertial> without mass: it weighs nothing."
-            for name, own in bodies.items()
-            if own is None
-        ),
-        *(f"Joint {j.name} has limits from {j.lower:g} to {j.upper:g}." for j in joints if not j.lower <= j.upper),
-    )
-    tree = sealed(Tree(name, tuple(link for link, _ in links), joints, inertials, notes))
+    bare = (link for link, own in bodies.items() if own is None)
+    notes = [f"Link {link} has an <inertial> without mass: it weighs nothing." for link in bare]
+    notes += [f"Joint {j.name} has limits from {j.lower:g} to {j.upper:g}." for j in joints if not j.lower <= j.upper]
+    tree = sealed(Tree(name, tuple(link for link, _ in links), joints, inertials, tuple(notes)))
     _check(tree)
     return tree
 
