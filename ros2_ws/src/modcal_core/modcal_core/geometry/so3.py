@@ -82,7 +82,9 @@ def exp_rows(w: Array) -> tuple[tuple[Array, Array, Array], ...]:
 
 
 def exp_and_left_jacobian(w: ArrayLike) -> tuple[Array, Array]:
-    """(:func:`exp`, :func:`left_jacobian`) of the same rotation vectors (..., 3) [rad], cheaper than two calls."""
+    """(:func:`exp`, left Jacobian) (..., 3, 3) of rotation vectors (..., 3) [rad]: ``exp(w + d) ≈ exp(J d) exp(w)`` for
+    small d; transposed, the right one.
+    """
     w = np.asarray(w, dtype=float)
     a, b, c = rodrigues_coefficients(np.sqrt(np.einsum("...i,...i->...", w, w)))
     W = hat(w)
@@ -103,11 +105,6 @@ def log(R: ArrayLike) -> Array:
     # 2 atan2(n, s) / n, as a series in n near zero where s is near one
     scale = np.where(small, 2.0 + n * n / 3.0, 2.0 * np.arctan2(safe, s) / safe)
     return v * scale[..., None]
-
-
-def left_jacobian(w: ArrayLike) -> Array:
-    """Left Jacobian (..., 3, 3) of SO(3), ``exp(w + d) ≈ exp(J d) exp(w)`` for small d; transposed, the right one."""
-    return exp_and_left_jacobian(w)[1]
 
 
 def left_jacobian_inverse(w: ArrayLike) -> Array:

@@ -22,8 +22,8 @@ def local_twists(twist: Array) -> Array:
     Jacobian of the exponential.
     """
     out = np.zeros((*twist.shape, 6))
-    out[..., :3, :3] = so3.exp(twist[..., 3:])  # row d is Rᵀ e_d
-    out[..., 3:, 3:] = so3.left_jacobian(twist[..., 3:])  # the transpose of the right one
+    # rows of the first are Rᵀ e_d; the second is the transpose of the right Jacobian
+    out[..., :3, :3], out[..., 3:, 3:] = so3.exp_and_left_jacobian(twist[..., 3:])
     return out
 
 

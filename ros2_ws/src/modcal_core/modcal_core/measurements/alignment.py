@@ -275,9 +275,8 @@ def _correlation(seen: Array, moved: Array, lag: int) -> float:
 
 
 def _jump(seen: Array, moved: Array) -> tuple[float, float] | None:
-    """Where a clock jumps (share of the recording) and by how much [s]; None where it does not.
-
-    The lags of pieces stand on two levels, one after the other, and each piece fits its own level much better.
+    """Where a clock jumps (share of the recording) and by how much [s]: the lags of pieces stand on two levels, one
+    after the other, and each piece fits its own much better. None where it does not.
     """
     count = min(len(seen) * STEP / _PIECE, 20.0)
     if count < _MIN_PIECES:
@@ -369,9 +368,8 @@ def without_bursts(track: ReadingTrack, name: str, notes: list[str]) -> ReadingT
 
 
 def _earliest(number: np.ndarray, arrived: Array) -> tuple[float, float]:
-    """The line (first, step) of which numbered arrivals (m,) [s] are late by least in sum, and hardly any early.
-
-    Of delays that are mostly short, as exponential ones, no line is likelier; a few wrong numbers do not tilt it.
+    """The line (first, step) of which numbered arrivals (m,) [s] are late by least in sum, and hardly any early: of
+    delays that are mostly short no line is likelier.
     """
     from scipy.optimize import linprog  # few recordings need it, and looking into a bag is to be quick
     from scipy.sparse import eye_array, hstack

@@ -71,12 +71,6 @@ class _Stand:
     opens: bool
     closes: bool
 
-    def seconds(self, t: Array, window: float) -> float:
-        """Duration of the standstill [s]. Where it came to rest, half a window is added that is not detected as
-        standing.
-        """
-        return float(t[self.last] - t[self.first]) + 0.5 * window * ((not self.opens) + (not self.closes))
-
 
 def find_dwells(t: Array, q: Array, rules: StationRules, fitted: bool = True) -> Array:
     """Start and end [s] of the times the arm stood still, (d, 2), settling time already taken off.
@@ -93,7 +87,9 @@ def settling_dwells(t: Array, q: Array, rules: StationRules, fitted: bool = True
     """
     stands = _stands(t, q, rules)
     if fitted and stands:
-        times = np.array([stand.seconds(t, rules.window) for stand in stands])
+        # next to a motion half a window is not detected as standing
+        moves = np.array([2 - stand.opens - stand.closes for stand in stands])
+        times = np.array([t[stand.last] - t[stand.first] for stand in stands]) + 0.5 * rules.window * moves
         step = np.diff(t)
         recorded = float(step[step < rules.gap + LATE_STEPS * float(np.median(step))].sum())
         rules = fitted_rules(rules, times, recorded)

@@ -221,9 +221,8 @@ def _solved(R: Array, p: Array, axis: np.ndarray, end: Array, s: Array, known: A
 
 
 def _derivatives(T: Array, p: Array, axis: np.ndarray, end: Array, s: Array, known: Array) -> tuple[Array, np.ndarray]:
-    """(change of the outward distances per free value (N, k), which of the nine are free).
-
-    Raises NotEnoughData where the points leave a motion of the box open.
+    """(change of the outward distances per free value (N, k), which of the nine are free). Raises NotEnoughData where
+    the points leave a motion of the box open.
     """
     inside = se3.apply(se3.inverse(T), p)
     J = np.zeros((len(p), 9))

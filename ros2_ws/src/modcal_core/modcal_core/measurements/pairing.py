@@ -69,10 +69,8 @@ _BESIDE = 0.06
 
 
 def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> dict[str, Any]:
-    """What :class:`~modcal_core.measurements.samples.Samples` of a recording are made of, by the names of their fields.
-
-    Columns of postures are those of these joints in this order; stations keep their number over all instruments.
-    Raises BadRecording when joints and readings have nothing in common.
+    """What :class:`~modcal_core.measurements.samples.Samples` of a recording, for these joints in this order, are made
+    of, by the names of their fields. Raises BadRecording when joints and readings have nothing in common.
     """
     rules = rules or StationRules()
     tracks = [r for r in recording.readings if r.kind in kinds() and len(r.stamps)]
@@ -159,9 +157,8 @@ def _nothing(track: ReadingTrack, joints: int) -> TrackSamples:
 
 
 def _course(t: Array, q: Array) -> CubicSpline:
-    """Joint positions as a smooth function of the time since the first stamp; later repeats of a stamp are left out.
-
-    Seconds since the epoch would lose digits in the powers of a spline.
+    """Joint positions as a smooth function of the time since the first stamp: seconds since the epoch would lose digits
+    in the powers of a spline. Later repeats of a stamp are left out.
     """
     from scipy.interpolate import CubicSpline  # takes half a second, and only moving recordings need it
 
@@ -246,10 +243,8 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSam
 
 
 def _approach(stamps: Array, at: Array, velocity: Array, moving: np.ndarray, t: Array, q: Array) -> Array:
-    """The direction in which each joint last moved before each sample at postures ``at``, −1, 0 or 1, (N, n).
-
-    What a joint did belongs to the station although it came before it. Where only stations were recorded, the arm is
-    taken to have come straight from the one before.
+    """The direction in which each joint last moved before each sample at postures ``at``, −1, 0 or 1, (N, n); where
+    only stations were recorded, straight from the one before.
     """
     way = came_by(at_samples(stamps, at, t, q, np.array([PLAY]))[..., 0])
     told = moving | (np.searchsorted(t, stamps + 1e-9) == 0)
@@ -257,10 +252,7 @@ def _approach(stamps: Array, at: Array, velocity: Array, moving: np.ndarray, t: 
 
 
 def _held(stamps: Array, moving: np.ndarray, t: Array, effort: Array, rules: StationRules) -> Array:
-    """What the actuators exerted at each sample, averaged over the half window around it, (N, n).
-
-    NaN where no message of that time says.
-    """
+    """What the actuators exerted at each sample, averaged over the half window around it, (N, n); NaN where unknown."""
     first = np.searchsorted(t, stamps - 0.5 * rules.window)
     last = np.searchsorted(t, stamps + 0.5 * rules.window, side="right")
     nearest = np.clip(np.searchsorted(t, stamps), 0, len(t) - 1)

@@ -242,10 +242,8 @@ STILL = 1e-3  # rad/s or m/s below which a joint may begin to move either way
 
 @dataclass(frozen=True)
 class Window:
-    """The accelerations that the drives can give at N postures: lower ≤ M q̈ ≤ upper.
-
-    names: the n joints. matrix: M (N, n, n) [kg m², kg m, kg]. lower, upper: torque that is left for accelerating,
-    (N, n) [N m; N].
+    """The accelerations that the drives of the named joints can give at N postures: lower ≤ M q̈ ≤ upper. matrix: M (N,
+    n, n) [kg m², kg m, kg]. lower, upper: torque that is left for accelerating, (N, n) [N m; N].
     """
 
     names: tuple[str, ...]
@@ -356,7 +354,6 @@ class LoadedArm:
 
     def window(self, q: ArrayLike, velocity: ArrayLike | None = None) -> Window:
         """What the drives leave for accelerating at joint positions q (N, n) and velocities (N, n), default at rest.
-
         Raises BadRobot where a torque limit, or the mass that a joint moves, is not known.
         """
         q, drives = np.atleast_2d(np.asarray(q, dtype=float)), self.drives

@@ -32,9 +32,8 @@ def read_only(a: ArrayLike, dtype: type = float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Follower:
-    """A joint of a chain that mimics another: it stands at ``factor`` times that one's position, plus ``offset``.
-
-    joint: its number in the chain. leader: name of the other, which may be off the chain.
+    """The joint of this number in a chain that mimics another, its leader, which may be off the chain: it stands at
+    ``factor`` times that one's position, plus ``offset``.
     """
 
     joint: int
@@ -210,10 +209,7 @@ class Chain:
 
     @cached_property
     def along_z(self) -> Array:
-        """The same constants with every joint frame turned so that its axis is z, (n + 1, 4, 4).
-
-        Kinematics are computed on these: a turn about z mixes two columns and leaves the rest alone.
-        """
+        """The same constants with every joint frame turned so that its axis is z, (n + 1, 4, 4)."""
         A = se3.transform(self.joint_basis)
         M = np.array(self.origins)
         M[:-1] = M[:-1] @ A
@@ -222,9 +218,8 @@ class Chain:
 
     @cached_property
     def joint_basis(self) -> Array:
-        """For each joint a right-handed basis (columns) of its frame whose third column is the axis, (n, 3, 3).
-
-        ``along_z`` uses the same basis, so a twist of the aligned frame has these columns as its directions.
+        """For each joint a right-handed basis (columns) of its frame whose third column is the axis, (n, 3, 3), as of
+        ``along_z``.
         """
         return read_only(np.stack([rotation_to_axis(a) for a in self.axes]))
 
@@ -256,9 +251,8 @@ class Chain:
         return self.followed(rng.uniform(first, np.minimum(high, first + turn), (count, self.n)))
 
     def with_errors(self, E: Array, constants: Array) -> Chain:
-        """The same robot with small motions E of its places behind the first, the tool's last, (n, 4, 4).
-
-        constants: a chain has none.
+        """The same robot with small motions E (n, 4, 4) of its places behind the first, the tool's last; a chain has no
+        constants.
         """
         A = se3.transform(self.joint_basis)
         origins = np.array(self.origins)
@@ -291,10 +285,8 @@ def ranges(revolute: np.ndarray, lower: Array, upper: Array) -> tuple[Array, Arr
 
 
 def rotation_to_axis(axis: ArrayLike) -> Array:
-    """A rotation (3, 3) whose third column is the given unit axis.
-
-    A coordinate axis, of either sign, gets the other two as its first columns, so that the directions across an
-    ordinary joint keep their plain names; for z it is the identity.
+    """A rotation (3, 3) whose third column is the given unit axis. A coordinate axis, of either sign, gets the other
+    two as its first columns, so that directions across it keep their names; z gets the identity.
     """
     a = np.asarray(axis, dtype=float)
     k = int(np.argmax(np.abs(a)))

@@ -174,9 +174,8 @@ def _row_motions(rows: TableRows) -> tuple[Array, Array]:
 
 
 def to_dh(chain: Chain, largest_offset: float = 10.0) -> dict[str, Any]:
-    """The classical DH table of a chain, with the same kinematics to 1e-9.
-
-    largest_offset: a row that needs a larger d [m] is refused, with NotRepresentable naming the two joints.
+    """The classical DH table of a chain, with the same kinematics to 1e-9. Raises NotRepresentable for a row that needs
+    a d larger than ``largest_offset`` [m].
     """
     rows = _rows(chain, largest_offset)
     last, T_tool = rows.last, rows.beyond
@@ -264,10 +263,8 @@ def _rows(chain: Chain, largest_offset: float) -> _Rows:
 
 
 def _between(T: Array, keep: bool = False) -> _Link:
-    """The link from one z axis to another at T.
-
-    On parallel axes a shift along them, and a turn if there is no distance, may go to either joint: to the second,
-    unless keep.
+    """The link from one z axis to another at T. On parallel axes a shift along them, and a turn if there is no
+    distance, may go to either joint: to the second, unless keep.
     """
     x, y, z = T[:3, 3]
     u, v, w = T[:3, 2]

@@ -43,7 +43,6 @@ class JointPath:
     @classmethod
     def through(cls, waypoints: ArrayLike) -> JointPath:
         """The natural cubic spline through postures (m, n), s being the length of the straight lines between them.
-
         Raises BadTable where there are fewer than two, or two that follow each other are one.
         """
         q = np.asarray(waypoints, dtype=float)
@@ -105,9 +104,8 @@ class Timing:
 
 
 def fastest(s: Array, rows: PathRows) -> Timing:
-    """The fastest timing from rest to rest at places s (N + 1,) within these limits.
-
-    Raises Overloaded where the limits do not let the path be gone at all.
+    """The fastest timing from rest to rest at places s (N + 1,) within these limits. Raises Overloaded where they do
+    not let the path be gone at all.
     """
     N, step = len(s), np.diff(s)
     k, limits = np.arange(N - 1), []
@@ -168,10 +166,8 @@ def within_bounds(path: JointPath, lower: ArrayLike, upper: ArrayLike, speed: Ar
 
 
 def constant_bounds(windows: Window, weights: ArrayLike | None = None) -> tuple[Array, Array]:
-    """The largest constant bounds (n,) of accelerations that every posture of these windows allows, all joints at once.
-
-    The largest box in what the windows have in common; weights: as of :meth:`Window.box`. Raises Overloaded where one
-    of them cannot be held.
+    """The largest constant bounds (n,) of accelerations that every posture of these windows allows: the largest box in
+    what they have in common; weights: as of :meth:`Window.box`. Raises Overloaded where one of them cannot be held.
     """
     windows.require_held()
     matrix = windows.matrix.reshape(1, -1, len(windows.names))

@@ -162,9 +162,8 @@ _POSTURES = 64
 
 
 def to_table(chain: Chain, convention: str, largest_offset: float = 10.0) -> dict[str, Any]:
-    """The table of a chain as plain data. Raises NotRepresentable where DH, classical or modified, cannot hold it.
-
-    largest_offset: of a DH row [m]. CPC holds every chain.
+    """The table of a chain as plain data. CPC holds every chain; raises NotRepresentable where DH cannot, with offsets
+    up to the largest [m].
     """
     if convention not in CONVENTIONS:
         raise BadTable(f"convention '{convention}'", "is unknown", f"choose {', '.join(CONVENTIONS)}")
@@ -330,9 +329,8 @@ _WEAKEST = 0.01
 
 @dataclass(frozen=True)
 class NearestTable:
-    """A table, and how far the tip is off with it: RMS and largest distance [m], largest angle [rad].
-
-    parallel: the joints whose axes are nearly parallel, in pairs.
+    """A table, and how far the tip is off with it: RMS and largest distance [m], largest angle [rad]. parallel: the
+    joints whose axes are nearly parallel, in pairs.
     """
 
     table: dict[str, Any]
