@@ -21,7 +21,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "bench": (16050, 11610),
     "launch": (80, 50),
     "modcal": (40, 30),
-    "modcal_core": (2590, 1470),
+    "modcal_core": (2600, 1470),
     "modcal_core/articulation": (5120, 3500),
     "modcal_core/calibration": (5940, 3760),
     "modcal_core/camera": (4440, 2840),
@@ -29,17 +29,17 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/correction": (1230, 790),
     "modcal_core/diagnosis": (2560, 1760),
     "modcal_core/effects": (3010, 1950),
-    "modcal_core/geometry": (590, 400),
+    "modcal_core/geometry": (540, 360),
     "modcal_core/impedance": (3550, 2470),
-    "modcal_core/measurements": (4140, 2730),
+    "modcal_core/measurements": (3990, 2670),
     "modcal_core/outcome": (1020, 610),
-    "modcal_core/modules": (2650, 1650),
+    "modcal_core/modules": (2610, 1640),
     "modcal_core/online": (1090, 750),
-    "modcal_core/planning": (3320, 2130),
+    "modcal_core/planning": (3240, 2120),
     "modcal_core/hypotheses": (3680, 2460),
     "modcal_core/moves": (2560, 1700),
     "modcal_core/report": (4300, 2480),
-    "modcal_core/robots": (4750, 3010),
+    "modcal_core/robots": (4620, 2990),
     "modcal_core/verdict": (4080, 2690),
     "modcal_msgs_py": (4760, 3280),
     "modcal_msgs_py/tables": (3610, 2540),
@@ -52,11 +52,11 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/ros": (2500, 1500),
     "modcal_nodes/simulation": (2060, 1380),
     "modcal_nodes/vision": (1840, 1320),
-    "tests": (46650, 32320),
+    "tests": (46670, 32340),
     "modcal_core/sentinel": (1340, 960),
 }
-SOURCE = (89300, 58550)
-TEXT = 184600  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (88780, 58320)
+TEXT = 184090  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
