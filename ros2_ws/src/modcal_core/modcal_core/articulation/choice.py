@@ -17,7 +17,7 @@ from modcal_core.articulation.evidence import EvidenceRow, hidden, of_fine, row,
 from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.furniture import FINE
 from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
-from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, bend_explains, misfit, predicted, scales
+from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, bend_explains, misfit, prediction_doubt, scales
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
 from modcal_core.articulation.scene import LOOSE, PLAYS, SIZES, SWAYS, NodeScene
 from modcal_core.articulation.track import FEWEST, Track, backwards, pooled, telling, travelled
@@ -158,7 +158,7 @@ def _weighed(
     if probabilities[kind] >= SURE and kind != STILL.name and not left.fails:
         rivals = sorted((k for k in shares if k != kind), key=lambda k: -probabilities[k])[:2]
         own = fits if follows else {**fits, **{k: fit(used, by_name[k], rng) for k in rivals}}
-        doubt = predicted(used, kind, rivals, own, by_name, left).doubt
+        doubt = prediction_doubt(used, kind, rivals, own, by_name, left)
         doubt = doubt or (two_explain(used) if fits[kind].motion.flat else "")  # phases are lines or circles too
         if not doubt:  # it may be another curve than the joint's: a bend explains what is left, or a hinge is far
             a = fits[kind].motion.configurations(used, scales(fits[kind]))

@@ -16,7 +16,7 @@ rotations are turns about one axis, and a handle that is held firmly lies where 
     R_i = exp(δ_i w) M,    p_i = exp(δ_i w) y + c + h δ_i w,
 
 which is linear in arm y, centre c and rise h. So every convention is compared with every joint that turns by small
-least squares over the nodes, one convention at a step. Those are named where the rotations as written leave too much
+least squares over the nodes. Those are named where the rotations as written leave too much
 for any such joint, and in another convention no more than usual furniture and tracking do. A hand that turns in its
 grasp does so in neither. A short piece of any path fits a screw in most conventions: while one does, and the path lies
 in a plane, which a screw's does not, nothing is said.
@@ -172,17 +172,9 @@ class ConventionCheck:
     def __init__(self) -> None:
         self.written: OtherConvention | None = None
         self._turned = 0.0  # by the way that it was said by [rad]
-        self._work: Iterator[None] = iter(())
 
-    def begin(self, nodes: Track, noise: tuple[float, float]) -> None:
+    def ask(self, nodes: Track, noise: tuple[float, float]) -> None:
         """Ask again. nodes: the path so far, pooled, with rotations. noise: of one pose [m, rad]."""
-        self._work = self._steps(nodes, noise)
-
-    def advance(self) -> None:
-        """Look at one convention more, if any is left."""
-        next(self._work, None)
-
-    def _steps(self, nodes: Track, noise: tuple[float, float]) -> Iterator[None]:
         apart = nodes.positions - nodes.positions.mean(axis=0)
         plane = usual(rms(np.abs(apart @ np.linalg.svd(apart)[2][2])), 0.0, noise)
         as_is = left(nodes)
@@ -194,7 +186,6 @@ class ConventionCheck:
         shift, sway = limits(noise)
         fits: list[tuple[ReadOtherwise, LeftByHinge]] = []
         for reading in readings(nodes):
-            yield
             of = left(reading.track)
             if of.turn > _TURN * sway and usual(of.position, of.rotation, noise):
                 fits.append((reading, of))

@@ -57,13 +57,12 @@ _NOTHING = 1e-9  # m, rad: far below what anything measures
 class Misfit:
     """What a joint leaves. position [m], rotation [rad, nan without]: RMS of the best nine tenths of samples.
 
-    much: what would be too much of each, (m, rad). off: share of samples beyond. between: from where to where along the
-    path it fails [m], None where it does nowhere. white: noise of one sample on an axis, (m, rad).
+    off: share of samples that leave too much. between: from where to where along the path it fails [m], None where it
+    does nowhere. white: noise of one sample on an axis, (m, rad).
     """
 
     position: float
     rotation: float
-    much: tuple[float, float]
     off: float
     between: tuple[float, float] | None
     white: tuple[float, float]
@@ -76,14 +75,15 @@ class Misfit:
     @property
     def said(self) -> str:
         """Reason as text: what remains, what would be too much, and where."""
-        left, much = f"{1e3 * self.position:.0f} mm", f"{1e3 * self.much[0]:.0f} mm"
-        if self.rotation > self.much[1]:
+        shift, turn = limits(self.white)
+        left, much = f"{1e3 * self.position:.0f} mm", f"{1e3 * shift:.0f} mm"
+        if self.rotation > turn:
             left += f" and {np.degrees(self.rotation):.0f}°"
-            much += f" and {np.degrees(self.much[1]):.0f}°"
+            much += f" and {np.degrees(turn):.0f}°"
         where = ""
         if self.between is not None:
             where = f", most between {1e2 * self.between[0]:.0f} and {1e2 * self.between[1]:.0f} cm of the path"
-        if self.position <= self.much[0] and not self.rotation > self.much[1]:
+        if not too_much(self.position, self.rotation, self.white):
             return f"leaves {100.0 * self.off:.0f} % of the samples far off{where}"
         return f"leaves {left} where {much} would be much{where}"
 
@@ -124,7 +124,6 @@ def misfit(found: JointFit, track: Track, noise: tuple[float, float]) -> Misfit:
     return Misfit(
         rms(shift),
         np.nan if turn is None else rms(turn),
-        much,
         float(beyond.mean()),
         (float(way.min()), float(way.max())) if len(way) else None,
         noise,
@@ -297,78 +296,56 @@ _MISSES = 4e-3  # m: twice the usual play, which no prediction does without
 _BETTER, _BY = 1.5, 1e-3  # times and m by which another joint type predicts plainly better
 
 
-@dataclass(frozen=True)
-class Predicted:
-    """How far predictions of the far third are off [m], from the near and from the far end, by joint type.
-
-    left: what the joint leaves of what it was fitted to [m]. path: that was travelled [m]. noise: white [m]. plainer:
-    a joint type with fewer parameters that is as good as furniture is, empty where there is none. loose: whether it is
-    a path in space that leaves more than furniture usually does: a thread has no such play, and most smooth paths are
-    about a screw's.
-    """
-
-    kind: Kind
-    errors: Mapping[Kind, tuple[float, ...]]
-    left: float
-    path: float
-    noise: float
-    plainer: Kind = ""
-    loose: bool = False
-
-    @property
-    def doubt(self) -> str:
-        """Why the joint type is not to be relied on, as text; empty where it predicts."""
-        much = float(np.hypot(max(_MISSES, MAY_MISS * self.path), _NOISE * self.noise))
-        if self.left > much:
-            return f"it leaves {1e3 * self.left:.0f} mm of a path of {1e2 * self.path:.0f} cm"
-        if self.loose:
-            return f"it leaves {1e3 * self.left:.0f} mm, more than a {self.kind} usually does"
-        own = self.errors.get(self.kind, ())
-        if not own:
-            return "samples are too few to fit a part of the path and predict the rest"
-        if min(own) > much:
-            return f"fitted to 70 % of the path it misses the rest by {1e3 * min(own):.0f} mm"
-        for kind, other in self.errors.items():
-            if kind != self.kind and all(a > max(_BETTER * b, b + _BY) for a, b in zip(own, other, strict=True)):
-                return f"{kind} predicts better ({1e3 * max(other):.1f} against {1e3 * max(own):.1f} mm)"
-        if self.plainer and min(self.errors[self.plainer], default=0.0) <= MUCH * np.exp(PLAY[0]):
-            return f"{self.plainer} leaves no more than handles and cameras usually do"
-        return ""
-
-
-def predicted(
+def prediction_doubt(
     track: Track,
     kind: Kind,
     rivals: list[Kind],
     fits: Mapping[Kind, JointFit],
     models: Mapping[Kind, ArticulationModel],
     left: Misfit,
-) -> Predicted:
-    """What this kind and its rivals, fitted to 70 % of the path from either end, say of the rest.
+) -> str:
+    """Why this kind is not to be relied on, as text; empty where it predicts. left: what it leaves of all of the path.
 
-    left: what this kind leaves when it is fitted to all of it.
+    It and its rivals, fitted to 70 % of the path from either end, are asked for the rest.
     """
-    motion = fits[kind].motion
+    motion, path = fits[kind].motion, float(travelled(track)[-1])
+    much = float(np.hypot(max(_MISSES, MAY_MISS * path), _NOISE * left.white[0]))
+    if left.position > much:
+        return f"it leaves {1e3 * left.position:.0f} mm of a path of {1e2 * path:.0f} cm"
+    # a path in space: a thread has no such play, and most smooth paths are about a screw's
+    if not (motion.flat or usual(left.position, left.rotation, left.white)):
+        return f"it leaves {1e3 * left.position:.0f} mm, more than a {kind} usually does"
     a = motion.configurations(track, (1.0, 1e9))
     low, high = np.quantile(a, [0.01, 0.99])
     along = (a - low) / max(float(high - low), 1e-12)
-    errors: dict[Kind, tuple[float, ...]] = {}
-    for one in (kind, *rivals):
-        off = []
-        for near in (along < _NEAR, along > 1.0 - _NEAR):
-            if near.sum() < _MIN_FITTED or (~near).sum() < _MIN_ASKED:
-                continue
-            seen = fit(track.part(near), models[one], start=fits[one].motion).motion
+    own, *others = (_missed(track, along, fits[one], models[one]) for one in (kind, *rivals))
+    if not own:
+        return "samples are too few to fit a part of the path and predict the rest"
+    if min(own) > much:
+        return f"fitted to 70 % of the path it misses the rest by {1e3 * min(own):.0f} mm"
+    for one, other in zip(rivals, others, strict=True):
+        if all(a > max(_BETTER * b, b + _BY) for a, b in zip(own, other, strict=True)):
+            return f"{one} predicts better ({1e3 * max(other):.1f} against {1e3 * max(own):.1f} mm)"
+    for one, other in zip(rivals, others, strict=True):
+        if fits[one].motion.size < motion.size:
+            m = misfit(fits[one], track, left.white)
+            if usual(m.position, m.rotation, m.white):  # a plainer joint, as good as furniture is
+                said = f"{one} leaves no more than handles and cameras usually do"
+                return said if min(other) <= MUCH * np.exp(PLAY[0]) else ""
+    return ""
+
+
+def _missed(track: Track, along: Array, found: JointFit, model: ArticulationModel) -> list[float]:
+    """By how much [m] a joint, fitted to 70 % of the path from the near and from the far end, misses the rest."""
+    off = []
+    for near in (along < _NEAR, along > 1.0 - _NEAR):
+        if near.sum() >= _MIN_FITTED and (~near).sum() >= _MIN_ASKED:
+            seen = fit(track.part(near), model, start=found.motion).motion
             R = None if track.rotations is None else track.rotations[~near]
             asked = Track.trusted(track.positions[~near], R)
             e = seen.residuals(asked, seen.configurations(asked, (1.0, 1e9)))
             off.append(rms(np.linalg.norm(e[:, :3], axis=1)))
-        errors[one] = tuple(off)
-    fewer = [one for one in rivals if fits[one].motion.size < motion.size]
-    lefts = {one: misfit(fits[one], track, left.white) for one in fewer}
-    plainer = next((one for one, m in lefts.items() if usual(m.position, m.rotation, m.white)), "")
-    loose = not (motion.flat or usual(left.position, left.rotation, left.white))
-    return Predicted(kind, errors, left.position, float(travelled(track)[-1]), left.white[0], plainer, loose)
+    return off
 
 
 _KNOWN = 0.6  # of the path: a model from there has as much again to say, less a third

@@ -99,7 +99,6 @@ class ModelSelector:
 
     def _begin(self, nodes: Nodes) -> None:
         self._scene = self._now(nodes)
-        self._scene.prepare([float(PLAYS[i]) for i in FEW], float(SWAYS[FIRST]))  # here, where little else is to do
         self.rounds += 1
         # One new guess a round, early, so that what takes its place is weighed with the rest; but after what it may
         # replace was weighed on the nodes of now: evidence grows with nodes, and what is older always looks worse.

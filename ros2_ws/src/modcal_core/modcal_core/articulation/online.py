@@ -126,7 +126,8 @@ class TrackerState:
     follows: whether rotations are the object's; else they are the grasp's. apart_m: way from one pose to the next, the
     usual one [m]; sparse: whether that is too much to learn from. left: what the best kind leaves of the path so far
     (m, rad), nan before it is known. path_m: length of the path that was seen since the start, or since it was left.
-    written: in which other convention the poses seem to be written, None in none; nothing is trusted then.
+    written: in which other convention the poses seem to be written, None in none; nothing is trusted then. late,
+    silent: whether the state is late, or too old to be used: never, it is of the pose that was taken last.
     """
 
     kind: Kind
@@ -144,16 +145,8 @@ class TrackerState:
     left: tuple[float, float] = (math.nan, math.nan)
     path_m: float = 0.0
     written: OtherConvention | None = None
-
-    @property
-    def late(self) -> bool:
-        """Whether the state is late: never, it is its own."""
-        return False
-
-    @property
-    def silent(self) -> bool:
-        """Whether it is too old to be used: never, for it is of the pose that was taken last."""
-        return False
+    late: bool = False
+    silent: bool = False
 
 
 _EYE = np.eye(3)
@@ -249,7 +242,6 @@ class Tracker:
                     self._check.begin(*self._reached())
             self._two.come(self._selector.scale[0])
             self._bend.come(motion)
-            self._convention.advance()
         self._judge()
         if self._two.found and (motion is None or motion.flat):
             self._check.lose()
@@ -354,7 +346,7 @@ class Tracker:
         self._judged = rounds
         follows = self._selector.follows
         if track.oriented and self._measured:
-            self._convention.begin(track, self._selector.scale)
+            self._convention.ask(track, self._selector.scale)
         seen = track if follows else Track.trusted(track.positions)
         e = motion.residuals(seen, motion.configurations(seen, (1e-2, 0.05 if follows else 1e9)))
         turn = rms(np.linalg.norm(e[:, 3:], axis=1)) if e.shape[1] == 6 else math.nan
@@ -375,18 +367,29 @@ class Tracker:
         return float(path.min()), float(path.max())
 
     def _state(self, p: Array, R: Array | None, off: float, event: Event | None) -> TrackerState:
-        selector, ahead = self._selector, self._check.error
-        probabilities = dict(selector.probabilities)
+        selector, path, apart = self._selector, self._stretches.path, self._travel.step[0]
         motion = selector.motion
-        left, written = self._left, self._convention.written
-        apart = self._travel.step[0]
-        sparse, path = apart > _SPARSE * self.settings.ahead_m, self._stretches.path
+        state = TrackerState(
+            STILL.name,
+            dict(selector.probabilities),
+            model=None,
+            configuration=0.0,
+            trusted=False,
+            ahead_m=self._check.error,
+            off_m=off,
+            event=event,
+            samples=self._samples,
+            apart_m=apart,
+            sparse=apart > _SPARSE * self.settings.ahead_m,
+            left=self._left,
+            path_m=path,
+            written=self._convention.written,
+        )
         if motion is None or selector.kind == STILL.name:
-            return TrackerState(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples,
-                         apart_m=apart, sparse=sparse, left=left, path_m=path, written=written)  # fmt: skip
+            return state
+        state = replace(state, kind=NONE, follows=selector.follows)
         if self._none:
-            return TrackerState(NONE, probabilities, None, 0.0, False, ahead, off, event, self._samples,
-                         selector.follows, apart, sparse, left, path, written)  # fmt: skip
+            return state
         if self._zero is None or self._zero[0] is not motion:
             assert self._first is not None
             begin = motion.placed(self._first, None, POSITIONS)[0]
@@ -397,8 +400,7 @@ class Tracker:
         trusted = self._check.trusted and not (self._share.fails or self._bend.found)
         trusted = trusted and path >= self.settings.trust_after_m and self._convention.written is None
         a = float(model.configuration(seen))
-        return TrackerState(selector.kind, probabilities, model, a, trusted, ahead, off, event, self._samples,
-                     selector.follows, apart, sparse, left, path, written)  # fmt: skip
+        return replace(state, kind=selector.kind, model=model, configuration=a, trusted=trusted)
 
 
 def _went_on(

@@ -98,14 +98,6 @@ class NodeScene:
             self._roots[key] = whitener(key**2 * self.kernel + rest)
         return self._roots[key]
 
-    def prepare(self, plays: list[float], sway: float) -> None:
-        """Have at hand what is asked for these."""
-        for play in plays:
-            self.by_play(play)
-        if self.track.oriented:
-            self.by_sway(sway)
-            _ = self.turned
-
     @cached_property
     def turned(self) -> Array:
         """Rotations of nodes from their mean (3, k) [rad]."""

@@ -191,8 +191,6 @@ class Nodes:
         """Empty. reach: how far from a node samples join it, at first [m]."""
         self.oriented, self.most, self.reach = oriented, most, reach
         self._width = 12 if oriented else 3
-        self._rotations = np.zeros((most, 3, 3))
-        self._stale = np.ones(most, dtype=bool)  # whose rotation is older than their sum
         self._sums = np.zeros((most, self._width))
         self.counts = np.zeros(most)
         self.k = 0
@@ -214,13 +212,12 @@ class Nodes:
             if squared[nearest] <= self.reach**2:
                 self._sums[nearest] += row
                 self.counts[nearest] += weight
-                self._stale[nearest] = True
                 return False
         if self.k == self.most:
             self._coarsen()
             self._pool(row, weight)
             return True
-        self._sums[self.k], self.counts[self.k], self._stale[self.k] = row, weight, True
+        self._sums[self.k], self.counts[self.k] = row, weight
         self.k += 1
         return False
 
@@ -252,10 +249,7 @@ class Nodes:
         m = self.means()
         if not self.oriented:
             return Track.trusted(m)
-        stale = self._stale[: self.k].nonzero()[0]
-        self._rotations[stale] = so3.nearest_rotation(m[stale, 3:].reshape(-1, 3, 3))
-        self._stale[stale] = False
-        return Track.trusted(m[:, :3], self._rotations[: self.k].copy())
+        return Track.trusted(m[:, :3], so3.nearest_rotation(m[:, 3:].reshape(-1, 3, 3)))
 
 
 def pooled(track: Track, most: int, noise: float) -> Nodes:

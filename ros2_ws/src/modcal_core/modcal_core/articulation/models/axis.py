@@ -27,7 +27,6 @@ from typing import ClassVar
 import numpy as np
 
 from modcal_core.articulation.joint_motion import (
-    EYE,
     KEEP,
     ArticulationModel,
     Motion,
@@ -132,9 +131,10 @@ class AxisMotion(Motion):
         y = (track.positions - self.p) @ self.G
         # as it was seen: the position; how it shifts with a turn of the frame, the start, and the radius
         shifts = self.by_shift()
-        part = (y @ _linear(self.frame_turns, shifts.shape[1])).reshape(n, 3, -1) if derivatives else y[:, :, None]
+        part = y[:, :, None]
         if derivatives:
-            part[:, :, 1 + self.frame_turns :] = shifts
+            by_turn = so3.hat(y)[:, :, 3 - self.frame_turns :]
+            part = np.concatenate([part, by_turn, np.broadcast_to(shifts, (n, *shifts.shape))], axis=2)
         C = self.unwind(part, a, both, by_a, derivatives)
         if oriented:
             self._turned(track, C, both, by_a, derivatives)
@@ -272,13 +272,3 @@ def _prior_curvature(frame_turns: int, size: int, widths: Sequence[float]) -> Ar
     curvature[size - len(widths) :] = [1.0 / std**2 for std in widths]
     curvature.flags.writeable = False
     return curvature
-
-
-@cache
-def _linear(frame_turns: int, constants: int) -> Array:
-    """What makes, of positions y (n, 3) in G's axes, matrices [y, y × δ, and room for what is constant], flat."""
-    k = frame_turns
-    out = np.zeros((3, 3, 1 + k + constants))
-    out[:, :, 0] = EYE
-    out[:, :, 1 : 1 + k] = so3.hat(EYE)[:, :, 3 - k :]
-    return np.ascontiguousarray(out.reshape(3, -1))
