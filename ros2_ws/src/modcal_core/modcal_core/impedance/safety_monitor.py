@@ -108,10 +108,9 @@ class _Last:
 class SafetyMonitor:
     """Lets setpoints through, or raises BadCommand. ``tripped`` says why it lets nothing through any more, if so."""
 
-    def __init__(self, chain: Chain, limits: Limits, tool_frame: str = "") -> None:
+    def __init__(self, chain: Chain, limits: Limits) -> None:
         """Shut, until it is opened."""
         self.chain, self.limits = chain, limits
-        self.tool_frame = tool_frame or chain.tip
         self.tripped = "it has not been opened yet"
         self._least = limits.gain**2 * np.eye(6)
         self._last: _Last | None = None
@@ -194,8 +193,8 @@ class SafetyMonitor:
         _require_rotation("measured tool", sensors.T_base_tool)
         if letting_go:
             return
-        if sensors.wrench_frame != self.tool_frame:
-            said = f"is in frame '{sensors.wrench_frame}', not '{self.tool_frame}'"
+        if sensors.wrench_frame != self.chain.tip:
+            said = f"is in frame '{sensors.wrench_frame}', not '{self.chain.tip}'"
             raise BadCommand("wrench", said, "transform it first")
         _require_finite("wrench", sensors.wrench, (6,))
         if (refused := self.overload(sensors.wrench)) is not None:

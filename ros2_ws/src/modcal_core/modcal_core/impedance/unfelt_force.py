@@ -41,7 +41,7 @@ import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array
-from modcal_core.impedance.lead_check import RecentMaximum
+from modcal_core.impedance.lead_check import SentReferences
 from modcal_core.impedance.task import JointPositions
 
 _ALIKE = 4.0  # neighbouring moments that depart from the model alike: so much fewer they count
@@ -138,7 +138,6 @@ class ServoModel:
 
 _SPAN = 0.012  # s over which a joint's speed is measured: three readings at 250 Hz
 _MEAN = 0.04  # s over which what is learned is averaged: noise is a third of what it is in one reading
-_REMEMBERED = 0.5  # s of references
 _SETTLES = 3e-4  # rad or m that a reference has gone, up to which the lead is how the arm sags, and no force
 _DELAY = 0.25  # s after which a moment is learned: a jam is suspected within a tenth of that
 _CHANGED = 0.5, 0.05  # N, N m of the felt wrench: more than a usual sensor's noise, smoothed
@@ -195,14 +194,11 @@ class UnfeltForce:
 
         stiffest: by which they may hold the tool [N/m].
         """
-        self.period, self.stiffest = period, stiffest
+        self.stiffest, self._references = stiffest, SentReferences(period)
         self.model = ServoModel(np.full(joints + 6, _SOFTEST), lag)
         self.force = self.sure = 0.0
         self._n = joints
-        self._late, self._heard = RecentMaximum(_REMEMBERED), math.inf  # by how much [s], and when the last came
-        self._sent: deque[tuple[float, Array]] = deque()
         self._read: deque[tuple[float, Array, Array, Array, Array]] = deque()  # stamp, q, lead, wrench, load
-        self._begun: Array | None = None
         self._zero = np.zeros(joints), np.zeros(6), np.zeros(joints)  # lead of the arm as it stood, wrench and load
         self._noted: _Moment | None = None
         self._waiting: deque[_Moment] = deque()
@@ -262,10 +258,7 @@ class UnfeltForce:
 
     def sent(self, q: Array, now: float) -> None:
         """Note the reference (n,) that is sent at time ``now`` [s]."""
-        self._begun = q.copy() if self._begun is None else self._begun
-        self._sent.append((now, q.copy()))
-        while self._sent[0][0] < now - _REMEMBERED:
-            self._sent.popleft()
+        self._references.sent(q, now)
 
     def refused(self, wrench: Array, most: float) -> BadCommand | None:
         """Why to let go: too much of ``most`` [N] is surely not felt; None where all is well."""
@@ -285,13 +278,13 @@ class UnfeltForce:
         """
         q, stamp = joints.q, joints.stamp
         load = -J.T @ wrench if load is None else load
-        self._late.add(now, max(now - stamp, now - self._heard - self.period, 0.0))
-        self._heard = now
-        reference = self._reference(stamp)
+        sent = self._references
+        sent.heard(stamp, now)
+        reference = sent.newest(stamp)
         if reference is None or (self._read and stamp <= self._read[-1][0]):
             return
         lead = reference - q
-        if self._begun is not None and np.abs(reference - self._begun).max() <= _SETTLES and not self.model.count:
+        if sent.begun is not None and np.abs(reference - sent.begun).max() <= _SETTLES and not self.model.count:
             self._zero = lead, wrench, load
         lead, wrench, load = (x - zero for x, zero in zip((lead, wrench, load), self._zero, strict=True))
         self._read.append((stamp, q.copy(), lead, wrench, load))
@@ -299,8 +292,7 @@ class UnfeltForce:
             self._read.popleft()
         if len(self._read) < 2:
             return
-        late = self._late.largest
-        older = self._reference(stamp - late) if late > 0.0 else None
+        older = sent.newest(stamp - sent.late) if sent.late > 0.0 else None
         at = self._moment(stamp - _SPAN, J)
         v = at.rows[self._n : self._n + 3, 0]
         self._way += math.sqrt(v @ v) * (stamp - self._read[-2][0])
@@ -312,10 +304,6 @@ class UnfeltForce:
             if self._differs(mean):
                 self._noted = mean
                 self._waiting.append(mean)
-
-    def _reference(self, stamp: float) -> Array | None:
-        """The newest reference (n,) that was sent by then [s]; None where none was."""
-        return next((r for t, r in reversed(self._sent) if t <= stamp), None)
 
     def _moment(self, since: float, J: Array) -> _Moment:
         """The last reading, with the mean speed since then [s]; the mean of all, where that is before them."""
