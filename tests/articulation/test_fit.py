@@ -13,8 +13,11 @@ from scipy.spatial.transform import Rotation
 from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.models.registry import AXES
+from modcal_core.articulation.models.prismatic import PrismaticMotion
 from modcal_core.articulation.models.registry import joint as made
+from modcal_core.articulation.models.revolute import RevoluteMotion
+from modcal_core.articulation.models.rigid import RigidMotion
+from modcal_core.articulation.models.screw import ScrewMotion
 from modcal_core.articulation.track import Track
 from modcal_core.articulation.urdf import describe, frames, read
 from modcal_core.errors import BadRecording, BadRobot, ModcalError, NotEnoughData
@@ -37,11 +40,14 @@ def errors(found: JointModel, seen: Seen) -> tuple[float, float]:
     return float(np.linalg.norm(away)), float(np.arccos(min(1.0, axis @ seen.axis)))
 
 
-@pytest.mark.parametrize("kind", ["rigid", "prismatic", "revolute", "screw"])
+MOTIONS = {motion.kind: motion for motion in (RigidMotion, PrismaticMotion, RevoluteMotion, ScrewMotion)}
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
 @pytest.mark.parametrize("oriented", [True, False])
 def test_derivatives(kind: Kind, oriented: bool, rng: np.random.Generator) -> None:
     R = so3.exp(rng.normal(size=3)) if oriented else None
-    motion = AXES[kind].motion(
+    motion = MOTIONS[kind](
         rng.normal(size=3), so3.exp(rng.normal(size=3)), R, 0.4, 0.05 if kind == "screw" else 0.0
     )
     T = motion.joint().pose(rng.uniform(-1.0, 1.0, 8)) @ se3.exp(rng.normal(0.0, 0.05, (8, 6)))
@@ -70,7 +76,7 @@ def test_derivatives(kind: Kind, oriented: bool, rng: np.random.Generator) -> No
 @pytest.mark.parametrize("oriented", [True, False])
 def test_exact_tracks_give_the_joint_exactly(kind: Kind, oriented: bool, rng: np.random.Generator) -> None:
     seen = ideal(kind, np.linspace(0.0, 1.5, 40), rng, 0.5, 0.06)
-    found = fit(tracked(seen, oriented), kind, prior=False)
+    found = fit(tracked(seen, oriented), kind)
     model = found.model
     assert abs(abs(model.axis @ seen.axis) - 1.0) < 1e-8
     np.testing.assert_allclose(model.position(found.configurations), seen.positions, atol=2e-6)
@@ -164,7 +170,7 @@ def test_noise_that_neighbours_share_is_not_counted_as_independent() -> None:
     for seed in range(60):
         rng = np.random.default_rng(seed)
         seen = ideal("prismatic", np.linspace(0.0, 0.4, 160), rng)
-        found = fit(Track(seen.positions + 1e-3 * shared(160, 0.7, rng)), "prismatic", rng, prior=False)
+        found = fit(Track(seen.positions + 1e-3 * shared(160, 0.7, rng)), "prismatic", rng)
         away = found.model.axis * np.sign(found.model.axis @ seen.axis) - seen.axis
         squares.append(float(away @ np.linalg.pinv(found.covariance["axis"], rcond=1e-6) @ away))
     # two directions across the axis, so 2 on the average; the mean of 60 scatters by 13 %, and the correlation that each

@@ -43,7 +43,7 @@ class JointFit:
     ``centre`` the same, ``pitch`` (1, 1) [(m/rad)²]; of a parametric model of each parameter (1, 1).
     sigma_position [m], sigma_rotation [rad or nan]: scatter of one sample along one axis.
     log_likelihood: of the whole track, at the best configurations. motion: what was fitted, before its start was
-    chosen. parameters: covariance of the motion's (size, size).
+    chosen.
     """
 
     model: PlacedJoint
@@ -54,7 +54,6 @@ class JointFit:
     sigma_position: float
     sigma_rotation: float
     motion: Motion = field(repr=False)
-    parameters: Array = field(repr=False)
 
     @property
     def std(self) -> dict[str, float]:
@@ -62,8 +61,13 @@ class JointFit:
         return {name: float(np.sqrt(C[0, 0])) for name, C in self.covariance.items() if C.shape == (1, 1)}
 
 
-def fit(track: Track, model: Kind | ArticulationModel, rng: np.random.Generator | None = None, prior: bool = True,
-        start: Motion | None = None, climbs: bool = True) -> JointFit:  # fmt: skip
+def fit(
+    track: Track,
+    model: Kind | ArticulationModel,
+    rng: np.random.Generator | None = None,
+    start: Motion | None = None,
+    climbs: bool = True,
+) -> JointFit:
     """The most likely joint of this type (a name: one about an axis).
 
     start: begin there, else with robust guesses (rng chooses their samples). climbs: else stay at the start, and find
@@ -72,8 +76,8 @@ def fit(track: Track, model: Kind | ArticulationModel, rng: np.random.Generator 
     rng = np.random.default_rng(0) if rng is None else rng
     of_type = axis_model(model) if isinstance(model, str) else model
     starts = [start] if start is not None else of_type.guesses(one_way(track), rng)
-    best = min((climb(track, s, prior, climbs) for s in starts), key=lambda c: c.cost)
-    return _told(track, best, prior)
+    best = min((climb(track, s, climbs) for s in starts), key=lambda c: c.cost)
+    return _told(track, best)
 
 
 @dataclass
@@ -95,11 +99,11 @@ def _squared(e: Array, sigma: tuple[float, float]) -> Array:
     return chi + (e[:, 3:] ** 2).sum(axis=1) / sigma[1] ** 2 if e.shape[1] == 6 else chi
 
 
-def _objective(motion: Motion, e: Array, sigma: tuple[float, float], prior: bool) -> float:
+def _objective(motion: Motion, e: Array, sigma: tuple[float, float]) -> float:
     d = _dims(motion, e.shape[1])
     cost = 0.5 * (NU + d) * float(np.log1p(_squared(e, sigma) / NU).sum())
     cost += len(e) * _log_scale(motion, e.shape[1], sigma)
-    return cost + (motion.prior_terms()[0] if prior else 0.0)
+    return cost + motion.prior_terms()[0]
 
 
 def _log_scale(motion: Motion, m: int, sigma: tuple[float, float]) -> float:
@@ -138,7 +142,7 @@ def whitened(motion: Motion, track: Track, a: Array, sigma: tuple[float, float])
     return e, J
 
 
-def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> ClimbState:
+def climb(track: Track, motion: Motion, climbs: bool = True) -> ClimbState:
     """Damped Gauss–Newton steps with scales re-estimated between them, until nothing changes; or the scales only."""
     sigma = (5e-3, 0.07)
     sigma = _first_scales(motion.residuals(track, motion.configurations(track, sigma)))
@@ -146,13 +150,13 @@ def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> Cli
     H = g = np.empty(0)
 
     def cost_of(motion: Motion) -> float:
-        return _objective(motion, motion.residuals(track, motion.configurations(track, sigma)), sigma, prior)
+        return _objective(motion, motion.residuals(track, motion.configurations(track, sigma)), sigma)
 
     def look(here: Motion) -> float:
         nonlocal sigma, H, g
         sigma = _rescaled(here, here.residuals(track, here.configurations(track, sigma)), sigma)
         if climbs:
-            H, g = _normal_equations(here, track, sigma, prior)
+            H, g = _normal_equations(here, track, sigma)
         return cost_of(here)
 
     def step(here: Motion, damping: float) -> tuple[Motion, float]:
@@ -173,20 +177,18 @@ def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> Cli
     return ClimbState(motion, sigma, cost_of(motion))
 
 
-def _normal_equations(motion: Motion, track: Track, sigma: tuple[float, float], prior: bool) -> tuple[Array, Array]:
+def _normal_equations(motion: Motion, track: Track, sigma: tuple[float, float]) -> tuple[Array, Array]:
     """Curvature (size, size) and gradient (size,) of the objective by the parameters of the motion."""
     a = motion.configurations(track, sigma)
     z, J = whitened(motion, track, a, sigma)
     w = (NU + _dims(motion, z.shape[1])) / (NU + _squared(motion.residuals(track, a), sigma))
     flat = J.reshape(-1, motion.size)
     H, g = (np.repeat(w, z.shape[1])[:, None] * flat).T @ flat, flat.T @ (w[:, None] * z).ravel()
-    if prior:
-        _, gp, hp = motion.prior_terms()
-        H, g = H + np.diag(hp), g + gp
-    return H, g
+    _, gp, hp = motion.prior_terms()
+    return H + np.diag(hp), g + gp
 
 
-def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:
+def _told(track: Track, state: ClimbState) -> JointFit:
     """What a climb comes to: configurations, scales, weights and covariance."""
     from scipy.special import gammaln
 
@@ -196,10 +198,9 @@ def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:
     d = _dims(motion, z.shape[1])
     chi = (z**2).sum(axis=1)
     w = (NU + d) / (NU + chi)
-    covariance = _covariance(motion, z, J, w, d, prior)
     # logarithm of the density of Student's t in d dimensions at its middle
     constant = float(gammaln(0.5 * (NU + d)) - gammaln(0.5 * NU) - 0.5 * d * np.log(NU * np.pi))
-    log_likelihood = motion.prior_terms()[0] * prior - state.cost + len(z) * constant
+    log_likelihood = motion.prior_terms()[0] - state.cost + len(z) * constant
     # what makes of a scale of Student's t the standard deviation of samples that are no outliers
     inside = chi < _INSIDE * d
     spread = float(np.sqrt(chi[inside].sum() / (d * inside.sum()))) if inside.any() else 1.0
@@ -209,17 +210,16 @@ def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:
     return JointFit(
         model=motion.joint(first),
         configurations=motion.counted(a - first, weights > SOUND),
-        covariance=motion.covariance(covariance),
+        covariance=motion.covariance(_covariance(motion, z, J, w, d)),
         log_likelihood=float(log_likelihood),
         weights=weights,
         sigma_position=sigma[0] * spread,
         sigma_rotation=rotation,
         motion=motion,
-        parameters=covariance,
     )
 
 
-def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int, prior: bool) -> Array:
+def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int) -> Array:
     n = len(z)
     chi = (z**2).sum(axis=1)
     flat = J.reshape(-1, motion.size)
@@ -227,8 +227,7 @@ def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int, prior: boo
     scatter = float((w**2 * chi).sum()) / free
     slope = float((w - 2.0 * w**2 * chi / ((NU + d) * d)).mean())
     information = flat.T @ flat * (slope**2 / max(scatter, 1e-12) / _agreement(z * w[:, None]))
-    if prior:
-        information = information + np.diag(motion.prior_terms()[2])
+    information = information + np.diag(motion.prior_terms()[2])
     return np.asarray(np.linalg.pinv(information, rcond=1e-14, hermitian=True), dtype=float)
 
 

@@ -238,28 +238,16 @@ class Stretches:
 _DEGREE = 4  # of the bend of a path that grows
 _FITTED = 2  # of the degrees that a joint's own parameters change: no bend is what these leave
 _MIN = 4 * (_DEGREE + 1)  # stretches that are asked
-_ASKED_EVERY = 0.02  # m of path
+ASKED_EVERY = 0.02  # m of path
 _ALIKE = 3.0  # deviations by which neighbours are more alike than in noise, before
 _NOT_ALIKE = 1.0  # and beside the bend
 
 
-class BendCheck:
-    """found: whether a smooth bend is what the motion leaves, as of the last question."""
-
-    def __init__(self, stretches: Stretches) -> None:
-        """stretches: the path so far, kept by others."""
-        self.found = False
-        self._stretches, self._asked = stretches, 0.0
-
-    def come(self, motion: AxisMotion | None) -> None:
-        """Ask again where the path has grown. motion: the one that is selected now."""
-        path = self._stretches.path
-        if motion is None or path - self._asked < _ASKED_EVERY:
-            return
-        self._asked = path
-        track = Track.trusted(self._stretches.points)
-        a = motion.configurations(track, POSITIONS)
-        self.found = bend_left(motion.residuals(track, a)[:, :3], a)
+def is_bend(stretches: Stretches, motion: AxisMotion) -> bool:
+    """Whether a smooth bend is what a motion leaves of a path."""
+    track = Track.trusted(stretches.points)
+    a = motion.configurations(track, POSITIONS)
+    return bend_left(motion.residuals(track, a)[:, :3], a)
 
 
 def bend_left(left: Array, along: Array) -> bool:
@@ -372,7 +360,7 @@ class ShareCheck:
             if len(self._kept) == _MAX:
                 self._kept, self._every = self._kept[::2], 2.0 * self._every
             self._kept.append((path, motion))
-        if path - self._asked >= _ASKED_EVERY:
+        if path - self._asked >= ASKED_EVERY:
             self._asked = path
             self._ask(path, motion, noise)
 

@@ -24,13 +24,13 @@ from numpy.typing import ArrayLike
 from modcal_core.articulation.conventions import ConventionCheck, OtherConvention
 from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.misfit import NONE, BendCheck, ShareCheck, Stretches, rms, too_much, usual
+from modcal_core.articulation.misfit import ASKED_EVERY, NONE, ShareCheck, Stretches, is_bend, rms, too_much, usual
 from modcal_core.articulation.model_selector import ModelSelector
 from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.prediction_check import POSITIONS, PredictionCheck
 from modcal_core.articulation.track import FARTHEST, FEWEST_NODES, RIGID, Nodes, Track
-from modcal_core.articulation.two_motions import TwoMotions
+from modcal_core.articulation.two_motions import are_two
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array, posed
 
@@ -185,9 +185,9 @@ class Tracker:
         self._stretches = Stretches()
         self._share = ShareCheck(self._stretches, chosen.tolerance_m)
         self._convention = ConventionCheck()
-        self._bend = BendCheck(self._stretches)
         self._travel = Travel()
-        self._two = TwoMotions(self._stretches)
+        self._asked = 0.0  # m of path after which two motions and a bend were asked for, and what was found
+        self._bent = self._two = False
         self._samples = 0
         self._stamp = -np.inf
         self._first: Array | None = None
@@ -240,10 +240,13 @@ class Tracker:
             for _ in range(due):
                 if self._selector.advance(self._nodes):
                     self._check.begin(*self._reached())
-            self._two.come(self._selector.scale[0])
-            self._bend.come(motion)
+            if self._stretches.path - self._asked >= ASKED_EVERY:
+                self._asked = self._stretches.path
+                if not self._changes:  # what was found before a change stays
+                    self._two = are_two(self._stretches, self._selector.scale[0])
+                self._bent = motion is not None and is_bend(self._stretches, motion)
         self._judge()
-        if self._two.found and (motion is None or motion.flat):
+        if self._two and (motion is None or motion.flat):
             self._check.lose()
         return self._state(p, R, off, event or self._stuck(p, stamp, pulled))
 
@@ -397,7 +400,7 @@ class Tracker:
         model, seen = self._zero[1], p
         if R is not None and selector.follows:
             seen = posed(R, p)
-        trusted = self._check.trusted and not (self._share.fails or self._bend.found)
+        trusted = self._check.trusted and not (self._share.fails or self._bent)
         trusted = trusted and path >= self.settings.trust_after_m and self._convention.written is None
         a = float(model.configuration(seen))
         return replace(state, kind=selector.kind, model=model, configuration=a, trusted=trusted)

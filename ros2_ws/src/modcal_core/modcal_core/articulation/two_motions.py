@@ -81,31 +81,19 @@ def _cost(p: Array, k: int) -> float:
 
 
 _MIN = 5  # stretches on either side of a cut, more than a circle's parameters have of two residuals each
-_ANEW = 0.02  # m of path after which the question is asked again
 
 
-class TwoMotions:
-    """found: whether the path since the start is two motions, as of the last question."""
-
-    def __init__(self, stretches: Stretches) -> None:
-        """stretches: the path so far, kept by others."""
-        self.found = False
-        self._stretches, self._asked = stretches, 0.0
-
-    def come(self, noise: float) -> None:
-        """Ask again where the path has grown. noise: of one position, on an axis [m]."""
-        path, k = self._stretches.path, self._stretches.k
-        if path - self._asked < _ANEW or path < 2.0 * MIN_PATH:
-            return
-        self._asked, points = path, self._stretches.points
-        ends = max(_MIN, math.ceil(MIN_PATH * k / path))
-        cut = _cheapest(points, np.arange(ends, k - ends + 1))
-        if cut is None:
-            return
-        white = noise**2 * float(np.mean(1.0 / self._stretches.counts))
-        one = squares(points) / (2 * k - _PARAMETERS) - white
-        two = _cost(points, cut) / (2 * k - 2 * _PARAMETERS) - white
-        self.found = vanishes(one, two)
+def are_two(stretches: Stretches, noise: float) -> bool:
+    """Whether a path is two motions. noise: of one position, on an axis [m]."""
+    path, k, points = stretches.path, stretches.k, stretches.points
+    ends = max(_MIN, math.ceil(MIN_PATH * k / max(path, MIN_PATH)))
+    cut = _cheapest(points, np.arange(ends, k - ends + 1))
+    if cut is None or path < 2.0 * MIN_PATH:
+        return False
+    white = noise**2 * float(np.mean(1.0 / stretches.counts))
+    one = squares(points) / (2 * k - _PARAMETERS) - white
+    two = _cost(points, cut) / (2 * k - 2 * _PARAMETERS) - white
+    return vanishes(one, two)
 
 
 def squares(p: Array) -> float:

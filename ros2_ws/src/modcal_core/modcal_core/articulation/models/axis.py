@@ -44,7 +44,6 @@ from modcal_core.geometry import Array, posed, so3, turned
 class AxisModel(ArticulationModel):
     """A joint type that is a screw motion about one axis, or none."""
 
-    motion: ClassVar[type[AxisMotion]]
     joint: ClassVar[type[JointModel]]
 
 

@@ -70,7 +70,6 @@ class Prismatic(AxisModel):
     usual = True
     slots = (3,)
     urdf = InUrdf("prismatic", 2.0)
-    motion = PrismaticMotion
     joint = PrismaticJoint
 
     def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:

@@ -188,7 +188,6 @@ class Revolute(AxisModel):
     usual = True
     slots = (0, 2)
     urdf = InUrdf("revolute", np.pi)
-    motion = RevoluteMotion
     joint = RevoluteJoint
 
     def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:

@@ -78,7 +78,6 @@ class Rigid(AxisModel):
     share = 0.0
     moves = False
     urdf = InUrdf("fixed")
-    motion = RigidMotion
     joint = RigidJoint
 
     def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:
