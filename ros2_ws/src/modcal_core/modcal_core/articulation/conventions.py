@@ -1,25 +1,19 @@
 """Rotations that follow no joint, and the convention in which they would follow one.
 
 A door whose quaternions w x y z are read as x y z w turns about another axis at every pose; inverse rotations turn the
-other way; in a left-handed frame positions go round the other way than rotations. Each follows none of the joint types,
-or looks like a grasp that turns in the hand. Read as written they follow a joint with certainty, which no such grasp
-does.
+other way; in a left-handed frame positions go round the other way. Each follows none of the joint types, or looks like
+a grasp that turns in the hand. Read as written they follow a joint with certainty, which no such grasp does. Several
+conventions may do so alike; then all of them are named. What turns against its path, as the second leaf of a folding
+door does, looks like them for a while, so the remedy says what to do about it.
 
-Several conventions may do so alike: where a door turns about the frame's z, a reversed x is as good as a reversed y,
-and inverse rotations may be as good as either. Then all of them are named, for nothing in the track tells them apart.
-What turns against its path, as the second leaf of a folding door does, looks like them on a part of its way. It is no
-joint either, so the remedy says what to do about it.
-
-A whole selection for every convention is too much for one pose. But a joint that turns says itself in closed form: all
-rotations are turns about one axis, and a handle that is held firmly lies where they bring it,
+While poses come, the joint is found in closed form: rotations turn about one axis w, and a handle that is held firmly
+lies where they bring it,
 
     R_i = exp(δ_i w) M,    p_i = exp(δ_i w) y + c + h δ_i w,
 
-which is linear in arm y, centre c and rise h. So every convention is compared with every joint that turns by small
-least squares over the nodes. Those are named where the rotations as written leave too much
-for any such joint, and in another convention no more than usual furniture and tracking do. A hand that turns in its
-grasp does so in neither. A short piece of any path fits a screw in most conventions: while one does, and the path lies
-in a plane, which a screw's does not, nothing is said.
+which is linear in arm y, centre c and rise h. Conventions are named where rotations as written leave too much for any
+such joint, and in another convention no more than usual furniture and tracking do. A short piece of any path fits a
+screw in most conventions: while one does, and the path lies in a plane, which a screw's does not, nothing is said.
 """
 
 from __future__ import annotations

@@ -1,31 +1,20 @@
 """Whether the best joint type is good enough: what it leaves, against noise and what furniture and tracking leave.
 
 Probabilities compare joint types with each other and say nothing of what none of them describes. So what the best one
-leaves is compared with an absolute size: four times the usual play and sway of ``furniture``, beside the track's own
-noise. Nine tenths of the samples count, for markers are lost at the end of a swing; where more than a quarter lies
-grossly off, these are no outliers.
+leaves is compared with four times the usual play and sway of ``furniture``, beside the track's own noise. Nine tenths
+of the samples count, for markers are lost at the end of a swing; where more than a quarter lies grossly off, these are
+no outliers.
 
-Play, a hand that settles and a camera's bias are rough: of what real doors and drawers leave beside noise, a smooth
-bend along the path takes some, and about a tenth of the squares stays at least. What a linkage, a cam or a curved rail
-leaves of the nearest line, circle or screw is smooth, and a bend takes all of it.
+What real doors and drawers leave (play, a hand that settles, a camera's bias) is rough: a smooth bend along the path
+leaves a tenth of its squares at least. Of what a linkage, a cam or a curved rail leaves, a bend takes all. While the
+handle still moves, less is left, and it is asked what a bend leaves: noise, in which neighbours have nothing in common.
 
-A handle that is still moving is judged earlier than a track, before much is left. So it is not asked how much a bend
-takes, but what it leaves. Play, a hand that settles and a camera's bias go on from one
-stretch of the path to the next, with a bend and without. What a cam, a linkage or a curved rail leaves of a joint goes
-on as well, and beside a bend nothing but noise is left, in which neighbours have nothing in common. Of a true joint
-without play, noise is left before.
+A long hinge and a drawer that bows fit the same samples. They predict other things for the part that they were not
+fitted to; and where a plainer joint leaves no more than handles and cameras usually do, no curve is proved.
 
-A long hinge and a drawer that bows fit the same samples equally well. What the one says of the part that it has not
-seen differs, and so does what a line and a circle through the first centimetres of a door say. And where a plainer
-joint leaves no more than handles and cameras usually do, no curve is proved.
-
-A prediction of the next five centimetres says little once half a metre is known: there every smooth path is right. So
-the part that was not used for the fit grows with the path. Models are kept as they were along the path; the one from
-three fifths of it must say all that came since, within the tolerance or the share of the path by which furniture may
-miss, beside noise. Models are thinned out when there are many, so that work and memory stay bounded.
-
-On a short path a model of another joint type, which has been given up since, says nothing against the one that took its
-place: a door's first decimetre is a slide.
+While the handle moves, the part to be predicted grows with the path: the model from three fifths of it must predict all
+that came since, within the tolerance or the share of the path by which furniture may miss, beside noise. On a short
+path a model of another type, given up since, says nothing against the new one: a door's first decimetre is a slide.
 """
 
 from __future__ import annotations

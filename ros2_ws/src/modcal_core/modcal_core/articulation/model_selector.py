@@ -1,10 +1,8 @@
 """Incremental selection of the joint type, bounded work per pose.
 
-No pose has to wait for a whole selection. A round weighs every kind at several plays on the nodes as they were when it
-began, one of them a pose; only what was weighed on the same nodes is compared. Between rounds the best motion is
-improved on the nodes of now. Another kind is selected when it has won two rounds in a row: the first may have caught
-the old one on its way to where the nodes went. Of distortion the usual size is taken, as every other would cost a round
-of its own.
+A round weighs every kind at several plays on the nodes as they were when it began, one of them a pose; only what was
+weighed on the same nodes is compared. Between rounds the best motion is improved on the nodes of now. Another kind is
+selected when it has won two rounds in a row. Of distortion the usual size alone is tried.
 """
 
 from __future__ import annotations

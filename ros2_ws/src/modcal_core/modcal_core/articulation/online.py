@@ -1,13 +1,11 @@
 """Online estimate of an articulated object: its joint, whether its model is trusted, and whether it still moves so.
 
-Poses are pooled into a bounded number of nodes, and a bounded amount of work is done at each pose
-(``model_selector``). A model is trusted once its predictions hold (``prediction_check``), and no longer after one that
-is far off, or when the handle leaves the path. The fit then goes on; where two rounds of refinement do not bring the
-model back to the path, the hand holds something else, and the estimate restarts.
+Poses are pooled into a bounded number of nodes, with bounded work at each (``model_selector``). A model is trusted once
+its predictions hold (``prediction_check``), and no longer when one is far off or the handle leaves the path. Where two
+rounds of refinement do not bring the model back, the hand holds something else, and the estimate restarts.
 
-Evidence grows with the path, not with the number of poses on it: each centimetre gets the same number of steps, whether
-fifty poses fell on it or one. Noise is no path: only what lies beyond the last mark counts. An arm that flies by is no
-handle that is pulled: in a second no more steps are made than a quick pull asks for.
+Evidence grows with the path, not with the number of poses on it: each centimetre gets the same number of steps, and
+noise is no path. An arm that flies by is no handle that is pulled: steps in a second are limited.
 """
 
 from __future__ import annotations

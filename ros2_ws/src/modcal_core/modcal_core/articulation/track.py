@@ -1,18 +1,14 @@
 """A track: what was seen of a handle, pose by pose or point by point, in the order in which it was seen.
 
-A sample joins the nearest node within reach, else it founds one. When there are too many, the reach is doubled and the
-nodes are pooled again. What is pooled lies within the reach, so an outlier founds a node of its own and stays apart; a
-dwell, or a path that is gone over again, makes nodes surer, not more.
+A sample joins the nearest node within reach, else it founds one; when there are too many, the reach grows and nodes are
+pooled again. So an outlier stays apart, and a dwell, or a path that is gone over again, makes nodes surer, not more. A
+whole track is pooled, drawn from and counted in the same order whether the door opened or closed.
 
-A door that closes is the door that opened. Where a whole track is looked at, samples that are pooled, drawn or counted
-one after the other are taken in the same order either way.
+An outlier is a sample that lies where neither of its neighbours in time lies; a stretch that departs from a model is
+none. A handle that rests says the same with every sample, and a hundred of them must not outvote the motion.
 
-An outlier is a sample that lies where neither of its neighbours in time lies. A stretch that departs from a model is
-none: it is the model that is wrong there. A handle that rests says the same again with every sample, and a hundred
-of them must not outvote the motion.
-
-One stamp that is seconds ahead, or behind, is a fault of whoever stamped it, and must not wipe what was learned. When
-the next one goes on from there, time itself has changed: ahead it is a pause, behind a recording that begins again.
+One stamp that is seconds off is a fault of whoever stamped it, and must not wipe what was learned. When the next one
+goes on from there, time itself has changed: ahead it is a pause, behind a recording that begins again.
 """
 
 from __future__ import annotations

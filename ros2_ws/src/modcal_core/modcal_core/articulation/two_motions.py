@@ -1,12 +1,8 @@
 """Whether a path is two motions, and where it is cut: of a whole track, or asked while it comes.
 
-A mechanism of two joints looks like one for a stretch, and predicts there. What tells it from furniture is the whole
-path since the start: a cut into two lines or circles leaves nothing of what one leaves. Each side of a cut is a line or
-a circle, fitted in closed form; the best cut is where both together leave least. While poses come, the path is kept as
-the means of short stretches.
-
-What furniture leaves beside its ideal path (play, a bow, what distorts the camera) does not vanish by a cut: two arcs
-leave about as much of it as one. What a mechanism of two joints leaves does vanish, down to the noise.
+A mechanism of two joints looks like one for a stretch, and predicts there. Cut into two lines or circles, each fitted
+in closed form, its whole path leaves nothing but noise. What furniture leaves beside its ideal path (play, a bow, what
+distorts the camera) does not vanish by a cut. While poses come, the path is kept as the means of short stretches.
 """
 
 from __future__ import annotations

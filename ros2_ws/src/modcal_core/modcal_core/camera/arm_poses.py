@@ -4,10 +4,8 @@ The tool of the model is whichever the arm carries, its frame the other: ``T_fra
 target is on the tip, T_target_camera where the camera is. A motion of the tool, (shift of its origin, turn) along the
 frame's axes, becomes the twist (a, b) of the target as the camera sees it.
 
-A fit has a minimal set of parameters. What it leaves out moves the tool as some of those that it has: the length of an
-upper arm is off by what the shoulder's side of it is off and by what the elbow's is. So the covariance of the set is
-that of all faults, brought to it by the derivatives of a general arm's readings; taken from its own parameters alone it
-would have such lengths known to seven tenths of what they are.
+A fit has a minimal set of parameters, and what it leaves out moves the tool as some of those do. So the prior
+covariance of the set is that of all faults of an arm, brought to it by the derivatives of a general arm's readings.
 """
 
 from __future__ import annotations

@@ -1,25 +1,19 @@
 """The linear equations of a camera fit at one state, and what the sizes of its errors make of them.
 
-An image's target is not quite where the model has it: joints come back with an error of their own, and the arm has
-faults that its geometry lacks. That is one unknown twist ξ per image, with the covariance Q that joints of standard
-deviation ``joint`` and a shift ``shift`` make. It is integrated out image by image. With G the products of an image's
-columns, the noise of corners counted,
+An image's target is not quite where the model has it: joints do not repeat, and the arm has faults that its geometry
+lacks. That is one unknown twist ξ per image, with the covariance Q that joints of standard deviation ``joint`` and a
+shift ``shift`` make. It is integrated out image by image. With G the products of an image's columns,
 
     G_eff = G − G_p S G_pᵀ,   S = Q (1 + G_pp Q)⁻¹
 
-so images never tie parameters together, and the equations are a sum of small ones (Woodbury). Images that several
-cameras took at one stop share what joints and tool are off by: with z in standard deviations, camera k sees ξ_k = B_k
-z. So z is integrated out stop by stop,
+so the equations are a sum of small ones (Woodbury). Images that several cameras took at one stop share what joints and
+tool are off by: with z in standard deviations, camera k sees ξ_k = B_k z. So z is integrated out stop by stop,
 
     H = Σ_k H_k − Uᵀ M⁻¹ U,   U = Σ_k B_kᵀ G_p,k,   M = 1 + Σ_k B_kᵀ G_pp,k B_k
 
-which for a stop of one image is the same as integrating out ξ.
-
-Readings of other instruments beside the images (tracker, points, sockets, ranges, bearings) share the arm and its
-effects with the camera and have base frames, tool and constants of their own: one more block of rows below those of the
-images. How much they scatter beyond what they state of themselves is one more size that the data decide. The
-sizes of noise, ξ and the arm's expected faults are those that make the data likeliest, the parameters integrated out
-(evidence, type II).
+Readings of other instruments beside the images (tracker, points, sockets, ranges, bearings) are one more block of rows:
+they share the arm and its effects, and have frames, tool and constants of their own. The sizes of noise, ξ, the arm's
+faults and the readings' scatter are those that make the data likeliest, the parameters integrated out.
 """
 
 from __future__ import annotations
@@ -310,13 +304,11 @@ class Equations:
             out[np.ix_(rows, rows)] = self.places.information(sizes.places)
         return out
 
-    def with_block(
-        self, rows: np.ndarray, information: Array, offset: Array, free: np.ndarray | bool = True
-    ) -> Equations:
+    def with_block(self, rows: np.ndarray, information: Array, offset: Array) -> Equations:
         """The equations with another prior of these parameters, which the state has off its mean by so much."""
         every, off, use = self.information.copy(), self.offset.copy(), self.free.copy()
         every[rows], every[:, rows] = 0.0, 0.0
-        every[np.ix_(rows, rows)], off[rows], use[rows] = information, offset, free
+        every[np.ix_(rows, rows)], off[rows], use[rows] = information, offset, True
         return replace(self, information=every, offset=off, free=use)
 
     def _inner(self, sizes: Sizes) -> tuple[Array, Array]:

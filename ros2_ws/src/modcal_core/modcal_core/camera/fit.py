@@ -1,13 +1,12 @@
 """The fit: arm, base, tool, clock, lens and the sheet's shape from all corners of all images, in one vector of values.
 
 Every camera has base and tool, clock, lens, shape of its target, readout and places of markers of its own; all share
-the arm and its effects. Where two see the same target file, the size of the print is one: two sheets of one printer, or
-one sheet, are wrong by the same. Seen from the same side it is one sheet, whose bow is shared as well, and one body.
-What a camera shares stands where the first camera has it; its own values stand behind those of the cameras before.
+the arm and its effects. Two that see the same target file share the size of the print; from the same side it is one
+sheet, whose bow is shared as well, and one body. What a camera shares stands where the first camera has it; its own
+values stand behind those of the cameras before.
 
-The fit has its covariance about where its values ended, from the drawing on, with the lens, the target and the sheet's
-size beside them; a calibration is written with the least change to its drawing. Both are the same small motions of the
-tool, so the one is brought to the other by the derivatives of readings at general postures.
+The fit has its covariance about where its values ended, from the drawing on; a calibration is written with the least
+change to its drawing. The one is brought to the other by the derivatives of readings at general postures.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""Images of a camera: as given, made ready for a fit, and fitted first, without what is not where it should be.
+"""Images of a camera made ready for a fit, and fitted first, without what is not where it should be.
 
 Of a sheet every image shows a pose, and the lens is fitted to these before the arm is asked. An image of a body may
-show three points, which fit any pose, so it is the arm that points are held against: those that are off by far more
-than the others, each image's own error counted, are out, and where most of an image is, the image. Misreadings of a
-body are spread over markers and images, and what is left of its points says as much as if they had not been read. A
-marker most of whose points are out has another number, or another place, than the target's file states, or came loose.
+show three points, which fit any pose, so its points are held against the arm: those that are off by far more than the
+others are out, and where most of an image is, the image. A marker most of whose points are out has another number, or
+another place, than the target's file states, or came loose.
 """
 
 from __future__ import annotations

@@ -1,27 +1,20 @@
-"""Whether the hand follows its setpoint as far as the force that is felt explains.
+"""Whether the hand follows its setpoint as far as the felt force explains.
 
 A servo pulls with its stiffness times the way by which its setpoint leads the tool. A force sensor that is stuck, or
-not connected to what is held, hides that: the setpoint runs on, the hand does not, and what is felt stays small. So the
-tool is compared with where its setpoint was a servo's lag ago, and with what the felt force takes on the softest stack
-that is asked for. What is left, times the stiffness by which the servos hold the tool, is force that nobody feels. That
-stiffness depends on the posture, and is largest along an outstretched arm; what the object and the fingers yield by
-does not make it less, as the tool is measured. So the stiffest that an arm may be is what counts, and the lead may be
-some tenths of a millimetre. A sensor that says the same to the last digit while the arm is
-moved may be stuck, or coarse: what it says explains nothing. Where it always said something new before, it is stuck.
+not connected to what is held, hides that: the setpoint runs on, the hand does not. So the tool is compared with where
+its setpoint was a servo's lag ago. What neither the lag nor the felt force explains, times the stiffness of the servos,
+is force that nobody feels. That stiffness depends on the posture, so the stiffest that an arm may be counts.
 
-A sensor that is stuck while its noise goes on repeats nothing. But by how much the servos yield to a newton is learned
-from what it said while it followed: whenever the felt force has changed by half a newton, the lead and the force of
-that moment are noted, and from then on the force explains that lead and not what the softest stack would take. The arm
-yields in another posture, and to another moment of the hand, by as much more or less as its levers say: by J Jᵀ w of
-the felt wrench w, for joints that are alike.
+A sensor that repeats itself to the last digit while the arm is moved may be stuck, or coarse: what it says explains
+nothing. Where it always said something new before, it is stuck. A stuck sensor may still show noise. So how far the
+servos yield to a newton is learned while the sensor follows: whenever the felt force has changed by half a newton, lead
+and force are noted, and from then on the force explains that lead and not what the softest stack would take; in another
+posture as much more or less as J Jᵀ w of the felt wrench w says.
 
-A force sensor that says a fifth of every force, from the start, teaches servos that yield five times as much, and then
-explains whatever comes. What it cannot teach is a joint that yields more than the joints of this arm do. A servo leads
-what it moves by e = l v + τ / k, with its lag l, the measured speed v and the load τ = −Jᵀ w of the wrench w on the
-tool. With a least stiffness k of each joint, known beforehand, the felt wrench takes no more of a lead than τ / k, and
-towards its own side; and a joint that stands takes none by its lag, but for the moment in which it is sent off or
-braked, when its inertia is a load. What a joint leads by beyond all of that is not felt. Asked of each joint by itself,
-what the hand yields by sideways, where levers are long, explains little of what the arm is pulled by along itself.
+A sensor that says a fifth of every force from the start teaches servos that yield five times as much. It cannot teach a
+joint that yields more than its stated least stiffness k allows. A servo leads what it moves by e = l v + τ / k, with
+its lag l, the measured speed v and the load τ = −Jᵀ w. So a felt wrench takes at most τ / k of a lead, towards its own
+side; and a joint that stands takes none by its lag, but while it is sent off or braked. More than that is not felt.
 """
 
 from __future__ import annotations

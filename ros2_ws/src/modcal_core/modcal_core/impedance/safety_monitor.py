@@ -1,12 +1,11 @@
-"""Safety monitor: the last check of every setpoint before it is sent.
+"""Safety monitor: the last check of every setpoint before it is sent. It changes no setpoint, it passes or refuses.
 
-It changes no setpoint. A setpoint within all limits passes, any other is refused; speed_governor.py and path_model.py
-shape the motion beforehand so that it stays within the limits. A refusal for a late input only means waiting: the
-next good setpoint may follow from the last one. After any other refusal the monitor stays tripped until it is reset.
+A refusal for a late input only means waiting: the next good setpoint may follow from the last one. After any other
+refusal the monitor stays tripped until it is reset.
 
-A force or a moment beyond its limit trips the monitor as well. The last setpoint then stands, and with it the spring
-that the servo has wound up. :meth:`SafetyMonitor.allow_release` unwinds it: for a second only setpoints that go back
-towards the tool pass, whatever the force, and without a recent wrench.
+A force or a moment beyond its limit trips it as well. The last setpoint then stands, and with it the spring that the
+servo has wound up. :meth:`SafetyMonitor.allow_release` unwinds it: for a second only setpoints that go back towards the
+tool pass, whatever the force, and without a recent wrench.
 
 Speeds are steps between passed setpoints over the time between them. A longer pause counts as a stop, after which no
 more than one period's step is allowed.

@@ -1,34 +1,24 @@
 """The force on the tool that the servos' leads show, beyond the one that is felt.
 
-A servo holds what it moves with a force that grows by the way e by which its reference leads, less the lag with which
-it follows a moving one. With the measured speed v and the load τ that it carries,
+A servo's reference leads what it moves by e = l v + c τ + b, with its lag l [s], the measured speed v, its compliance
+c, the load τ that it carries and a small rest b. Every row of a model is such a servo; its numbers are learned while
+the force sensor follows, by linear least squares with a prior, and with the variance of what they leave.
 
-    e = l v + c τ + b,
+Which stack holds the tool is not told. One that is stiff in its joints is a row a joint, whose load is −Jᵀ w of the
+felt wrench w; one that is stiff in the tool's axes is a row an axis, whose load is −w. Both are learned; the one that
+predicts the tool's lead better is believed, and where both do, the one that shows less force says what is sure.
 
-with a lag l [s], a compliance c and a small rest b. Every row of a model is such a servo, with numbers of its own,
-learned while the force sensor follows: linear least squares with a prior, and with the variance of what they leave.
-
-Which stack it is that holds a tool is not told. One that is stiff in its joints is a row a joint, whose load is the
-torque −Jᵀ w of the felt wrench w; one that is stiff in the tool's axes is a row an axis, whose load is −w. Both are
-learned, side by side; the one that predicts the tool's lead better is known by that.
-
-What lag and compliance of the servos do not explain of a lead is a load that is not felt. Of all rows together it is a
-wrench on the tool, found by least squares; a row that was hardly loaded, or does not behave so, has a large uncertainty
-and counts for little. Of the two stacks the one that explains better what was seen is believed; where both do, the one
-that shows less force says what is sure.
-
-A model is never exact, and a sensor that follows must not be taken for one that does not. So the leads of now are
-compared with those of the last centimetre or two, where the same errors were made, and by what the felt force has
-changed meanwhile less is taken to be hidden. What is then hidden slows the pull down as a felt force does
-(:attr:`UnfeltForce.force`); the pull is let go where it is much (:meth:`UnfeltForce.refused`).
+What lag and compliance do not explain of a lead is a load that is not felt: of all rows together a wrench, by least
+squares, in which rows that are hardly known count for little. A model is never exact, so the leads of now are compared
+with those of the last centimetre or two, where the same errors were made, and less is taken to be hidden by what the
+felt force has changed meanwhile. What is hidden slows the pull down (:attr:`UnfeltForce.force`) and ends it where it is
+much (:meth:`UnfeltForce.refused`).
 
 What is learned must not explain a jam. So a moment is learned only after a while in which nothing was suspected, and
-only where the felt wrench has changed since the last one, or the speed of a tool that goes on: a sensor that has frozen
-teaches nothing, however long the lead grows.
+only where the felt wrench, or the speed of a tool that goes on, has changed since the last one.
 
-Which reference a servo followed at the time of a reading is known as well as messages come in time. As late as they
-came of late, an older reference may have been in effect. A pull slows down for what one of them shows, and is let go
-for what both do: a setpoint that stands leaves no doubt.
+Messages come late, so an older reference may be in effect. A pull slows down for what the newest reference or an older
+one shows, and is let go for what both show.
 """
 
 from __future__ import annotations

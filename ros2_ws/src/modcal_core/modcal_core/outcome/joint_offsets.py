@@ -1,10 +1,8 @@
 """Offsets of the joints, as a technician masters an arm, and the difference of two calibrations at the tool.
 
-The difference of two calibrations at the tool, and what their uncertainty explains of it.
-
-Base and tool are other ones in every session, and say nothing of the arm. So the tool is predicted by both models at
-the postures of both recordings, one model's base and tool are fitted to the other's, and what then is left is compared
-with what two calibrations of the same arm would differ by: draws from the covariance of both, treated the same way.
+Base and tool are other ones in every session. So the tool is predicted by both models at the postures of both
+recordings, one model's base and tool are fitted to the other's, and what then is left is compared with what two
+calibrations of the same arm would differ by: draws from the covariance of both, treated the same way.
 """
 
 from __future__ import annotations

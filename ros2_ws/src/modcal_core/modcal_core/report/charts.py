@@ -99,9 +99,9 @@ class Axis:
         return cls(words, low - room, high + room)
 
     @classmethod
-    def decades(cls, words: str, low: float, high: float, margin: float = 0.05) -> Self:
+    def decades(cls, words: str, low: float, high: float) -> Self:
         """A logarithmic axis with room for the marks of the outermost."""
-        room = (high / low) ** margin
+        room = (high / low) ** 0.05
         return cls(words, low / room, high * room, log=True)
 
     @classmethod

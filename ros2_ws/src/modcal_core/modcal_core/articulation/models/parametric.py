@@ -1,22 +1,18 @@
 """A joint type whose path is a function of the configuration: what most packages that add one derive from.
 
-First guesses: a shape from the model's own, and a place where three samples, far enough from each other, lie as far
-apart as three points of the path do; the best of many such places by a likelihood that is cut off where an outlier
-begins. From there ``fit`` climbs, as for every other type.
-
-Most packages that add a joint type derive from :class:`~modcal_core.articulation.models.parametric.ParametricModel`,
-which is such a shape. Where the object stands and how it is grasped is not the shape's business. Every answer of a
-shape is looked at; what is none is refused with the package's name.
+A package derives from :class:`ParametricModel` and states the shape alone; where the object stands and how it is
+grasped is found here. Every answer of a shape is looked at; what is none is refused with the package's name.
 
     T_world_handle(a) = T_world_object · pose(values, a),   R_world_handle(a) = R_world_object · R_pose(a) · R_grasp
 
-What was seen at configuration a is unwound into the frame that the model moves along, as ``motion`` does:
+What was seen at configuration a is unwound into the frame that the model moves along:
 
     e = B(a)ᵀ (p_seen − p(a)),   φ = log(B(a)ᵀ R_seen R_graspᵀ),   B = R_world_object R_pose(a)
 
 Parameters are small changes: a shift of the object [m] and a turn of it about the middle of the track [rad], with
 rotations a turn of the grasp [rad], and the shape in standard deviations of its prior. Derivatives by the shape and by
-the configuration are central differences; the others are exact.
+the configuration are central differences. First guesses place a shape where three samples lie as far apart as three
+points of the path; the best of many by a likelihood that is cut off where an outlier begins.
 """
 
 from __future__ import annotations
