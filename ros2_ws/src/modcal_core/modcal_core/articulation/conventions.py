@@ -55,10 +55,7 @@ class ReadOtherwise:
     axis: str = ""
 
     def missed(self, turns: Array) -> float:
-        """Median angle [rad] between its rotations and the turns (n, 3, 3) of a handle that is held firmly.
-
-        turns: by the positions as they were written.
-        """
+        """Median angle [rad] between its rotations and turns (n, 3, 3), by positions as written, of a firm grasp."""
         assert self.track.rotations is not None
         if self.axis:
             mirror = np.where(np.array(list("xyz")) == self.axis, -1.0, 1.0)

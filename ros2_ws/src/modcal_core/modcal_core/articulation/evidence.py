@@ -133,9 +133,7 @@ def glance(scene: NodeScene, before: EvidenceRow, play: float, turn: int) -> Evi
 
 
 def _looks(scene: NodeScene, terms: UniformTerms | VaryingTerms) -> tuple[int, int]:
-    """Which sway the rotations look like: those that are left as the handle's, all of them as a hand's that keeps
-    its own.
-    """
+    """Which sway the rotations look like: what is left of them as the handle's, all of them as a steady hand's."""
     assert terms.turn is not None
     left = terms.turn[:, :, 0]
     sizes = (float(left.ravel() @ left.ravel()) / left.size, float((scene.turned**2).mean()))

@@ -92,9 +92,7 @@ class Motion(ABC):
         return 0.0
 
     def counted(self, a: Array, sound: np.ndarray) -> Array:
-        """Configurations (n,) counted beyond a full turn for a joint that turns on. sound: samples that are not
-        outliers.
-        """
+        """Configurations (n,) counted on beyond a full turn of what turns on. sound (n,): no outliers."""
         return a
 
     def sound(self) -> bool:

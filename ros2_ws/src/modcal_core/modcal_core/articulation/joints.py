@@ -46,9 +46,7 @@ class PlacedJoint(Protocol):
         """What the handle turns about (3,) [m], where there is such a point nearby."""
 
     def sentence(self, a: Array, extent: float, std: Mapping[str, float]) -> str:
-        """What a person is told of it. a: configurations (k,) of samples that are no outliers. extent: of the track
-        [m]. std: of its parameters.
-        """
+        """What a person is told. a (k,): configurations of sound samples. extent: of the track [m]. std: by name."""
 
     def data(self, a: Array, std: Mapping[str, float]) -> dict[str, Any]:
         """Its numbers as JSON can hold them. a: configurations (n,) that were seen. std: of its parameters."""
@@ -147,9 +145,7 @@ class JointModel:
         return self.point if self.turns and self.radius < 2.0 else None
 
     def data(self, a: Array, std: Mapping[str, float]) -> dict[str, Any]:
-        """Data for JSON, see :meth:`Joint.data`: axis, point, radius and pitch (each None where it does not apply), and
-        the start.
-        """
+        """As :meth:`PlacedJoint.data`: the start; axis, point, radius and pitch, each None where it does not apply."""
         return {
             "axis": self.axis.tolist() if self.moves else None,
             "point": self.point.tolist() if self.turns else None,

@@ -175,9 +175,7 @@ _LONGER = 4.0  # deviations of noise on an axis that a stretch is long, where th
 
 
 class Stretches:
-    """A path as the means of short stretches; when there are too many, neighbours are pooled. path: how far it goes
-    [m]. k: how many there are.
-    """
+    """A path as the means of k short stretches, neighbours pooled when there are too many. path: its length [m]."""
 
     def __init__(self) -> None:
         self.path, self.k = 0.0, 0

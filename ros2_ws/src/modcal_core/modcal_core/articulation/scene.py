@@ -105,10 +105,7 @@ class NodeScene:
     def of(
         cls, track: Track, apart: Array, counts: Array, sigma: tuple[float, float], distorted: float = 1.0
     ) -> NodeScene:
-        """Nodes with counts (k,), distances (k, k) [m], noise of one sample sigma [m, rad].
-
-        distorted: how many times the usual distortion is taken.
-        """
+        """Nodes with counts (k,), distances (k, k) [m], noise sigma of a sample, distortion times the usual one."""
         smooth = np.exp((-0.5 / furniture.DISTORTION_REACH**2) * apart * apart)
         both, per = [], 1.0 / counts
         for s, least, d in zip(sigma, _MIN_NOISE, furniture.DISTORTION, strict=True):

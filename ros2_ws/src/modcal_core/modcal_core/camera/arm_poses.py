@@ -114,9 +114,7 @@ _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
 class ValuePrior(NamedTuple):
-    """start: of V values in a fit, (V,). mean, information: of their prior, (V,) and (V, V). free: which of them are
-    fitted, (V,) bool.
-    """
+    """start (V,): of a fit's values. mean (V,), information (V, V): of their prior. free (V,): which are fitted."""
 
     start: Array
     mean: Array

@@ -220,9 +220,7 @@ _MIN_MARKERS = 3  # not on one line: fewer have no pose
 
 @dataclass(frozen=True)
 class BundleMarker:
-    """id: as detectors have it. xyz: of its middle on the body [m]. quaternion: T_body_marker's, x y z w. size: of its
-    side [m], 0 of a bare point.
-    """
+    """id: as detectors have it. xyz [m], quaternion x y z w: of T_body_marker. size: of its side [m], 0 of a point."""
 
     id: int
     xyz: tuple[float, float, float]

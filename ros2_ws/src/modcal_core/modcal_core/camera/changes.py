@@ -42,9 +42,7 @@ _ONLY_ROUNDING = 1e-9  # of an image's information, which a direction it does no
 
 @dataclass(frozen=True)
 class CameraSpace(Space):
-    """Rows of images, six of each. whitened: of a motion of the tool, seen from the root (6, N), that of the target in
-    the image, white, (6, N).
-    """
+    """Rows of images, six of each. whitened: of a motion of the tool (6, N), seen from the root, that in the image."""
 
     whitened: Callable[[Array], Array] = np.asarray
 
@@ -217,9 +215,7 @@ class Moved:
         return f"The {self.what} was moved by {self.by}"
 
     def before(self, image: str, whose: str = "") -> str:
-        """The finding with what to do about the images of a fit. image: the name of the first one after it. whose:
-        suffix that names the camera of several.
-        """
+        """The finding, and what to do. image: name of the first one after it. whose: suffix that names the camera."""
         said, do = f"The {self.what}{whose} was moved before image {image}, by {self.by}: ", ""
         if self.focal:
             said = f"The camera{whose} has another focal length from image {image} on, by {100.0 * self.focal:+.1f} %: "
@@ -306,9 +302,7 @@ def half_changes(seen: Sequence[_Watched], order: np.ndarray) -> list[Change]:
 
 
 def find_change(fit: CameraFit) -> Moved | None:
-    """The likeliest change among the images of the first camera of a fit, since the image of that number; None if none
-    is beyond doubt.
-    """
+    """The likeliest change among the images of the first camera, since a numbered one; None if none is beyond doubt."""
     # a camera that was moved would put the others' images of the same stops elsewhere as well
     cameras = fit.equations.cameras
     before = np.cumsum([0, *(len(one.stop) for one in cameras)])

@@ -224,9 +224,7 @@ def grams(table: CornerTable, rows: CornerRows) -> Array:
 
 @dataclass(frozen=True)
 class CameraState:
-    """values: of the arm's parameters, (P,). offset_s: of the clock. common: lens, shape, readout and places of
-    markers, (15 + Z,). kind: a lens of this kind.
-    """
+    """values (P,): of the arm. offset_s: of the clock. common (15 + Z,): lens, shape, readout, places. kind: a lens."""
 
     values: Array
     offset_s: float

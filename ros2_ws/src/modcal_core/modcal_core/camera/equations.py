@@ -221,9 +221,7 @@ class ReadingsBeside:
     def rows(
         self, arm: Sequence[ModelParameter], values: Array, effects: Sequence[Effect], columns: Array, count: int
     ) -> BesideRows:
-        """The rows with the arm's parameters, effects and own ones at these values, in that order. columns: where each
-        of these stands among ``count``.
-        """
+        """The rows at values of arm, effects and own parameters. columns: where these stand among ``count``."""
         order, samples = np.roll(np.arange(len(values)), len(self.own)), self.samples
         model = self.model.with_effects(tuple(effects))
         at = linearise(model, (*self.own, *arm), values[order], samples)
@@ -244,9 +242,7 @@ class ReadingsBeside:
         )
 
     def far(self, rows: BesideRows, size: float) -> np.ndarray:
-        """Which readings are nowhere near the arm, (N,), the others' scatter being the scale: one that is far off makes
-        ``size`` large.
-        """
+        """Which readings (N,) are nowhere near the arm, by the others' scatter: far ones make ``size`` large."""
         z = rows.residual**2 / rows.variance(size)
         N, pose = len(self.samples), self.samples.is_pose
         worst = z[: 3 * N].reshape(3, N).sum(axis=0)
@@ -367,9 +363,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class SolvedEquations:
-    """Normal equations H x = b of the free parameters, prior included; P: of the prior alone. cost: of the state.
-    spread: log determinant of the noise.
-    """
+    """H x = b of the free parameters, P of the prior in H. cost: of the state. spread: log determinant of the noise."""
 
     equations: Equations
     sizes: Sizes

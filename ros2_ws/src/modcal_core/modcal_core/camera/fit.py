@@ -312,9 +312,7 @@ class CameraFit:
 
     @property
     def pixels(self) -> Array:
-        """By how much corners (M, 2) of the first camera are elsewhere than the model has them, the images' own twists
-        not put in [px].
-        """
+        """By how much corners (M, 2) of the first camera differ from the model, images' own twists not put in [px]."""
         return self.equations.cameras[0].pixels
 
     @property
@@ -373,10 +371,7 @@ _Place = tuple[Array, SolvedEquations]
 def fit_cameras(
     cameras: Cameras, start: Array | None = None, sizes: Sizes = START, fixed_sizes: bool = False
 ) -> CameraFit:
-    """The fit of all cameras from values (V,), or from where the cameras begin.
-
-    sizes: to begin with. fixed_sizes: take the sizes as they are.
-    """
+    """The fit of all cameras from values (V,), or where these begin. sizes: to begin with; fixed_sizes: to keep."""
     x = cameras.expected.start if start is None else start
     stated = cameras.first.poses.arm_stated
     if stated is not None:
@@ -407,9 +402,7 @@ def fit_cameras(
 
 
 def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:
-    """The covariance of this model, which predicts as the fit does. What is uncertain of lens, target and sheet is in
-    it.
-    """
+    """The covariance of this model, which predicts as the fit does; what is unsure of lens and target is in it."""
     poses = fit.poses
     count, P = poses.count, len(poses.parameters)
     samples = general_samples(model, [View(POSE, f) for f in range(len(model.frames))], each=max(24, count))

@@ -285,10 +285,7 @@ def relative_turns(T: Array) -> Array:
 
 
 def explained(error: BadRecording, chain: Chain, q: Array, poses: BoardPose, on_tip: bool | None) -> BadRecording:
-    """The error with what was written down wrongly, where that is beyond doubt, else as it was.
-
-    q: (N, n) of the images. on_tip: the mounting where it is stated.
-    """
+    """The error with what was written down wrongly, where that is beyond doubt. q (N, n). on_tip: as it is stated."""
     answers = []
     for carried in (True, False) if on_tip is None else (on_tip,):
         T = se3.inverse(poses.T[:, 0]) if carried else poses.T[:, 0]

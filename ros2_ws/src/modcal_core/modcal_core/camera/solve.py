@@ -229,9 +229,7 @@ class CameraSolution:
 
     @property
     def judged(self) -> ToolError:
-        """The error that counts: where the target is in view, with a body the arm's by itself, for fixed cameras are
-        there for the arm, wherever they stand.
-        """
+        """The error that counts: in view; with a body the arm's by itself, wherever the fixed cameras stand."""
         return self.claim.alone if self.fit.table.places else self.claim.in_view
 
     @property

@@ -220,9 +220,7 @@ class CameraFinding:
 
 
 def findings(fit: CameraFit, other_length: bool, q: Array) -> tuple[CameraFinding, ...]:
-    """Defaults that do not hold. other_length: whether anything but the sheet states a length. q: postures (M, n) over
-    which the size at the flange is.
-    """
+    """Defaults that do not hold. other_length: not of the sheet. q (M, n): postures for the size at the flange."""
     P, C, scale = fit.poses.count, fit.covariance, fit.table.target.scale
     J, plain, out = fit.flange_motions(q), fit.misfit, []
     for what, row in _STATEMENTS.items():

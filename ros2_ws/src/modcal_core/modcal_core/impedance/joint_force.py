@@ -70,10 +70,7 @@ _MOMENTS = 150
 
 @dataclass
 class FreeMotion:
-    """What joints reported while the arm moved freely, before it took hold of anything. Take every reading.
-
-    sensor: what that of the wrist reported.
-    """
+    """What joints, and the sensor at the wrist, reported before the arm took hold of anything. Take every reading."""
 
     sensor: SensorWeighing = field(default_factory=SensorWeighing)
 
@@ -153,10 +150,7 @@ class JointForce:
         self._rest.append((joints.q, joints.effort))
 
     def begin(self, J: Array, motion: FreeMotion | None = None) -> None:
-        """The pull begins: see whether efforts are torques. J (6, n): of the tool, in its axes.
-
-        motion: what was seen of the arm before.
-        """
+        """The pull begins: are efforts torques? J (6, n): of the tool, in its axes. motion: seen of the arm before."""
         arm, weight = self._arm, self._weight
         if arm is None or weight is None:
             return

@@ -374,10 +374,7 @@ class LeadCheck:
     def refused(
         self, tool: Array, force: float, stamp: float, most: float, moved: tuple[float, float] | None = None
     ) -> BadCommand | None:
-        """Why to let go: more than ``most`` [N] is not felt, or the sensor is stuck; None where all is well.
-
-        moved: as of :meth:`unfelt`.
-        """
+        """Why to let go: over ``most`` [N] is not felt, or the sensor is stuck; or None. moved: see :meth:`unfelt`."""
         if stamp <= self._looked:
             return None
         self._looked = stamp

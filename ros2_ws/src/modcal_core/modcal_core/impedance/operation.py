@@ -62,10 +62,7 @@ _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is 
 
 
 class Operation:
-    """One pull at one object. Tick it; it is over when a tick has said Stop, or after :meth:`stop`.
-
-    tool_force: what is felt, and what tells whether that is all.
-    """
+    """One pull at one object. Tick it until a tick says Stop, or :meth:`stop` it. tool_force: what is felt."""
 
     def __init__(self, chain: Chain, task: ImpedanceTask, limits: Limits, softest: Array | None = None,
                  efforts: ArmEfforts | None = None, motion: FreeMotion | None = None) -> None:  # fmt: skip

@@ -146,9 +146,7 @@ class SafetyMonitor:
         self.tripped = self.tripped or why
 
     def check(self, setpoint: ArmSetpoint, sensors: SensorReadings, now: float) -> ArmSetpoint:
-        """The setpoint, if it may be sent at time ``now`` [s]. Raises LateInput for a late input and BadCommand for
-        anything else.
-        """
+        """The setpoint, if it may be sent now [s]. Raises LateInput for a late input, BadCommand for all else."""
         if self.tripped or self._last is None:
             raise BadCommand(
                 "setpoint", f"the safety monitor has tripped ({self.tripped})", "clear the cause, then activate again"

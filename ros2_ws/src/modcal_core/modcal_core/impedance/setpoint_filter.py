@@ -80,9 +80,7 @@ class SetpointFilter:
         self._h = h
 
     def moved_by(self, wrench: Array) -> tuple[float, float]:
-        """How far a wrench (6,) on the tool, in its axes, moves it where every joint yields by 1 rad to 1 N m, and how
-        far one newton does at most [N m²].
-        """
+        """How far a wrench (6,), and one newton at most, moves the tool, joints yielding by 1 rad to 1 N m [N m²]."""
         J = self.jacobian
         way = J[:3] @ (J.T @ wrench)
         return math.sqrt(way @ way), float(np.linalg.eigvalsh(J[:3] @ J[:3].T)[-1])

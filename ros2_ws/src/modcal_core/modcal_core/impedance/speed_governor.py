@@ -173,9 +173,7 @@ NO_STATUS = "object_status: no recent message: check that articulation_estimator
 
 
 class InputWatch:
-    """Watch over the inputs of one pull. timeout: oldest input that is used [s]. pending: why to let go once joint
-    states return, or "".
-    """
+    """Watch over a pull's inputs. timeout: oldest that is used [s]. pending: why to let go when joints return."""
 
     def __init__(self, timeout: float) -> None:
         self.timeout = timeout

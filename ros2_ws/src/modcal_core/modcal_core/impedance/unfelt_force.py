@@ -42,10 +42,7 @@ _REST = 1e-4  # rad or m: what dry friction leaves in a lead as the arm stands
 
 
 class ServoModel:
-    """Rows e = l v + c τ + b, all learned at once.
-
-    compliance (m,): of each, 0 where none stands out. unsure_by (m,): its standard deviation.
-    """
+    """Rows e = l v + c τ + b. compliance (m,): 0 where none stands out. unsure_by (m,): its standard deviation."""
 
     def __init__(self, softest: Array, lag: float) -> None:
         """softest (m,): compliance that a row may have before it is learned [rad/N m, m/N]. lag: stated [s]."""
@@ -175,9 +172,7 @@ class _Moment:
 
 
 class UnfeltForce:
-    """Force [N] that the sensor does not show, from the leads of the joints. ``sure``: the part that late messages
-    cannot explain. Call every tick.
-    """
+    """Force [N] that leads show and the sensor does not. sure: what late messages cannot explain. Call every tick."""
 
     def __init__(self, joints: int, lag: float, period: float, stiffest: float = 100e3) -> None:
         """For a number of joints whose servos lag by about so much, with a reference every period [s].
@@ -209,9 +204,7 @@ class UnfeltForce:
 
     @property
     def servos(self) -> tuple[Array, Array, Array] | None:
-        """Servo lags (n,) [s], their standard deviations (n,) [s], and the leads at rest (n,) [rad]; None before
-        anything is learned.
-        """
+        """Servo lags (n,) [s], their deviations (n,) [s] and leads at rest (n,) [rad]; None before any are learned."""
         if self.model.count < FEWEST:
             return None
         n, model = self._n, self.model

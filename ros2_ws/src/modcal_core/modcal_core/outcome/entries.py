@@ -245,10 +245,7 @@ def rms(residuals: Errors) -> float:
 
 
 def load_findings(loads: Loads | None, model: Model, scored: Samples) -> tuple[Finding, ...]:
-    """The payload as an entry of the report; none where none was found.
-
-    What it is worth is what its removal costs, compliances and all else being kept.
-    """
+    """The payload as an entry of the report, worth what its removal alone costs; none where none was found."""
     if loads is None or not loads.payloads or loads.relative or not len(scored):
         return ()
     sizes: dict[str, Quantity] = {}

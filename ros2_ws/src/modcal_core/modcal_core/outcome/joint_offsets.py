@@ -106,9 +106,7 @@ class JointOffsets:
 
 
 def offsets_of(calibration: Calibration) -> JointOffsets | None:
-    """Joint offsets of a calibration at the postures it was made from, so they do not depend on what it is evaluated
-    on.
-    """
+    """Joint offsets of a calibration at the postures it was made from, whatever it is evaluated on."""
     turns, known = calibration.kind == "pose", calibration.uncertainty
     return joint_offsets(calibration.calibrated, calibration.postures, turns, known)
 

@@ -155,9 +155,7 @@ class HeatTable:
 
 @dataclass(frozen=True)
 class KeyFigures:
-    """Names and values, None where one is left to be filled in. look: as tiles, as facts, hashes in small print, or
-    roles with lines to sign.
-    """
+    """Names and values, None where one is to be filled in. look: tiles, facts, small hashes, or lines to sign."""
 
     rows: Sequence[tuple[str, str | None]]
     look: Literal["tiles", "facts", "facts hash", "signs"] = "tiles"
@@ -242,9 +240,7 @@ class Fold:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page. name: for links, unique on the page. title: its heading. short: its name in the list of
-    sections; empty: not listed.
-    """
+    """A part of a page. name: for links, unique. title: its heading. short: in the list of sections, if it is there."""
 
     name: str
     title: str
@@ -433,9 +429,7 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def quantity_tables(quantities: Iterable[Quantity], what: str = "quantity") -> list[TableBlock]:
-    """Values and standard deviations, those in SI as people read them, a table for each unit. what: a word for the
-    names.
-    """
+    """Values and standard deviations, from SI to what people read, a table a unit. what: a word for the names."""
     found: dict[str, list[tuple[str, ...]]] = {}
     for name, value, std, si in quantities:
         unit, factor = scaled(si)

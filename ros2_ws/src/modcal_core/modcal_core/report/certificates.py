@@ -105,10 +105,7 @@ def certificate(
     particulars: Particulars | None = None,
     hashes: Hashes | None = None,
 ) -> Certificate:
-    """The certificate of a report. Raises BadTable where no tolerance was asked for.
-
-    stated: of arm and instrument.
-    """
+    """The certificate of a report. Raises BadTable where no tolerance was asked for."""
     met, stated, said = report.tolerance, stated or Stated(), particulars or Particulars()
     hashes = hashes or Hashes()
     if met is None:

@@ -313,10 +313,7 @@ def kinematics_text(chain: Chain, origins: Mapping[str, Array], factory: Mapping
 def report_files(
     report: Outcome, page: bool = True, calibration: str = "", others: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """Names and texts of a report, whose page names the other files as well, and of those.
-
-    calibration: of an evaluation, the name of what was evaluated.
-    """
+    """Names and texts of a report and of the others, which its page names. calibration: what was evaluated, by name."""
     data, others = to_json_data(report), others or {}
     files = {"report.json": to_json(data)}
     if page:

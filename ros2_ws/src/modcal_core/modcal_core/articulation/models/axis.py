@@ -166,18 +166,14 @@ class AxisMotion(Motion):
         return self.G.T @ track.rotations @ (self.R.T @ self.G)
 
     def apart(self, both: Array, by_a: Array) -> Array:
-        """What positions leave across the path (k, 2 or 3, 1 + size); what the configuration absorbs is taken from
-        both.
-        """
+        """What positions leave across the path (k, 2 or 3, 1 + size); what a configuration absorbs leaves both."""
         t = by_a[:, :3]
         along = t[:, None] @ both[:, :3] / (t * t).sum(axis=1)[:, None, None]
         both -= by_a[:, :, None] * along
         return both[:, 1:3]
 
     def turns_apart(self, both: Array) -> tuple[Array, Array | None]:
-        """Rotation residuals that are independent of positions, and those about the axis that are not (None where there
-        are none).
-        """
+        """Rotation residuals that no position tells of, and those about the axis that positions tell, None without."""
         return both[:, 3:], None
 
     def priors(self) -> list[tuple[float, tuple[float, float]]]:
@@ -237,9 +233,7 @@ class AxisMotion(Motion):
         return {}
 
     def covariance(self, parameters: Array) -> dict[str, Array]:
-        """Covariances of axis, start, point (also called centre) and pitch, from the covariance of the parameters
-        (size, size).
-        """
+        """Covariances of axis, start, point (or centre) and pitch, from that of the parameters (size, size)."""
         named = {name: g @ parameters @ g.T for name, g in self.gradients().items()}
         if "point" in named:
             named["centre"] = named["point"]

@@ -131,9 +131,7 @@ class PathShape(ABC):
         return out
 
     def checked_path(self, values: Array, count: int) -> tuple[Array, Array]:
-        """``count`` configurations over the whole range, and the poses there. Raises BadTable where the handle does not
-        move.
-        """
+        """``count`` configurations over the whole range, and the poses there. Raises BadTable where nothing moves."""
         a = np.linspace(self.lower, self.upper, count)
         T = self.checked_pose(values, a)
         if float(np.ptp(T[:, :3, 3], axis=0).max()) < 1e-6:

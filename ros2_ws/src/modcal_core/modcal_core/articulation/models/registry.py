@@ -32,9 +32,7 @@ _MAX_SHARE = 0.5  # of all that moves, for all that packages add together
 
 @cache
 def all_models() -> tuple[ArticulationModel, ...]:
-    """The built-in joint types, then those of installed packages. Raises BadTable for what is none, or takes
-    another's name.
-    """
+    """The built-in joint types, then those of packages. Raises BadTable for what is none, or takes another's name."""
     known = list(BUILT_IN)
     for offender, model in added(GROUP):
         if not isinstance(model, ArticulationModel):
