@@ -6,7 +6,7 @@ if TYPE_CHECKING:
     from modcal_core.articulation.choice import Choice, choose, sound
     from modcal_core.articulation.conventions import require_convention
     from modcal_core.articulation.fit import JointFit
-    from modcal_core.articulation.joints import JointModel, PlacedJoint
+    from modcal_core.articulation.joints import JointModel
     from modcal_core.articulation.misfit import NONE
     from modcal_core.articulation.online import Tracker, TrackerSettings, TrackerState
     from modcal_core.articulation.track import FEWEST, StampOrder, Track
@@ -16,6 +16,6 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["FEWEST", "JOINT", "NONE", "Choice", "JointFit", "JointModel", "PlacedJoint", "StampOrder", "Track"]
+__all__ = ["FEWEST", "JOINT", "NONE", "Choice", "JointFit", "JointModel", "StampOrder", "Track"]
 __all__ += ["Tracker", "TrackerSettings", "TrackerState", "choose", "describe", "frames", "read", "sound"]
 __all__ += ["require_convention"]

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
-from modcal_core.articulation.joints import PlacedJoint
+from modcal_core.articulation.joints import JointModel, PathJoint
 from modcal_core.articulation.models.registry import axis_model
 from modcal_core.articulation.track import Track, one_way
 from modcal_core.geometry import Array, descend
@@ -46,7 +46,7 @@ class JointFit:
     chosen.
     """
 
-    model: PlacedJoint
+    model: JointModel | PathJoint
     configurations: Array
     covariance: dict[str, Array]
     log_likelihood: float

@@ -24,7 +24,7 @@ from typing import Any, ClassVar, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation.joints import PlacedJoint
+from modcal_core.articulation.joints import JointModel, PathJoint
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import HAT, Array, crossed, so3
 
@@ -80,7 +80,7 @@ class Motion(ABC):
         """What the prior's density has beside its exponent, in the coordinates of the motion."""
 
     @abstractmethod
-    def joint(self, a: float = 0.0) -> PlacedJoint:
+    def joint(self, a: float = 0.0) -> JointModel | PathJoint:
         """The joint, with its configuration 0 where this motion has a."""
 
     @abstractmethod

@@ -84,12 +84,14 @@ class Track:
 
     @classmethod
     def of_poses(cls, poses: ArrayLike, stamps: ArrayLike | None = None) -> Track:
-        """The track of poses x y z qx qy qz qw (n, 7), or of positions (n, 3) [m].
+        """The track of poses x y z qx qy qz qw (n, 7) or (n, 4, 4), or of positions (n, 3) [m], which are copied.
 
         Raises what Track raises, and BadRecording for a quaternion whose length is off 1 by more than 2 %.
         """
-        poses = np.asarray(poses, dtype=float)
-        times = None if stamps is None else np.asarray(stamps, dtype=float)
+        poses = np.array(poses, dtype=float)
+        times = None if stamps is None else np.array(stamps, dtype=float)
+        if poses.ndim == 3 and poses.shape[1:] == (4, 4):
+            return cls(poses[:, :3, 3], poses[:, :3, :3], times)
         if poses.ndim != 2 or poses.shape[1] not in (3, 7):
             raise BadRecording("track", f"has shape {poses.shape}, not (n, 3) or (n, 7)",
                                "give x y z or x y z qx qy qz qw")  # fmt: skip
@@ -107,18 +109,11 @@ class Track:
     def from_arrays(
         cls, points: ArrayLike | None = None, poses: ArrayLike | None = None, stamps: ArrayLike | None = None
     ) -> Track:
-        """The track of points (n, 3) [m], or of poses (n, 4, 4) or x y z qx qy qz qw (n, 7) [m], which are copied.
-
-        stamps: [s], (n,). Raises what Track raises, and BadRecording unless one of points and poses is given.
-        """
+        """:meth:`of_poses` of points or poses. Raises BadRecording unless one of them is given."""
         if (points is None) == (poses is None):
             said = "neither points nor poses are given" if points is None else "points and poses are given"
             raise BadRecording("track", said, "give one of them")
-        values = np.array(points if poses is None else poses, dtype=float)
-        if values.ndim == 3 and values.shape[1:] == (4, 4):
-            times = None if stamps is None else np.array(stamps, dtype=float)
-            return cls(values[:, :3, 3], values[:, :3, :3], times)
-        return cls.of_poses(values, stamps)
+        return cls.of_poses(points if poses is None else poses, stamps)  # type: ignore[arg-type]
 
     def __len__(self) -> int:
         return len(self.positions)

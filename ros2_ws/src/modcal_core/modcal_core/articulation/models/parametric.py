@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -36,6 +36,7 @@ from modcal_core.articulation.joint_motion import (
     middle_rotation,
     quick_log,
 )
+from modcal_core.articulation.joints import PathJoint
 from modcal_core.articulation.track import Track
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3, so3, turned
@@ -315,52 +316,6 @@ class ParametricMotion(Motion):
         _, std = self.model.prior
         own = (std**2 * np.diag(parameters)[self.size - self.model.size :]).tolist()
         return {p.name: np.array([[c]]) for p, c in zip(self.model.parameters, own, strict=True)}
-
-
-@dataclass(frozen=True)
-class PathJoint:
-    """A shape in its place: ``T_world_handle = pose(a)`` at the shape's own configuration a.
-
-    kind: name of the joint type. values: by parameter. T_world_object (4, 4). oriented: whether rotations were seen.
-    unit: of a.
-    """
-
-    kind: str
-    values: dict[str, float]
-    T_world_object: Array
-    oriented: bool
-    unit: str
-    motion: ParametricMotion = field(repr=False)
-
-    def pose(self, a: Array) -> Array:
-        """T_world_handle (n, 4, 4) at configurations a (n,)."""
-        return self.motion.poses(np.asarray(a, dtype=float))
-
-    def position(self, a: Array) -> Array:
-        """Positions of the handle (n, 3) [m] at configurations a (n,)."""
-        return self.pose(a)[:, :3, 3]
-
-    def centre(self) -> None:
-        """It has no axis."""
-
-    def sentence(self, a: Array, extent: float, std: Mapping[str, float]) -> str:
-        """How far it moved along its path, and its parameters."""
-        path = self.position(np.sort(a))
-        way = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-        said = ", ".join(f"{name} {value:.3g} ± {std[name]:.2g}" for name, value in self.values.items())
-        return f"moved {1e2 * way:.0f} cm along its path; {said}"
-
-    def data(self, a: Array, std: Mapping[str, float]) -> dict[str, Any]:
-        """As :meth:`Joint.data`: the start, the place of the object, and the parameters; it has no axis."""
-        units = {p.name: p.unit for p in self.motion.model.parameters}
-        return {
-            **dict.fromkeys(("axis", "point", "radius", "pitch")),
-            "start": se3.to_pose(self.pose(a[:1])[0]).tolist(),
-            "object": se3.to_pose(self.T_world_object).tolist(),
-            "parameters": {
-                name: {"value": value, "std": std[name], "unit": units[name]} for name, value in self.values.items()
-            },
-        }
 
 
 __all__ = ["ParametricModel", "ShapeParameter"]

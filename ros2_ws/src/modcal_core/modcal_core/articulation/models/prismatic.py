@@ -24,10 +24,6 @@ class PrismaticJoint(JointModel):
     radius: ClassVar[float] = np.inf
     length_per_unit: ClassVar[float] = 1.0
 
-    def twist(self) -> Array:
-        """(axis, 0) (6,)."""
-        return np.concatenate([self.axis, np.zeros(3)])
-
     def configuration(self, seen: ArrayLike) -> Array:
         """How far along the axis (...) [m]."""
         return (placed(seen)[0] - self.start[:3, 3]) @ self.axis
