@@ -4,14 +4,10 @@ What is minimised, over the parameters θ of the motion and the configurations a
 
     Σᵢ (ν + m) / 2 · log(1 + χᵢ² / ν) + ½ Σ ((θ − prior mean) / prior std)²,   χᵢ² = |eᵢ|² / σ_p² + |φᵢ|² / σ_r²
 
-Student's t with ν = 4 in m = 2 (5 with rotations) dimensions across the path, so that gross outliers lose their weight
-(Lange, Little and Taylor, JASA 1989). Given θ, the configurations are those nearest; their share of every derivative is
-projected out (Kaufman's variable projection), which leaves a Gauss–Newton problem in θ alone. Scales are
-re-estimated in every step as in EM. The prior on radius and pitch is furniture's; it is felt only where the track
-says next to nothing.
-
-The covariance is Huber's for M-estimates, times a factor for samples that are not independent: neighbours in time whose
-residuals agree say less than their number.
+Student's t with ν = 4 in m = 2 (5 with rotations) dimensions across the path (Lange, Little and Taylor, JASA 1989).
+Given θ, the configurations are those nearest; their share of every derivative is projected out (Kaufman's variable
+projection). Scales are re-estimated in every step as in EM. The prior on radius and pitch is furniture's. The
+covariance is Huber's for M-estimates, times a factor for neighbours in time whose residuals agree.
 """
 
 from __future__ import annotations

@@ -114,10 +114,7 @@ class Motion(ABC):
 
 
 def quick_log(R: Array) -> tuple[Array, Array, Array]:
-    """Rotation vectors (n, 3) of rotations (n, 3, 3); sines and cosines (n,) of their angles.
-
-    By the sine where no angle is large, which is quicker than by quaternions.
-    """
+    """Rotation vectors (n, 3) of rotations (n, 3, 3), by the sine, which is quick; sines and cosines (n,)."""
     found = R.reshape(-1, 9) @ _SINE_AND_TRACE
     v, cosine = found[:, :3], 0.5 * (found[:, 3] - 1.0)
     sine = np.sqrt((v * v).sum(axis=1))

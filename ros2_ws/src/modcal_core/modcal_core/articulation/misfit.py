@@ -146,10 +146,7 @@ CAP = 0.03  # m: samples farther off are outliers
 
 
 def bend_explains(track: Track, left: Array, along: Array) -> str:
-    """Why a smooth bend is to be considered, as text; empty where it is not.
-
-    left (n, 3): what the joint leaves of positions [m]. along (n,): configurations of the samples.
-    """
+    """Why a smooth bend explains what is left (n, 3) [m] along configurations (n,), as text; empty where none does."""
     near = np.linalg.norm(left, axis=1) < CAP
     e, a = left[near], along[near]
     n, coefficients = len(e), 2 * (_TRACK_DEGREE + 1)  # of the two directions across the path

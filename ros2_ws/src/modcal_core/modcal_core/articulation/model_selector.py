@@ -63,10 +63,7 @@ class ModelSelector:
         self._jitter.append((float(step[:3] @ step[:3]), turn))
 
     def advance(self, nodes: Nodes) -> bool:
-        """A slot of the round, or a step on the nodes of now, or both; whether another kind is selected now.
-
-        What a round has found is concluded where the next one begins.
-        """
+        """A slot of the round, or a step on the nodes of now, or both; whether another kind is selected now."""
         self._turn += 1
         if self._turn % 2 == 0 and nodes.k >= FEWEST_NODES and self.motion is not None:
             if nodes.oriented:  # both together would take too long

@@ -69,10 +69,7 @@ class PredictionCheck:
         self._range = [path, path]
 
     def look(self, motion: AxisMotion, a: float, p: Array) -> None:
-        """Ask the models whose time has come with the pose that is here, and keep this one if the handle came further.
-
-        a: this motion's configuration of the pose. p: the pose's position (3,) [m].
-        """
+        """Ask models whose time has come with the pose at p (3,) [m], configuration a; keep this one farther on."""
         length = motion.length_per_unit
         ahead = min(self._ahead_m, self._ahead_rad * length if motion.turns else math.inf)
         step = 0.0 if self._before is None else math.dist(p, self._before)

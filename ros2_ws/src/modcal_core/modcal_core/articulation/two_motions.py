@@ -93,10 +93,7 @@ def are_two(stretches: Stretches, noise: float) -> bool:
 
 
 def squares(p: Array) -> float:
-    """Squares [m²] that the better of a line and a circle leaves of points (n, 3), capped point by point.
-
-    The circle is the algebraic one in the plane that fits best, by normal equations about the middle.
-    """
+    """Squares [m²] that the better of a line and an algebraic circle leaves of points (n, 3), capped one by one."""
     x = p - p.mean(axis=0)
     axes = np.linalg.eigh(x.T @ x)[1]
     y = x @ axes[:, ::-1]

@@ -200,10 +200,7 @@ class ArmPoses:
         return model_at(self.model, self.parameters, values)
 
     def tool_motions(self, values: Array, offset_s: float = 0.0) -> tuple[Array, Array]:
-        """(T_frame_tool (N, 4, 4), its derivative (N, 6, P): shift of the tool's origin and turn, along the frame).
-
-        offset_s: by how much later than stated the joints were where the images say.
-        """
+        """T_frame_tool (N, 4, 4), the joints read so late [s], and shift and turn along the frame (N, 6, P)."""
         at = self.drivers(offset_s)
         now = self.model_at(values)
         J = linearise(self.model, self.parameters, values, at.samples, drivers=at).J

@@ -239,9 +239,7 @@ _CLEANED = 5  # times that points and images are looked through
 
 
 def view_distances(fit: CameraFit) -> tuple[Array, np.ndarray]:
-    """(squared distance of each image's pose from the arm's, in its own standard deviations, (N,); along how many
-    directions it shows it, (N,), which is what it is on average).
-    """
+    """Squared distances (N,) of images' poses from the arm's, in deviations; along how many directions (N,)."""
     G = fit.equations.cameras[0].grams[:, :POSE] / fit.sizes.noise**2
     inner, score = G[:, :, :POSE], G[:, :, -1:]
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("nii->ni", inner), 1e-300))

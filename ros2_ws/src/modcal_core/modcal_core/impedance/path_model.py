@@ -1,7 +1,7 @@
 """Where the tool is expected while something is opened: a pull into the unknown, then the way that a model knows.
 
-The path is walked from the posture that the arm has, pose by pose, with Newton's method; what the arm has to spare
-turns joints away from their limits. A walk can be taken in pieces, so that a control loop goes on meanwhile.
+The path is walked from the posture that the arm has, pose by pose, with Newton's method, in pieces, so that a control
+loop goes on meanwhile; what the arm has to spare turns joints away from their limits.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The joints that follow a wanted pose smoothly: one step of Newton's method a tick, within speeds and accelerations.
 
-The wanted pose may jump; what comes out does not. The way to it is taken with v = min(e / h, √(a e), v_max), which
-brakes in time, and v changes by no more than a h. Joints share what the arm can do: their step is cut as a whole, so
-that the tool stays on its way, and what an arm has to spare goes towards a posture that was chosen beforehand.
+The wanted pose may jump; what comes out does not. The way to it is taken with v = min(e / h, √(a e), v_max), and v
+changes by no more than a h. Joints share what the arm can do: their step is cut as a whole, so that the tool stays on
+its way, and what an arm has to spare goes towards a posture that was chosen beforehand.
 """
 
 from __future__ import annotations

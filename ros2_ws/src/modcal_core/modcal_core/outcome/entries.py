@@ -364,10 +364,7 @@ def moved_note(residuals: Errors, calibration: Calibration, refit_base: bool, re
 
 
 def unseen_note(samples: Samples, calibration: Calibration, beyond: float = 0.0) -> tuple[str, ...]:
-    """A sentence for joints that go where the calibration has never seen them, and what is done there.
-
-    beyond: share of the samples that may do so without a word.
-    """
+    """A sentence for joints that go where no calibration saw them. beyond: share of samples that may without a word."""
     low, high = calibration.seen
     margin = 0.02 * (high - low)
     out = (samples.q < low - margin) | (samples.q > high + margin)

@@ -88,9 +88,7 @@ class TableBlock:
 
     @classmethod
     def of(cls, title: str, header: str, cells: str, records: Iterable[Any], **look: Any) -> Self:
-        """A row for each record. header: names of the columns, between bars. cells: how entries or attributes of a
-        record are written below them, between bars as well.
-        """
+        """A row for each record. header, cells: names of the columns, and how entries stand below, between bars."""
         columns = cells.split(" | ")
         rows = tuple(tuple(written(cell, record) for cell in columns) for record in records)
         return cls(title, tuple(header.split(" | ")), rows, **look)

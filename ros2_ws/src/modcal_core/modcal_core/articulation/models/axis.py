@@ -2,13 +2,10 @@
 
 A motion carries a frame G at the handle's start p: column 0 points along the handle's path (for a screw, along the part
 of it that goes round), column 1 from the handle to the axis, column 2 along the axis, which stands at p + r G[:, 1].
-A prismatic motion goes along column 0. What was seen at configuration a is unwound to configuration 0 and compared
-with the start, in the axes of G:
+What was seen at configuration a is unwound to configuration 0 and compared with the start, in the axes of G:
 
     e = Rz(−a) x + (0, r, −h a),  x = Gᵀ(p_seen − p) − (0, r, 0)        (shift; the tangent ∂e/∂a is −(r, 0, h))
     φ = log(Rz(−a) Gᵀ R_seen R_startᵀ G)                                  (turn)
-
-The direction along which the latent configuration a absorbs play and bias is the same for all samples.
 
 Parameters are small changes: G exp(δ), p + G β with β across the path only (along it, the configurations absorb it),
 R_start turned by γ in G's axes, log r, and log |h|. So prismatic has 4 (7 with rotations), revolute 6 (9), screw 7
