@@ -13,8 +13,11 @@ from scipy.spatial.transform import Rotation
 from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.models.registry import AXES
-from modcal_core.articulation.models.registry import joint as made
+from modcal_core.articulation.models.prismatic import PrismaticMotion
+from modcal_core.articulation.models.registry import axis_model
+from modcal_core.articulation.models.revolute import RevoluteMotion
+from modcal_core.articulation.models.rigid import RigidMotion
+from modcal_core.articulation.models.screw import ScrewMotion
 from modcal_core.articulation.track import Track
 from modcal_core.articulation.urdf import describe, frames, read
 from modcal_core.errors import BadRecording, BadRobot, ModcalError, NotEnoughData
@@ -37,13 +40,14 @@ def errors(found: JointModel, seen: Seen) -> tuple[float, float]:
     return float(np.linalg.norm(away)), float(np.arccos(min(1.0, axis @ seen.axis)))
 
 
-@pytest.mark.parametrize("kind", ["rigid", "prismatic", "revolute", "screw"])
+MOTIONS = {motion.kind: motion for motion in (RigidMotion, PrismaticMotion, RevoluteMotion, ScrewMotion)}
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
 @pytest.mark.parametrize("oriented", [True, False])
 def test_derivatives(kind: Kind, oriented: bool, rng: np.random.Generator) -> None:
     R = so3.exp(rng.normal(size=3)) if oriented else None
-    motion = AXES[kind].motion(
-        rng.normal(size=3), so3.exp(rng.normal(size=3)), R, 0.4, 0.05 if kind == "screw" else 0.0
-    )
+    motion = MOTIONS[kind](rng.normal(size=3), so3.exp(rng.normal(size=3)), R, 0.4, 0.05 if kind == "screw" else 0.0)
     T = motion.joint().pose(rng.uniform(-1.0, 1.0, 8)) @ se3.exp(rng.normal(0.0, 0.05, (8, 6)))
     track = Track(T[:, :3, 3], T[:, :3, :3] if oriented else None)
     a = rng.uniform(-1.0, 1.0, 8)
@@ -70,7 +74,7 @@ def test_derivatives(kind: Kind, oriented: bool, rng: np.random.Generator) -> No
 @pytest.mark.parametrize("oriented", [True, False])
 def test_exact_tracks_give_the_joint_exactly(kind: Kind, oriented: bool, rng: np.random.Generator) -> None:
     seen = ideal(kind, np.linspace(0.0, 1.5, 40), rng, 0.5, 0.06)
-    found = fit(tracked(seen, oriented), kind, prior=False)
+    found = fit(tracked(seen, oriented), kind)
     model = found.model
     assert abs(abs(model.axis @ seen.axis) - 1.0) < 1e-8
     np.testing.assert_allclose(model.position(found.configurations), seen.positions, atol=2e-6)
@@ -164,7 +168,7 @@ def test_noise_that_neighbours_share_is_not_counted_as_independent() -> None:
     for seed in range(60):
         rng = np.random.default_rng(seed)
         seen = ideal("prismatic", np.linspace(0.0, 0.4, 160), rng)
-        found = fit(Track(seen.positions + 1e-3 * shared(160, 0.7, rng)), "prismatic", rng, prior=False)
+        found = fit(Track(seen.positions + 1e-3 * shared(160, 0.7, rng)), "prismatic", rng)
         away = found.model.axis * np.sign(found.model.axis @ seen.axis) - seen.axis
         squares.append(float(away @ np.linalg.pinv(found.covariance["axis"], rcond=1e-6) @ away))
     # two directions across the axis, so 2 on the average; the mean of 60 scatters by 13 %, and the correlation that each
@@ -183,7 +187,7 @@ def some(kind: str, seed: int = 3, radius: float = 0.4, pitch: float = 0.05) -> 
     start = se3.transform(zero.rotations[0], zero.positions[0])
     point = seen.point if kind in ("revolute", "screw") else np.zeros(3)
     return (
-        made(kind, start, seen.axis, point, seen.pitch if kind == "screw" else 0.0),
+        axis_model(kind).joint(start, seen.axis, point, seen.pitch if kind == "screw" else 0.0),
         a,
         seen.positions,
         seen.rotations,
@@ -215,7 +219,7 @@ def test_configuration_undoes_pose_and_position(kind: str, seed: int) -> None:
 def test_a_joint_survives_its_urdf(kind: str, oriented: bool) -> None:
     model, a, *_ = some(kind)
     if not oriented:
-        model = made(model.kind, se3.transform(None, model.start[:3, 3]), model.axis, model.point, model.pitch, False)
+        model = type(model)(se3.transform(None, model.start[:3, 3]), model.axis, model.point, model.pitch, False)
     again = read(describe(model, "base_link", "handle"))
     assert (again.kind, again.oriented) == (model.kind, oriented)
     np.testing.assert_allclose(again.pose(a), model.pose(a), atol=1e-12)
@@ -245,9 +249,9 @@ def test_joints_that_are_none_are_refused() -> None:
     good, *_ = some("revolute")
     for change in ({"axis": 2.0 * good.axis}, {"point": np.full(3, np.nan)}, {"pitch": 0.1}, {"kind": "spherical"},
                    {"start": 2.0 * good.start}):  # fmt: skip
-        kept = {name: getattr(good, name) for name in ("kind", "start", "axis", "point", "pitch", "oriented")}
+        kept = {name: getattr(good, name) for name in ("start", "axis", "point", "pitch", "oriented")}
         with pytest.raises(BadRobot):
-            made(**{**kept, **change})
+            axis_model(change.pop("kind", good.kind)).joint(**{**kept, **change})
     with pytest.raises(ValueError, match="read-only"):
         good.start[0, 0] = 2.0
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from impedance.toy import PERIOD, T_READY, door, drawer
 
-from modcal_core.articulation.models.registry import joint
+from modcal_core.articulation.models.registry import axis_model
 from modcal_core.geometry import se3, so3
 from modcal_core.impedance.path_model import Exploration, PathModel
 from modcal_core.impedance.speed_governor import ForcePrediction, GovernorSettings, SpeedGovernor
@@ -21,7 +21,7 @@ BACK = T_READY[:3, :3].T @ np.array([-1.0, 0.0, 0.0])  # towards −x of the bas
 def test_it_opens_the_way_it_has_gone_whatever_sign_the_axis_has(kind: str, flip: float) -> None:
     truth = drawer() if kind == "prismatic" else door()
     axis, pitch = flip * truth.axis, 0.02 if kind == "screw" else 0.0
-    model = joint(kind, T_READY, axis, truth.point, pitch)
+    model = axis_model(kind).joint(T_READY, axis, truth.point, pitch)
     now = model.pose(flip * 0.1)
     course = PathModel(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
     goal = course.goal_at
@@ -43,7 +43,7 @@ def test_it_opens_the_way_it_has_gone_whatever_sign_the_axis_has(kind: str, flip
 def test_a_model_from_positions_leaves_a_tool_that_did_not_turn_as_it_is() -> None:
     """Held by a ball, or by a finger behind the handle: the position follows the arc, the orientation stays."""
     truth = door()
-    model = joint("revolute", se3.transform(p=T_READY[:3, 3]), truth.axis, truth.point, oriented=False)
+    model = axis_model("revolute").joint(se3.transform(p=T_READY[:3, 3]), truth.axis, truth.point, oriented=False)
     now = se3.transform(T_READY[:3, :3], truth.pose(0.2)[:3, 3])
     course = PathModel(model, T_READY, now, now[:3, 3] - T_READY[:3, 3], 1.0, 0.3, 0.05)
     for T in course.path():

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.models.registry import joint
+from modcal_core.articulation.models.registry import axis_model
 from modcal_core.geometry.single import along_screw, pose_error
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.operation import Operation
@@ -42,11 +42,11 @@ def door(radius: float = 0.4, side: float = 1.0, T: Array = T_READY) -> JointMod
     """A door whose handle is at T, hinged about the vertical; it opens towards −x of the base."""
     hinge = T[:3, 3] + np.array([0.0, side * radius, 0.0])
     # towards −x: v = ω × (handle − hinge) = ω × (0, −side r, 0), so ω along −side z gives v along −x
-    return joint("revolute", T, np.array([0.0, 0.0, -side]), hinge - hinge[2] * np.array([0.0, 0.0, 1.0]))
+    return axis_model("revolute").joint(T, np.array([0.0, 0.0, -side]), hinge - hinge[2] * np.array([0.0, 0.0, 1.0]))
 
 
 def drawer(T: Array = T_READY) -> JointModel:
-    return joint("prismatic", T, np.array([-1.0, 0.0, 0.0]), np.zeros(3))
+    return axis_model("prismatic").joint(T, np.array([-1.0, 0.0, 0.0]), np.zeros(3))
 
 
 @dataclass
@@ -193,4 +193,4 @@ def pull(
 def _revised(model: JointModel, size: float, rng: np.random.Generator) -> JointModel:
     axis = model.axis + size * rng.normal(size=3)
     point = model.point + size * rng.normal(size=3) if model.turns else model.point
-    return joint(model.kind, model.start, axis / np.linalg.norm(axis), point)
+    return axis_model(model.kind).joint(model.start, axis / np.linalg.norm(axis), point)

@@ -13,7 +13,7 @@ from impedance.toy import PANDA, READY
 from nodes.pulled_arm import URDF
 from sensor_msgs.msg import JointState
 
-from modcal_core.articulation.models.registry import joint
+from modcal_core.articulation.models.registry import axis_model
 from modcal_core.articulation.urdf import describe, frames, read
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_msgs_py.commands import ObjectInput
@@ -77,7 +77,7 @@ def test_damping_is_bounded_by_what_is_asked_of_the_stack() -> None:
 
 
 def _said(frame: str) -> SimpleNamespace:
-    drawer = joint("prismatic", np.eye(4), np.array([1.0, 0.0, 0.0]), np.zeros(3))
+    drawer = axis_model("prismatic").joint(np.eye(4), np.array([1.0, 0.0, 0.0]), np.zeros(3))
     return SimpleNamespace(data=describe(drawer, frame))
 
 

@@ -6,7 +6,7 @@ if TYPE_CHECKING:
     from modcal_core.articulation.choice import Choice, choose, sound
     from modcal_core.articulation.conventions import require_convention
     from modcal_core.articulation.fit import JointFit
-    from modcal_core.articulation.joints import JointModel, PlacedJoint
+    from modcal_core.articulation.joints import JointModel
     from modcal_core.articulation.misfit import NONE
     from modcal_core.articulation.online import Tracker, TrackerSettings, TrackerState
     from modcal_core.articulation.track import FEWEST, StampOrder, Track

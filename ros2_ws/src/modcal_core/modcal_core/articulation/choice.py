@@ -17,7 +17,7 @@ from modcal_core.articulation.evidence import EvidenceRow, hidden, of_fine, row,
 from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.furniture import FINE
 from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
-from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, bend_explains, misfit, predicted, scales
+from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, bend_explains, misfit, prediction_doubt, scales
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
 from modcal_core.articulation.scene import LOOSE, PLAYS, SIZES, SWAYS, NodeScene
 from modcal_core.articulation.track import FEWEST, Track, backwards, pooled, telling, travelled
@@ -35,9 +35,9 @@ class Choice:
     """probabilities: of every kind, 1 together. fit: of the most probable one. enough: whether to rely on the kind.
 
     why: one sentence for a person. fits: of every kind. follows: whether the rotations that were seen are the handle's;
-    when a grasp turns in the hand, the fit rests on positions alone. play: how far the object departs from ideal [m].
-    misfit: what the best kind leaves; where that is too much, ``kind`` is "none". doubt: why not to rely on it. phases:
-    two motions one after the other, where a pull that is none of these is cut into them.
+    when a grasp turns in the hand, the fit rests on positions alone. misfit: what the best kind leaves; where that is
+    too much, ``kind`` is "none". doubt: why not to rely on it. phases: two motions one after the other, where a pull
+    that is none of these is cut into them.
     """
 
     probabilities: dict[Kind, float]
@@ -46,7 +46,6 @@ class Choice:
     why: str
     fits: dict[Kind, JointFit]
     follows: bool
-    play: float
     misfit: Misfit
     doubt: str = ""
     phases: tuple[Phase, ...] = ()
@@ -158,7 +157,7 @@ def _weighed(
     if probabilities[kind] >= SURE and kind != STILL.name and not left.fails:
         rivals = sorted((k for k in shares if k != kind), key=lambda k: -probabilities[k])[:2]
         own = fits if follows else {**fits, **{k: fit(used, by_name[k], rng) for k in rivals}}
-        doubt = predicted(used, kind, rivals, own, by_name, left).doubt
+        doubt = prediction_doubt(used, kind, rivals, own, by_name, left)
         doubt = doubt or (two_explain(used) if fits[kind].motion.flat else "")  # phases are lines or circles too
         if not doubt:  # it may be another curve than the joint's: a bend explains what is left, or a hinge is far
             a = fits[kind].motion.configurations(used, scales(fits[kind]))
@@ -166,7 +165,7 @@ def _weighed(
             doubt = doubt or unproved(fits[kind].motion, a) or hidden(fits[kind].motion, a, left.position)
     enough = probabilities[kind] >= SURE and not left.fails and not doubt
     why = _why(probabilities, fits[kind], left, doubt, track)
-    return Choice(probabilities, fits[kind], enough, why, fits, follows, SIZES[i][1], left, doubt)
+    return Choice(probabilities, fits[kind], enough, why, fits, follows, left, doubt)
 
 
 def _settled(
@@ -255,7 +254,7 @@ def _still(
     left = lefts[best]
     why = _why(probabilities, fits[best], left, "", track)
     enough = probabilities[best] >= SURE and not left.fails
-    return Choice(probabilities, fits[best], enough, why, fits, True, float(PLAYS[2]), left)
+    return Choice(probabilities, fits[best], enough, why, fits, True, left)
 
 
 def _seen(chosen: JointFit, track: Track) -> str:

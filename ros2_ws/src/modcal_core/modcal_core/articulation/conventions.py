@@ -1,25 +1,19 @@
 """Rotations that follow no joint, and the convention in which they would follow one.
 
 A door whose quaternions w x y z are read as x y z w turns about another axis at every pose; inverse rotations turn the
-other way; in a left-handed frame positions go round the other way than rotations. Each follows none of the joint types,
-or looks like a grasp that turns in the hand. Read as written they follow a joint with certainty, which no such grasp
-does.
+other way; in a left-handed frame positions go round the other way. Each follows none of the joint types, or looks like
+a grasp that turns in the hand. Read as written they follow a joint with certainty, which no such grasp does. Several
+conventions may do so alike; then all of them are named. What turns against its path, as the second leaf of a folding
+door does, looks like them for a while, so the remedy says what to do about it.
 
-Several conventions may do so alike: where a door turns about the frame's z, a reversed x is as good as a reversed y,
-and inverse rotations may be as good as either. Then all of them are named, for nothing in the track tells them apart.
-What turns against its path, as the second leaf of a folding door does, looks like them on a part of its way. It is no
-joint either, so the remedy says what to do about it.
-
-A whole selection for every convention is too much for one pose. But a joint that turns says itself in closed form: all
-rotations are turns about one axis, and a handle that is held firmly lies where they bring it,
+While poses come, the joint is found in closed form: rotations turn about one axis w, and a handle that is held firmly
+lies where they bring it,
 
     R_i = exp(δ_i w) M,    p_i = exp(δ_i w) y + c + h δ_i w,
 
-which is linear in arm y, centre c and rise h. So every convention is compared with every joint that turns by small
-least squares over the nodes, one convention at a step. Those are named where the rotations as written leave too much
-for any such joint, and in another convention no more than usual furniture and tracking do. A hand that turns in its
-grasp does so in neither. A short piece of any path fits a screw in most conventions: while one does, and the path lies
-in a plane, which a screw's does not, nothing is said.
+which is linear in arm y, centre c and rise h. Conventions are named where rotations as written leave too much for any
+such joint, and in another convention no more than usual furniture and tracking do. A short piece of any path fits a
+screw in most conventions: while one does, and the path lies in a plane, which a screw's does not, nothing is said.
 """
 
 from __future__ import annotations
@@ -61,10 +55,7 @@ class ReadOtherwise:
     axis: str = ""
 
     def missed(self, turns: Array) -> float:
-        """Median angle [rad] between its rotations and the turns (n, 3, 3) of a handle that is held firmly.
-
-        turns: by the positions as they were written.
-        """
+        """Median angle [rad] between its rotations and turns (n, 3, 3), by positions as written, of a firm grasp."""
         assert self.track.rotations is not None
         if self.axis:
             mirror = np.where(np.array(list("xyz")) == self.axis, -1.0, 1.0)
@@ -172,17 +163,9 @@ class ConventionCheck:
     def __init__(self) -> None:
         self.written: OtherConvention | None = None
         self._turned = 0.0  # by the way that it was said by [rad]
-        self._work: Iterator[None] = iter(())
 
-    def begin(self, nodes: Track, noise: tuple[float, float]) -> None:
+    def ask(self, nodes: Track, noise: tuple[float, float]) -> None:
         """Ask again. nodes: the path so far, pooled, with rotations. noise: of one pose [m, rad]."""
-        self._work = self._steps(nodes, noise)
-
-    def advance(self) -> None:
-        """Look at one convention more, if any is left."""
-        next(self._work, None)
-
-    def _steps(self, nodes: Track, noise: tuple[float, float]) -> Iterator[None]:
         apart = nodes.positions - nodes.positions.mean(axis=0)
         plane = usual(rms(np.abs(apart @ np.linalg.svd(apart)[2][2])), 0.0, noise)
         as_is = left(nodes)
@@ -194,7 +177,6 @@ class ConventionCheck:
         shift, sway = limits(noise)
         fits: list[tuple[ReadOtherwise, LeftByHinge]] = []
         for reading in readings(nodes):
-            yield
             of = left(reading.track)
             if of.turn > _TURN * sway and usual(of.position, of.rotation, noise):
                 fits.append((reading, of))

@@ -4,27 +4,21 @@ Nodes of a track depart from the ideal path by a play that is alike nearby and b
 
     covariance between nodes i, j = s² exp(−d_ij / reach) + D² exp(−d_ij² / 2 far²) + δ_ij σ_w² / n_i
 
-for positions with s the play, for rotations with s the sway, D the distortion of what measures, all of unknown size
-(priors in furniture), and σ_w the noise of one sample. A textbook criterion takes residuals as independent, so that a
-drawer's bow of two millimetres, seen a hundred times, proves a circle twelve metres wide. Here it was seen about five
-times, and such a circle is furniture that nobody builds.
+with s the play (of rotations the sway), D the distortion of what measures, all of unknown size (priors in furniture),
+and σ_w the noise of one sample. With independent residuals, a drawer's bow of two millimetres, seen a hundred times,
+would prove a circle twelve metres wide.
 
 The evidence of a kind is the integral of likelihood × prior over configurations, parameters, play and sway.
-* Configurations: exactly, flat in metres of path, which is the same for all kinds that move. What is left of a position
-  is across the path. What is left of a rotation is compared with the angle that the position tells, whose own play then
-  counts too. Where the grasp is a ball, rotations are the hand's: anything, or, as arms like to do, kept as they are.
-* Parameters: Laplace's method at the most probable ones for each play, in the coordinates of ``motion``. Of those, the
-  direction of the path is common to sliding and turning; what turning must pay for is where the axis lies.
+* Configurations: exactly, flat in metres of path. What is left of a position is across the path; what is left of a
+  rotation is compared with the angle that the position tells. In a ball grasp rotations are the hand's.
+* Parameters: Laplace's method at the most probable ones for each play, in the coordinates of ``motion``.
 * Play, sway and the size of distortion: a sum over a grid in units of their prior's standard deviation.
 See MacKay, Information Theory, Inference, and Learning Algorithms (2003), chapters 27 and 28.
 
-Hinges lie 10 cm to 1.6 m from the handle. Within that, what bends evenly is probably a hinge. Beyond it, hinges are as
-rare as mechanisms that draw other curves: a pantograph's parabola, a sagging rail. Then the arc has to be long enough
-that a curve whose bend changes along the way by as much as it is, from half to one and a half times its mean, would
-have been noticed. Of its nearest arc such a curve leaves κ L² (2/5) / (48 √7), RMS, where κ is the mean bend and L the
-length: the part of s³ κ / (6 L) that no shift, turn or radius takes, a Legendre polynomial of the third degree.
-
-What is certainly a line has to leave less of it than the arc of a usual hinge, 40 cm away, would: κ L² / (12 √5), RMS.
+Hinges lie 10 cm to 1.6 m from the handle. Beyond, they are as rare as other curves (a pantograph, a sagging rail), so
+the arc must be long enough that a curve whose bend changes along the way by its mean would have been noticed. Such a
+curve leaves κ L² (2/5) / (48 √7), RMS, of its nearest arc, with κ the mean bend and L the length: a Legendre polynomial
+of third degree. A line has to leave less than the arc of a usual hinge, 40 cm away, would: κ L² / (12 √5), RMS.
 """
 
 from __future__ import annotations
@@ -139,9 +133,7 @@ def glance(scene: NodeScene, before: EvidenceRow, play: float, turn: int) -> Evi
 
 
 def _looks(scene: NodeScene, terms: UniformTerms | VaryingTerms) -> tuple[int, int]:
-    """Which sway the rotations look like: those that are left as the handle's, all of them as a hand's that keeps
-    its own.
-    """
+    """Which sway the rotations look like: what is left of them as the handle's, all of them as a steady hand's."""
     assert terms.turn is not None
     left = terms.turn[:, :, 0]
     sizes = (float(left.ravel() @ left.ravel()) / left.size, float((scene.turned**2).mean()))

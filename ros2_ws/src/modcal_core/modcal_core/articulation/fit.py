@@ -4,14 +4,10 @@ What is minimised, over the parameters θ of the motion and the configurations a
 
     Σᵢ (ν + m) / 2 · log(1 + χᵢ² / ν) + ½ Σ ((θ − prior mean) / prior std)²,   χᵢ² = |eᵢ|² / σ_p² + |φᵢ|² / σ_r²
 
-Student's t with ν = 4 in m = 2 (5 with rotations) dimensions across the path, so that gross outliers lose their weight
-(Lange, Little and Taylor, JASA 1989). Given θ, the configurations are those nearest; their share of every derivative is
-projected out (Kaufman's variable projection), which leaves a Gauss–Newton problem in θ alone. Scales are
-re-estimated in every step as in EM. The prior on radius and pitch is furniture's; it is felt only where the track
-says next to nothing.
-
-The covariance is Huber's for M-estimates, times a factor for samples that are not independent: neighbours in time whose
-residuals agree say less than their number.
+Student's t with ν = 4 in m = 2 (5 with rotations) dimensions across the path (Lange, Little and Taylor, JASA 1989).
+Given θ, the configurations are those nearest; their share of every derivative is projected out (Kaufman's variable
+projection). Scales are re-estimated in every step as in EM. The prior on radius and pitch is furniture's. The
+covariance is Huber's for M-estimates, times a factor for neighbours in time whose residuals agree.
 """
 
 from __future__ import annotations
@@ -21,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
-from modcal_core.articulation.joints import PlacedJoint
+from modcal_core.articulation.joints import JointModel, PathJoint
 from modcal_core.articulation.models.registry import axis_model
 from modcal_core.articulation.track import Track, one_way
 from modcal_core.geometry import Array, descend
@@ -43,10 +39,10 @@ class JointFit:
     ``centre`` the same, ``pitch`` (1, 1) [(m/rad)²]; of a parametric model of each parameter (1, 1).
     sigma_position [m], sigma_rotation [rad or nan]: scatter of one sample along one axis.
     log_likelihood: of the whole track, at the best configurations. motion: what was fitted, before its start was
-    chosen. parameters: covariance of the motion's (size, size).
+    chosen.
     """
 
-    model: PlacedJoint
+    model: JointModel | PathJoint
     configurations: Array
     covariance: dict[str, Array]
     log_likelihood: float
@@ -54,7 +50,6 @@ class JointFit:
     sigma_position: float
     sigma_rotation: float
     motion: Motion = field(repr=False)
-    parameters: Array = field(repr=False)
 
     @property
     def std(self) -> dict[str, float]:
@@ -62,8 +57,13 @@ class JointFit:
         return {name: float(np.sqrt(C[0, 0])) for name, C in self.covariance.items() if C.shape == (1, 1)}
 
 
-def fit(track: Track, model: Kind | ArticulationModel, rng: np.random.Generator | None = None, prior: bool = True,
-        start: Motion | None = None, climbs: bool = True) -> JointFit:  # fmt: skip
+def fit(
+    track: Track,
+    model: Kind | ArticulationModel,
+    rng: np.random.Generator | None = None,
+    start: Motion | None = None,
+    climbs: bool = True,
+) -> JointFit:
     """The most likely joint of this type (a name: one about an axis).
 
     start: begin there, else with robust guesses (rng chooses their samples). climbs: else stay at the start, and find
@@ -72,8 +72,8 @@ def fit(track: Track, model: Kind | ArticulationModel, rng: np.random.Generator 
     rng = np.random.default_rng(0) if rng is None else rng
     of_type = axis_model(model) if isinstance(model, str) else model
     starts = [start] if start is not None else of_type.guesses(one_way(track), rng)
-    best = min((climb(track, s, prior, climbs) for s in starts), key=lambda c: c.cost)
-    return _told(track, best, prior)
+    best = min((climb(track, s, climbs) for s in starts), key=lambda c: c.cost)
+    return _told(track, best)
 
 
 @dataclass
@@ -95,11 +95,11 @@ def _squared(e: Array, sigma: tuple[float, float]) -> Array:
     return chi + (e[:, 3:] ** 2).sum(axis=1) / sigma[1] ** 2 if e.shape[1] == 6 else chi
 
 
-def _objective(motion: Motion, e: Array, sigma: tuple[float, float], prior: bool) -> float:
+def _objective(motion: Motion, e: Array, sigma: tuple[float, float]) -> float:
     d = _dims(motion, e.shape[1])
     cost = 0.5 * (NU + d) * float(np.log1p(_squared(e, sigma) / NU).sum())
     cost += len(e) * _log_scale(motion, e.shape[1], sigma)
-    return cost + (motion.prior_terms()[0] if prior else 0.0)
+    return cost + motion.prior_terms()[0]
 
 
 def _log_scale(motion: Motion, m: int, sigma: tuple[float, float]) -> float:
@@ -138,7 +138,7 @@ def whitened(motion: Motion, track: Track, a: Array, sigma: tuple[float, float])
     return e, J
 
 
-def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> ClimbState:
+def climb(track: Track, motion: Motion, climbs: bool = True) -> ClimbState:
     """Damped Gauss–Newton steps with scales re-estimated between them, until nothing changes; or the scales only."""
     sigma = (5e-3, 0.07)
     sigma = _first_scales(motion.residuals(track, motion.configurations(track, sigma)))
@@ -146,13 +146,13 @@ def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> Cli
     H = g = np.empty(0)
 
     def cost_of(motion: Motion) -> float:
-        return _objective(motion, motion.residuals(track, motion.configurations(track, sigma)), sigma, prior)
+        return _objective(motion, motion.residuals(track, motion.configurations(track, sigma)), sigma)
 
     def look(here: Motion) -> float:
         nonlocal sigma, H, g
         sigma = _rescaled(here, here.residuals(track, here.configurations(track, sigma)), sigma)
         if climbs:
-            H, g = _normal_equations(here, track, sigma, prior)
+            H, g = _normal_equations(here, track, sigma)
         return cost_of(here)
 
     def step(here: Motion, damping: float) -> tuple[Motion, float]:
@@ -173,20 +173,18 @@ def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> Cli
     return ClimbState(motion, sigma, cost_of(motion))
 
 
-def _normal_equations(motion: Motion, track: Track, sigma: tuple[float, float], prior: bool) -> tuple[Array, Array]:
+def _normal_equations(motion: Motion, track: Track, sigma: tuple[float, float]) -> tuple[Array, Array]:
     """Curvature (size, size) and gradient (size,) of the objective by the parameters of the motion."""
     a = motion.configurations(track, sigma)
     z, J = whitened(motion, track, a, sigma)
     w = (NU + _dims(motion, z.shape[1])) / (NU + _squared(motion.residuals(track, a), sigma))
     flat = J.reshape(-1, motion.size)
     H, g = (np.repeat(w, z.shape[1])[:, None] * flat).T @ flat, flat.T @ (w[:, None] * z).ravel()
-    if prior:
-        _, gp, hp = motion.prior_terms()
-        H, g = H + np.diag(hp), g + gp
-    return H, g
+    _, gp, hp = motion.prior_terms()
+    return H + np.diag(hp), g + gp
 
 
-def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:
+def _told(track: Track, state: ClimbState) -> JointFit:
     """What a climb comes to: configurations, scales, weights and covariance."""
     from scipy.special import gammaln
 
@@ -196,10 +194,9 @@ def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:
     d = _dims(motion, z.shape[1])
     chi = (z**2).sum(axis=1)
     w = (NU + d) / (NU + chi)
-    covariance = _covariance(motion, z, J, w, d, prior)
     # logarithm of the density of Student's t in d dimensions at its middle
     constant = float(gammaln(0.5 * (NU + d)) - gammaln(0.5 * NU) - 0.5 * d * np.log(NU * np.pi))
-    log_likelihood = motion.prior_terms()[0] * prior - state.cost + len(z) * constant
+    log_likelihood = motion.prior_terms()[0] - state.cost + len(z) * constant
     # what makes of a scale of Student's t the standard deviation of samples that are no outliers
     inside = chi < _INSIDE * d
     spread = float(np.sqrt(chi[inside].sum() / (d * inside.sum()))) if inside.any() else 1.0
@@ -209,17 +206,16 @@ def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:
     return JointFit(
         model=motion.joint(first),
         configurations=motion.counted(a - first, weights > SOUND),
-        covariance=motion.covariance(covariance),
+        covariance=motion.covariance(_covariance(motion, z, J, w, d)),
         log_likelihood=float(log_likelihood),
         weights=weights,
         sigma_position=sigma[0] * spread,
         sigma_rotation=rotation,
         motion=motion,
-        parameters=covariance,
     )
 
 
-def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int, prior: bool) -> Array:
+def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int) -> Array:
     n = len(z)
     chi = (z**2).sum(axis=1)
     flat = J.reshape(-1, motion.size)
@@ -227,8 +223,7 @@ def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int, prior: boo
     scatter = float((w**2 * chi).sum()) / free
     slope = float((w - 2.0 * w**2 * chi / ((NU + d) * d)).mean())
     information = flat.T @ flat * (slope**2 / max(scatter, 1e-12) / _agreement(z * w[:, None]))
-    if prior:
-        information = information + np.diag(motion.prior_terms()[2])
+    information = information + np.diag(motion.prior_terms()[2])
     return np.asarray(np.linalg.pinv(information, rcond=1e-14, hermitian=True), dtype=float)
 
 

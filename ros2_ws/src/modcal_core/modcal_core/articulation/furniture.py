@@ -1,22 +1,15 @@
 """What is known of furniture before any of it is seen. Physical sizes, from what people build, not from any recording.
 
-* Hinges lie about a forearm from the handle: a knob has 3 cm, a cupboard door 30 to 60 cm, a room door 80 cm, a garage
-  door 2 m. log r is normal about log 0.4 m with 0.7, so 95 % lie between 0.10 and 1.6 m.
-* A screw that a person would call one rises by millimetres to decimetres in a radian: a jar 1 to 2, a rising hinge 5
-  to 10, a spiral slide 100 and more. log |pitch| is normal about log 20 mm/rad with 1.2, so 95 % lie between 2 and 200.
-* Nothing moves ideally. A handle has play, a hand settles in it, a tracker's bias changes with place, an oven door
-  bends. So what is seen departs from the ideal path by an amount that is alike in neighbouring places. Its size is not
-  known: log-normal about 2 mm with a factor of 2.2 for positions, and about 1.4° with a factor of 2.5 for rotations;
-  how far "neighbouring" reaches is a hand's width, 10 cm of path.
-* What measures is itself distorted: an arm that is not calibrated, or a camera that sees a marker, errs by about 2
-  mm and 0.6°, within a factor of 2.2, alike over some 30 cm. How smooth a departure is says nothing of how large a
-  smooth one may be.
-* Where a grasp is a ball, or slips, rotations say nothing of the object: one in ten, and then they are off by half a
+* Hinges lie about a forearm from the handle, from a knob's 3 cm to a garage door's 2 m: 95 % within 0.10 to 1.6 m.
+* A screw rises by millimetres (a jar) to decimetres (a spiral slide) in a radian: 95 % within 2 to 200 mm/rad.
+* Nothing moves ideally: handles have play, hands settle, trackers are biased, oven doors bend. What is seen departs
+  from the ideal path by an amount of unknown size, about 2 mm and 1.4°, that is alike within a hand's width of path.
+* What measures is distorted as well, an arm that is not calibrated or a camera: by about 2 mm and 0.6°, alike over some
+  30 cm.
+* Where a grasp is a ball, or slips, rotations say nothing of the object: one in ten. Then they are off by half a
   radian, or the hand keeps its orientation, one as often as the other.
-* One in twenty is no furniture but a stage, a rail or a bearing before an instrument for such: its play, and what
-  distorts the readings, are a tenth or a hundredth of the usual, and its axis is anywhere between 1 mm and a forearm
-  away. What measures it scatters by no more than that share of a usual millimetre, within a factor of 2.2. Without
-  these a bow of millimetres that is seen to micrometres would be play, and so would a turn about an axis 5 mm away.
+* One in twenty is no furniture but a stage, a rail or a bearing before an instrument for such: play and distortion are
+  a tenth or a hundredth of the usual, and its axis is anywhere between 1 mm and a forearm away.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from typing import Any, ClassVar, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation.joints import PlacedJoint
+from modcal_core.articulation.joints import JointModel, PathJoint
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import HAT, Array, crossed, so3
 
@@ -80,7 +80,7 @@ class Motion(ABC):
         """What the prior's density has beside its exponent, in the coordinates of the motion."""
 
     @abstractmethod
-    def joint(self, a: float = 0.0) -> PlacedJoint:
+    def joint(self, a: float = 0.0) -> JointModel | PathJoint:
         """The joint, with its configuration 0 where this motion has a."""
 
     @abstractmethod
@@ -92,9 +92,7 @@ class Motion(ABC):
         return 0.0
 
     def counted(self, a: Array, sound: np.ndarray) -> Array:
-        """Configurations (n,) counted beyond a full turn for a joint that turns on. sound: samples that are not
-        outliers.
-        """
+        """Configurations (n,) counted on beyond a full turn of what turns on. sound (n,): no outliers."""
         return a
 
     def sound(self) -> bool:
@@ -116,10 +114,7 @@ class Motion(ABC):
 
 
 def quick_log(R: Array) -> tuple[Array, Array, Array]:
-    """Rotation vectors (n, 3) of rotations (n, 3, 3); sines and cosines (n,) of their angles.
-
-    By the sine where no angle is large, which is quicker than by quaternions.
-    """
+    """Rotation vectors (n, 3) of rotations (n, 3, 3), by the sine, which is quick; sines and cosines (n,)."""
     found = R.reshape(-1, 9) @ _SINE_AND_TRACE
     v, cosine = found[:, :3], 0.5 * (found[:, 3] - 1.0)
     sine = np.sqrt((v * v).sum(axis=1))

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, Self
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,39 +19,6 @@ from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array, crossed, se3
 
 _EYE = np.eye(3)
-
-
-class PlacedJoint(Protocol):
-    """A joint type in its place: what reports ask. kind: name of its type. unit: of configurations, rad, m or 1."""
-
-    @property
-    def kind(self) -> str:
-        """Name of the joint type."""
-
-    @property
-    def unit(self) -> str:
-        """Unit of configurations: rad, m or 1."""
-
-    @property
-    def oriented(self) -> bool:
-        """Whether rotations were seen."""
-
-    def pose(self, a: Array) -> Array:
-        """T_world_handle (n, 4, 4) at configurations a (n,)."""
-
-    def position(self, a: Array) -> Array:
-        """Positions of the handle (n, 3) [m] at configurations a (n,)."""
-
-    def centre(self) -> Array | None:
-        """What the handle turns about (3,) [m], where there is such a point nearby."""
-
-    def sentence(self, a: Array, extent: float, std: Mapping[str, float]) -> str:
-        """What a person is told of it. a: configurations (k,) of samples that are no outliers. extent: of the track
-        [m]. std: of its parameters.
-        """
-
-    def data(self, a: Array, std: Mapping[str, float]) -> dict[str, Any]:
-        """Its numbers as JSON can hold them. a: configurations (n,) that were seen. std: of its parameters."""
 
 
 @dataclass(frozen=True)
@@ -118,9 +85,11 @@ class JointModel:
     def length_per_unit(self) -> float:
         """Path of the handle [m] per unit of configuration: 1 when it slides, about the radius when it turns."""
 
-    @abstractmethod
     def twist(self) -> Array:
-        """Space twist (6,), (v, ω), per unit of configuration."""
+        """Space twist (6,), (v, ω), per unit of configuration: (point × axis + pitch axis, axis) where it turns."""
+        if not self.turns:
+            return np.concatenate([float(self.moves) * self.axis, np.zeros(3)])
+        return np.concatenate([np.cross(self.point, self.axis) + self.pitch * self.axis, self.axis])
 
     @abstractmethod
     def configuration(self, seen: ArrayLike) -> Array:
@@ -132,7 +101,7 @@ class JointModel:
 
     @abstractmethod
     def sentence(self, a: Array, extent: float, std: Mapping[str, float]) -> str:
-        """Sentence for a report, see :meth:`Joint.sentence`."""
+        """What a person is told. a (k,): configurations of sound samples. extent: of the track [m]. std: by name."""
 
     def pose(self, a: ArrayLike) -> Array:
         """T_world_handle (..., 4, 4) at configurations a (...)."""
@@ -147,15 +116,59 @@ class JointModel:
         return self.point if self.turns and self.radius < 2.0 else None
 
     def data(self, a: Array, std: Mapping[str, float]) -> dict[str, Any]:
-        """Data for JSON, see :meth:`Joint.data`: axis, point, radius and pitch (each None where it does not apply), and
-        the start.
-        """
+        """Numbers for JSON: the start; axis, point, radius and pitch, each None where it does not apply."""
         return {
             "axis": self.axis.tolist() if self.moves else None,
             "point": self.point.tolist() if self.turns else None,
             "radius": self.radius if self.turns else None,
             "pitch": self.pitch if self.rises else None,
             "start": se3.to_pose(self.start).tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class PathJoint:
+    """A shape in its place: ``T_world_handle = pose(a)`` at the shape's own configuration a.
+
+    kind: name of the joint type. values: by parameter. T_world_object (4, 4). oriented: whether rotations were seen.
+    unit: of a.
+    """
+
+    kind: str
+    values: dict[str, float]
+    T_world_object: Array
+    oriented: bool
+    unit: str
+    motion: Any = field(repr=False)
+
+    def pose(self, a: Array) -> Array:
+        """T_world_handle (n, 4, 4) at configurations a (n,)."""
+        return np.asarray(self.motion.poses(np.asarray(a, dtype=float)))
+
+    def position(self, a: Array) -> Array:
+        """Positions of the handle (n, 3) [m] at configurations a (n,)."""
+        return self.pose(a)[:, :3, 3]
+
+    def centre(self) -> None:
+        """It has no axis."""
+
+    def sentence(self, a: Array, extent: float, std: Mapping[str, float]) -> str:
+        """How far it moved along its path, and its parameters."""
+        path = self.position(np.sort(a))
+        way = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        said = ", ".join(f"{name} {value:.3g} ± {std[name]:.2g}" for name, value in self.values.items())
+        return f"moved {1e2 * way:.0f} cm along its path; {said}"
+
+    def data(self, a: Array, std: Mapping[str, float]) -> dict[str, Any]:
+        """Numbers for JSON: the start, the place of the object, and the parameters; it has no axis."""
+        units = {p.name: p.unit for p in self.motion.model.parameters}
+        return {
+            **dict.fromkeys(("axis", "point", "radius", "pitch")),
+            "start": se3.to_pose(self.pose(a[:1])[0]).tolist(),
+            "object": se3.to_pose(self.T_world_object).tolist(),
+            "parameters": {
+                name: {"value": value, "std": std[name], "unit": units[name]} for name, value in self.values.items()
+            },
         }
 
 

@@ -1,31 +1,20 @@
 """Whether the best joint type is good enough: what it leaves, against noise and what furniture and tracking leave.
 
 Probabilities compare joint types with each other and say nothing of what none of them describes. So what the best one
-leaves is compared with an absolute size: four times the usual play and sway of ``furniture``, beside the track's own
-noise. Nine tenths of the samples count, for markers are lost at the end of a swing; where more than a quarter lies
-grossly off, these are no outliers.
+leaves is compared with four times the usual play and sway of ``furniture``, beside the track's own noise. Nine tenths
+of the samples count, for markers are lost at the end of a swing; where more than a quarter lies grossly off, these are
+no outliers.
 
-Play, a hand that settles and a camera's bias are rough: of what real doors and drawers leave beside noise, a smooth
-bend along the path takes some, and about a tenth of the squares stays at least. What a linkage, a cam or a curved rail
-leaves of the nearest line, circle or screw is smooth, and a bend takes all of it.
+What real doors and drawers leave (play, a hand that settles, a camera's bias) is rough: a smooth bend along the path
+leaves a tenth of its squares at least. Of what a linkage, a cam or a curved rail leaves, a bend takes all. While the
+handle still moves, less is left, and it is asked what a bend leaves: noise, in which neighbours have nothing in common.
 
-A handle that is still moving is judged earlier than a track, before much is left. So it is not asked how much a bend
-takes, but what it leaves. Play, a hand that settles and a camera's bias go on from one
-stretch of the path to the next, with a bend and without. What a cam, a linkage or a curved rail leaves of a joint goes
-on as well, and beside a bend nothing but noise is left, in which neighbours have nothing in common. Of a true joint
-without play, noise is left before.
+A long hinge and a drawer that bows fit the same samples. They predict other things for the part that they were not
+fitted to; and where a plainer joint leaves no more than handles and cameras usually do, no curve is proved.
 
-A long hinge and a drawer that bows fit the same samples equally well. What the one says of the part that it has not
-seen differs, and so does what a line and a circle through the first centimetres of a door say. And where a plainer
-joint leaves no more than handles and cameras usually do, no curve is proved.
-
-A prediction of the next five centimetres says little once half a metre is known: there every smooth path is right. So
-the part that was not used for the fit grows with the path. Models are kept as they were along the path; the one from
-three fifths of it must say all that came since, within the tolerance or the share of the path by which furniture may
-miss, beside noise. Models are thinned out when there are many, so that work and memory stay bounded.
-
-On a short path a model of another joint type, which has been given up since, says nothing against the one that took its
-place: a door's first decimetre is a slide.
+While the handle moves, the part to be predicted grows with the path: the model from three fifths of it must predict all
+that came since, within the tolerance or the share of the path by which furniture may miss, beside noise. On a short
+path a model of another type, given up since, says nothing against the new one: a door's first decimetre is a slide.
 """
 
 from __future__ import annotations
@@ -57,13 +46,12 @@ _NOTHING = 1e-9  # m, rad: far below what anything measures
 class Misfit:
     """What a joint leaves. position [m], rotation [rad, nan without]: RMS of the best nine tenths of samples.
 
-    much: what would be too much of each, (m, rad). off: share of samples beyond. between: from where to where along the
-    path it fails [m], None where it does nowhere. white: noise of one sample on an axis, (m, rad).
+    off: share of samples that leave too much. between: from where to where along the path it fails [m], None where it
+    does nowhere. white: noise of one sample on an axis, (m, rad).
     """
 
     position: float
     rotation: float
-    much: tuple[float, float]
     off: float
     between: tuple[float, float] | None
     white: tuple[float, float]
@@ -76,14 +64,15 @@ class Misfit:
     @property
     def said(self) -> str:
         """Reason as text: what remains, what would be too much, and where."""
-        left, much = f"{1e3 * self.position:.0f} mm", f"{1e3 * self.much[0]:.0f} mm"
-        if self.rotation > self.much[1]:
+        shift, turn = limits(self.white)
+        left, much = f"{1e3 * self.position:.0f} mm", f"{1e3 * shift:.0f} mm"
+        if self.rotation > turn:
             left += f" and {np.degrees(self.rotation):.0f}°"
-            much += f" and {np.degrees(self.much[1]):.0f}°"
+            much += f" and {np.degrees(turn):.0f}°"
         where = ""
         if self.between is not None:
             where = f", most between {1e2 * self.between[0]:.0f} and {1e2 * self.between[1]:.0f} cm of the path"
-        if self.position <= self.much[0] and not self.rotation > self.much[1]:
+        if not too_much(self.position, self.rotation, self.white):
             return f"leaves {100.0 * self.off:.0f} % of the samples far off{where}"
         return f"leaves {left} where {much} would be much{where}"
 
@@ -124,7 +113,6 @@ def misfit(found: JointFit, track: Track, noise: tuple[float, float]) -> Misfit:
     return Misfit(
         rms(shift),
         np.nan if turn is None else rms(turn),
-        much,
         float(beyond.mean()),
         (float(way.min()), float(way.max())) if len(way) else None,
         noise,
@@ -158,10 +146,7 @@ CAP = 0.03  # m: samples farther off are outliers
 
 
 def bend_explains(track: Track, left: Array, along: Array) -> str:
-    """Why a smooth bend is to be considered, as text; empty where it is not.
-
-    left (n, 3): what the joint leaves of positions [m]. along (n,): configurations of the samples.
-    """
+    """Why a smooth bend explains what is left (n, 3) [m] along configurations (n,), as text; empty where none does."""
     near = np.linalg.norm(left, axis=1) < CAP
     e, a = left[near], along[near]
     n, coefficients = len(e), 2 * (_TRACK_DEGREE + 1)  # of the two directions across the path
@@ -187,9 +172,7 @@ _LONGER = 4.0  # deviations of noise on an axis that a stretch is long, where th
 
 
 class Stretches:
-    """A path as the means of short stretches; when there are too many, neighbours are pooled. path: how far it goes
-    [m]. k: how many there are.
-    """
+    """A path as the means of k short stretches, neighbours pooled when there are too many. path: its length [m]."""
 
     def __init__(self) -> None:
         self.path, self.k = 0.0, 0
@@ -239,28 +222,16 @@ class Stretches:
 _DEGREE = 4  # of the bend of a path that grows
 _FITTED = 2  # of the degrees that a joint's own parameters change: no bend is what these leave
 _MIN = 4 * (_DEGREE + 1)  # stretches that are asked
-_ASKED_EVERY = 0.02  # m of path
+ASKED_EVERY = 0.02  # m of path
 _ALIKE = 3.0  # deviations by which neighbours are more alike than in noise, before
 _NOT_ALIKE = 1.0  # and beside the bend
 
 
-class BendCheck:
-    """found: whether a smooth bend is what the motion leaves, as of the last question."""
-
-    def __init__(self, stretches: Stretches) -> None:
-        """stretches: the path so far, kept by others."""
-        self.found = False
-        self._stretches, self._asked = stretches, 0.0
-
-    def come(self, motion: AxisMotion | None) -> None:
-        """Ask again where the path has grown. motion: the one that is selected now."""
-        path = self._stretches.path
-        if motion is None or path - self._asked < _ASKED_EVERY:
-            return
-        self._asked = path
-        track = Track.trusted(self._stretches.points)
-        a = motion.configurations(track, POSITIONS)
-        self.found = bend_left(motion.residuals(track, a)[:, :3], a)
+def is_bend(stretches: Stretches, motion: AxisMotion) -> bool:
+    """Whether a smooth bend is what a motion leaves of a path."""
+    track = Track.trusted(stretches.points)
+    a = motion.configurations(track, POSITIONS)
+    return bend_left(motion.residuals(track, a)[:, :3], a)
 
 
 def bend_left(left: Array, along: Array) -> bool:
@@ -297,78 +268,56 @@ _MISSES = 4e-3  # m: twice the usual play, which no prediction does without
 _BETTER, _BY = 1.5, 1e-3  # times and m by which another joint type predicts plainly better
 
 
-@dataclass(frozen=True)
-class Predicted:
-    """How far predictions of the far third are off [m], from the near and from the far end, by joint type.
-
-    left: what the joint leaves of what it was fitted to [m]. path: that was travelled [m]. noise: white [m]. plainer:
-    a joint type with fewer parameters that is as good as furniture is, empty where there is none. loose: whether it is
-    a path in space that leaves more than furniture usually does: a thread has no such play, and most smooth paths are
-    about a screw's.
-    """
-
-    kind: Kind
-    errors: Mapping[Kind, tuple[float, ...]]
-    left: float
-    path: float
-    noise: float
-    plainer: Kind = ""
-    loose: bool = False
-
-    @property
-    def doubt(self) -> str:
-        """Why the joint type is not to be relied on, as text; empty where it predicts."""
-        much = float(np.hypot(max(_MISSES, MAY_MISS * self.path), _NOISE * self.noise))
-        if self.left > much:
-            return f"it leaves {1e3 * self.left:.0f} mm of a path of {1e2 * self.path:.0f} cm"
-        if self.loose:
-            return f"it leaves {1e3 * self.left:.0f} mm, more than a {self.kind} usually does"
-        own = self.errors.get(self.kind, ())
-        if not own:
-            return "samples are too few to fit a part of the path and predict the rest"
-        if min(own) > much:
-            return f"fitted to 70 % of the path it misses the rest by {1e3 * min(own):.0f} mm"
-        for kind, other in self.errors.items():
-            if kind != self.kind and all(a > max(_BETTER * b, b + _BY) for a, b in zip(own, other, strict=True)):
-                return f"{kind} predicts better ({1e3 * max(other):.1f} against {1e3 * max(own):.1f} mm)"
-        if self.plainer and min(self.errors[self.plainer], default=0.0) <= MUCH * np.exp(PLAY[0]):
-            return f"{self.plainer} leaves no more than handles and cameras usually do"
-        return ""
-
-
-def predicted(
+def prediction_doubt(
     track: Track,
     kind: Kind,
     rivals: list[Kind],
     fits: Mapping[Kind, JointFit],
     models: Mapping[Kind, ArticulationModel],
     left: Misfit,
-) -> Predicted:
-    """What this kind and its rivals, fitted to 70 % of the path from either end, say of the rest.
+) -> str:
+    """Why this kind is not to be relied on, as text; empty where it predicts. left: what it leaves of all of the path.
 
-    left: what this kind leaves when it is fitted to all of it.
+    It and its rivals, fitted to 70 % of the path from either end, are asked for the rest.
     """
-    motion = fits[kind].motion
+    motion, path = fits[kind].motion, float(travelled(track)[-1])
+    much = float(np.hypot(max(_MISSES, MAY_MISS * path), _NOISE * left.white[0]))
+    if left.position > much:
+        return f"it leaves {1e3 * left.position:.0f} mm of a path of {1e2 * path:.0f} cm"
+    # a path in space: a thread has no such play, and most smooth paths are about a screw's
+    if not (motion.flat or usual(left.position, left.rotation, left.white)):
+        return f"it leaves {1e3 * left.position:.0f} mm, more than a {kind} usually does"
     a = motion.configurations(track, (1.0, 1e9))
     low, high = np.quantile(a, [0.01, 0.99])
     along = (a - low) / max(float(high - low), 1e-12)
-    errors: dict[Kind, tuple[float, ...]] = {}
-    for one in (kind, *rivals):
-        off = []
-        for near in (along < _NEAR, along > 1.0 - _NEAR):
-            if near.sum() < _MIN_FITTED or (~near).sum() < _MIN_ASKED:
-                continue
-            seen = fit(track.part(near), models[one], start=fits[one].motion).motion
+    own, *others = (_missed(track, along, fits[one], models[one]) for one in (kind, *rivals))
+    if not own:
+        return "samples are too few to fit a part of the path and predict the rest"
+    if min(own) > much:
+        return f"fitted to 70 % of the path it misses the rest by {1e3 * min(own):.0f} mm"
+    for one, other in zip(rivals, others, strict=True):
+        if all(a > max(_BETTER * b, b + _BY) for a, b in zip(own, other, strict=True)):
+            return f"{one} predicts better ({1e3 * max(other):.1f} against {1e3 * max(own):.1f} mm)"
+    for one, other in zip(rivals, others, strict=True):
+        if fits[one].motion.size < motion.size:
+            m = misfit(fits[one], track, left.white)
+            if usual(m.position, m.rotation, m.white):  # a plainer joint, as good as furniture is
+                said = f"{one} leaves no more than handles and cameras usually do"
+                return said if min(other) <= MUCH * np.exp(PLAY[0]) else ""
+    return ""
+
+
+def _missed(track: Track, along: Array, found: JointFit, model: ArticulationModel) -> list[float]:
+    """By how much [m] a joint, fitted to 70 % of the path from the near and from the far end, misses the rest."""
+    off = []
+    for near in (along < _NEAR, along > 1.0 - _NEAR):
+        if near.sum() >= _MIN_FITTED and (~near).sum() >= _MIN_ASKED:
+            seen = fit(track.part(near), model, start=found.motion).motion
             R = None if track.rotations is None else track.rotations[~near]
             asked = Track.trusted(track.positions[~near], R)
             e = seen.residuals(asked, seen.configurations(asked, (1.0, 1e9)))
             off.append(rms(np.linalg.norm(e[:, :3], axis=1)))
-        errors[one] = tuple(off)
-    fewer = [one for one in rivals if fits[one].motion.size < motion.size]
-    lefts = {one: misfit(fits[one], track, left.white) for one in fewer}
-    plainer = next((one for one, m in lefts.items() if usual(m.position, m.rotation, m.white)), "")
-    loose = not (motion.flat or usual(left.position, left.rotation, left.white))
-    return Predicted(kind, errors, left.position, float(travelled(track)[-1]), left.white[0], plainer, loose)
+    return off
 
 
 _KNOWN = 0.6  # of the path: a model from there has as much again to say, less a third
@@ -395,7 +344,7 @@ class ShareCheck:
             if len(self._kept) == _MAX:
                 self._kept, self._every = self._kept[::2], 2.0 * self._every
             self._kept.append((path, motion))
-        if path - self._asked >= _ASKED_EVERY:
+        if path - self._asked >= ASKED_EVERY:
             self._asked = path
             self._ask(path, motion, noise)
 

@@ -1,10 +1,8 @@
 """Incremental selection of the joint type, bounded work per pose.
 
-No pose has to wait for a whole selection. A round weighs every kind at several plays on the nodes as they were when it
-began, one of them a pose; only what was weighed on the same nodes is compared. Between rounds the best motion is
-improved on the nodes of now. Another kind is selected when it has won two rounds in a row: the first may have caught
-the old one on its way to where the nodes went. Of distortion the usual size is taken, as every other would cost a round
-of its own.
+A round weighs every kind at several plays on the nodes as they were when it began, one of them a pose; only what was
+weighed on the same nodes is compared. Between rounds the best motion is improved on the nodes of now. Another kind is
+selected when it has won two rounds in a row. Of distortion the usual size alone is tried.
 """
 
 from __future__ import annotations
@@ -65,10 +63,7 @@ class ModelSelector:
         self._jitter.append((float(step[:3] @ step[:3]), turn))
 
     def advance(self, nodes: Nodes) -> bool:
-        """A slot of the round, or a step on the nodes of now, or both; whether another kind is selected now.
-
-        What a round has found is concluded where the next one begins.
-        """
+        """A slot of the round, or a step on the nodes of now, or both; whether another kind is selected now."""
         self._turn += 1
         if self._turn % 2 == 0 and nodes.k >= FEWEST_NODES and self.motion is not None:
             if nodes.oriented:  # both together would take too long
@@ -99,7 +94,6 @@ class ModelSelector:
 
     def _begin(self, nodes: Nodes) -> None:
         self._scene = self._now(nodes)
-        self._scene.prepare([float(PLAYS[i]) for i in FEW], float(SWAYS[FIRST]))  # here, where little else is to do
         self.rounds += 1
         # One new guess a round, early, so that what takes its place is weighed with the rest; but after what it may
         # replace was weighed on the nodes of now: evidence grows with nodes, and what is older always looks worse.

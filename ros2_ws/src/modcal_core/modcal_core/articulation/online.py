@@ -1,13 +1,11 @@
 """Online estimate of an articulated object: its joint, whether its model is trusted, and whether it still moves so.
 
-Poses are pooled into a bounded number of nodes, and a bounded amount of work is done at each pose
-(``model_selector``). A model is trusted once its predictions hold (``prediction_check``), and no longer after one that
-is far off, or when the handle leaves the path. The fit then goes on; where two rounds of refinement do not bring the
-model back to the path, the hand holds something else, and the estimate restarts.
+Poses are pooled into a bounded number of nodes, with bounded work at each (``model_selector``). A model is trusted once
+its predictions hold (``prediction_check``), and no longer when one is far off or the handle leaves the path. Where two
+rounds of refinement do not bring the model back, the hand holds something else, and the estimate restarts.
 
-Evidence grows with the path, not with the number of poses on it: each centimetre gets the same number of steps, whether
-fifty poses fell on it or one. Noise is no path: only what lies beyond the last mark counts. An arm that flies by is no
-handle that is pulled: in a second no more steps are made than a quick pull asks for.
+Evidence grows with the path, not with the number of poses on it: each centimetre gets the same number of steps, and
+noise is no path. An arm that flies by is no handle that is pulled: steps in a second are limited.
 """
 
 from __future__ import annotations
@@ -24,13 +22,13 @@ from numpy.typing import ArrayLike
 from modcal_core.articulation.conventions import ConventionCheck, OtherConvention
 from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.misfit import NONE, BendCheck, ShareCheck, Stretches, rms, too_much, usual
+from modcal_core.articulation.misfit import ASKED_EVERY, NONE, ShareCheck, Stretches, is_bend, rms, too_much, usual
 from modcal_core.articulation.model_selector import ModelSelector
 from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.prediction_check import POSITIONS, PredictionCheck
 from modcal_core.articulation.track import FARTHEST, FEWEST_NODES, RIGID, Nodes, Track
-from modcal_core.articulation.two_motions import TwoMotions
+from modcal_core.articulation.two_motions import are_two
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array, posed
 
@@ -126,7 +124,8 @@ class TrackerState:
     follows: whether rotations are the object's; else they are the grasp's. apart_m: way from one pose to the next, the
     usual one [m]; sparse: whether that is too much to learn from. left: what the best kind leaves of the path so far
     (m, rad), nan before it is known. path_m: length of the path that was seen since the start, or since it was left.
-    written: in which other convention the poses seem to be written, None in none; nothing is trusted then.
+    written: in which other convention the poses seem to be written, None in none; nothing is trusted then. late,
+    silent: whether the state is late, or too old to be used: never, it is of the pose that was taken last.
     """
 
     kind: Kind
@@ -144,16 +143,8 @@ class TrackerState:
     left: tuple[float, float] = (math.nan, math.nan)
     path_m: float = 0.0
     written: OtherConvention | None = None
-
-    @property
-    def late(self) -> bool:
-        """Whether the state is late: never, it is its own."""
-        return False
-
-    @property
-    def silent(self) -> bool:
-        """Whether it is too old to be used: never, for it is of the pose that was taken last."""
-        return False
+    late: bool = False
+    silent: bool = False
 
 
 _EYE = np.eye(3)
@@ -192,9 +183,9 @@ class Tracker:
         self._stretches = Stretches()
         self._share = ShareCheck(self._stretches, chosen.tolerance_m)
         self._convention = ConventionCheck()
-        self._bend = BendCheck(self._stretches)
         self._travel = Travel()
-        self._two = TwoMotions(self._stretches)
+        self._asked = 0.0  # m of path after which two motions and a bend were asked for, and what was found
+        self._bent = self._two = False
         self._samples = 0
         self._stamp = -np.inf
         self._first: Array | None = None
@@ -247,11 +238,13 @@ class Tracker:
             for _ in range(due):
                 if self._selector.advance(self._nodes):
                     self._check.begin(*self._reached())
-            self._two.come(self._selector.scale[0])
-            self._bend.come(motion)
-            self._convention.advance()
+            if self._stretches.path - self._asked >= ASKED_EVERY:
+                self._asked = self._stretches.path
+                if not self._changes:  # what was found before a change stays
+                    self._two = are_two(self._stretches, self._selector.scale[0])
+                self._bent = motion is not None and is_bend(self._stretches, motion)
         self._judge()
-        if self._two.found and (motion is None or motion.flat):
+        if self._two and (motion is None or motion.flat):
             self._check.lose()
         return self._state(p, R, off, event or self._stuck(p, stamp, pulled))
 
@@ -354,7 +347,7 @@ class Tracker:
         self._judged = rounds
         follows = self._selector.follows
         if track.oriented and self._measured:
-            self._convention.begin(track, self._selector.scale)
+            self._convention.ask(track, self._selector.scale)
         seen = track if follows else Track.trusted(track.positions)
         e = motion.residuals(seen, motion.configurations(seen, (1e-2, 0.05 if follows else 1e9)))
         turn = rms(np.linalg.norm(e[:, 3:], axis=1)) if e.shape[1] == 6 else math.nan
@@ -375,18 +368,29 @@ class Tracker:
         return float(path.min()), float(path.max())
 
     def _state(self, p: Array, R: Array | None, off: float, event: Event | None) -> TrackerState:
-        selector, ahead = self._selector, self._check.error
-        probabilities = dict(selector.probabilities)
+        selector, path, apart = self._selector, self._stretches.path, self._travel.step[0]
         motion = selector.motion
-        left, written = self._left, self._convention.written
-        apart = self._travel.step[0]
-        sparse, path = apart > _SPARSE * self.settings.ahead_m, self._stretches.path
+        state = TrackerState(
+            STILL.name,
+            dict(selector.probabilities),
+            model=None,
+            configuration=0.0,
+            trusted=False,
+            ahead_m=self._check.error,
+            off_m=off,
+            event=event,
+            samples=self._samples,
+            apart_m=apart,
+            sparse=apart > _SPARSE * self.settings.ahead_m,
+            left=self._left,
+            path_m=path,
+            written=self._convention.written,
+        )
         if motion is None or selector.kind == STILL.name:
-            return TrackerState(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples,
-                         apart_m=apart, sparse=sparse, left=left, path_m=path, written=written)  # fmt: skip
+            return state
+        state = replace(state, kind=NONE, follows=selector.follows)
         if self._none:
-            return TrackerState(NONE, probabilities, None, 0.0, False, ahead, off, event, self._samples,
-                         selector.follows, apart, sparse, left, path, written)  # fmt: skip
+            return state
         if self._zero is None or self._zero[0] is not motion:
             assert self._first is not None
             begin = motion.placed(self._first, None, POSITIONS)[0]
@@ -394,11 +398,10 @@ class Tracker:
         model, seen = self._zero[1], p
         if R is not None and selector.follows:
             seen = posed(R, p)
-        trusted = self._check.trusted and not (self._share.fails or self._bend.found)
+        trusted = self._check.trusted and not (self._share.fails or self._bent)
         trusted = trusted and path >= self.settings.trust_after_m and self._convention.written is None
         a = float(model.configuration(seen))
-        return TrackerState(selector.kind, probabilities, model, a, trusted, ahead, off, event, self._samples,
-                     selector.follows, apart, sparse, left, path, written)  # fmt: skip
+        return replace(state, kind=selector.kind, model=model, configuration=a, trusted=trusted)
 
 
 def _went_on(

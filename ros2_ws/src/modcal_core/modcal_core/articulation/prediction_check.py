@@ -1,9 +1,8 @@
 """Whether a model predicts: kept as it was, and asked again when the handle has come as far ahead as it must be right.
 
-A parameter that settles proves nothing: a hinge's centre may be 50 mm off while the next ten degrees are right, and a
-line settles nicely on the first centimetres of a circle. What earns trust is way, not poses: models are kept once twice
-the distance ahead is known, and the predictions that count lie apart. After a path that was trusted has been left, the
-next one has to be known twice as far, and so on: what is no joint looks like one for a while, again and again.
+A parameter that settles proves nothing: a line settles nicely on the first centimetres of a circle. Way earns trust:
+models are kept once twice the distance ahead is known, and the predictions that count lie apart. After each path that
+was left, the next has to be known that much farther: what is no joint looks like one for a while, again and again.
 """
 
 from __future__ import annotations
@@ -70,10 +69,7 @@ class PredictionCheck:
         self._range = [path, path]
 
     def look(self, motion: AxisMotion, a: float, p: Array) -> None:
-        """Ask the models whose time has come with the pose that is here, and keep this one if the handle came further.
-
-        a: this motion's configuration of the pose. p: the pose's position (3,) [m].
-        """
+        """Ask models whose time has come with the pose at p (3,) [m], configuration a; keep this one farther on."""
         length = motion.length_per_unit
         ahead = min(self._ahead_m, self._ahead_rad * length if motion.turns else math.inf)
         step = 0.0 if self._before is None else math.dist(p, self._before)

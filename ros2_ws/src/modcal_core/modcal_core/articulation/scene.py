@@ -1,20 +1,17 @@
 """What all kinds of joint must explain: nodes of a track, how they are off together, and the sizes that are tried.
 
-Where the direction along the path is the same for all nodes, as of every motion about one axis, what shares noise is
-whitened together; ``VaryingTerms`` has the others.
-
-The path of a parametric model may bend in the frame that it moves along, so the direction t along it [unit vector]
-differs from node to node, and so does the turn ω [rad] per metre of path. The latent place on the path, flat in metres,
-is integrated out by what no place on the path can change: of each node's residuals e, φ and two directions U across t,
+Of a motion about one axis the direction along the path is the same for all nodes, once unwound (``UniformTerms``). The
+path of a parametric model may bend in the frame that it moves along, so the direction t along it [unit vector], and the
+turn ω [rad] per metre, differ from node to node (``VaryingTerms``). The latent place on the path, flat in metres, is
+integrated out by what no place on the path can change: of each node's residuals e, φ and two directions U across t,
 
     x = Uᵀe,   y = φ − ω tᵀe
 
-With covariances P and Q of positions and rotations between nodes, as for all motions, those of x and y are
+With covariances P and Q of positions and rotations between nodes, those of x and y are
 
     x_i x_j: P_ij U_iᵀU_j,   x_i y_j: −P_ij (U_iᵀt_j) ω_jᵀ,   y_i y_j: Q_ij I + P_ij (t_iᵀt_j) ω_i ω_jᵀ
 
-Where t is the same everywhere, that is what ``UniformTerms`` has. A node beyond an end of the path pays for how far it
-is beyond.
+A node beyond an end of the path pays for how far it is beyond.
 """
 
 from __future__ import annotations
@@ -98,14 +95,6 @@ class NodeScene:
             self._roots[key] = whitener(key**2 * self.kernel + rest)
         return self._roots[key]
 
-    def prepare(self, plays: list[float], sway: float) -> None:
-        """Have at hand what is asked for these."""
-        for play in plays:
-            self.by_play(play)
-        if self.track.oriented:
-            self.by_sway(sway)
-            _ = self.turned
-
     @cached_property
     def turned(self) -> Array:
         """Rotations of nodes from their mean (3, k) [rad]."""
@@ -116,10 +105,7 @@ class NodeScene:
     def of(
         cls, track: Track, apart: Array, counts: Array, sigma: tuple[float, float], distorted: float = 1.0
     ) -> NodeScene:
-        """Nodes with counts (k,), distances (k, k) [m], noise of one sample sigma [m, rad].
-
-        distorted: how many times the usual distortion is taken.
-        """
+        """Nodes with counts (k,), distances (k, k) [m], noise sigma of a sample, distortion times the usual one."""
         smooth = np.exp((-0.5 / furniture.DISTORTION_REACH**2) * apart * apart)
         both, per = [], 1.0 / counts
         for s, least, d in zip(sigma, _MIN_NOISE, furniture.DISTORTION, strict=True):

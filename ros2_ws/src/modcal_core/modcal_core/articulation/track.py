@@ -1,18 +1,14 @@
 """A track: what was seen of a handle, pose by pose or point by point, in the order in which it was seen.
 
-A sample joins the nearest node within reach, else it founds one. When there are too many, the reach is doubled and the
-nodes are pooled again. What is pooled lies within the reach, so an outlier founds a node of its own and stays apart; a
-dwell, or a path that is gone over again, makes nodes surer, not more.
+A sample joins the nearest node within reach, else it founds one; when there are too many, the reach grows and nodes are
+pooled again. So an outlier stays apart, and a dwell, or a path that is gone over again, makes nodes surer, not more. A
+whole track is pooled, drawn from and counted in the same order whether the door opened or closed.
 
-A door that closes is the door that opened. Where a whole track is looked at, samples that are pooled, drawn or counted
-one after the other are taken in the same order either way.
+An outlier is a sample that lies where neither of its neighbours in time lies; a stretch that departs from a model is
+none. A handle that rests says the same with every sample, and a hundred of them must not outvote the motion.
 
-An outlier is a sample that lies where neither of its neighbours in time lies. A stretch that departs from a model is
-none: it is the model that is wrong there. A handle that rests says the same again with every sample, and a hundred
-of them must not outvote the motion.
-
-One stamp that is seconds ahead, or behind, is a fault of whoever stamped it, and must not wipe what was learned. When
-the next one goes on from there, time itself has changed: ahead it is a pause, behind a recording that begins again.
+One stamp that is seconds off is a fault of whoever stamped it, and must not wipe what was learned. When the next one
+goes on from there, time itself has changed: ahead it is a pause, behind a recording that begins again.
 """
 
 from __future__ import annotations
@@ -88,12 +84,14 @@ class Track:
 
     @classmethod
     def of_poses(cls, poses: ArrayLike, stamps: ArrayLike | None = None) -> Track:
-        """The track of poses x y z qx qy qz qw (n, 7), or of positions (n, 3) [m].
+        """The track of poses x y z qx qy qz qw (n, 7) or (n, 4, 4), or of positions (n, 3) [m], which are copied.
 
         Raises what Track raises, and BadRecording for a quaternion whose length is off 1 by more than 2 %.
         """
-        poses = np.asarray(poses, dtype=float)
-        times = None if stamps is None else np.asarray(stamps, dtype=float)
+        poses = np.array(poses, dtype=float)
+        times = None if stamps is None else np.array(stamps, dtype=float)
+        if poses.ndim == 3 and poses.shape[1:] == (4, 4):
+            return cls(poses[:, :3, 3], poses[:, :3, :3], times)
         if poses.ndim != 2 or poses.shape[1] not in (3, 7):
             raise BadRecording("track", f"has shape {poses.shape}, not (n, 3) or (n, 7)",
                                "give x y z or x y z qx qy qz qw")  # fmt: skip
@@ -111,18 +109,11 @@ class Track:
     def from_arrays(
         cls, points: ArrayLike | None = None, poses: ArrayLike | None = None, stamps: ArrayLike | None = None
     ) -> Track:
-        """The track of points (n, 3) [m], or of poses (n, 4, 4) or x y z qx qy qz qw (n, 7) [m], which are copied.
-
-        stamps: [s], (n,). Raises what Track raises, and BadRecording unless one of points and poses is given.
-        """
+        """:meth:`of_poses` of points or poses. Raises BadRecording unless one of them is given."""
         if (points is None) == (poses is None):
             said = "neither points nor poses are given" if points is None else "points and poses are given"
             raise BadRecording("track", said, "give one of them")
-        values = np.array(points if poses is None else poses, dtype=float)
-        if values.ndim == 3 and values.shape[1:] == (4, 4):
-            times = None if stamps is None else np.array(stamps, dtype=float)
-            return cls(values[:, :3, 3], values[:, :3, :3], times)
-        return cls.of_poses(values, stamps)
+        return cls.of_poses(points if poses is None else poses, stamps)  # type: ignore[arg-type]
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -191,8 +182,6 @@ class Nodes:
         """Empty. reach: how far from a node samples join it, at first [m]."""
         self.oriented, self.most, self.reach = oriented, most, reach
         self._width = 12 if oriented else 3
-        self._rotations = np.zeros((most, 3, 3))
-        self._stale = np.ones(most, dtype=bool)  # whose rotation is older than their sum
         self._sums = np.zeros((most, self._width))
         self.counts = np.zeros(most)
         self.k = 0
@@ -214,13 +203,12 @@ class Nodes:
             if squared[nearest] <= self.reach**2:
                 self._sums[nearest] += row
                 self.counts[nearest] += weight
-                self._stale[nearest] = True
                 return False
         if self.k == self.most:
             self._coarsen()
             self._pool(row, weight)
             return True
-        self._sums[self.k], self.counts[self.k], self._stale[self.k] = row, weight, True
+        self._sums[self.k], self.counts[self.k] = row, weight
         self.k += 1
         return False
 
@@ -252,10 +240,7 @@ class Nodes:
         m = self.means()
         if not self.oriented:
             return Track.trusted(m)
-        stale = self._stale[: self.k].nonzero()[0]
-        self._rotations[stale] = so3.nearest_rotation(m[stale, 3:].reshape(-1, 3, 3))
-        self._stale[stale] = False
-        return Track.trusted(m[:, :3], self._rotations[: self.k].copy())
+        return Track.trusted(m[:, :3], so3.nearest_rotation(m[:, 3:].reshape(-1, 3, 3)))
 
 
 def pooled(track: Track, most: int, noise: float) -> Nodes:

@@ -1,12 +1,8 @@
 """Whether a path is two motions, and where it is cut: of a whole track, or asked while it comes.
 
-A mechanism of two joints looks like one for a stretch, and predicts there. What tells it from furniture is the whole
-path since the start: a cut into two lines or circles leaves nothing of what one leaves. Each side of a cut is a line or
-a circle, fitted in closed form; the best cut is where both together leave least. While poses come, the path is kept as
-the means of short stretches.
-
-What furniture leaves beside its ideal path (play, a bow, what distorts the camera) does not vanish by a cut: two arcs
-leave about as much of it as one. What a mechanism of two joints leaves does vanish, down to the noise.
+A mechanism of two joints looks like one for a stretch, and predicts there. Cut into two lines or circles, each fitted
+in closed form, its whole path leaves nothing but noise. What furniture leaves beside its ideal path (play, a bow, what
+distorts the camera) does not vanish by a cut. While poses come, the path is kept as the means of short stretches.
 """
 
 from __future__ import annotations
@@ -81,38 +77,23 @@ def _cost(p: Array, k: int) -> float:
 
 
 _MIN = 5  # stretches on either side of a cut, more than a circle's parameters have of two residuals each
-_ANEW = 0.02  # m of path after which the question is asked again
 
 
-class TwoMotions:
-    """found: whether the path since the start is two motions, as of the last question."""
-
-    def __init__(self, stretches: Stretches) -> None:
-        """stretches: the path so far, kept by others."""
-        self.found = False
-        self._stretches, self._asked = stretches, 0.0
-
-    def come(self, noise: float) -> None:
-        """Ask again where the path has grown. noise: of one position, on an axis [m]."""
-        path, k = self._stretches.path, self._stretches.k
-        if path - self._asked < _ANEW or path < 2.0 * MIN_PATH:
-            return
-        self._asked, points = path, self._stretches.points
-        ends = max(_MIN, math.ceil(MIN_PATH * k / path))
-        cut = _cheapest(points, np.arange(ends, k - ends + 1))
-        if cut is None:
-            return
-        white = noise**2 * float(np.mean(1.0 / self._stretches.counts))
-        one = squares(points) / (2 * k - _PARAMETERS) - white
-        two = _cost(points, cut) / (2 * k - 2 * _PARAMETERS) - white
-        self.found = vanishes(one, two)
+def are_two(stretches: Stretches, noise: float) -> bool:
+    """Whether a path is two motions. noise: of one position, on an axis [m]."""
+    path, k, points = stretches.path, stretches.k, stretches.points
+    ends = max(_MIN, math.ceil(MIN_PATH * k / max(path, MIN_PATH)))
+    cut = _cheapest(points, np.arange(ends, k - ends + 1))
+    if cut is None or path < 2.0 * MIN_PATH:
+        return False
+    white = noise**2 * float(np.mean(1.0 / stretches.counts))
+    one = squares(points) / (2 * k - _PARAMETERS) - white
+    two = _cost(points, cut) / (2 * k - 2 * _PARAMETERS) - white
+    return vanishes(one, two)
 
 
 def squares(p: Array) -> float:
-    """Squares [m²] that the better of a line and a circle leaves of points (n, 3), capped point by point.
-
-    The circle is the algebraic one in the plane that fits best, by normal equations about the middle.
-    """
+    """Squares [m²] that the better of a line and an algebraic circle leaves of points (n, 3), capped one by one."""
     x = p - p.mean(axis=0)
     axes = np.linalg.eigh(x.T @ x)[1]
     y = x @ axes[:, ::-1]

@@ -4,10 +4,8 @@ The tool of the model is whichever the arm carries, its frame the other: ``T_fra
 target is on the tip, T_target_camera where the camera is. A motion of the tool, (shift of its origin, turn) along the
 frame's axes, becomes the twist (a, b) of the target as the camera sees it.
 
-A fit has a minimal set of parameters. What it leaves out moves the tool as some of those that it has: the length of an
-upper arm is off by what the shoulder's side of it is off and by what the elbow's is. So the covariance of the set is
-that of all faults, brought to it by the derivatives of a general arm's readings; taken from its own parameters alone it
-would have such lengths known to seven tenths of what they are.
+A fit has a minimal set of parameters, and what it leaves out moves the tool as some of those do. So the prior
+covariance of the set is that of all faults of an arm, brought to it by the derivatives of a general arm's readings.
 """
 
 from __future__ import annotations
@@ -116,9 +114,7 @@ _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
 class ValuePrior(NamedTuple):
-    """start: of V values in a fit, (V,). mean, information: of their prior, (V,) and (V, V). free: which of them are
-    fitted, (V,) bool.
-    """
+    """start (V,): of a fit's values. mean (V,), information (V, V): of their prior. free (V,): which are fitted."""
 
     start: Array
     mean: Array
@@ -204,10 +200,7 @@ class ArmPoses:
         return model_at(self.model, self.parameters, values)
 
     def tool_motions(self, values: Array, offset_s: float = 0.0) -> tuple[Array, Array]:
-        """(T_frame_tool (N, 4, 4), its derivative (N, 6, P): shift of the tool's origin and turn, along the frame).
-
-        offset_s: by how much later than stated the joints were where the images say.
-        """
+        """T_frame_tool (N, 4, 4), the joints read so late [s], and shift and turn along the frame (N, 6, P)."""
         at = self.drivers(offset_s)
         now = self.model_at(values)
         J = linearise(self.model, self.parameters, values, at.samples, drivers=at).J

@@ -1,17 +1,15 @@
 """Targets: printed sheets and bodies with markers, where their points are, each with a number that never changes.
 
-A sheet's frame has x to the right of the sheet, y down it and z into it, as OpenCV's boards have; its origin is the
-sheet's upper left corner of the pattern. AprilGrids are written in Kalibr's frame: x right, y up, z out of the sheet.
+A sheet's frame has x to the right, y down and z into it, as OpenCV's boards have; its origin is the upper left corner
+of the pattern. AprilGrids are written in Kalibr's frame: x right, y up, z out of the sheet.
 
 Of a body a drawing says where each marker is; the body itself was glued together by hand. So each marker has a place of
-its own in a fit (places), and the body as a whole a size. A marker's frame has x to its right, y up and z out of it,
-towards who looks at it, as ArUco's have and those of apriltag_ros; its origin is the middle.
+its own in a fit, three values, six where its corners are read, and the body a size. A marker's frame has x to its
+right, y up and z towards who looks at it, as those of ArUco and apriltag_ros; its origin is the middle.
 
-Each marker is glued on, or printed, a little elsewhere, and turned: three values of a point's place, six of a marker
-whose corners are read. All of them moved as one body is a motion of the body, which the pose of the target is there
-for. So in the units of their tolerances the six motions as a body are held, and what is left keeps full rank: the
-target's frame is the one in which its markers' offsets add up to no motion. How large they are against the tolerances
-is one of the sizes that the data decide.
+All markers moved as one body are a motion of the target. So in the units of their tolerances the six motions as a body
+are held: in the target's frame its markers' offsets add up to no motion. How large the offsets are against the
+tolerances is one of the sizes that the data decide.
 """
 
 from __future__ import annotations
@@ -222,9 +220,7 @@ _MIN_MARKERS = 3  # not on one line: fewer have no pose
 
 @dataclass(frozen=True)
 class BundleMarker:
-    """id: as detectors have it. xyz: of its middle on the body [m]. quaternion: T_body_marker's, x y z w. size: of its
-    side [m], 0 of a bare point.
-    """
+    """id: as detectors have it. xyz [m], quaternion x y z w: of T_body_marker. size: of its side [m], 0 of a point."""
 
     id: int
     xyz: tuple[float, float, float]

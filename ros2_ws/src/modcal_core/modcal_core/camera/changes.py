@@ -1,27 +1,20 @@
 """What corners show beyond geometry: effects of the joints, and what was moved among the images or since.
 
-Gears, ratios, springs and backlash are looked for as with any other instrument. The scan says which candidate explains
-most of what the fit leaves over, and how likely noise explains as much. It stays where everything fitted again with it
-makes the images likelier by more than its price, and where a fit of most images with it predicts the others better.
+Gears, ratios, springs and backlash are looked for as with any other instrument. An image says as much of the target's
+place as six numbers with a covariance; whitened, they are six rows like those of a pose reading, so the scan of other
+instruments (diagnosis/evidence) serves images, with everything that the fit may change projected out. A candidate stays
+where everything fitted again with it makes the images likelier by more than its price, and where a fit of most images
+with it predicts the others better. Of a spring under the arm's own weight much looks like a joint's zero or a link's
+length; the rest has to stand out of the noise.
 
-An image says as much of the target's place as six numbers with a covariance, whose noise is what its corners have and
-what the image has of its own; whitened, they are six rows like those of a pose reading. Lens and sheet move them too,
-and are told by the corners beside each other as well: what that tells stands beside the prior. So the scan of other
-instruments (diagnosis/evidence) serves images, with everything that the fit may change projected out.
+A half that was moved moves the target by six numbers, another focal length scales the images by one, the same from one
+image on. The images have a likelihood with these numbers drawn from what is usual, and without them, all else
+integrated out. Among the images of a fit the sizes of all errors are found again for both, for a change makes the
+images' own errors look large.
 
-A spring under the arm's own weight bends the arm by little and smoothly, and much of that looks like a joint's zero or
-a link's length. What is left of it, beside all that is fitted, has to stand out of the noise of the images.
-
-A half that was moved, or another focal length, moves the target in the images, or scales them, by a few numbers, the
-same from one image on. All else integrated out, the images have a likelihood with these numbers drawn from what is
-usual, and without them; among the images of a fit the sizes of all errors are found again for both, for a change makes
-the images' own errors look large.
-The likelihood has the price of the numbers in it: six of a half that was moved, one of a focal length.
-
-While the robot works, the last few images are equations like those of a fit, about the calibrated model and with all
-that it knows as a prior. Images of several cameras are judged together: each camera may have been moved by itself,
-while joints, and a target that cameras see from the same side, are one for all. The likeliest change is named where it
-beats nothing by far and the next one clearly.
+While the robot works, the last few images are equations about the calibrated model, with all that it knows as a prior.
+Images of several cameras are judged together: joints, and a target seen from the same side, are one for all. The
+likeliest change is named where it beats nothing by far and the next one clearly.
 """
 
 from __future__ import annotations
@@ -49,9 +42,7 @@ _ONLY_ROUNDING = 1e-9  # of an image's information, which a direction it does no
 
 @dataclass(frozen=True)
 class CameraSpace(Space):
-    """Rows of images, six of each. whitened: of a motion of the tool, seen from the root (6, N), that of the target in
-    the image, white, (6, N).
-    """
+    """Rows of images, six of each. whitened: of a motion of the tool (6, N), seen from the root, that in the image."""
 
     whitened: Callable[[Array], Array] = np.asarray
 
@@ -224,9 +215,7 @@ class Moved:
         return f"The {self.what} was moved by {self.by}"
 
     def before(self, image: str, whose: str = "") -> str:
-        """The finding with what to do about the images of a fit. image: the name of the first one after it. whose:
-        suffix that names the camera of several.
-        """
+        """The finding, and what to do. image: name of the first one after it. whose: suffix that names the camera."""
         said, do = f"The {self.what}{whose} was moved before image {image}, by {self.by}: ", ""
         if self.focal:
             said = f"The camera{whose} has another focal length from image {image} on, by {100.0 * self.focal:+.1f} %: "
@@ -313,9 +302,7 @@ def half_changes(seen: Sequence[_Watched], order: np.ndarray) -> list[Change]:
 
 
 def find_change(fit: CameraFit) -> Moved | None:
-    """The likeliest change among the images of the first camera of a fit, since the image of that number; None if none
-    is beyond doubt.
-    """
+    """The likeliest change among the images of the first camera, since a numbered one; None if none is beyond doubt."""
     # a camera that was moved would put the others' images of the same stops elsewhere as well
     cameras = fit.equations.cameras
     before = np.cumsum([0, *(len(one.stop) for one in cameras)])

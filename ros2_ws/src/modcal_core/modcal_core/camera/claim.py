@@ -1,16 +1,14 @@
 """The claim of a camera calibration: how far the arm's model is off at the tool, RMS over postures, in millimetres.
 
 What counts is where the model has the flange in the frame of the other half: the target's where the camera is carried,
-the camera's where the target is. True arms near the calibrated one are drawn as for every instrument
-(:mod:`modcal_core.claim`): the equations of the images say what they show, all errors of all links how arms are off,
-those that the fit leaves out as well. The same draws say how far the nominal arm is off, camera and target placed by
-the same images, so that the two can be compared draw by draw. What joints do not repeat is part of both.
+the camera's where the target is. True arms are drawn as for every instrument (:mod:`modcal_core.claim`): the images'
+equations say what they show, all errors of all links how arms are off. The same draws say how far the nominal arm is
+off, camera and target placed by the same images. What joints do not repeat is part of both.
 
 The interval holds if what is stated is true. A statement that may be wrong has draws of its own, and counts by its
-likelihood in the chance of an arm made worse, on which the advice rests. The advice compares the arms draw by draw, not
-interval by interval: what is open of lens, sheet and the camera's place moves both alike, so that one may be the better
-beyond doubt where their intervals overlap. What the user states of the nominal arm is no draw, and there the interval
-has to be below it.
+likelihood in the chance of an arm made worse. The advice compares the arms draw by draw: what is open of lens, sheet
+and the camera's place moves both alike. What the user states of the nominal arm is no draw, and there the interval has
+to be below it.
 """
 
 from __future__ import annotations

@@ -2,14 +2,12 @@
 
 A corner of an image with the target at T (camera's frame) stands at X = R x + p with x its place on the sheet. A small
 twist (a, b) of the target, seen from the camera, moves it by a + b × X; the lens by its own derivative; the sheet's
-shape by R dx. A rolling shutter sees each row of the image later than the one above it, so a target that moves by a
-twist a second stands elsewhere in each, counted from the middle row, by the share of the image's height. Rows are
-whitened by the corners' covariance. What a fit needs of an image is the product of its rows with each other, 22 × 22
-however many corners there are, which is why many images stay quick. On a body each marker's place moves its own points
-as well, and the product is larger by the places of all markers.
+shape, and on a body its marker's place, by R dx. A rolling shutter sees each row later than the one above it, counted
+from the middle row. Rows are whitened by the corners' covariance. A fit needs of an image the product of its rows with
+each other, 22 × 22 and the places of markers, however many corners there are.
 
 The sheet's size, its flatness and the lens's higher terms are fitted with expectations and not left out, so that what
-they may do to the arm is in its uncertainty: the sheet is suspected before the arm.
+they may do to the arm is in its uncertainty.
 """
 
 from __future__ import annotations
@@ -226,9 +224,7 @@ def grams(table: CornerTable, rows: CornerRows) -> Array:
 
 @dataclass(frozen=True)
 class CameraState:
-    """values: of the arm's parameters, (P,). offset_s: of the clock. common: lens, shape, readout and places of
-    markers, (15 + Z,). kind: a lens of this kind.
-    """
+    """values (P,): of the arm. offset_s: of the clock. common (15 + Z,): lens, shape, readout, places. kind: a lens."""
 
     values: Array
     offset_s: float

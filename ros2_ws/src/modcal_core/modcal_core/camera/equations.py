@@ -1,25 +1,19 @@
 """The linear equations of a camera fit at one state, and what the sizes of its errors make of them.
 
-An image's target is not quite where the model has it: joints come back with an error of their own, and the arm has
-faults that its geometry lacks. That is one unknown twist ξ per image, with the covariance Q that joints of standard
-deviation ``joint`` and a shift ``shift`` make. It is integrated out image by image. With G the products of an image's
-columns, the noise of corners counted,
+An image's target is not quite where the model has it: joints do not repeat, and the arm has faults that its geometry
+lacks. That is one unknown twist ξ per image, with the covariance Q that joints of standard deviation ``joint`` and a
+shift ``shift`` make. It is integrated out image by image. With G the products of an image's columns,
 
     G_eff = G − G_p S G_pᵀ,   S = Q (1 + G_pp Q)⁻¹
 
-so images never tie parameters together, and the equations are a sum of small ones (Woodbury). Images that several
-cameras took at one stop share what joints and tool are off by: with z in standard deviations, camera k sees ξ_k = B_k
-z. So z is integrated out stop by stop,
+so the equations are a sum of small ones (Woodbury). Images that several cameras took at one stop share what joints and
+tool are off by: with z in standard deviations, camera k sees ξ_k = B_k z. So z is integrated out stop by stop,
 
     H = Σ_k H_k − Uᵀ M⁻¹ U,   U = Σ_k B_kᵀ G_p,k,   M = 1 + Σ_k B_kᵀ G_pp,k B_k
 
-which for a stop of one image is the same as integrating out ξ.
-
-Readings of other instruments beside the images (tracker, points, sockets, ranges, bearings) share the arm and its
-effects with the camera and have base frames, tool and constants of their own: one more block of rows below those of the
-images. How much they scatter beyond what they state of themselves is one more size that the data decide. The
-sizes of noise, ξ and the arm's expected faults are those that make the data likeliest, the parameters integrated out
-(evidence, type II).
+Readings of other instruments beside the images (tracker, points, sockets, ranges, bearings) are one more block of rows:
+they share the arm and its effects, and have frames, tool and constants of their own. The sizes of noise, ξ, the arm's
+faults and the readings' scatter are those that make the data likeliest, the parameters integrated out.
 """
 
 from __future__ import annotations
@@ -227,9 +221,7 @@ class ReadingsBeside:
     def rows(
         self, arm: Sequence[ModelParameter], values: Array, effects: Sequence[Effect], columns: Array, count: int
     ) -> BesideRows:
-        """The rows with the arm's parameters, effects and own ones at these values, in that order. columns: where each
-        of these stands among ``count``.
-        """
+        """The rows at values of arm, effects and own parameters. columns: where these stand among ``count``."""
         order, samples = np.roll(np.arange(len(values)), len(self.own)), self.samples
         model = self.model.with_effects(tuple(effects))
         at = linearise(model, (*self.own, *arm), values[order], samples)
@@ -250,9 +242,7 @@ class ReadingsBeside:
         )
 
     def far(self, rows: BesideRows, size: float) -> np.ndarray:
-        """Which readings are nowhere near the arm, (N,), the others' scatter being the scale: one that is far off makes
-        ``size`` large.
-        """
+        """Which readings (N,) are nowhere near the arm, by the others' scatter: far ones make ``size`` large."""
         z = rows.residual**2 / rows.variance(size)
         N, pose = len(self.samples), self.samples.is_pose
         worst = z[: 3 * N].reshape(3, N).sum(axis=0)
@@ -310,13 +300,11 @@ class Equations:
             out[np.ix_(rows, rows)] = self.places.information(sizes.places)
         return out
 
-    def with_block(
-        self, rows: np.ndarray, information: Array, offset: Array, free: np.ndarray | bool = True
-    ) -> Equations:
+    def with_block(self, rows: np.ndarray, information: Array, offset: Array) -> Equations:
         """The equations with another prior of these parameters, which the state has off its mean by so much."""
         every, off, use = self.information.copy(), self.offset.copy(), self.free.copy()
         every[rows], every[:, rows] = 0.0, 0.0
-        every[np.ix_(rows, rows)], off[rows], use[rows] = information, offset, free
+        every[np.ix_(rows, rows)], off[rows], use[rows] = information, offset, True
         return replace(self, information=every, offset=off, free=use)
 
     def _inner(self, sizes: Sizes) -> tuple[Array, Array]:
@@ -375,9 +363,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class SolvedEquations:
-    """Normal equations H x = b of the free parameters, prior included; P: of the prior alone. cost: of the state.
-    spread: log determinant of the noise.
-    """
+    """H x = b of the free parameters, P of the prior in H. cost: of the state. spread: log determinant of the noise."""
 
     equations: Equations
     sizes: Sizes

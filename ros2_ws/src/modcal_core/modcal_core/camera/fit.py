@@ -1,13 +1,12 @@
 """The fit: arm, base, tool, clock, lens and the sheet's shape from all corners of all images, in one vector of values.
 
 Every camera has base and tool, clock, lens, shape of its target, readout and places of markers of its own; all share
-the arm and its effects. Where two see the same target file, the size of the print is one: two sheets of one printer, or
-one sheet, are wrong by the same. Seen from the same side it is one sheet, whose bow is shared as well, and one body.
-What a camera shares stands where the first camera has it; its own values stand behind those of the cameras before.
+the arm and its effects. Two that see the same target file share the size of the print; from the same side it is one
+sheet, whose bow is shared as well, and one body. What a camera shares stands where the first camera has it; its own
+values stand behind those of the cameras before.
 
-The fit has its covariance about where its values ended, from the drawing on, with the lens, the target and the sheet's
-size beside them; a calibration is written with the least change to its drawing. Both are the same small motions of the
-tool, so the one is brought to the other by the derivatives of readings at general postures.
+The fit has its covariance about where its values ended, from the drawing on; a calibration is written with the least
+change to its drawing. The one is brought to the other by the derivatives of readings at general postures.
 """
 
 from __future__ import annotations
@@ -313,9 +312,7 @@ class CameraFit:
 
     @property
     def pixels(self) -> Array:
-        """By how much corners (M, 2) of the first camera are elsewhere than the model has them, the images' own twists
-        not put in [px].
-        """
+        """By how much corners (M, 2) of the first camera differ from the model, images' own twists not put in [px]."""
         return self.equations.cameras[0].pixels
 
     @property
@@ -374,10 +371,7 @@ _Place = tuple[Array, SolvedEquations]
 def fit_cameras(
     cameras: Cameras, start: Array | None = None, sizes: Sizes = START, fixed_sizes: bool = False
 ) -> CameraFit:
-    """The fit of all cameras from values (V,), or from where the cameras begin.
-
-    sizes: to begin with. fixed_sizes: take the sizes as they are.
-    """
+    """The fit of all cameras from values (V,), or where these begin. sizes: to begin with; fixed_sizes: to keep."""
     x = cameras.expected.start if start is None else start
     stated = cameras.first.poses.arm_stated
     if stated is not None:
@@ -408,9 +402,7 @@ def fit_cameras(
 
 
 def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:
-    """The covariance of this model, which predicts as the fit does. What is uncertain of lens, target and sheet is in
-    it.
-    """
+    """The covariance of this model, which predicts as the fit does; what is unsure of lens and target is in it."""
     poses = fit.poses
     count, P = poses.count, len(poses.parameters)
     samples = general_samples(model, [View(POSE, f) for f in range(len(model.frames))], each=max(24, count))

@@ -5,13 +5,12 @@ Pinhole: with x = X / Z, y = Y / Z, r² = x² + y² and D = 1 + k1 r² + k2 r⁴
     x_d = x D + 2 p1 x y + p2 (r² + 2 x²)        u = fx x_d + cx
     y_d = y D + p1 (r² + 2 y²) + 2 p2 x y        v = fy y_d + cy
 
-(Brown 1971, in the order of OpenCV). A rational polynomial divides D by 1 + k4 r² + k5 r⁴ + k6 r⁶, whose three numbers
-stay as stated: images show no difference between them and the others. Fisheye: with θ the angle between ray and axis
-and r = tan θ,
+(Brown 1971). A rational polynomial divides D by 1 + k4 r² + k5 r⁴ + k6 r⁶, whose numbers stay as stated. Fisheye: with
+θ the angle between ray and axis and r = tan θ,
 
     x_d = x / r · θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)          and y_d likewise
 
-(Kannala and Brandt 2006, OpenCV's fisheye, ROS's equidistant). Pixels count from the middle of the upper left one.
+(Kannala and Brandt 2006, ROS's equidistant). Pixels count from the middle of the upper left one.
 """
 
 from __future__ import annotations

@@ -1,16 +1,14 @@
 """Which of camera and target the arm carries, and where both are: from images and flange poses, without a guess.
 
 Camera on the tip and target in the world: ``T_target_camera = Y T_base_tip X``. Camera in the world and target on the
-tip: ``T_camera_target = Y T_base_tip X``. Both are the robot-world / hand-eye problem AX = ZB, with the images' poses
-or their inverses. Whichever meets the images better is the mounting. Where both are on the tip, or both in the world,
-images do not change while the arm moves, which is said. Points that are flat, or nearly, look much the same tilted the
-other way about the line of sight: of the two poses of an image the one is taken that agrees with the rest.
+tip: ``T_camera_target = Y T_base_tip X``. Both are AX = ZB, with the images' poses or their inverses; whichever meets
+the images better is the mounting. Points that are nearly flat look much the same tilted the other way about the line of
+sight: of the two poses of an image the one is taken that agrees with the rest.
 
-The focal length begins as homographies of all images have it (Zhang 2000), the principal point in the middle of the
-image. Least squares over all corners follow, the poses eliminated image by image (Schur complement), so that the step
-is solved for the lens only. No prior: the minimum is that of any other program on the same corners. A body is small
-beside its distance, and its markers are not where they are drawn, so single images hardly tell the focal length; the
-arm's motion does: the lens is taken whose poses meet the arm best.
+The focal length begins as homographies of all images have it (Zhang 2000). Least squares over all corners follow, the
+poses eliminated image by image (Schur complement). No prior: the minimum is that of any other program on the same
+corners. A body is small beside its distance, so single images hardly tell the focal length; the lens is taken whose
+poses meet the arm best.
 """
 
 from __future__ import annotations
@@ -287,10 +285,7 @@ def relative_turns(T: Array) -> Array:
 
 
 def explained(error: BadRecording, chain: Chain, q: Array, poses: BoardPose, on_tip: bool | None) -> BadRecording:
-    """The error with what was written down wrongly, where that is beyond doubt, else as it was.
-
-    q: (N, n) of the images. on_tip: the mounting where it is stated.
-    """
+    """The error with what was written down wrongly, where that is beyond doubt. q (N, n). on_tip: as it is stated."""
     answers = []
     for carried in (True, False) if on_tip is None else (on_tip,):
         T = se3.inverse(poses.T[:, 0]) if carried else poses.T[:, 0]

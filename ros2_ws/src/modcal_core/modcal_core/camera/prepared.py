@@ -1,10 +1,9 @@
-"""Images of a camera: as given, made ready for a fit, and fitted first, without what is not where it should be.
+"""Images of a camera made ready for a fit, and fitted first, without what is not where it should be.
 
 Of a sheet every image shows a pose, and the lens is fitted to these before the arm is asked. An image of a body may
-show three points, which fit any pose, so it is the arm that points are held against: those that are off by far more
-than the others, each image's own error counted, are out, and where most of an image is, the image. Misreadings of a
-body are spread over markers and images, and what is left of its points says as much as if they had not been read. A
-marker most of whose points are out has another number, or another place, than the target's file states, or came loose.
+show three points, which fit any pose, so its points are held against the arm: those that are off by far more than the
+others are out, and where most of an image is, the image. A marker most of whose points are out has another number, or
+another place, than the target's file states, or came loose.
 """
 
 from __future__ import annotations
@@ -240,9 +239,7 @@ _CLEANED = 5  # times that points and images are looked through
 
 
 def view_distances(fit: CameraFit) -> tuple[Array, np.ndarray]:
-    """(squared distance of each image's pose from the arm's, in its own standard deviations, (N,); along how many
-    directions it shows it, (N,), which is what it is on average).
-    """
+    """Squared distances (N,) of images' poses from the arm's, in deviations; along how many directions (N,)."""
     G = fit.equations.cameras[0].grams[:, :POSE] / fit.sizes.noise**2
     inner, score = G[:, :, :POSE], G[:, :, -1:]
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("nii->ni", inner), 1e-300))

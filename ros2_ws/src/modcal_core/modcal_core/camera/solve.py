@@ -178,8 +178,7 @@ class CameraProblem:
 class CameraEvidence:
     """moved: what was moved between images, the camera's focal length included. findings: what target and camera are
     not as stated. causes: effects beyond geometry. left: what is significant and could not be turned into one. weak:
-    what the images leave open, in sentences. problems: what contradicts the fit. open_points: what a verdict may not
-    pass over, though the fit stands.
+    what the images leave open, in sentences. open_points: what a verdict may not pass over, though the fit stands.
     """
 
     moved: Moved | None
@@ -187,7 +186,6 @@ class CameraEvidence:
     causes: tuple[CameraCause, ...]
     left: EffectChoice | None
     weak: tuple[str, ...]
-    problems: tuple[str, ...]
     open_points: tuple[str, ...]
 
 
@@ -229,9 +227,7 @@ class CameraSolution:
 
     @property
     def judged(self) -> ToolError:
-        """The error that counts: where the target is in view, with a body the arm's by itself, for fixed cameras are
-        there for the arm, wherever they stand.
-        """
+        """The error that counts: in view; with a body the arm's by itself, wherever the fixed cameras stand."""
         return self.claim.alone if self.fit.table.places else self.claim.in_view
 
     @property
@@ -298,7 +294,7 @@ def solve_camera(
         fit,
         geometric,
         still,
-        CameraEvidence(change, defaults, causes, left, weak, against, open_points),
+        CameraEvidence(change, defaults, causes, left, weak, open_points),
         CameraClaim(*at, replace(decision, doubtful=doubtful), known, rests, metric, held_out(still, fit)),
     )
 

@@ -4,14 +4,12 @@ A stated value that is wrong does not show in the residuals where the arm can ta
 looks like an arm whose links are all 2 % shorter. What gives it away is the likelihood of the images with the statement
 relaxed against held, all parameters integrated out and the sizes of all errors found again.
 
-* A stated value is held with its tolerance in the fit, and is relaxed to one that says next to nothing. Far likelier:
-  it is contradicted, or the arm is built to another scale. Where images say neither, it is in doubt, which is said, and
-  counts in the chance of an arm made worse.
+* A stated value is held with its tolerance in the fit, and is relaxed. Far likelier: it is contradicted, or the arm is
+  built to another scale. Where images say neither, it is in doubt, and counts in the chance of an arm made worse.
 * A default, as no delay or a flat sheet, is fitted, and is held at its value. Far less likely: the value is named.
 
-Either is another prior of a few values in the equations of the fit, solved from there.
-
-Every relaxed statement has a price in nats, and they share one probability with each other and with none of them.
+Either is another prior of a few values in the equations of the fit. Every relaxed statement has a price in nats, and
+they share one probability with each other and with none of them.
 """
 
 from __future__ import annotations
@@ -222,9 +220,7 @@ class CameraFinding:
 
 
 def findings(fit: CameraFit, other_length: bool, q: Array) -> tuple[CameraFinding, ...]:
-    """Defaults that do not hold. other_length: whether anything but the sheet states a length. q: postures (M, n) over
-    which the size at the flange is.
-    """
+    """Defaults that do not hold. other_length: not of the sheet. q (M, n): postures for the size at the flange."""
     P, C, scale = fit.poses.count, fit.covariance, fit.table.target.scale
     J, plain, out = fit.flange_motions(q), fit.misfit, []
     for what, row in _STATEMENTS.items():

@@ -1,11 +1,9 @@
 """Postures at which a target is in view, and those at which images tell the most in millimetres.
 
-From a first calibration, of a handful of images or one that is not to be applied, it is known well enough where camera
-and target are. Postures are drawn within the joint limits about those of its images; those stay that show the whole
-target, its front, tilted and far away within bounds. Of these, one after the other is taken that makes the expected
-error at the tool smallest, over postures in view (A-optimal, greedy; each image's own joints and shift counted).
-Of a body with markers those postures stay at which the camera sees it from about where it has seen it before, with some
-markers in view; only what those show counts.
+A first calibration says well enough where camera and target are. Postures are drawn about those of its images; those
+stay that show the whole target, its front, tilted and far away within bounds; of a body with markers those that see it
+from about where it was seen before. One after the other is taken that makes the expected error at the tool smallest,
+over postures in view (A-optimal, greedy; each image's own joints and shift counted).
 """
 
 from __future__ import annotations

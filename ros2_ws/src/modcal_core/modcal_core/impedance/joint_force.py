@@ -1,23 +1,21 @@
 """The wrench on the tool that the joints' efforts show: a force sensor in every arm whose stack reports torques.
 
-Drives give e for what gravity g, the motion and friction f ask of them, and for the wrench w on the tool,
+Drives give e for gravity g, the motion, friction f and the wrench w on the tool:
 
     e = g(q) + M(q) q̈ + f − Jᵀ w.
 
-Everything is smoothed alike, by two low-passes of lag 1/K in a row. Then q̈ follows from positions alone,
-q̈ = K² (q − 2 q₁ + q₂) with q₁ and q₂ after one and two of them, so that no speed has to be reported and none is
-differentiated: the generalised momentum observer of second order. What speeds add, C q̇, is below 0.1 N m in a pull.
-w follows by least squares, weighted by how well every joint is known, with a prior, so that its covariance says which
-directions the efforts do not see: those in which J is next to singular, or an arm has too few joints.
+Everything is smoothed alike, by two low-passes of lag 1/K in a row. So q̈ = K² (q − 2 q₁ + q₂), with q₁ and q₂ after
+one and two of them: the generalised momentum observer of second order, which differentiates no speed. C q̇ is left out;
+it is below 0.1 N m in a pull. w follows by least squares, weighted by how well every joint is known, with a prior, so
+that its covariance says which directions the efforts do not see.
 
-Dry friction is the largest error. It acts against the speed; of a joint that hardly moves it may be anything between
-both sides, and counts as uncertainty. How large it is, what the tool
-weighs, and by how much every torque constant is off is learned from motions that the arm makes anyway before it takes
-hold (:class:`FreeMotion`, :func:`modcal_core.robots.weigh`). Of an arm that was not seen moving, what the efforts are
-beside the stated masses as it stands is taken for zero, and its size for the uncertainty of every reading.
+Dry friction is the largest error. It acts against the speed, and of a joint that hardly moves it counts as uncertainty.
+Its size, the tool's weight and the errors of the torque constants are learned from motions that the arm makes before it
+takes hold (:class:`FreeMotion`, :func:`modcal_core.robots.weigh`). Of an arm that was not seen moving, what efforts
+leave beside the stated masses is taken for zero, and its size for the uncertainty.
 
-Whether what is reported are torques at all is told by the arm's own weight. Currents, efforts that leave gravity out,
-and gears whose friction bears the weight are not used.
+Whether torques are reported at all is told by the arm's own weight. Currents, efforts without gravity, and gears whose
+friction bears the weight are not used.
 """
 
 from __future__ import annotations
@@ -72,10 +70,7 @@ _MOMENTS = 150
 
 @dataclass
 class FreeMotion:
-    """What joints reported while the arm moved freely, before it took hold of anything. Take every reading.
-
-    sensor: what that of the wrist reported.
-    """
+    """What joints, and the sensor at the wrist, reported before the arm took hold of anything. Take every reading."""
 
     sensor: SensorWeighing = field(default_factory=SensorWeighing)
 
@@ -155,10 +150,7 @@ class JointForce:
         self._rest.append((joints.q, joints.effort))
 
     def begin(self, J: Array, motion: FreeMotion | None = None) -> None:
-        """The pull begins: see whether efforts are torques. J (6, n): of the tool, in its axes.
-
-        motion: what was seen of the arm before.
-        """
+        """The pull begins: are efforts torques? J (6, n): of the tool, in its axes. motion: seen of the arm before."""
         arm, weight = self._arm, self._weight
         if arm is None or weight is None:
             return

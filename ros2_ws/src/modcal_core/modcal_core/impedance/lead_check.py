@@ -1,27 +1,20 @@
-"""Whether the hand follows its setpoint as far as the force that is felt explains.
+"""Whether the hand follows its setpoint as far as the felt force explains.
 
 A servo pulls with its stiffness times the way by which its setpoint leads the tool. A force sensor that is stuck, or
-not connected to what is held, hides that: the setpoint runs on, the hand does not, and what is felt stays small. So the
-tool is compared with where its setpoint was a servo's lag ago, and with what the felt force takes on the softest stack
-that is asked for. What is left, times the stiffness by which the servos hold the tool, is force that nobody feels. That
-stiffness depends on the posture, and is largest along an outstretched arm; what the object and the fingers yield by
-does not make it less, as the tool is measured. So the stiffest that an arm may be is what counts, and the lead may be
-some tenths of a millimetre. A sensor that says the same to the last digit while the arm is
-moved may be stuck, or coarse: what it says explains nothing. Where it always said something new before, it is stuck.
+not connected to what is held, hides that: the setpoint runs on, the hand does not. So the tool is compared with where
+its setpoint was a servo's lag ago. What neither the lag nor the felt force explains, times the stiffness of the servos,
+is force that nobody feels. That stiffness depends on the posture, so the stiffest that an arm may be counts.
 
-A sensor that is stuck while its noise goes on repeats nothing. But by how much the servos yield to a newton is learned
-from what it said while it followed: whenever the felt force has changed by half a newton, the lead and the force of
-that moment are noted, and from then on the force explains that lead and not what the softest stack would take. The arm
-yields in another posture, and to another moment of the hand, by as much more or less as its levers say: by J Jᵀ w of
-the felt wrench w, for joints that are alike.
+A sensor that repeats itself to the last digit while the arm is moved may be stuck, or coarse: what it says explains
+nothing. Where it always said something new before, it is stuck. A stuck sensor may still show noise. So how far the
+servos yield to a newton is learned while the sensor follows: whenever the felt force has changed by half a newton, lead
+and force are noted, and from then on the force explains that lead and not what the softest stack would take; in another
+posture as much more or less as J Jᵀ w of the felt wrench w says.
 
-A force sensor that says a fifth of every force, from the start, teaches servos that yield five times as much, and then
-explains whatever comes. What it cannot teach is a joint that yields more than the joints of this arm do. A servo leads
-what it moves by e = l v + τ / k, with its lag l, the measured speed v and the load τ = −Jᵀ w of the wrench w on the
-tool. With a least stiffness k of each joint, known beforehand, the felt wrench takes no more of a lead than τ / k, and
-towards its own side; and a joint that stands takes none by its lag, but for the moment in which it is sent off or
-braked, when its inertia is a load. What a joint leads by beyond all of that is not felt. Asked of each joint by itself,
-what the hand yields by sideways, where levers are long, explains little of what the arm is pulled by along itself.
+A sensor that says a fifth of every force from the start teaches servos that yield five times as much. It cannot teach a
+joint that yields more than its stated least stiffness k allows. A servo leads what it moves by e = l v + τ / k, with
+its lag l, the measured speed v and the load τ = −Jᵀ w. So a felt wrench takes at most τ / k of a lead, towards its own
+side; and a joint that stands takes none by its lag, but while it is sent off or braked. More than that is not felt.
 """
 
 from __future__ import annotations
@@ -60,6 +53,39 @@ class RecentMaximum:
 
 
 _REMEMBERED = 0.5  # s of references and setpoints
+
+
+class SentReferences:
+    """References that were lately sent, and by how much readings lately came late [s]. begun (n,): the first one."""
+
+    def __init__(self, period: float) -> None:
+        """period: of references and readings [s]."""
+        self._period = period
+        self.values: deque[tuple[float, Array]] = deque()
+        self.begun: Array | None = None
+        self._late, self._heard = RecentMaximum(_REMEMBERED), math.inf  # by how much [s], and when the last came
+
+    def heard(self, stamp: float, now: float) -> None:
+        """Note that joints of ``stamp`` [s] are the newest now [s]; references may reach the servos as late."""
+        self._late.add(now, max(now - stamp, now - self._heard - self._period, 0.0))
+        self._heard = now
+
+    def sent(self, q: Array, now: float) -> None:
+        """Note the reference (n,) that is sent at time ``now`` [s]."""
+        self.begun = q.copy() if self.begun is None else self.begun
+        self.values.append((now, q.copy()))
+        _forget(self.values, now - _REMEMBERED)
+
+    @property
+    def late(self) -> float:
+        """The largest delay of the last half second [s]."""
+        return self._late.largest
+
+    def newest(self, until: float) -> Array | None:
+        """The newest reference (n,) that was sent by then [s]; None where none was."""
+        return next((q for t, q in reversed(self.values) if t <= until), None)
+
+
 _MAX_LAG = 2.0  # times the stated lag may a servo's be, as long as nothing was learned of it
 _LAG_OFF, _SURE = 0.1, 3.0  # of a lag that was learned, and deviations of it, by which a servo's may differ
 _MAX_REST = 3e-4  # rad of a rest that was learned: friction of 0.65 N m in a joint of 2175 N m/rad
@@ -82,37 +108,32 @@ class JointLeadCheck:
         [s]. period: of references and readings [s].
         """
         self._least, self._lag, self._period = least, lag, period
+        self._references = SentReferences(period)
         self._judges = bool(np.isfinite(least).any())  # else nothing is looked at: any lead may be the load's
         self._most_lag, self._rest = np.full(len(least), _MAX_LAG * lag), np.zeros(len(least))
-        self._sent: deque[tuple[float, Array]] = deque()
         self._read: deque[tuple[float, Array]] = deque()
         self._speeds: deque[tuple[float, Array]] = deque()
         self._loads: deque[tuple[float, Array]] = deque()
         self._asked: deque[tuple[float, Array]] = deque()  # speeds of the references
         self._gained: deque[tuple[float, Array]] = deque()  # by how much these were lately faster and slower (2, n)
-        self._begun: Array | None = None
         self._sag: Array | None = None
         self._stamp = -math.inf
         self._beyond = 0
-        self._late, self._heard = RecentMaximum(_REMEMBERED), math.inf  # by how much [s], and when the last came
 
     def heard(self, stamp: float, now: float) -> None:
-        """Note that joints of ``stamp`` [s] are the newest now [s]; references may reach the servos as late."""
-        if not self._judges:
-            return
-        self._late.add(now, max(now - stamp, now - self._heard - self._period, 0.0))
-        self._heard = now
+        """As of :class:`SentReferences`."""
+        if self._judges:
+            self._references.heard(stamp, now)
 
     def sent(self, q: Array, now: float) -> None:
         """Note the reference (n,) that is sent at time ``now`` [s]."""
         if not self._judges:
             return
-        self._begun = q.copy() if self._begun is None else self._begun
-        self._sent.append((now, q.copy()))
-        _forget(self._sent, now - _REMEMBERED)
-        before = next(((t, r) for t, r in reversed(self._sent) if t <= now - _SPAN), self._sent[0])
+        self._references.sent(q, now)
+        sent = self._references.values
+        before = next(((t, r) for t, r in reversed(sent) if t <= now - _SPAN), sent[0])
         self._asked.append((now, (q - before[1]) / (now - before[0]) if now > before[0] else np.zeros(len(q))))
-        late = _BOTH_WAYS * self._late.largest
+        late = _BOTH_WAYS * self._references.late
         _forget(self._asked, now - _GATHERS * self._lag - late)
         speeds = np.array([speed for _, speed in self._asked])
         self._gained.append((now, np.stack([speeds[-1] - speeds.max(axis=0), speeds[-1] - speeds.min(axis=0)])))
@@ -132,19 +153,19 @@ class JointLeadCheck:
 
         q (n,): measured at ``stamp`` [s]. load (n,): that is told of each joint, −Jᵀ w of a felt wrench w [N m].
         """
-        late = _BOTH_WAYS * self._late.largest
-        recent = sent_since(self._sent, stamp - late - _ON_ITS_WAY * self._period, stamp)
-        if not recent or self._begun is None:
+        late, begun = _BOTH_WAYS * self._references.late, self._references.begun
+        recent = sent_since(self._references.values, stamp - late - _ON_ITS_WAY * self._period, stamp)
+        if not recent or begun is None:
             return np.zeros(len(q))
         references = np.array(recent)
         self._read.append((stamp, q.copy()))
         _forget(self._read, stamp - _SPAN)
-        begun, first = self._read[0]
-        self._speeds.append((stamp, (q - first) / (stamp - begun) if stamp > begun else np.zeros(len(q))))
+        since, first = self._read[0]
+        self._speeds.append((stamp, (q - first) / (stamp - since) if stamp > since else np.zeros(len(q))))
         _forget(self._speeds, stamp - _SLOWS * self._lag - late)
         self._loads.append((stamp, load))
         _forget(self._loads, stamp - _RECALL * self._lag)
-        if self._sag is None or np.abs(references[-1] - self._begun).max() <= _SETTLES:
+        if self._sag is None or np.abs(references[-1] - begun).max() <= _SETTLES:
             self._sag = q - references[-1]
         at = q - self._sag
         gained = np.array([gain for _, gain in self._gained])
@@ -268,8 +289,7 @@ class LeadCheck:
             self._way += step
             self._gone += step
         self._sent.append((now, p.copy()))
-        while self._sent[0][0] < now - _REMEMBERED:
-            self._sent.popleft()
+        _forget(self._sent, now - _REMEMBERED)
 
     def felt(self, raw: Array, stamp: float) -> None:
         """Note a reading (6,) of the force sensor, as it came."""
@@ -354,10 +374,7 @@ class LeadCheck:
     def refused(
         self, tool: Array, force: float, stamp: float, most: float, moved: tuple[float, float] | None = None
     ) -> BadCommand | None:
-        """Why to let go: more than ``most`` [N] is not felt, or the sensor is stuck; None where all is well.
-
-        moved: as of :meth:`unfelt`.
-        """
+        """Why to let go: over ``most`` [N] is not felt, or the sensor is stuck; or None. moved: see :meth:`unfelt`."""
         if stamp <= self._looked:
             return None
         self._looked = stamp

@@ -36,21 +36,6 @@ _LATELY = 0.1  # s over which it is seen whether the tool still moves
 _STANDS = 2e-5  # m by which it then still moves at most: what 8 N do that unwind within two seconds, on stiff fingers
 
 
-class LettingGo:
-    """End of a release. A stiff arm on soft fingers unwinds slowly, so it takes longer while the tool still moves."""
-
-    def __init__(self) -> None:
-        self._past: deque[tuple[float, Array]] = deque()
-
-    def over(self, seconds: float, tool: Array) -> bool:
-        """Whether the release has ended after this time [s], with the tool measured here (3,) [m]."""
-        self._past.append((seconds, tool))
-        while self._past[0][0] < seconds - _LATELY:
-            self._past.popleft()
-        stands = math.dist(self._past[0][1], tool) <= _STANDS
-        return seconds > _LONGEST or (seconds > _USUAL and stands)
-
-
 _STOOD = 2e-3  # m/s at which the tool has arrived
 _CHECK_PATIENCE = 5.0  # s
 _STEPS_A_TICK = 2  # of the walk along the way that is to be checked
@@ -62,10 +47,7 @@ _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is 
 
 
 class Operation:
-    """One pull at one object. Tick it; it is over when a tick has said Stop, or after :meth:`stop`.
-
-    tool_force: what is felt, and what tells whether that is all.
-    """
+    """One pull at one object. Tick it until a tick says Stop, or :meth:`stop` it. tool_force: what is felt."""
 
     def __init__(self, chain: Chain, task: ImpedanceTask, limits: Limits, softest: Array | None = None,
                  efforts: ArmEfforts | None = None, motion: FreeMotion | None = None) -> None:  # fmt: skip
@@ -89,7 +71,8 @@ class Operation:
         self._checked = np.eye(4)
         self._walked_from = 0.0
         self._untrusted, self._late = 0.0, False
-        self._why, self._since, self._letting_go = "", math.nan, LettingGo()
+        self._why, self._since = "", math.nan
+        self._released: deque[tuple[float, Array]] = deque()  # s of the release, and where the tool was (3,) [m]
         self._last = -math.inf
         self._ticks = 0
         self._at: float | None = None
@@ -327,9 +310,14 @@ class Operation:
     def _release(self, h: float, T: Array, state: ObjectModel) -> None:
         """Expect the tool where it is: a servo that is sent where its arm already is holds against nothing.
 
-        That is stable however late the tool is measured, and what is felt moves nothing, only a force does.
+        That is stable however late the tool is measured, and what is felt moves nothing, only a force does. A stiff arm
+        on soft fingers unwinds slowly, so it takes longer while the tool still moves.
         """
-        if self._letting_go.over(self._last + h - self._since, T[:3, 3]):
+        seconds, past = self._last + h - self._since, self._released
+        past.append((seconds, T[:3, 3]))
+        while past[0][0] < seconds - _LATELY:
+            past.popleft()
+        if seconds > _LONGEST or (seconds > _USUAL and math.dist(past[0][1], T[:3, 3]) <= _STANDS):
             self.stop(self._why)
 
     def _go(self, wanted: float, h: float, most: float = math.inf) -> float:

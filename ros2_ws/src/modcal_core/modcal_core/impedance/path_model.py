@@ -1,7 +1,7 @@
 """Where the tool is expected while something is opened: a pull into the unknown, then the way that a model knows.
 
-The path is walked from the posture that the arm has, pose by pose, with Newton's method; what the arm has to spare
-turns joints away from their limits. A walk can be taken in pieces, so that a control loop goes on meanwhile.
+The path is walked from the posture that the arm has, pose by pose, with Newton's method, in pieces, so that a control
+loop goes on meanwhile; what the arm has to spare turns joints away from their limits.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from modcal_core.articulation import JointModel
 from modcal_core.errors import BadCommand, NotReachable
 from modcal_core.geometry import Array, along_screw, crossed, pose_error, posed, rotation_vector, turned
+from modcal_core.impedance.impedance import axes_along
 from modcal_core.robots import Chain, pose_and_jacobian
 
 _LED = 0.9  # share of what the tool was led aside that is expected to go on; below one, or nothing would bring it back
@@ -34,6 +35,7 @@ _SLIDES_BEYOND = 1.5
 
 class Exploration:
     """The expected pose while the way is unknown: along the expected direction at first, then where the tool is led.
+    moved (3,): the direction in the base in which it pulls now.
 
     What leads the tool aside or turns it is followed, so that a hinge need not fight the arm: a door that turns the
     hand by 10° over 10 cm would otherwise have to turn it against the damping of the impedance law.
@@ -47,12 +49,8 @@ class Exploration:
         """
         self._fastest = aside
         self.start, self.pose = np.array(T_base_tool), np.array(T_base_tool)
-        length = float(np.linalg.norm(direction))
-        if not (math.isfinite(length) and length > 1e-6):
-            raise BadCommand(f"direction {np.asarray(direction).tolist()}", "has no length", "give x y z of the pull")
-        self.direction = np.asarray(direction, dtype=float) / length
         self.way = 0.0  # m that it has gone on
-        self._d = self.start[:3, :3] @ self.direction
+        self.moved = self.start[:3, :3] @ axes_along(direction)[:, 0]
         self._trail = [self.start[:3, 3].copy()]  # of the tool, every few millimetres
         self._line = self.start[:3, 3].copy()
         self._aside, self._turn = np.zeros(3), np.zeros(3)
@@ -85,18 +83,13 @@ class Exploration:
         chord = p - self._trail[0]
         far = math.sqrt(chord @ chord)
         if len(self._trail) > _TRAIL and far > 0.5 * _TRAIL * _TRAIL_STEP:
-            d = self._d + share * (chord / far - self._d)
-            self._d = d / math.sqrt(d @ d)
-        return self._d
+            d = self.moved + share * (chord / far - self.moved)
+            self.moved = d / math.sqrt(d @ d)
+        return self.moved
 
     def progress(self, T_measured: Array) -> float:
         """How far the tool has come [m], at the pose (4, 4) it is measured at."""
         return float(np.linalg.norm(T_measured[:3, 3] - self.start[:3, 3]))
-
-    @property
-    def moved(self) -> Array:
-        """The direction (3,) in the base in which it pulls now."""
-        return self._d
 
 
 class PathModel:

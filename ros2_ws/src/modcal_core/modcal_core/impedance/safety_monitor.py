@@ -1,12 +1,11 @@
-"""Safety monitor: the last check of every setpoint before it is sent.
+"""Safety monitor: the last check of every setpoint before it is sent. It changes no setpoint, it passes or refuses.
 
-It changes no setpoint. A setpoint within all limits passes, any other is refused; speed_governor.py and path_model.py
-shape the motion beforehand so that it stays within the limits. A refusal for a late input only means waiting: the
-next good setpoint may follow from the last one. After any other refusal the monitor stays tripped until it is reset.
+A refusal for a late input only means waiting: the next good setpoint may follow from the last one. After any other
+refusal the monitor stays tripped until it is reset.
 
-A force or a moment beyond its limit trips the monitor as well. The last setpoint then stands, and with it the spring
-that the servo has wound up. :meth:`SafetyMonitor.allow_release` unwinds it: for a second only setpoints that go back
-towards the tool pass, whatever the force, and without a recent wrench.
+A force or a moment beyond its limit trips it as well. The last setpoint then stands, and with it the spring that the
+servo has wound up. :meth:`SafetyMonitor.allow_release` unwinds it: for a second only setpoints that go back towards the
+tool pass, whatever the force, and without a recent wrench.
 
 Speeds are steps between passed setpoints over the time between them. A longer pause counts as a stop, after which no
 more than one period's step is allowed.
@@ -108,10 +107,9 @@ class _Last:
 class SafetyMonitor:
     """Lets setpoints through, or raises BadCommand. ``tripped`` says why it lets nothing through any more, if so."""
 
-    def __init__(self, chain: Chain, limits: Limits, tool_frame: str = "") -> None:
+    def __init__(self, chain: Chain, limits: Limits) -> None:
         """Shut, until it is opened."""
         self.chain, self.limits = chain, limits
-        self.tool_frame = tool_frame or chain.tip
         self.tripped = "it has not been opened yet"
         self._least = limits.gain**2 * np.eye(6)
         self._last: _Last | None = None
@@ -148,9 +146,7 @@ class SafetyMonitor:
         self.tripped = self.tripped or why
 
     def check(self, setpoint: ArmSetpoint, sensors: SensorReadings, now: float) -> ArmSetpoint:
-        """The setpoint, if it may be sent at time ``now`` [s]. Raises LateInput for a late input and BadCommand for
-        anything else.
-        """
+        """The setpoint, if it may be sent now [s]. Raises LateInput for a late input, BadCommand for all else."""
         if self.tripped or self._last is None:
             raise BadCommand(
                 "setpoint", f"the safety monitor has tripped ({self.tripped})", "clear the cause, then activate again"
@@ -194,8 +190,8 @@ class SafetyMonitor:
         _require_rotation("measured tool", sensors.T_base_tool)
         if letting_go:
             return
-        if sensors.wrench_frame != self.tool_frame:
-            said = f"is in frame '{sensors.wrench_frame}', not '{self.tool_frame}'"
+        if sensors.wrench_frame != self.chain.tip:
+            said = f"is in frame '{sensors.wrench_frame}', not '{self.chain.tip}'"
             raise BadCommand("wrench", said, "transform it first")
         _require_finite("wrench", sensors.wrench, (6,))
         if (refused := self.overload(sensors.wrench)) is not None:

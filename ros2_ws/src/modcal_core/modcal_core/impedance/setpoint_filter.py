@@ -1,8 +1,8 @@
 """The joints that follow a wanted pose smoothly: one step of Newton's method a tick, within speeds and accelerations.
 
-The wanted pose may jump; what comes out does not. The way to it is taken with v = min(e / h, √(a e), v_max), which
-brakes in time, and v changes by no more than a h. Joints share what the arm can do: their step is cut as a whole, so
-that the tool stays on its way, and what an arm has to spare goes towards a posture that was chosen beforehand.
+The wanted pose may jump; what comes out does not. The way to it is taken with v = min(e / h, √(a e), v_max), and v
+changes by no more than a h. Joints share what the arm can do: their step is cut as a whole, so that the tool stays on
+its way, and what an arm has to spare goes towards a posture that was chosen beforehand.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from modcal_core.geometry import Array, rotation_vector
+from modcal_core.geometry import Array, rotation_vector, se3
 from modcal_core.impedance.safety_monitor import Limits
 from modcal_core.robots import Chain, pose_and_jacobian
 
@@ -22,7 +22,7 @@ _EDGE = 1e-4  # rad or m from a limit where a joint stops
 
 
 class SetpointFilter:
-    """q (n,), velocity (n,) and pose (4, 4) of the last step; ``offset`` (4, 4): pose = offset · FK(q).
+    """q (n,), velocity (n,), pose (4, 4) and jacobian (6, n) of the last step. offset (4, 4): pose = offset · FK(q).
 
     The offset is the identity unless the tool is measured by something that knows better than the chain does.
     """
@@ -31,15 +31,15 @@ class SetpointFilter:
         self.chain, self.limits = chain, limits
         self.offset = np.eye(4)
         self.q, self.velocity = np.zeros(chain.n), np.zeros(chain.n)
-        self.pose, self._J = np.eye(4), np.zeros((6, chain.n))
+        self.pose, self.jacobian = np.eye(4), np.zeros((6, chain.n))
         self._rates = np.zeros(6)  # of the tool, in the base
         self._h = limits.period
 
     def begin(self, q: Array, T_base_tool: Array) -> None:
         """Stand at joints (n,), where the tool is measured to be at a pose (4, 4)."""
         self.q = np.array(q, dtype=float)
-        T, self._J = pose_and_jacobian(self.chain, self.q)
-        self.offset = T_base_tool @ _inverse(T)
+        T, self.jacobian = pose_and_jacobian(self.chain, self.q)
+        self.offset = T_base_tool @ se3.inverse(T)
         self.pose = self.offset @ T
         self.rest()
 
@@ -73,22 +73,15 @@ class SetpointFilter:
         velocity = self._within(velocity, span)
         before = self.pose
         self.q, self.velocity = self.q + h * velocity, velocity
-        T, self._J = pose_and_jacobian(self.chain, self.q)
+        T, self.jacobian = pose_and_jacobian(self.chain, self.q)
         self.pose = self.offset @ T
         D = self.pose[:3, :3] @ before[:3, :3].T
         self._rates = np.concatenate([self.pose[:3, 3] - before[:3, 3], rotation_vector(D)]) / h
         self._h = h
 
-    @property
-    def jacobian(self) -> Array:
-        """The tool's Jacobian (6, n) of the last step, in the tool's axes."""
-        return self._J
-
     def moved_by(self, wrench: Array) -> tuple[float, float]:
-        """How far a wrench (6,) on the tool, in its axes, moves it where every joint yields by 1 rad to 1 N m, and how
-        far one newton does at most [N m²].
-        """
-        J = self._J
+        """How far a wrench (6,), and one newton at most, moves the tool, joints yielding by 1 rad to 1 N m [N m²]."""
+        J = self.jacobian
         way = J[:3] @ (J.T @ wrench)
         return math.sqrt(way @ way), float(np.linalg.eigvalsh(J[:3] @ J[:3].T)[-1])
 
@@ -98,7 +91,7 @@ class SetpointFilter:
 
     def _joint_speeds(self, twist: Array, chosen: Array | None) -> Array:
         """Joint speeds (n,) for a body twist (6,) of the tool."""
-        J = self._J
+        J = self.jacobian
         A = J @ J.T + _DAMPED
         if chosen is None or self.chain.n <= 6:
             return J.T @ np.linalg.solve(A, twist)
@@ -113,7 +106,7 @@ class SetpointFilter:
         step = wish - self.velocity
         share = min(1.0, span / max(float((np.abs(step) / change).max()), 1e-9))
         if (np.abs(self.velocity) > most).any():  # of limits that were lowered: the tool has limits for braking as well
-            rates = self._J @ step
+            rates = self.jacobian @ step
             for part, allowed in ((rates[:3], limits.acceleration), (rates[3:], limits.angular_acceleration)):
                 share = min(share, _SHARE * allowed * span / max(math.sqrt(part @ part), 1e-9))
         velocity = self.velocity + step * share
@@ -130,10 +123,3 @@ def _approach(e: Array, now: Array, most: float, change: float, h: float, span: 
     step = e * (speed / far) - now if far > 1e-12 else -now
     size = math.sqrt(step @ step)
     return now + step * min(1.0, change * span / size) if size > 0.0 else now
-
-
-def _inverse(T: Array) -> Array:
-    out = np.eye(4)
-    out[:3, :3] = T[:3, :3].T
-    out[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return out

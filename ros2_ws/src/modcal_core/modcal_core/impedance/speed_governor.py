@@ -1,25 +1,21 @@
 """How fast to go on along a path, and whether anything moves at all.
 
-A force that rises slows the pace down before it becomes too much: full speed up to ``slowdown``, none from ``stop`` on.
-With the damping B of the impedance law, something rigid is then pushed with the force at which B times the pace is that
-force, whatever the arm's stiffness.
-
-At a hard stop that comes too late: there the force grows by K v, stiffness of hand and arm in series times speed, and
-goes on growing when the pace is cut: for the delay T, until what is felt has been understood, sent and done, and for
-the way v²/2a in which it brakes at a. Before that, the arm's mass m runs into the contact, of stiffness C. So
+A force that rises slows the pace down: full speed up to ``slowdown``, none from ``stop`` on. At a hard stop that comes
+too late: the force grows by K v, with K the stiffness of hand and arm in series, for the delay T until what is felt has
+been understood, sent and done, and for the way v²/2a in which it brakes at a. Before that, the arm's mass m runs into
+the contact, of stiffness C. So
 
     F + v √(C m) + K (v T + v²/2a) ≤ F_last,        Ḟ = K v.
 
-The first says how fast it may be before anything is felt, as one drives on sight. The second says what a force that
-rises will have come to, F + Ḟ (T + v/2a), with no K in it; that is the force which the pace answers.
+The first says how fast it may be before anything is felt. The second says what a rising force will have come to, F + Ḟ
+(T + v/2a), without K; that is the force which the pace answers.
 
 C is what was stated only where a touch, the first of which comes slowly, shows no more (:meth:`SpeedGovernor.touch`);
-else it is that of steel. A force sensor may fall silent just before a stop. So the first also holds with the time that
+else it is that of steel. A force sensor may fall silent just before a stop, so the first also holds with the time that
 it takes to see that, and the force that may then come.
 
-A pull waits for a late input with the last setpoint standing. After ``patience`` it is over, and what is held is to be
-let go, for which joint states are needed. Where they are the input that is missing, a servo holds on to where it was
-sent last, so the release is kept pending: joint states that return within some seconds begin it.
+A pull waits for a late input with the last setpoint standing. After ``patience`` what is held is let go, for which
+joint states are needed; where they are missing, the release begins once they return within some seconds.
 """
 
 from __future__ import annotations
@@ -177,9 +173,7 @@ NO_STATUS = "object_status: no recent message: check that articulation_estimator
 
 
 class InputWatch:
-    """Watch over the inputs of one pull. timeout: oldest input that is used [s]. pending: why to let go once joint
-    states return, or "".
-    """
+    """Watch over a pull's inputs. timeout: oldest that is used [s]. pending: why to let go when joints return."""
 
     def __init__(self, timeout: float) -> None:
         self.timeout = timeout

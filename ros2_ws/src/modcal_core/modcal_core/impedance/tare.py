@@ -17,15 +17,17 @@ from modcal_core.impedance.wrench import DOWN, Load, WrenchSensor
 
 PATIENCE = 10.0  # s
 _REST = 0.01  # rad/s or m/s of a joint that still counts as standing
+_LEAST = 25  # readings
+_NOISE = 2.0, 0.2  # N, N m: largest standard deviation of readings
 _MIN_SPAN = 0.02  # s between two joint states, at least, over which that is measured
 
 
 class Tare:
     """The offset of the sensor, as a mean while the arm stands still."""
 
-    def __init__(self, seconds: float = 0.5, least: int = 25, noise: tuple[float, float] = (2.0, 0.2)) -> None:
-        """Average readings for some seconds, at least a minimum number. noise: largest deviation of one [N, N m]."""
-        self._seconds, self._least, self._noise = seconds, least, noise
+    def __init__(self, seconds: float = 0.5) -> None:
+        """Average readings for some seconds, at least 25 of them."""
+        self._seconds = seconds
         self._readings: list[Array] = []
         self._begun = math.nan
 
@@ -34,15 +36,15 @@ class Tare:
         if not at_rest or not self._readings:
             self._readings, self._begun = [], stamp
         self._readings.append(np.array(wrench, dtype=float))
-        return len(self._readings) >= self._least and stamp - self._begun >= self._seconds
+        return len(self._readings) >= _LEAST and stamp - self._begun >= self._seconds
 
     def load(self, R_base_sensor: Array, known: Load, down: Array = DOWN) -> Load:
         """The known load with the offset that was found. Raises BadCommand where the readings scatter too much."""
         readings = np.array(self._readings)
         scatter = readings.std(axis=0)
         for what, worst, most, unit in (
-            ("force", float(scatter[:3].max()), self._noise[0], "N"),
-            ("moment", float(scatter[3:].max()), self._noise[1], "N m"),
+            ("force", float(scatter[:3].max()), _NOISE[0], "N"),
+            ("moment", float(scatter[3:].max()), _NOISE[1], "N m"),
         ):
             if not worst <= most:
                 raise BadCommand(

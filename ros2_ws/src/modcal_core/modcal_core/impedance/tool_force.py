@@ -1,11 +1,8 @@
 """Force on the tool, its prediction, and whether the force sensor can be trusted.
 
-A sensor that says a fifth of every force is not told from a gentle object by what it says, but by the servos: it makes
-them seem five times as soft as they are. So it is known to tell the force where two things were seen.
-
-* It has told of a force, and the tool went on with that. At what does not move any sensor tells something in the end,
-  and there is no place to speed up.
-* As far as the servos' leads were learned from what it said, they yield no more than the joints of this arm may.
+A sensor that says a fifth of every force makes the servos seem five times as soft as they are. So it is believed only
+where it has told of a force and the tool went on with that, and where the servos' leads, learned from what it said,
+yield no more than the joints of this arm may.
 
 Until then the hand goes no faster than what is hidden at a hard stop is found out in time. Where the servos surely
 yield more than they may, the sensor is wrong, or the arm is softer than stated, and the pull is over.

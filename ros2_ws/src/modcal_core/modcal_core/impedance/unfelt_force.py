@@ -1,34 +1,24 @@
 """The force on the tool that the servos' leads show, beyond the one that is felt.
 
-A servo holds what it moves with a force that grows by the way e by which its reference leads, less the lag with which
-it follows a moving one. With the measured speed v and the load τ that it carries,
+A servo's reference leads what it moves by e = l v + c τ + b, with its lag l [s], the measured speed v, its compliance
+c, the load τ that it carries and a small rest b. Every row of a model is such a servo; its numbers are learned while
+the force sensor follows, by linear least squares with a prior, and with the variance of what they leave.
 
-    e = l v + c τ + b,
+Which stack holds the tool is not told. One that is stiff in its joints is a row a joint, whose load is −Jᵀ w of the
+felt wrench w; one that is stiff in the tool's axes is a row an axis, whose load is −w. Both are learned; the one that
+predicts the tool's lead better is believed, and where both do, the one that shows less force says what is sure.
 
-with a lag l [s], a compliance c and a small rest b. Every row of a model is such a servo, with numbers of its own,
-learned while the force sensor follows: linear least squares with a prior, and with the variance of what they leave.
-
-Which stack it is that holds a tool is not told. One that is stiff in its joints is a row a joint, whose load is the
-torque −Jᵀ w of the felt wrench w; one that is stiff in the tool's axes is a row an axis, whose load is −w. Both are
-learned, side by side; the one that predicts the tool's lead better is known by that.
-
-What lag and compliance of the servos do not explain of a lead is a load that is not felt. Of all rows together it is a
-wrench on the tool, found by least squares; a row that was hardly loaded, or does not behave so, has a large uncertainty
-and counts for little. Of the two stacks the one that explains better what was seen is believed; where both do, the one
-that shows less force says what is sure.
-
-A model is never exact, and a sensor that follows must not be taken for one that does not. So the leads of now are
-compared with those of the last centimetre or two, where the same errors were made, and by what the felt force has
-changed meanwhile less is taken to be hidden. What is then hidden slows the pull down as a felt force does
-(:attr:`UnfeltForce.force`); the pull is let go where it is much (:meth:`UnfeltForce.refused`).
+What lag and compliance do not explain of a lead is a load that is not felt: of all rows together a wrench, by least
+squares, in which rows that are hardly known count for little. A model is never exact, so the leads of now are compared
+with those of the last centimetre or two, where the same errors were made, and less is taken to be hidden by what the
+felt force has changed meanwhile. What is hidden slows the pull down (:attr:`UnfeltForce.force`) and ends it where it is
+much (:meth:`UnfeltForce.refused`).
 
 What is learned must not explain a jam. So a moment is learned only after a while in which nothing was suspected, and
-only where the felt wrench has changed since the last one, or the speed of a tool that goes on: a sensor that has frozen
-teaches nothing, however long the lead grows.
+only where the felt wrench, or the speed of a tool that goes on, has changed since the last one.
 
-Which reference a servo followed at the time of a reading is known as well as messages come in time. As late as they
-came of late, an older reference may have been in effect. A pull slows down for what one of them shows, and is let go
-for what both do: a setpoint that stands leaves no doubt.
+Messages come late, so an older reference may be in effect. A pull slows down for what the newest reference or an older
+one shows, and is let go for what both show.
 """
 
 from __future__ import annotations
@@ -41,7 +31,7 @@ import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array
-from modcal_core.impedance.lead_check import RecentMaximum
+from modcal_core.impedance.lead_check import SentReferences
 from modcal_core.impedance.task import JointPositions
 
 _ALIKE = 4.0  # neighbouring moments that depart from the model alike: so much fewer they count
@@ -52,10 +42,7 @@ _REST = 1e-4  # rad or m: what dry friction leaves in a lead as the arm stands
 
 
 class ServoModel:
-    """Rows e = l v + c τ + b, all learned at once.
-
-    compliance (m,): of each, 0 where none stands out. unsure_by (m,): its standard deviation.
-    """
+    """Rows e = l v + c τ + b. compliance (m,): 0 where none stands out. unsure_by (m,): its standard deviation."""
 
     def __init__(self, softest: Array, lag: float) -> None:
         """softest (m,): compliance that a row may have before it is learned [rad/N m, m/N]. lag: stated [s]."""
@@ -138,7 +125,6 @@ class ServoModel:
 
 _SPAN = 0.012  # s over which a joint's speed is measured: three readings at 250 Hz
 _MEAN = 0.04  # s over which what is learned is averaged: noise is a third of what it is in one reading
-_REMEMBERED = 0.5  # s of references
 _SETTLES = 3e-4  # rad or m that a reference has gone, up to which the lead is how the arm sags, and no force
 _DELAY = 0.25  # s after which a moment is learned: a jam is suspected within a tenth of that
 _CHANGED = 0.5, 0.05  # N, N m of the felt wrench: more than a usual sensor's noise, smoothed
@@ -186,23 +172,18 @@ class _Moment:
 
 
 class UnfeltForce:
-    """Force [N] that the sensor does not show, from the leads of the joints. ``sure``: the part that late messages
-    cannot explain. Call every tick.
-    """
+    """Force [N] that leads show and the sensor does not. sure: what late messages cannot explain. Call every tick."""
 
     def __init__(self, joints: int, lag: float, period: float, stiffest: float = 100e3) -> None:
         """For a number of joints whose servos lag by about so much, with a reference every period [s].
 
         stiffest: by which they may hold the tool [N/m].
         """
-        self.period, self.stiffest = period, stiffest
+        self.stiffest, self._references = stiffest, SentReferences(period)
         self.model = ServoModel(np.full(joints + 6, _SOFTEST), lag)
         self.force = self.sure = 0.0
         self._n = joints
-        self._late, self._heard = RecentMaximum(_REMEMBERED), math.inf  # by how much [s], and when the last came
-        self._sent: deque[tuple[float, Array]] = deque()
         self._read: deque[tuple[float, Array, Array, Array, Array]] = deque()  # stamp, q, lead, wrench, load
-        self._begun: Array | None = None
         self._zero = np.zeros(joints), np.zeros(6), np.zeros(joints)  # lead of the arm as it stood, wrench and load
         self._noted: _Moment | None = None
         self._waiting: deque[_Moment] = deque()
@@ -223,9 +204,7 @@ class UnfeltForce:
 
     @property
     def servos(self) -> tuple[Array, Array, Array] | None:
-        """Servo lags (n,) [s], their standard deviations (n,) [s], and the leads at rest (n,) [rad]; None before
-        anything is learned.
-        """
+        """Servo lags (n,) [s], their deviations (n,) [s] and leads at rest (n,) [rad]; None before any are learned."""
         if self.model.count < FEWEST:
             return None
         n, model = self._n, self.model
@@ -262,10 +241,7 @@ class UnfeltForce:
 
     def sent(self, q: Array, now: float) -> None:
         """Note the reference (n,) that is sent at time ``now`` [s]."""
-        self._begun = q.copy() if self._begun is None else self._begun
-        self._sent.append((now, q.copy()))
-        while self._sent[0][0] < now - _REMEMBERED:
-            self._sent.popleft()
+        self._references.sent(q, now)
 
     def refused(self, wrench: Array, most: float) -> BadCommand | None:
         """Why to let go: too much of ``most`` [N] is surely not felt; None where all is well."""
@@ -285,13 +261,13 @@ class UnfeltForce:
         """
         q, stamp = joints.q, joints.stamp
         load = -J.T @ wrench if load is None else load
-        self._late.add(now, max(now - stamp, now - self._heard - self.period, 0.0))
-        self._heard = now
-        reference = self._reference(stamp)
+        sent = self._references
+        sent.heard(stamp, now)
+        reference = sent.newest(stamp)
         if reference is None or (self._read and stamp <= self._read[-1][0]):
             return
         lead = reference - q
-        if self._begun is not None and np.abs(reference - self._begun).max() <= _SETTLES and not self.model.count:
+        if sent.begun is not None and np.abs(reference - sent.begun).max() <= _SETTLES and not self.model.count:
             self._zero = lead, wrench, load
         lead, wrench, load = (x - zero for x, zero in zip((lead, wrench, load), self._zero, strict=True))
         self._read.append((stamp, q.copy(), lead, wrench, load))
@@ -299,8 +275,7 @@ class UnfeltForce:
             self._read.popleft()
         if len(self._read) < 2:
             return
-        late = self._late.largest
-        older = self._reference(stamp - late) if late > 0.0 else None
+        older = sent.newest(stamp - sent.late) if sent.late > 0.0 else None
         at = self._moment(stamp - _SPAN, J)
         v = at.rows[self._n : self._n + 3, 0]
         self._way += math.sqrt(v @ v) * (stamp - self._read[-2][0])
@@ -312,10 +287,6 @@ class UnfeltForce:
             if self._differs(mean):
                 self._noted = mean
                 self._waiting.append(mean)
-
-    def _reference(self, stamp: float) -> Array | None:
-        """The newest reference (n,) that was sent by then [s]; None where none was."""
-        return next((r for t, r in reversed(self._sent) if t <= stamp), None)
 
     def _moment(self, since: float, J: Array) -> _Moment:
         """The last reading, with the mean speed since then [s]; the mean of all, where that is before them."""

@@ -105,8 +105,14 @@ class SensorWeighing:
         return (share, deviation) if deviation <= _TELLS and variance <= _WORST**2 else None
 
 
+_LARGEST = 1000.0, 200.0  # N, N m, which no reading of a sound sensor exceeds
+
+
 class WrenchSensor:
-    """Readings of one sensor turned into forces on the tool; says no to those that cannot be trusted."""
+    """Readings of one sensor turned into forces on the tool; says no to those that cannot be trusted.
+
+    raw (6,): the last reading, as the sensor sees it. lag: by how much smoothing makes a force come later [s].
+    """
 
     def __init__(
         self,
@@ -114,20 +120,18 @@ class WrenchSensor:
         load: Load | None = None,
         cutoff_hz: float = 30.0,
         sign: float = 1.0,
-        largest: tuple[float, float] = (1000.0, 200.0),
     ) -> None:
         """frames: names that readings may carry, with T_tool_frame (4, 4) of each. load: what is known of the tool.
 
-        sign: −1 for a sensor that says what the tool does to the environment. largest: what no reading of a sound
-        sensor exceeds [N, N m].
+        sign: −1 for a sensor that says what the tool does to the environment.
         """
         self._adjoints = {name: (np.asarray(T)[:3, :3], np.asarray(T)[:3, 3]) for name, T in frames}
         self.load = load or Load()
-        self._filter, self._sign, self._largest = LowPass(cutoff_hz), sign, largest
+        self._filter, self._sign = LowPass(cutoff_hz), sign
+        self.lag = self._filter.lag
         self.stamp = -math.inf
         self._frame = ""
-        self._raw = np.zeros(6)
-        self.force = np.zeros(6)
+        self.raw, self.force = np.zeros(6), np.zeros(6)
 
     def receive(self, frame: str, wrench: ArrayLike, stamp: float, now: float, stale: float) -> None:
         """Take a reading (6,) in a frame, made at ``stamp`` and heard ``now`` [s]. Raises BadCommand for a bad one."""
@@ -137,7 +141,7 @@ class WrenchSensor:
             raise BadCommand(f"wrench in frame '{frame}'", f"it must be in one of {known}", "set the sensor's frame_id")
         if w.shape != (6,) or not np.isfinite(w).all():
             raise BadCommand("wrench", "is not finite", "check the sensor")
-        if not (np.abs(w[:3]).max() <= self._largest[0] and np.abs(w[3:]).max() <= self._largest[1]):
+        if not (np.abs(w[:3]).max() <= _LARGEST[0] and np.abs(w[3:]).max() <= _LARGEST[1]):
             raise BadCommand(
                 "wrench",
                 f"{np.abs(w[:3]).max():.4g} N, {np.abs(w[3:]).max():.4g} N m is not a plausible reading",
@@ -149,17 +153,7 @@ class WrenchSensor:
             raise BadCommand("wrench", "came after a newer one", "use one publisher that sends in order")
         if frame != self._frame:
             self._filter.reset()
-        self._frame, self.stamp, self._raw = frame, stamp, self._sign * w
-
-    @property
-    def lag(self) -> float:
-        """By how much smoothing makes a force come later [s]."""
-        return self._filter.lag
-
-    @property
-    def raw(self) -> Array:
-        """The last reading (6,), as the sensor sees it."""
-        return self._raw
+        self._frame, self.stamp, self.raw = frame, stamp, self._sign * w
 
     def rotation(self, T_base_tool: Array) -> Array:
         """R_base_sensor (3, 3)."""
@@ -168,7 +162,7 @@ class WrenchSensor:
     def on_tool(self, T_base_tool: Array, down: Array = DOWN) -> Array:
         """F (6,): what the environment exerts on the tool, at its origin, in its axes, smoothed."""
         R, p = self._adjoints[self._frame]
-        w = self._filter.take(self._raw - self.load.wrench(self.rotation(T_base_tool), down), self.stamp)
+        w = self._filter.take(self.raw - self.load.wrench(self.rotation(T_base_tool), down), self.stamp)
         f = R @ w[:3]
         m = R @ w[3:]
         self.force = np.array(

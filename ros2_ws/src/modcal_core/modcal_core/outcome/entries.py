@@ -245,10 +245,7 @@ def rms(residuals: Errors) -> float:
 
 
 def load_findings(loads: Loads | None, model: Model, scored: Samples) -> tuple[Finding, ...]:
-    """The payload as an entry of the report; none where none was found.
-
-    What it is worth is what its removal costs, compliances and all else being kept.
-    """
+    """The payload as an entry of the report, worth what its removal alone costs; none where none was found."""
     if loads is None or not loads.payloads or loads.relative or not len(scored):
         return ()
     sizes: dict[str, Quantity] = {}
@@ -367,10 +364,7 @@ def moved_note(residuals: Errors, calibration: Calibration, refit_base: bool, re
 
 
 def unseen_note(samples: Samples, calibration: Calibration, beyond: float = 0.0) -> tuple[str, ...]:
-    """A sentence for joints that go where the calibration has never seen them, and what is done there.
-
-    beyond: share of the samples that may do so without a word.
-    """
+    """A sentence for joints that go where no calibration saw them. beyond: share of samples that may without a word."""
     low, high = calibration.seen
     margin = 0.02 * (high - low)
     out = (samples.q < low - margin) | (samples.q > high + margin)

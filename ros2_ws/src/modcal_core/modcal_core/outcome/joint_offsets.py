@@ -1,10 +1,8 @@
 """Offsets of the joints, as a technician masters an arm, and the difference of two calibrations at the tool.
 
-The difference of two calibrations at the tool, and what their uncertainty explains of it.
-
-Base and tool are other ones in every session, and say nothing of the arm. So the tool is predicted by both models at
-the postures of both recordings, one model's base and tool are fitted to the other's, and what then is left is compared
-with what two calibrations of the same arm would differ by: draws from the covariance of both, treated the same way.
+Base and tool are other ones in every session. So the tool is predicted by both models at the postures of both
+recordings, one model's base and tool are fitted to the other's, and what then is left is compared with what two
+calibrations of the same arm would differ by: draws from the covariance of both, treated the same way.
 """
 
 from __future__ import annotations
@@ -108,9 +106,7 @@ class JointOffsets:
 
 
 def offsets_of(calibration: Calibration) -> JointOffsets | None:
-    """Joint offsets of a calibration at the postures it was made from, so they do not depend on what it is evaluated
-    on.
-    """
+    """Joint offsets of a calibration at the postures it was made from, whatever it is evaluated on."""
     turns, known = calibration.kind == "pose", calibration.uncertainty
     return joint_offsets(calibration.calibrated, calibration.postures, turns, known)
 

@@ -176,7 +176,7 @@ def articulation_report(found: Articulation) -> VerbResult:
         files[URDF] = describe(model, found.frame or "world", "object_handle", limits)
     else:
         said.append(f"No {URDF}: a URDF has no joint like a {choice.kind}; articulation.json says how it moves.")
-    good = _trusted(fit)
+    good = sound(fit, found.track)
     track = fit.configurations[good], found.track.positions[good]
     drawn = object_scene(fit, track, data["joint"], _UNITS[model.unit][1], found.frame)
     kinds = tuple((kind, f"{100 * p:.1f} %") for kind, p in data["probabilities"].items())
@@ -190,12 +190,6 @@ def articulation_report(found: Articulation) -> VerbResult:
     heading, tone = _HEADINGS[bool(data["enough"])]
     page = Page(f"{found.source}: articulation", data["verdict"], blocks, heading, tone, lines=said)
     return page.result(data, files)
-
-
-def _trusted(fit: JointFit) -> np.ndarray:
-    """The samples to draw: no outliers, unless hardly any are left."""
-    good = fit.weights > 0.2
-    return good if good.sum() > 2 else np.ones(len(good), dtype=bool)
 
 
 def _quantities(data: dict[str, Any]) -> list[Quantity]:

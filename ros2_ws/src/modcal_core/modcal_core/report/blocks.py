@@ -88,9 +88,7 @@ class TableBlock:
 
     @classmethod
     def of(cls, title: str, header: str, cells: str, records: Iterable[Any], **look: Any) -> Self:
-        """A row for each record. header: names of the columns, between bars. cells: how entries or attributes of a
-        record are written below them, between bars as well.
-        """
+        """A row for each record. header, cells: names of the columns, and how entries stand below, between bars."""
         columns = cells.split(" | ")
         rows = tuple(tuple(written(cell, record) for cell in columns) for record in records)
         return cls(title, tuple(header.split(" | ")), rows, **look)
@@ -155,9 +153,7 @@ class HeatTable:
 
 @dataclass(frozen=True)
 class KeyFigures:
-    """Names and values, None where one is left to be filled in. look: as tiles, as facts, hashes in small print, or
-    roles with lines to sign.
-    """
+    """Names and values, None where one is to be filled in. look: tiles, facts, small hashes, or lines to sign."""
 
     rows: Sequence[tuple[str, str | None]]
     look: Literal["tiles", "facts", "facts hash", "signs"] = "tiles"
@@ -242,9 +238,7 @@ class Fold:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page. name: for links, unique on the page. title: its heading. short: its name in the list of
-    sections; empty: not listed.
-    """
+    """A part of a page. name: for links, unique. title: its heading. short: in the list of sections, if it is there."""
 
     name: str
     title: str
@@ -433,9 +427,7 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def quantity_tables(quantities: Iterable[Quantity], what: str = "quantity") -> list[TableBlock]:
-    """Values and standard deviations, those in SI as people read them, a table for each unit. what: a word for the
-    names.
-    """
+    """Values and standard deviations, from SI to what people read, a table a unit. what: a word for the names."""
     found: dict[str, list[tuple[str, ...]]] = {}
     for name, value, std, si in quantities:
         unit, factor = scaled(si)

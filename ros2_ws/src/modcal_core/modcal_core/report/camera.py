@@ -88,9 +88,7 @@ _SURE = 3.0  # standard deviations of where it is
 
 
 def _body(solution: CameraSolution) -> dict[str, Any] | None:
-    """The body as ``report.json`` has it, with where its markers are from their places on the drawing; None of a
-    sheet.
-    """
+    """The body as ``report.json`` has it, with its markers' offsets from the drawing; None of a sheet."""
     target, fit = solution.camera.given.target, solution.fit
     if not isinstance(target, MarkerBundle):
         return None
@@ -162,10 +160,7 @@ def camera_report(
     left_out: Mapping[str, str],
     met: Tolerance | None = None,
 ) -> VerbResult:
-    """What a calibration by camera leaves behind. images: how many there were. left_out: those no corners came from.
-
-    met: a tolerance.
-    """
+    """What a calibration by camera leaves. images: how many there were. left_out: those no corners came from."""
     data = camera_data(solution, robot, images, left_out, met)
     files = {
         "report.json": to_json(data),

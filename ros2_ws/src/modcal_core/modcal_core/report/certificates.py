@@ -1,11 +1,9 @@
 """The certificate: one page that says what was measured, on which arm, with which result, and what it may not say.
 
+The result is that of the tolerance, which the claim at the tool decides, never another. A PASS is without reservations
+only where the verdict leaves no doubt: at the floor, the instrument's accuracy stated, nothing left out of the score.
 That of a calibration by camera is judged by the error at the tool with the target in view, with a body by that of the
-arm alone. It always has reservations: it is the figure of a fit, with no station that the fit has not seen.
-
-The result is that of the tolerance, which the claim at the tool decides, never another. A PASS is stated without
-reservations only where the verdict leaves no doubt: at the floor, the instrument's accuracy stated, nothing left out
-of the score.
+arm alone; it always has reservations, for no station is one that the fit has not seen.
 """
 
 from __future__ import annotations
@@ -107,10 +105,7 @@ def certificate(
     particulars: Particulars | None = None,
     hashes: Hashes | None = None,
 ) -> Certificate:
-    """The certificate of a report. Raises BadTable where no tolerance was asked for.
-
-    stated: of arm and instrument.
-    """
+    """The certificate of a report. Raises BadTable where no tolerance was asked for."""
     met, stated, said = report.tolerance, stated or Stated(), particulars or Particulars()
     hashes = hashes or Hashes()
     if met is None:

@@ -1,7 +1,7 @@
 """Charts of pages, written as SVG in the page's colours.
 
-A chart is a :class:`Panel`: two axes, to which marks, lines and bars are added. A page has dozens of them, all alike:
-as text each takes a millisecond, where a plotting library takes some 20 for ticks and the sizes of texts.
+A chart is a :class:`Panel`: two axes, to which marks, lines and bars are added. As text each takes a millisecond, where
+a plotting library takes some 20.
 """
 
 from __future__ import annotations
@@ -99,9 +99,9 @@ class Axis:
         return cls(words, low - room, high + room)
 
     @classmethod
-    def decades(cls, words: str, low: float, high: float, margin: float = 0.05) -> Self:
+    def decades(cls, words: str, low: float, high: float) -> Self:
         """A logarithmic axis with room for the marks of the outermost."""
-        room = (high / low) ** margin
+        room = (high / low) ** 0.05
         return cls(words, low / room, high * room, log=True)
 
     @classmethod

@@ -223,7 +223,11 @@ _POINTS, _MAX_CORNERS = 1600, 240  # of a curve: computed, and drawn
 _MAX_SHAPES = 24  # charts; more are looked at by nobody
 _MAX_WAVES, _DRAWN_WAVES = 20, 6  # more than the first make a grey block of a small chart
 _MAX_TICKS = 250  # of samples, below the curve
-_UNITS = {"load": "N m", "effort": "N m", "payload": "N m per kg", "direction": "−1 or 1"}
+_UNITS = {
+    **dict.fromkeys(("position", "following"), "rad"),
+    **dict.fromkeys(("load", "effort"), "N m"),
+    **{"payload": "N m per kg", "direction": "−1 or 1", "temperature": "°C"},
+}
 _SHIFTS = ("x", "y", "z", LENGTH)
 
 
@@ -293,13 +297,7 @@ def _turns(report: Outcome, place: str) -> bool:
 def _words(report: Outcome, driver: str) -> str:
     """A driver for people, with its unit."""
     kind, _, of = driver.partition(":")
-    if kind in ("position", "following"):
-        return f"{kind} of {of}, {'rad' if _turns(report, of) else 'm'}"
-    if kind == "temperature":
-        return f"temperature of {of}, °C"
-    if kind == "signal":
-        return of
-    if kind in _UNITS:
-        unit = _UNITS[kind] if _turns(report, of) else _UNITS[kind].replace("N m", "N")
-        return f"{'load' if kind in ('effort', 'payload') else kind} of {of}, {unit}"
-    return driver.replace(":", " of ")
+    if kind not in _UNITS:
+        return of if kind == "signal" else driver.replace(":", " of ")
+    unit = _UNITS[kind] if _turns(report, of) else _UNITS[kind].replace("N m", "N").replace("rad", "m")
+    return f"{'load' if kind in ('effort', 'payload') else kind} of {of}, {unit}"

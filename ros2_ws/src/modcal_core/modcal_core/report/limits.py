@@ -50,16 +50,6 @@ class LimitsFound:
         left.require_held()
         return left
 
-    @cached_property
-    def coupled(self) -> tuple[Array, Array]:
-        """Bounds that hold together, at every posture."""
-        return self.window.box()
-
-    @cached_property
-    def constant(self) -> tuple[Array, Array]:
-        """The same for all the postures at once, (n,)."""
-        return constant_bounds(self.window)
-
     @property
     def inertia(self) -> Array:
         """Equivalent inertias (N, n), rotors included."""
@@ -74,8 +64,9 @@ class LimitsFound:
 
 def limits_data(found: LimitsFound) -> dict[str, Any]:
     """What limits.json holds: for each joint its range over the postures, and where they are few each of them."""
-    arm, names, (least, most) = found.arm, found.arm.chain.names, found.constant
-    over = {"equivalent": found.window.equivalent(), "coupled": found.coupled}
+    arm, names, (least, most) = found.arm, found.arm.chain.names, constant_bounds(found.window)
+    lower, upper = coupled = found.window.box()
+    over = {"equivalent": found.window.equivalent(), "coupled": coupled}
     data: dict[str, Any] = {
         "modcal_limits": 1,
         "source": found.source,
@@ -98,7 +89,6 @@ def limits_data(found: LimitsFound) -> dict[str, Any]:
         ],
     }
     if len(found.q) <= _MAX:
-        lower, upper = found.coupled
         each = {"position": found.q, "velocity": found.velocity, "lower": lower, "upper": upper}
         data["at"] = [
             {what: dict(zip(names, rows[k].tolist(), strict=True)) for what, rows in each.items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from html import escape
 from pathlib import Path
@@ -13,7 +13,6 @@ import numpy as np
 from modcal_core.calibration import Calibration, ErrorSize, to_data
 from modcal_core.claim import Claim, Statistic
 from modcal_core.diagnosis import EffectChoice, Loads
-from modcal_core.effects import Quantity
 from modcal_core.files import to_json, to_yaml, write_folder
 from modcal_core.geometry import Array, so3
 from modcal_core.outcome import STAGES, Finding, Outcome
@@ -127,9 +126,10 @@ def _by_distances(found: ByDistances) -> dict[str, Any]:
 
 def effect_data(finding: Finding) -> dict[str, Any]:
     """An effect as ``report.json`` has it."""
+    sizes = finding.parameters.items()
     return {
         **picked(finding, "family", "place", "direction", "driver", "p_value", "gain_mm2", "chance", "same_as"),
-        "parameters": sizes_to_json(finding.parameters),
+        "parameters": {name: dict(zip(("value", "std", "unit"), size, strict=True)) for name, size in sizes},
         **in_mm(finding, rms_mm_before="before", rms_mm_after="after", tool_rms_mm="tool"),
         "gain_ci95_mm2": plain(finding.ci95),
     }
@@ -224,11 +224,6 @@ def tolerance_data(met: Tolerance | None) -> dict[str, Any] | None:
     return {**picked(met.asked, "statistic", asked_mm="mm"), **picked(met, "value_mm", "ci95", "result", "because")}
 
 
-def sizes_to_json(sizes: Mapping[str, Quantity]) -> dict[str, Any]:
-    """Named sizes for ``report.json``."""
-    return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in sizes.items()}
-
-
 def loads_to_json(loads: Loads | None) -> dict[str, Any] | None:
     """For ``report.json``."""
     if loads is None:
@@ -249,29 +244,22 @@ def loads_to_json(loads: Loads | None) -> dict[str, Any] | None:
     }
 
 
-def summary(report: Outcome) -> tuple[Summary, ...]:
+def summary(report: Outcome) -> list[Summary]:
     """Before and after, what the data could not tell, the effects, the account, and the verdict."""
-    return tuple(_blocks(report))
-
-
-def _blocks(report: Outcome) -> Iterator[Summary]:
-    yield from error_tables(report)
+    out: list[Summary] = [*error_tables(report)]
     if (seen := report.identifiability) is not None:
         said = f"{seen.parameters} parameters, rank {seen.rank} (directions that the stations determine), "
-        yield SummaryLine(said + f"condition {seen.condition:.0f} (largest over smallest singular value)")
-        for name in seen.unobservable:
-            yield SummaryLine(f"not determined by these stations: {name}", "doubt")
+        out.append(SummaryLine(said + f"condition {seen.condition:.0f} (largest over smallest singular value)"))
+        out += (SummaryLine(f"not determined by these stations: {name}", "doubt") for name in seen.unobservable)
     if report.effects:
-        yield effects_table(to_json_data(report)["effects"])
-        yield from map(SummaryLine, report.story)
-    yield from (SummaryLine(note, "doubt") for note in report.notes)
-    yield from distances_table(report.by_distances)
-    yield from account_tables(report.judged, fold=True)
-    yield SummaryLine(sentence(report), tone_of(report.status))
-    yield from (SummaryLine(f"Open: {reason}", "reason") for reason in report.open_because[MAX_REASONS:])
+        out += [effects_table([effect_data(finding) for finding in report.effects]), *map(SummaryLine, report.story)]
+    out += (SummaryLine(note, "doubt") for note in report.notes)
+    out += [*distances_table(report.by_distances), *account_tables(report.judged, fold=True)]
+    out.append(SummaryLine(sentence(report), tone_of(report.status)))
+    out += (SummaryLine(f"Open: {reason}", "reason") for reason in report.open_because[MAX_REASONS:])
     if report.claim is not None:
-        yield SummaryLine(report.claim.sentence, "plain" if report.claim.apply else "doubt")
-    yield from tolerance_lines(report.tolerance)
+        out.append(SummaryLine(report.claim.sentence, "plain" if report.claim.apply else "doubt"))
+    return [*out, *tolerance_lines(report.tolerance)]
 
 
 def calibration_files(
@@ -325,10 +313,7 @@ def kinematics_text(chain: Chain, origins: Mapping[str, Array], factory: Mapping
 def report_files(
     report: Outcome, page: bool = True, calibration: str = "", others: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """Names and texts of a report, whose page names the other files as well, and of those.
-
-    calibration: of an evaluation, the name of what was evaluated.
-    """
+    """Names and texts of a report and of the others, which its page names. calibration: what was evaluated, by name."""
     data, others = to_json_data(report), others or {}
     files = {"report.json": to_json(data)}
     if page:

@@ -187,9 +187,7 @@ _STAGES = {
 
 
 def error_tables(report: Outcome, names: Mapping[str, str] | None = None) -> list[TableBlock]:
-    """Sizes of the held-out errors, positions and orientations apart. names: of the stages that are shown, where they
-    say what they are.
-    """
+    """Sizes of held-out position and orientation errors. names: of the stages to show, where they say what they are."""
     position, orientation = [], []
     stages = [stage for stage in names or _STAGES if report.size_mm(stage) or report.size_deg(stage)]
     below = "" if names else legend({stage: _STAGES[stage] for stage in stages})
@@ -210,10 +208,7 @@ def error_tables(report: Outcome, names: Mapping[str, str] | None = None) -> lis
 
 
 def account_tables(verdict: Verdict | None, fold: bool = False) -> list[TableBlock]:
-    """Where the squared error of the nominal model went, of positions and orientations, where that is known.
-
-    fold: small rows of effects as one row.
-    """
+    """Where the nominal model's squared error went, where that is known. fold: small rows of effects as one row."""
     if verdict is None:
         return []
     both = (("mm", verdict.account_mm2, verdict.floor_mm), ("deg", verdict.account_deg2, verdict.floor_deg))

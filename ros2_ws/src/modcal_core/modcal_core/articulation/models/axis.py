@@ -2,13 +2,10 @@
 
 A motion carries a frame G at the handle's start p: column 0 points along the handle's path (for a screw, along the part
 of it that goes round), column 1 from the handle to the axis, column 2 along the axis, which stands at p + r G[:, 1].
-A prismatic motion goes along column 0. What was seen at configuration a is unwound to configuration 0 and compared
-with the start, in the axes of G:
+What was seen at configuration a is unwound to configuration 0 and compared with the start, in the axes of G:
 
     e = Rz(−a) x + (0, r, −h a),  x = Gᵀ(p_seen − p) − (0, r, 0)        (shift; the tangent ∂e/∂a is −(r, 0, h))
     φ = log(Rz(−a) Gᵀ R_seen R_startᵀ G)                                  (turn)
-
-The direction along which the latent configuration a absorbs play and bias is the same for all samples.
 
 Parameters are small changes: G exp(δ), p + G β with β across the path only (along it, the configurations absorb it),
 R_start turned by γ in G's axes, log r, and log |h|. So prismatic has 4 (7 with rotations), revolute 6 (9), screw 7
@@ -27,7 +24,6 @@ from typing import ClassVar
 import numpy as np
 
 from modcal_core.articulation.joint_motion import (
-    EYE,
     KEEP,
     ArticulationModel,
     Motion,
@@ -45,7 +41,6 @@ from modcal_core.geometry import Array, posed, so3, turned
 class AxisModel(ArticulationModel):
     """A joint type that is a screw motion about one axis, or none."""
 
-    motion: ClassVar[type[AxisMotion]]
     joint: ClassVar[type[JointModel]]
 
 
@@ -132,9 +127,10 @@ class AxisMotion(Motion):
         y = (track.positions - self.p) @ self.G
         # as it was seen: the position; how it shifts with a turn of the frame, the start, and the radius
         shifts = self.by_shift()
-        part = (y @ _linear(self.frame_turns, shifts.shape[1])).reshape(n, 3, -1) if derivatives else y[:, :, None]
+        part = y[:, :, None]
         if derivatives:
-            part[:, :, 1 + self.frame_turns :] = shifts
+            by_turn = so3.hat(y)[:, :, 3 - self.frame_turns :]
+            part = np.concatenate([part, by_turn, np.broadcast_to(shifts, (n, *shifts.shape))], axis=2)
         C = self.unwind(part, a, both, by_a, derivatives)
         if oriented:
             self._turned(track, C, both, by_a, derivatives)
@@ -167,18 +163,14 @@ class AxisMotion(Motion):
         return self.G.T @ track.rotations @ (self.R.T @ self.G)
 
     def apart(self, both: Array, by_a: Array) -> Array:
-        """What positions leave across the path (k, 2 or 3, 1 + size); what the configuration absorbs is taken from
-        both.
-        """
+        """What positions leave across the path (k, 2 or 3, 1 + size); what a configuration absorbs leaves both."""
         t = by_a[:, :3]
         along = t[:, None] @ both[:, :3] / (t * t).sum(axis=1)[:, None, None]
         both -= by_a[:, :, None] * along
         return both[:, 1:3]
 
     def turns_apart(self, both: Array) -> tuple[Array, Array | None]:
-        """Rotation residuals that are independent of positions, and those about the axis that are not (None where there
-        are none).
-        """
+        """Rotation residuals that no position tells of, and those about the axis that positions tell, None without."""
         return both[:, 3:], None
 
     def priors(self) -> list[tuple[float, tuple[float, float]]]:
@@ -238,9 +230,7 @@ class AxisMotion(Motion):
         return {}
 
     def covariance(self, parameters: Array) -> dict[str, Array]:
-        """Covariances of axis, start, point (also called centre) and pitch, from the covariance of the parameters
-        (size, size).
-        """
+        """Covariances of axis, start, point (or centre) and pitch, from that of the parameters (size, size)."""
         named = {name: g @ parameters @ g.T for name, g in self.gradients().items()}
         if "point" in named:
             named["centre"] = named["point"]
@@ -272,13 +262,3 @@ def _prior_curvature(frame_turns: int, size: int, widths: Sequence[float]) -> Ar
     curvature[size - len(widths) :] = [1.0 / std**2 for std in widths]
     curvature.flags.writeable = False
     return curvature
-
-
-@cache
-def _linear(frame_turns: int, constants: int) -> Array:
-    """What makes, of positions y (n, 3) in G's axes, matrices [y, y × δ, and room for what is constant], flat."""
-    k = frame_turns
-    out = np.zeros((3, 3, 1 + k + constants))
-    out[:, :, 0] = EYE
-    out[:, :, 1 : 1 + k] = so3.hat(EYE)[:, :, 3 - k :]
-    return np.ascontiguousarray(out.reshape(3, -1))

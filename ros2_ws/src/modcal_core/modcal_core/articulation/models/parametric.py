@@ -1,30 +1,26 @@
 """A joint type whose path is a function of the configuration: what most packages that add one derive from.
 
-First guesses: a shape from the model's own, and a place where three samples, far enough from each other, lie as far
-apart as three points of the path do; the best of many such places by a likelihood that is cut off where an outlier
-begins. From there ``fit`` climbs, as for every other type.
-
-Most packages that add a joint type derive from :class:`~modcal_core.articulation.models.parametric.ParametricModel`,
-which is such a shape. Where the object stands and how it is grasped is not the shape's business. Every answer of a
-shape is looked at; what is none is refused with the package's name.
+A package derives from :class:`ParametricModel` and states the shape alone; where the object stands and how it is
+grasped is found here. Every answer of a shape is looked at; what is none is refused with the package's name.
 
     T_world_handle(a) = T_world_object · pose(values, a),   R_world_handle(a) = R_world_object · R_pose(a) · R_grasp
 
-What was seen at configuration a is unwound into the frame that the model moves along, as ``motion`` does:
+What was seen at configuration a is unwound into the frame that the model moves along:
 
     e = B(a)ᵀ (p_seen − p(a)),   φ = log(B(a)ᵀ R_seen R_graspᵀ),   B = R_world_object R_pose(a)
 
 Parameters are small changes: a shift of the object [m] and a turn of it about the middle of the track [rad], with
 rotations a turn of the grasp [rad], and the shape in standard deviations of its prior. Derivatives by the shape and by
-the configuration are central differences; the others are exact.
+the configuration are central differences. First guesses place a shape where three samples lie as far apart as three
+points of the path; the best of many by a likelihood that is cut off where an outlier begins.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -40,6 +36,7 @@ from modcal_core.articulation.joint_motion import (
     middle_rotation,
     quick_log,
 )
+from modcal_core.articulation.joints import PathJoint
 from modcal_core.articulation.track import Track
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3, so3, turned
@@ -135,9 +132,7 @@ class PathShape(ABC):
         return out
 
     def checked_path(self, values: Array, count: int) -> tuple[Array, Array]:
-        """``count`` configurations over the whole range, and the poses there. Raises BadTable where the handle does not
-        move.
-        """
+        """``count`` configurations over the whole range, and the poses there. Raises BadTable where nothing moves."""
         a = np.linspace(self.lower, self.upper, count)
         T = self.checked_pose(values, a)
         if float(np.ptp(T[:, :3, 3], axis=0).max()) < 1e-6:
@@ -321,52 +316,6 @@ class ParametricMotion(Motion):
         _, std = self.model.prior
         own = (std**2 * np.diag(parameters)[self.size - self.model.size :]).tolist()
         return {p.name: np.array([[c]]) for p, c in zip(self.model.parameters, own, strict=True)}
-
-
-@dataclass(frozen=True)
-class PathJoint:
-    """A shape in its place: ``T_world_handle = pose(a)`` at the shape's own configuration a.
-
-    kind: name of the joint type. values: by parameter. T_world_object (4, 4). oriented: whether rotations were seen.
-    unit: of a.
-    """
-
-    kind: str
-    values: dict[str, float]
-    T_world_object: Array
-    oriented: bool
-    unit: str
-    motion: ParametricMotion = field(repr=False)
-
-    def pose(self, a: Array) -> Array:
-        """T_world_handle (n, 4, 4) at configurations a (n,)."""
-        return self.motion.poses(np.asarray(a, dtype=float))
-
-    def position(self, a: Array) -> Array:
-        """Positions of the handle (n, 3) [m] at configurations a (n,)."""
-        return self.pose(a)[:, :3, 3]
-
-    def centre(self) -> None:
-        """It has no axis."""
-
-    def sentence(self, a: Array, extent: float, std: Mapping[str, float]) -> str:
-        """How far it moved along its path, and its parameters."""
-        path = self.position(np.sort(a))
-        way = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-        said = ", ".join(f"{name} {value:.3g} ± {std[name]:.2g}" for name, value in self.values.items())
-        return f"moved {1e2 * way:.0f} cm along its path; {said}"
-
-    def data(self, a: Array, std: Mapping[str, float]) -> dict[str, Any]:
-        """As :meth:`Joint.data`: the start, the place of the object, and the parameters; it has no axis."""
-        units = {p.name: p.unit for p in self.motion.model.parameters}
-        return {
-            **dict.fromkeys(("axis", "point", "radius", "pitch")),
-            "start": se3.to_pose(self.pose(a[:1])[0]).tolist(),
-            "object": se3.to_pose(self.T_world_object).tolist(),
-            "parameters": {
-                name: {"value": value, "std": std[name], "unit": units[name]} for name, value in self.values.items()
-            },
-        }
 
 
 __all__ = ["ParametricModel", "ShapeParameter"]

@@ -24,10 +24,6 @@ class PrismaticJoint(JointModel):
     radius: ClassVar[float] = np.inf
     length_per_unit: ClassVar[float] = 1.0
 
-    def twist(self) -> Array:
-        """(axis, 0) (6,)."""
-        return np.concatenate([self.axis, np.zeros(3)])
-
     def configuration(self, seen: ArrayLike) -> Array:
         """How far along the axis (...) [m]."""
         return (placed(seen)[0] - self.start[:3, 3]) @ self.axis
@@ -70,7 +66,6 @@ class Prismatic(AxisModel):
     usual = True
     slots = (3,)
     urdf = InUrdf("prismatic", 2.0)
-    motion = PrismaticMotion
     joint = PrismaticJoint
 
     def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:

@@ -15,12 +15,10 @@ from functools import cache
 from typing import Any
 
 from modcal_core.articulation.joint_motion import ArticulationModel, Kind
-from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models import prismatic, revolute, rigid, screw
 from modcal_core.articulation.models.axis import AxisModel
 from modcal_core.articulation.models.parametric import REMEDY, PathShape
 from modcal_core.errors import BadRobot, BadTable
-from modcal_core.geometry import Array
 from modcal_core.measurements import added
 
 GROUP = "modcal.articulation"
@@ -32,9 +30,7 @@ _MAX_SHARE = 0.5  # of all that moves, for all that packages add together
 
 @cache
 def all_models() -> tuple[ArticulationModel, ...]:
-    """The built-in joint types, then those of installed packages. Raises BadTable for what is none, or takes
-    another's name.
-    """
+    """The built-in joint types, then those of packages. Raises BadTable for what is none, or takes another's name."""
     known = list(BUILT_IN)
     for offender, model in added(GROUP):
         if not isinstance(model, ArticulationModel):
@@ -63,12 +59,6 @@ def axis_model(kind: Kind) -> AxisModel:
     if kind not in AXES:
         raise BadRobot(f"joint {kind}", f"is not one of {', '.join(AXES)}", "name one of them")
     return AXES[kind]
-
-
-def joint(kind: Kind, start: Array, axis: Array, point: Array, pitch: float = 0.0,
-          oriented: bool = True) -> JointModel:  # fmt: skip
-    """A joint about one axis, of the type of this name. Raises BadRobot when these are no joint."""
-    return axis_model(kind).joint(start, axis, point, pitch, oriented)
 
 
 def _fault(model: ArticulationModel) -> str:

@@ -43,10 +43,6 @@ class RevoluteJoint(JointModel):
         """Path of the handle [m/rad]."""
         return math.hypot(self.radius, self.pitch)
 
-    def twist(self) -> Array:
-        """(point × axis + pitch axis, axis) (6,)."""
-        return np.concatenate([np.cross(self.point, self.axis) + self.pitch * self.axis, self.axis])
-
     def configuration(self, seen: ArrayLike) -> Array:
         """As :meth:`JointModel.configuration`."""
         p, R = placed(seen)
@@ -188,7 +184,6 @@ class Revolute(AxisModel):
     usual = True
     slots = (0, 2)
     urdf = InUrdf("revolute", np.pi)
-    motion = RevoluteMotion
     joint = RevoluteJoint
 
     def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:

@@ -25,10 +25,6 @@ class RigidJoint(JointModel):
     radius: ClassVar[float] = 0.0
     length_per_unit: ClassVar[float] = 0.0
 
-    def twist(self) -> Array:
-        """Zeros (6,)."""
-        return np.zeros(6)
-
     def configuration(self, seen: ArrayLike) -> Array:
         """Zeros (...)."""
         return np.zeros(placed(seen)[0].shape[:-1])
@@ -78,7 +74,6 @@ class Rigid(AxisModel):
     share = 0.0
     moves = False
     urdf = InUrdf("fixed")
-    motion = RigidMotion
     joint = RigidJoint
 
     def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:

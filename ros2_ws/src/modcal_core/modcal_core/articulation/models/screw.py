@@ -117,7 +117,6 @@ class Screw(AxisModel):
     share = 0.02
     slots = (1,)
     urdf = InUrdf("revolute", 8.0 * np.pi, rises=True)
-    motion = ScrewMotion
     joint = ScrewJoint
 
     def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:
