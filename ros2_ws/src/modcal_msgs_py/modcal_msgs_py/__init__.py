@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.recording_write import episodes_of, is_lerobot, write_recording
     from modcal_msgs_py.topics import JOINT_COMMANDS, JOINT_STATES, READINGS, TYPES, AddedTopic, Joints, Signal, Topics
     from modcal_msgs_py.topics import accepted, role_of
-    from modcal_msgs_py.track_rows import Commands, JointStateBytes
+    from modcal_msgs_py.track_rows import Commands
     from modcal_msgs_py.typed import asked_of_box, calibration_data, fill_calibration, fill_change, fill_checked
     from modcal_msgs_py.typed import fill_estimate, fill_held_box, fill_identity, fill_object_status, fill_verdict
 else:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # of those who read or write bags: a node on topics of the co
 
 _MAX_STEPS = 20_000  # fields of one message that are looked at; more, and it has no layout
 _MAX_GAPS = 16  # between numbers, that are compared one by one; where there are more, word by word is quicker
+_SPARE = 3  # bytes that may follow a message
 _HEAD = 4  # bytes that say how the rest is encoded; alignment counts from there
 
 
@@ -75,11 +76,8 @@ class MessageLayout:
     _gaps: list[tuple[int, bytes]] | None = None
 
     @classmethod
-    def of(cls, fields: Fields, sample: bytes, spare: int = 3) -> MessageLayout | None:
-        """The layout of a message of these fields; None for bytes that are no such message, or not plain CDR.
-
-        spare: how many bytes may follow the message.
-        """
+    def of(cls, fields: Fields, sample: bytes) -> MessageLayout | None:
+        """The layout of a message of these fields; None for bytes that are no such message, or not plain CDR."""
         if len(sample) < _HEAD or sample[0] != 0 or sample[1] not in (0, 1):
             return None
         made = cls(len(sample))
@@ -87,7 +85,7 @@ class MessageLayout:
             end = _LayoutWalk(made, sample, "<" if sample[1] else ">").fields(fields, "", _HEAD)
         except (struct.error, UnicodeDecodeError, ValueError):
             return None
-        if not len(sample) - spare <= end <= len(sample):
+        if not len(sample) - _SPARE <= end <= len(sample):
             return None
         made.fixed.append((0, 2))
         made._compare(sample)
@@ -128,13 +126,6 @@ class MessageLayout:
         assert self._mask is not None
         different = (rows.view(np.uint64)[:, self._words] & self._mask) != self._same
         return ~different.any(axis=1)
-
-    def fits_one(self, cdr: bytes) -> bool:
-        """Whether a message as long as the sample has this layout."""
-        if self._gaps is not None and all(cdr.startswith(same, at - _HEAD) for at, same in self._gaps):
-            return True
-        padded = np.frombuffer(bytes(_HEAD) + cdr + bytes(self.width), np.uint8)
-        return bool(self.fits(self.rows(padded, np.array([_HEAD])))[0])
 
     def numbers(self, rows: Bytes, path: str) -> NDArray[np.generic]:
         """The numbers of a field (n, count)."""
