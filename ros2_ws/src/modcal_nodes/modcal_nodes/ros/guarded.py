@@ -153,7 +153,6 @@ class GuardedNode(Node):
     parameters_without_effect = ""  # what is said of those that no node knows (see lifecycle.py)
     most_at_once = 100  # messages of one topic before others have their turn
     active: bool = True  # whether messages are taken; of a managed node, see lifecycle.py
-    heard_by_executor = False  # whether something is subscribed to that no poller takes (see running.py)
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.pollers: list[Callable[[], int]] = []  # take what waits in a subscription; how much that was

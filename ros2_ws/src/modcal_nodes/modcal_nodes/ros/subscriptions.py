@@ -211,7 +211,7 @@ class MonitoredSubscription:
 
 
 def _needed(told: list[Any], replaced: Callable[[float], bool]) -> list[Any]:
-    """The joint states that must be handled, in order: those that are not replaced by a later one of the same joints."""
+    """The joint states to handle, in order: those that are not replaced by a later one of the same joints."""
     out, later = list[Any](), set[tuple[int, tuple[str, ...]]]()
     for message in reversed(told):
         joints = len(message.position), tuple(message.name)

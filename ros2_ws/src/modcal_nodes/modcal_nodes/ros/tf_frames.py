@@ -99,7 +99,6 @@ class Broadcaster:
             return
         self._message = message
         self._publisher = node.create_publisher(message, "/tf_static" if static else "/tf", LATCHED if static else 100)
-        node.heard_by_executor = True  # a part of what /tf says shows who speaks there
         node.create_subscription(message, "/tf", self._hear, 100)
         node.create_subscription(
             message, "/tf_static", self._hear, QoSProfile(depth=100, durability=LATCHED.durability)
