@@ -18,7 +18,6 @@ import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -30,7 +29,6 @@ if TYPE_CHECKING:  # of those who read or write bags: a node on topics of the co
     from rosbags.typesys.store import Typestore
 
 _MAX_STEPS = 20_000  # fields of one message that are looked at; more, and it has no layout
-_MAX_GAPS = 16  # between numbers, that are compared one by one; where there are more, word by word is quicker
 _SPARE = 3  # bytes that may follow a message
 _HEAD = 4  # bytes that say how the rest is encoded; alignment counts from there
 
@@ -73,7 +71,6 @@ class MessageLayout:
     fixed: list[tuple[int, int]] = field(default_factory=list)
     _same: NDArray[np.uint64] | None = None
     _mask: NDArray[np.uint64] | None = None
-    _gaps: list[tuple[int, bytes]] | None = None
 
     @classmethod
     def of(cls, fields: Fields, sample: bytes) -> MessageLayout | None:
@@ -102,10 +99,6 @@ class MessageLayout:
         self._words = slice(words[0], words[-1] + 1)
         self._mask = mask.view(np.uint64)[self._words]
         self._same = same.view(np.uint64)[self._words] & self._mask
-        ends = [(c.at, c.at + c.count * np.dtype(c.dtype).itemsize) for c in self.columns.values() if c.count]
-        numbers = [(0, 0), *sorted(ends), (self.size, self.size)]
-        gaps = [(end, begin) for (_, end), (begin, _) in pairwise(numbers) if mask[_HEAD + end : _HEAD + begin].any()]
-        self._gaps = [(_HEAD + end, sample[end:begin]) for end, begin in gaps] if len(gaps) <= _MAX_GAPS else None
 
     @property
     def width(self) -> int:
@@ -116,10 +109,6 @@ class MessageLayout:
         """The messages that begin at these offsets (n,), as rows (n, width). Content must go on for a width behind."""
         everywhere = np.ndarray((len(content) - self.width + 1,), f"V{self.width}", content, 0, (1,))
         return everywhere[offsets - _HEAD].view(np.uint8).reshape(-1, self.width)
-
-    def fit_all(self, rows: Bytes) -> bool:
-        """Whether all rows are the sample's between their numbers; if not, each may have this layout all the same."""
-        return self._gaps is not None and all(_equal(rows, at, same) for at, same in self._gaps)
 
     def fits(self, rows: Bytes) -> NDArray[np.bool_]:
         """Which rows have this layout (n,)."""
@@ -132,18 +121,6 @@ class MessageLayout:
         column = self.columns[path]
         dtype = np.dtype(column.dtype)
         return np.ndarray((len(rows), column.count), dtype, rows, _HEAD + column.at, (rows.strides[0], dtype.itemsize))
-
-
-def _equal(rows: Bytes, at: int, same: bytes) -> bool:
-    """Whether these bytes stand at this place in all rows: in the first, and in each what is in the one before."""
-    size = len(same)
-    word = next(word for word in (8, 4, 2, 1) if size % word == 0)
-    if size > word:
-        words = np.ndarray(len(rows), f"V{size}", rows, at, rows.strides[:1]).copy().view(f"u{word}")
-    else:
-        words = np.ndarray(len(rows), f"u{word}", rows, at, rows.strides[:1])
-    n = size // word
-    return words[:n].tobytes() == same and bool((words[n:] == words[:-n]).all())
 
 
 @dataclass

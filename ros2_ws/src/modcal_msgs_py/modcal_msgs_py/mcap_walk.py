@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -57,8 +57,6 @@ _MAX_WINDOW = 1 << 27  # bytes that a zstd decompressor may keep behind it
 _TABLES = (".csv", ".tsv", ".txt")  # what instruments and robots export
 PADDING = bytes(8)  # behind a block's bytes, for those who read them in words
 
-Content: TypeAlias = "bytes | bytearray"
-
 
 class RawMessage(NamedTuple):
     """One message as it lies in the file: CDR bytes, and when it was received and published [ns]."""
@@ -80,7 +78,7 @@ class Block:
     published [ns]. starts, stops: (n,) where the CDR bytes of each stand in the content.
     """
 
-    content: Content
+    content: bytes
     heads: NDArray[np.void]
     starts: NDArray[np.int64]
     stops: NDArray[np.int64]
@@ -190,13 +188,13 @@ class McapFile:
             return
         size = len(content) - len(PADDING)
         self._unpacked += size
-        if whole and (size != unpacked_size or (crc and zlib.crc32(memoryview(content)[:size]) != crc)):
+        if whole and (size != unpacked_size or (crc and zlib.crc32(content[:size]) != crc)):
             self.cut = "a chunk's checksum is wrong"
             return
         self.compression = self.compression or compression
         yield from self._records(content)
 
-    def _records(self, content: Content) -> Iterator[Block]:
+    def _records(self, content: bytes) -> Iterator[Block]:
         """The messages in these bytes, behind which there is PADDING."""
         found: list[int] = []
         at, size, read = 0, len(content) - len(PADDING), _RECORD.unpack_from
@@ -213,7 +211,7 @@ class McapFile:
                 found.append(at)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 try:
-                    self._learn(opcode, bytes(content[body : body + length]))
+                    self._learn(opcode, content[body : body + length])
                 except (struct.error, UnicodeDecodeError, McapError, ValueError) as error:
                     self.cut = self.cut or f"the description of a topic is damaged ({type(error).__name__})"
                     break
@@ -260,35 +258,20 @@ def _end_of_loose(data: mmap.mmap, at: int, size: int) -> int:
     return at
 
 
-def _unpacked(compression: str, data: mmap.mmap, start: int, end: int, size: int) -> Content:
+def _unpacked(compression: str, data: mmap.mmap, start: int, end: int, size: int) -> bytes:
     """The content of a chunk with PADDING behind it; of one that is cut, as much as can be had.
 
     start, end: where its packed bytes stand in the file. size: that it should have; of what is longer, at most one
     byte more is unpacked, so that it is noticed.
     """
     if compression == "":
-        with memoryview(data) as whole, whole[start:end] as content:
-            return b"".join((content, PADDING))
+        return data[start:end] + PADDING
     if compression == "zstd":
-        return _unpacked_at_once(data[start:end], size)
+        reader = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW).stream_reader(data[start:end])
+        return reader.read(size + 1) + PADDING
     if compression == "lz4":
         return lz4.frame.LZ4FrameDecompressor().decompress(data[start:end], max_length=size + 1) + PADDING
     raise RuntimeError(f"unknown compression {compression[:20]!r}")
-
-
-def _unpacked_at_once(content: bytes, size: int) -> bytearray:
-    """The content of a chunk that says how large it is, written straight to where it stays.
-
-    What is longer than it says is returned longer, so that it is noticed.
-    """
-    out = bytearray(size + len(PADDING))
-    decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW)
-    with decompressor.stream_reader(content) as stream, memoryview(out) as view:
-        at = 0
-        while at < size and (count := stream.readinto(view[at:size])):
-            at += count
-        beyond = stream.read(1) if at == size else b""
-    return out[:at] + beyond + PADDING if at < size or beyond else out
 
 
 def _other_format(path: Path, start: bytes) -> str:

@@ -17,8 +17,6 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import JointTrack
 from modcal_msgs_py.layout import Messages
 
-_MAX_GROWTH = 16  # times the rows that there are, where more are expected: an index that lies fills no memory
-
 
 class TrackRows:
     """Growing columns of one track by their names, eight bytes a number, however long a node listens.
@@ -26,9 +24,8 @@ class TrackRows:
     What was handed out of them stays as it is: later rows are written behind it, or to a larger copy.
     """
 
-    def __init__(self, expected: int = 0) -> None:
-        """expected: how many rows there may be, where that is known; it may be wrong."""
-        self._expected, self._count = expected, 0
+    def __init__(self) -> None:
+        self._count = 0
         self._columns: dict[str, Array] = {}
 
     def __len__(self) -> int:
@@ -41,8 +38,7 @@ class TrackRows:
         for name, numbers in columns.items():
             known = self._columns.get(name)
             if known is None or end > len(known):
-                room = max(2 * end, min(self._expected, _MAX_GROWTH * end))
-                known, old = np.empty((room, *numbers.shape[1:])), known  # what is not written yet takes no memory
+                known, old = np.empty((2 * end, *numbers.shape[1:])), known  # what is not written yet takes no memory
                 if old is not None:
                     known[:begin] = old[:begin]
                 self._columns[name] = known
