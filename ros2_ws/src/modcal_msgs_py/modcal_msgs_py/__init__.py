@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.bag_files import SUFFIXES, qos_profile
     from modcal_msgs_py.bag_open import PackedMessage
     from modcal_msgs_py.commands import Colour, JointInput, ObjectInput, arrows, caption, colour_of, desired_pose, dots
-    from modcal_msgs_py.commands import ellipsoids, fill_accelerations, fill_markers, fill_object_state
+    from modcal_msgs_py.commands import ellipsoids, fill_accelerations, fill_joints, fill_markers, fill_object_state
     from modcal_msgs_py.commands import fill_picture, fill_point, fill_pose, fill_posed, fill_wrench, require_new
     from modcal_msgs_py.commands import require_version, seen, status_values, wrench_numbers
     from modcal_msgs_py.images import CLOUD, TAGS, RawImage, chosen_topic, corner_topics, fill_corners, image_topics

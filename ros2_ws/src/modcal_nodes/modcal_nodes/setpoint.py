@@ -353,6 +353,7 @@ class SetpointPublishers:
         """Publish a setpoint of the frame tip at this time [s]. period: until the next [s]. horizon: of a trajectory's
         point [s].
         """
+        stamp = round(1e9 * now)
         self._references.publish(fill_point(JointTrajectoryPoint(), setpoint, period))
         # a stack listens to one or two of these; a message that nobody hears costs as much as one that is heard
         if self._trajectory.get_subscription_count():
@@ -361,8 +362,8 @@ class SetpointPublishers:
             trajectory.points = [fill_point(JointTrajectoryPoint(), setpoint, horizon, with_speed=False)]
             self._trajectory.publish(trajectory)
         if self._pose.get_subscription_count():
-            self._pose.publish(fill_posed(PoseStamped(), setpoint.frame, round(1e9 * now), setpoint.pose))
+            self._pose.publish(fill_posed(PoseStamped(), setpoint.frame, stamp, setpoint.pose))
         if self._wrench.get_subscription_count():
-            self._wrench.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.wrench))
+            self._wrench.publish(fill_wrench(WrenchStamped(), tip, stamp, setpoint.wrench))
         if self._stiffness.get_subscription_count():
-            self._stiffness.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.stiffness))
+            self._stiffness.publish(fill_wrench(WrenchStamped(), tip, stamp, setpoint.stiffness))

@@ -32,6 +32,7 @@ from modcal_msgs_py import (
     asked_of_box,
     desired_pose,
     fill_held_box,
+    fill_joints,
     fill_pose,
     require_new,
     seconds,
@@ -237,14 +238,12 @@ class Corrector(ros.ManagedNode):
         pose.header.frame_id = correction.chain.base
         set_nanoseconds(pose.header.stamp, joints.stamp)
         fill_pose(pose.pose, T, C)
-        states = JointState(name=list(joints.names), position=q.tolist(), velocity=at.velocity.tolist())
-        states.header.stamp = pose.header.stamp
         self._pose.publish(pose)
         if self._tf is not None:
             tip = T if target == "tip" else correction.pose(at.q, at, "tip")
             frame = ros.corrected_frame(correction.chain.base, correction.chain.tip, tip)
             self._tf.publish([frame], pose.header.stamp)
-        self._states.publish(states)
+        self._states.publish(fill_joints(JointState(), joints.names, joints.stamp, q, at.velocity))
         self._counts["poses"] += 1
 
     def _take_desired(self, message: PoseStamped) -> None:

@@ -36,10 +36,6 @@ class Frame:
     child: str
     T: Array
 
-    def numbers(self) -> tuple[float, ...]:
-        """x y z [m] and the quaternion x y z w."""
-        return tuple(float(v) for v in se3.to_pose(self.T))
-
 
 def static_frames(calibration: Calibration) -> tuple[Frame, ...]:
     """Where the trackers stand in the base link, and the tool behind the corrected tip."""
@@ -69,8 +65,6 @@ class Parents:
 
     def require_free(self, frame: Frame) -> None:
         """Raises BadTable where the child has another parent, or its parent hangs below it."""
-        if not frame.child.endswith((CALIBRATED, CORRECTED)):
-            raise BadTable(f"frame {frame.child}", "is not one of this package's", "see docs/nodes.md")
         parent = self._of.get(frame.child)
         if parent is not None and parent != frame.parent:
             said = f"has the parent {parent} already, which another node publishes"
@@ -127,5 +121,5 @@ def filled(message: TransformStamped, frame: Frame, stamp: Any) -> TransformStam
     """The message, saying this frame at this time."""
     message.header.frame_id, message.child_frame_id, message.header.stamp = frame.parent, frame.child, stamp
     p, o = message.transform.translation, message.transform.rotation
-    p.x, p.y, p.z, o.x, o.y, o.z, o.w = frame.numbers()
+    p.x, p.y, p.z, o.x, o.y, o.z, o.w = se3.to_pose(frame.T).tolist()
     return message
