@@ -8,12 +8,12 @@ Reading stops at the first byte that does not fit; what came before is kept.
 from __future__ import annotations
 
 import mmap
+import os
 import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
@@ -24,8 +24,8 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, McapRecord, Schema, Statistics
-from mcap.stream_reader import StreamReader
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Schema
 from mcap.summary import Summary
 from numpy.typing import NDArray
 
@@ -286,41 +286,16 @@ def _other_format(path: Path, start: bytes) -> str:
     return "give a bag folder or a .mcap file"
 
 
-# --- The index at the end of an MCAP file: which topics there are, and what the file says of its own size
-
-_FOOTER_SIZE = 29  # bytes of the record
-
-
 def read_index(path: Path) -> Summary | None:
-    """The index of a file; None where it has none. Raises ValueError for one that is damaged."""
-    size = path.stat().st_size
-    if size == 0:
-        return None
-    with path.open("rb") as stream:
-        records = partial(StreamReader, stream, skip_magic=True, emit_chunks=True, record_size_limit=size)
-        try:
-            stream.seek(max(size - _FOOTER_SIZE - len(MAGIC), len(MAGIC)))
-            footer = next(records().records)
-            if not isinstance(footer, Footer) or stream.read(len(MAGIC)) != MAGIC:
+    """The index at the end of a file; None where it has none. Raises ValueError for one that is damaged."""
+    try:
+        with path.open("rb") as stream:
+            stream.seek(-len(MAGIC), os.SEEK_END)
+            if stream.read() != MAGIC:
                 raise ValueError("the file does not end correctly")
-            if footer.summary_start == 0:
-                return None
-            stream.seek(footer.summary_start)
-            return _summary(records().records)
-        except (McapError, struct.error, KeyError, MemoryError, UnicodeDecodeError, OSError, StopIteration) as error:
-            raise ValueError(type(error).__name__) from error
-
-
-def _summary(records: Iterator[McapRecord]) -> Summary:
-    """What records say, of which no chunk is unpacked."""
-    out = Summary()
-    for record in records:
-        if isinstance(record, ChunkIndex):
-            out.chunk_indexes.append(record)
-        elif isinstance(record, Schema):
-            out.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            out.channels[record.id] = record
-        elif isinstance(record, Statistics):
-            out.statistics = record
-    return out
+            stream.seek(0)
+            return SeekingReader(stream, record_size_limit=path.stat().st_size).get_summary()
+    except ValueError:
+        raise
+    except Exception as error:  # the reader raises whatever the bytes lead it to
+        raise ValueError(type(error).__name__) from error
