@@ -7,7 +7,7 @@ stands at the same place, and a column of numbers is one view into the bytes. Wh
 A type is told by its fields: ``(name, kind)`` where the kind is the type of a number as NumPy writes it (``f8``),
 ``string``, a list of fields, or ``[kind]`` with a count: ``Many(kind, n)``, n None where the message says how many.
 
-Those of the contract's topics are written down here; others come out of the definitions that bags bring along.
+Those of ROS come from rosbags, others out of the definitions that bags bring along.
 """
 
 from __future__ import annotations
@@ -364,34 +364,6 @@ def store_with(type_name: str, text: str) -> Typestore:
     return store
 
 
-_HEADER: Fields = [("stamp", [("sec", "i4"), ("nanosec", "u4")]), ("frame_id", "string")]
-_XYZ: Fields = [("x", "f8"), ("y", "f8"), ("z", "f8")]
-_XYZW: Fields = [*_XYZ, ("w", "f8")]
-_POSE: Fields = [("position", _XYZ), ("orientation", _XYZW)]
-_POSE_WITH_COVARIANCE: Fields = [("pose", _POSE), ("covariance", Many("f8", 36))]
-_TWIST: Fields = [("twist", [("linear", _XYZ), ("angular", _XYZ)]), ("covariance", Many("f8", 36))]
-_CHILD: tuple[str, Kind] = ("child_frame_id", "string")
-_STAMPED: dict[str, Fields] = {  # what stands behind the header
-    "sensor_msgs/msg/JointState": [
-        ("name", Many("string")),
-        *((name, Many("f8")) for name in ("position", "velocity", "effort")),
-    ],
-    "geometry_msgs/msg/PoseStamped": [("pose", _POSE)],
-    "geometry_msgs/msg/PointStamped": [("point", _XYZ)],
-    "geometry_msgs/msg/Vector3Stamped": [("vector", _XYZ)],
-    "geometry_msgs/msg/WrenchStamped": [("wrench", [("force", _XYZ), ("torque", _XYZ)])],
-    "sensor_msgs/msg/Range": [
-        ("radiation_type", "u1"),
-        *((name, "f4") for name in ("field_of_view", "min_range", "max_range", "range", "variance")),
-    ],
-    "sensor_msgs/msg/Temperature": [("temperature", "f8"), ("variance", "f8")],
-    "geometry_msgs/msg/PoseWithCovarianceStamped": [("pose", _POSE_WITH_COVARIANCE)],
-    "nav_msgs/msg/Odometry": [_CHILD, ("pose", _POSE_WITH_COVARIANCE), ("twist", _TWIST)],
-    "geometry_msgs/msg/TransformStamped": [_CHILD, ("transform", [("translation", _XYZ), ("rotation", _XYZW)])],
-}
-KNOWN: dict[str, Fields] = {name: [("header", _HEADER), *fields] for name, fields in _STAMPED.items()}
-KNOWN["std_msgs/msg/String"] = [("data", "string")]
-KNOWN["tf2_msgs/msg/TFMessage"] = [("transforms", Many(KNOWN["geometry_msgs/msg/TransformStamped"]))]
 _NUMBERS = {
     "bool": "u1", "byte": "u1", "octet": "u1", "uint8": "u1", "int8": "i1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
@@ -404,8 +376,6 @@ def fields_of(type_name: str, schemas: Mapping[str, str]) -> Fields | None:
 
     schemas: definitions that a bag brings along, by type.
     """
-    if type_name in KNOWN:
-        return KNOWN[type_name]
     if type_name in jazzy().fielddefs:
         return expanded(type_name, "")
     return expanded(type_name, schemas[type_name]) if type_name in schemas else None

@@ -97,11 +97,8 @@ class Commands:
         self, topic: str, names: tuple[str, ...], stamp: float, received: float, times: list[float], points: list[Any]
     ) -> None:
         t = np.array(times, dtype=float)
-        if not len(t) or len(t) > _MAX_POINTS or len(set(names)) != len(names):
-            return
-        if any(len(p) != len(names) for p in points) or t[0] < 0.0 or not t[-1] < _LONGEST:
-            return
-        if not (np.diff(t) > 0.0).all():
+        fits = 0 < len(t) <= _MAX_POINTS and all(len(p) == len(names) == len(set(names)) for p in points)
+        if not fits or t[0] < 0.0 or not t[-1] < _LONGEST or not (np.diff(t) > 0.0).all():
             return
         x = np.array([np.asarray(p, dtype=float) for p in points])
         self._plans.setdefault((topic, names), []).append(

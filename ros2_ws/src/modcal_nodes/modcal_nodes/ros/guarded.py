@@ -50,7 +50,6 @@ _AGAIN = 1.0  # s after a fault until a latched message is handled once more
 _RECENT = 10.0  # s in which a fault counts as recent
 _THROTTLE = 1.0  # s between two lines in the log about the same place
 _OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
-_EVENTS = ("deadline", "incompatible_qos", "incompatible_type", "liveliness", "matched", "message_lost")
 
 
 class NodeEnds(Exception):
@@ -228,8 +227,8 @@ class GuardedNode(Node):
         """
         qos_profile = self._overridden(topic, "subscription", qos_profile, options)
         events = options.get("event_callbacks")
-        for name in _EVENTS:
-            if (event := getattr(events, name, None)) is not None:
+        for name, event in vars(events).items() if events is not None else ():
+            if event is not None and callable(event):
                 setattr(events, name, self.guarded(f"{topic}, {name}", event))
         guarded = self.guarded_once_more(topic, callback) if is_latched(qos_profile) else self.guarded(topic, callback)
         return super().create_subscription(msg_type, topic, guarded, qos_profile, *args, **options)
@@ -316,10 +315,6 @@ def refusal(request: Any, response: Any, said: str) -> Any:
     for words in ("message", "reason", "status_message"):
         if hasattr(answer, words):
             setattr(answer, words, said)
-    if hasattr(answer, "result") and hasattr(answer.result, "successful"):
-        answer.result = SetParametersResult(successful=False, reason=said)
-    if hasattr(answer, "results") and hasattr(request, "parameters"):
-        answer.results = [SetParametersResult(successful=False, reason=said) for _ in request.parameters]
     return answer
 
 
