@@ -46,7 +46,6 @@ def waiting(subscription: Subscription, most: int, raw: bool = False) -> list[tu
 
 
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-_AGAIN = 1.0  # s after a fault until a latched message is handled once more
 _RECENT = 10.0  # s in which a fault counts as recent
 _THROTTLE = 1.0  # s between two lines in the log about the same place
 _OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
@@ -230,23 +229,9 @@ class GuardedNode(Node):
         for name, event in vars(events).items() if events is not None else ():
             if event is not None and callable(event):
                 setattr(events, name, self.guarded(f"{topic}, {name}", event))
-        guarded = self.guarded_once_more(topic, callback) if is_latched(qos_profile) else self.guarded(topic, callback)
-        return super().create_subscription(msg_type, topic, guarded, qos_profile, *args, **options)
-
-    def guarded_once_more(self, topic: str, callback: Any) -> Callable[..., Any]:
-        """A guarded callback of a latched topic: after a fault the message, which nobody repeats, is tried again."""
-        if _is_guarded(callback):
-            return callback
-        plain = self.guarded(topic, callback)
-
-        def again(message: Any, _: str) -> None:
-            def retry() -> None:
-                timer.cancel()
-                plain(message)
-
-            timer = self.every(_AGAIN, retry)
-
-        return Guarded(self, topic, callback, again)
+        return super().create_subscription(
+            msg_type, topic, self.guarded(topic, callback), qos_profile, *args, **options
+        )
 
     def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **options: Any) -> Any:
         """Same as in Node, with a guarded callback."""

@@ -118,9 +118,7 @@ class MonitoredSubscription:
         replaced: of joint states, whether one of this stamp [s] is not needed where a later one of the same joints has
         come; None: each is handed on.
         """
-        # each message of a burst is guarded by itself
-        guard = node.guarded_once_more if is_latched(qos) else node.guarded
-        self._node, self._callback = node, guard(topic, callback)
+        self._node, self._callback = node, node.guarded(topic, callback)  # each message of a burst is guarded by itself
         self.part, self.needed, self.patience, self._single = topic, needed, patience, single
         self.count = 0
         self.incompatible: str | None = None
