@@ -81,7 +81,6 @@ def is_link(frame: str, description: str) -> bool:
 
 
 _MAX_NAMED = 4  # instruments; a cell of many anchors would fill the line
-_CHUNK = 1 << 20
 
 
 def began(recording: Recording) -> float | None:
@@ -100,11 +99,8 @@ def digest(bag: Path) -> str:
 
 
 def _digest_of(file: Path) -> str:
-    digits = hashlib.sha256()
     with file.open("rb") as stream:
-        while chunk := stream.read(_CHUNK):
-            digits.update(chunk)
-    return digits.hexdigest()
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def instruments(recording: Recording, frames: set[str]) -> str | None:

@@ -47,7 +47,6 @@ _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durabil
 _MOST_RANGES = 20_000  # readings of range sensors that are kept
 _SECONDS = 1.0  # of them that count for a box, where a request does not say
 _NOTHING_YET = "no calibration yet: set the parameter calibration, or publish the topic calibration"
-_NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
 class Corrector(ros.ManagedNode):
@@ -142,7 +141,7 @@ class Corrector(ros.ManagedNode):
         if self._calibration is None:
             return
         if not self._urdf and self._delta is None:
-            self._refusal = _NO_ROBOT_YET
+            self._refusal = ros.NO_DESCRIPTION
             return
         try:
             robot = CalibratedRobot.of(self._calibration, self._delta or self._urdf)

@@ -23,7 +23,7 @@ from rclpy.action import ActionClient, ActionServer
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
+from rclpy.qos import QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
@@ -281,11 +281,6 @@ class GuardedNode(Node):
             return callback
         guarded = Guarded(self, f"service {name}", callback, refusal)
         return guarded.awaited() if inspect.iscoroutinefunction(callback) else guarded
-
-
-def is_latched(qos: Any) -> bool:
-    """Whether a publisher that offers this QoS tells its last message to whoever comes later."""
-    return isinstance(qos, QoSProfile) and qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
 
 def _is_guarded(callback: Any) -> bool:

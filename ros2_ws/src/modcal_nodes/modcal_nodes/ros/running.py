@@ -40,7 +40,6 @@ from rclpy.executors import (
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Task
 from rclpy.utilities import remove_ros_args
 
 from modcal_core.errors import BadTable, ModcalError
@@ -108,15 +107,9 @@ class RestingExecutor(SingleThreadedExecutor):
             handler, _, _ = self.wait_for_ready_callbacks(timeout_sec=timeout)
         except (ShutdownException, TimeoutException, ConditionReachedException):
             return False
-        _run(handler)
+        handler()
+        handler.result()  # raises what the callback has raised
         return True
-
-
-def _run(handler: Task[Any]) -> None:
-    handler()
-    if (error := handler.exception()) is not None:
-        raise error
-    handler.result()
 
 
 _PATIENCE = 10.0  # s after the first signal, from which another one interrupts what hangs
@@ -170,10 +163,7 @@ def answered(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     words = list(sys.argv if arguments is None else arguments)
     name = Path(words[0]).name if words else ""
     if any(word in ("-h", "--help") for word in words[1:]):
-        try:
-            print(help_text(name, make), flush=True)
-        except BrokenPipeError:  # `calibrator --help | head`: the interpreter's last flush must not complain either
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(help_text(name, make), flush=True)
         return 0
     try:
         own = remove_ros_args(words)[1:]

@@ -17,7 +17,7 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
 from modcal_msgs_py import seconds
-from modcal_nodes.ros.guarded import CallbackFaults, GuardedNode, Refusals, is_latched, waiting
+from modcal_nodes.ros.guarded import CallbackFaults, GuardedNode, Refusals, waiting
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _PERIOD = 1.0  # s
@@ -125,7 +125,8 @@ class MonitoredSubscription:
         self._less: Timer | None = None
         self._last = time.monotonic()
         self._kind, self._qos = kind, qos
-        self._replaced, self._always = replaced if kind is JointState else None, is_latched(qos)
+        self._replaced = replaced if kind is JointState else None
+        self._always = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL  # what is latched nobody repeats
         # no more than can have waited: those that come while others are taken must not hold up what comes beside
         self._most = min(node.most_at_once, qos.depth or node.most_at_once)
         self._subscriptions = [self._subscribe(topic, qos)]
