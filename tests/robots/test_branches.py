@@ -17,11 +17,12 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import PART, SignalTrack
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.bodies import STANDARD_GRAVITY, payload_wrench
+from modcal_core.robots.bodies import STANDARD_GRAVITY, gravity_columns, gravity_efforts, payload_wrench
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
+from modcal_nodes.cli.camera_input import arm_between
 
 OTHER = ("right_1", "right_2")
 LEFT = ("torso", "left_1", "left_2", "left_3", "left_4", "left_5")
@@ -53,19 +54,20 @@ HUMANOID = (
 )  # fmt: skip
 
 
-def torques(q: Array, other: Array) -> Array:
-    """What gravity does to the joints of the left arm, (N, 6) [N m], by MuJoCo, at positions of all joints."""
-    model = mujoco.MjModel.from_xml_string(HUMANOID)
+def torques(q: Array, other: Array, urdf: str = HUMANOID, asked: tuple[str, ...] = LEFT) -> Array:
+    """What gravity does to the joints that are asked for, (N, n) [N m], by MuJoCo, at positions of all joints."""
+    model = mujoco.MjModel.from_xml_string(urdf)
     model.opt.gravity[:] = 0.0, 0.0, -STANDARD_GRAVITY
     data = mujoco.MjData(model)
-    out = np.empty_like(q)
-    at = {name: model.joint(name).qposadr[0] for name in (*LEFT, *OTHER, "finger")}
+    out = np.empty((len(q), len(asked)))
+    at = {model.joint(k).name: model.joint(k).qposadr[0] for k in range(model.njnt)}
     for row, here, there in zip(out, q, other, strict=True):
         for name, x in zip((*LEFT, *OTHER), (*here, *there), strict=True):
             data.qpos[at[name]] = x
-        data.qpos[at["finger"]] = 0.5 * there[1] + 0.1
+        if "finger" in at:
+            data.qpos[at["finger"]] = 0.5 * there[1] + 0.1
         mujoco.mj_forward(model, data)
-        row[:] = [-data.qfrc_bias[model.joint(name).dofadr[0]] for name in LEFT]
+        row[:] = [-data.qfrc_bias[model.joint(name).dofadr[0]] for name in asked]
     return out
 
 
@@ -181,3 +183,26 @@ def test_a_column_that_tilts_under_what_it_carries_is_named(rng: np.random.Gener
     assert (found.family, found.place, found.driver) == ("compliance", "lift", "moment:lift")
     assert found.values[0] == pytest.approx(5e-6, rel=0.05)
     assert done.report.size_mm("final").rms < 1.2 * np.sqrt(3.0) * 0.02
+
+
+def test_both_arms_as_one_chain_weigh_as_the_chest_between_them_holds_them() -> None:
+    fingerless = HUMANOID[: HUMANOID.index('<joint name="finger"')] + "</robot>"
+    robot, said = arm_between(fingerless, "r2", "l5", ())
+    chain, inertias = robot.chain, robot.inertias
+    assert said
+    assert inertias is not None
+    q = np.random.default_rng(1).uniform(-1.5, 1.5, (20, chain.n))
+    at = {name: q[:, chain.names.index(name)] for name in chain.names}
+    still = np.zeros(len(q))
+    here = np.stack([at.get(name, still) for name in LEFT], axis=1)
+    there = np.stack([at[name] for name in OTHER], axis=1)
+    wanted = -torques(here, there, fingerless, chain.names)
+    assert np.abs(wanted).max() > 10.0
+    efforts = gravity_efforts(chain, inertias, q)
+    np.testing.assert_allclose(efforts, wanted, atol=1e-9)
+    # by the masses and centres of the bodies, but for the base's, which hangs on the first joint as on a wall
+    own, columns = gravity_columns(chain, inertias, q)
+    bodies = np.concatenate([inertias.mass[:, None], inertias.mass[:, None] * inertias.com], axis=1)
+    hung = replace(inertias, held=replace(inertias.held, mass=0.0) if inertias.held else None)
+    np.testing.assert_allclose(own, efforts, atol=1e-12)
+    np.testing.assert_allclose(columns @ bodies.ravel(), gravity_efforts(chain, hung, q), atol=1e-9)

@@ -15,7 +15,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["FEWEST", "JOINT", "NONE", "Choice", "JointFit", "JointModel", "PlacedJoint", "StampOrder", "Track"]
-__all__ += ["Tracker", "TrackerSettings", "TrackerState", "choose", "describe", "frames", "read", "sound"]
-__all__ += ["require_convention"]

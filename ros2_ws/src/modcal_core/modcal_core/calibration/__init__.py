@@ -57,27 +57,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["BLEND", "EQUATIONS_PER_PARAMETER", "FINEST", "FITTED", "HUBER_Z", "INSTRUMENT", "PRIOR_ANGLE_RAD"]
-__all__ += ["PRIOR_LENGTH_M", "REJECT_Z", "SHARES", "WHATS", "AnyDistance", "ByDistances", "Calibration", "Cell"]
-__all__ += ["Curvature", "Deviations", "Distance", "ErrorSize", "Errors", "Fit", "GroupSizes", "Groups"]
-__all__ += ["Identifiability", "Instrument", "Known", "KnownDistance", "Model", "ModelParameter", "Move", "NoiseModel"]
-__all__ += ["Pairs", "ParameterChoice", "Readmitted", "RejectedPlace", "RowView", "Schedule", "Split", "Stated"]
-__all__ += ["StatedPayload", "StatedTool", "StationDistance", "Uncertainty", "View", "What", "anneal_distances"]
-__all__ += ["apply_deviations", "as_normal", "as_used", "averaged", "base_and_tool_turns", "base_by_positions"]
-__all__ += ["between", "beyond_chi2", "beyond_gumbel", "beyond_normal", "block_length", "blocks_at", "by_distances"]
-__all__ += ["choose_parameters", "consecutive", "contradicted_places", "contradicted_together", "contradictions"]
-__all__ += ["cost_of_holding", "curved_joints", "deviations", "direction_names", "distance_rows", "distances_of"]
-__all__ += ["distinct", "drop_fixed", "enough_for_effects", "errors", "exact_samples", "exceeded_chi2", "finalise"]
-__all__ += ["fingerprint", "fit_cell", "fit_distances", "fit_geometry", "free_cell", "from_data", "general_samples"]
-__all__ += ["geometry_rows", "gumbel_of", "hand_eye", "has_shared_noise", "hold_out_all", "identifiability", "identify"]
-__all__ += ["identify_moved", "in_order_of_time", "independent_unit", "known_sigma", "least_change", "likely_sizes"]
-__all__ += ["linearise", "log10_beyond_f", "max_deviations", "median_chi2", "model_at", "new_instruments"]
-__all__ += ["nonnegative", "normal_equations", "objective", "ordered_candidates", "outlying", "outside_drivers"]
-__all__ += ["own_statement", "parameter_count", "passing_directions", "place_instruments", "place_model", "places_of"]
-__all__ += ["priors", "procrustes", "quantile_chi2", "readmitted", "refit_cell", "rejected", "require_enough"]
-__all__ += ["right_after_all", "robust_weights", "row_weights", "runs_of", "score_of_one", "shared_noise", "sharpened"]
-__all__ += ["signals_of", "split", "squared_residuals", "standard_score", "stated_std", "station_numbers", "to_data"]
-__all__ += ["together_stated", "tool_and_place", "turns_left", "uncertainty", "uncertainty_of", "uncontradicted"]
-__all__ += ["units_of_stations", "usual_miss", "values_without", "views_of", "visibility", "weigh", "with_doubt"]
-__all__ += ["with_frames", "with_sockets", "without"]

@@ -16,8 +16,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["SIGNIFICANT", "Cause", "Diagnosis", "EffectChoice", "EvidenceMap", "Loads", "Scanner", "Sought", "Space"]
-__all__ += ["by_weight", "causes_of_moves", "choose", "diagnose", "frozen", "last_moves", "located", "moments_on_base"]
-__all__ += ["one_motion_names", "paths", "since_last", "slipped", "stated_arm", "weighed", "with_arm"]
-__all__ += ["with_residual_curves", "with_stated"]

@@ -23,13 +23,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ACROSS", "ALL", "AS_LIKELY", "AXIS", "EXPECTED_ANGLE", "EXPECTED_LENGTH", "FREE", "JOINTS", "LENGTH"]
-__all__ += ["PAIRS", "PERIODIC", "PLAIN", "RADIAL", "READING", "RODS", "SHIFT", "STEPS", "USUAL", "ZERO", "AxisCurves"]
-__all__ += ["Carried", "DriverLimits", "Drivers", "Effect", "Family", "Knots", "NominalArm", "Quantity", "ReportEntry"]
-__all__ += ["Setting", "Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs", "by_hand", "candidates"]
-__all__ += ["carried_signals", "claimed", "columns", "companionless", "complexity", "component_names", "curve"]
-__all__ += ["curve_sizes", "family_named", "is_large_move", "is_move", "is_of_clock", "is_turned"]
-__all__ += ["knots_of", "known_families", "motion", "nothing_plainer", "of_readings", "one_motion", "periodic"]
-__all__ += ["place_index", "plain_columns", "prior_stds", "public_driver", "put_back_first"]
-__all__ += ["require_known", "shape_columns", "undelayed", "unit_of", "value", "with_companions", "zeros"]

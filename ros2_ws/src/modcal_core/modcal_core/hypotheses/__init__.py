@@ -27,9 +27,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ANGLE", "BEYOND_DOUBT", "COMMON", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MIN", "MIN_ROWS", "MISREAD"]
-__all__ += ["OF_REACH", "Answer", "ArmMiss", "Disagreement", "HandEye", "HandEyeFit", "Hypothesis", "Judged"]
-__all__ += ["SightMatch", "Sighting", "computed_in_part", "disagreement", "explain", "family", "inverse_pose", "judge"]
-__all__ += ["last_step", "left_handed", "likely_orders", "limits", "of_recording", "orders", "placed", "proved"]
-__all__ += ["recognised", "require_plausible", "same_poses", "sights_match"]

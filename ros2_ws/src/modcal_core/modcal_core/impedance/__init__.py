@@ -13,15 +13,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = [
-    "ArmEfforts",
-    "ArmSetpoint",
-    "FreeMotion",
-    "GovernorSettings",
-    "ImpedanceTask",
-    "JointPositions",
-    "Limits",
-    "Load",
-]
-__all__ += ["Operation", "Stop", "Wait", "WrenchSensor"]

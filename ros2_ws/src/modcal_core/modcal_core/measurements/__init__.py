@@ -31,17 +31,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["APART", "BEARING", "BETWEEN", "BURST", "DAY", "ELSEWHEN", "FACES", "GLITCHES", "IMPORTED", "LATE_STEPS"]
-__all__ += ["LEFT", "LIMIT", "LONGEST_PAUSE", "MAX_GLITCHES", "MIN_RETURNS", "NOISE_FACTOR", "ORDER_ONLY", "PART"]
-__all__ += ["POINT", "POSE", "RANGE", "RAY", "SAME", "SECOND_DIFFERENCE", "SHARED", "SHORTEST", "SMALLEST_BURST"]
-__all__ += ["SOCKETS", "TARGETS", "TOUCH", "TRAVEL", "UNKNOWN", "UNREAD", "UNUSABLE", "WIDTHS", "Approach", "Box"]
-__all__ += ["Cleaned", "Dropped", "Hung", "JointTrack", "Listed", "Origin", "ReadingTrack", "Recording", "Samples"]
-__all__ += ["Scan", "Schema", "SignalTrack", "StationRules", "Stretch", "added", "after", "ahead", "align"]
-__all__ += ["as_recording", "at_steady_rate", "averaged", "between", "cleaned", "commanded_at", "cut_stations"]
-__all__ += ["dropped", "dwells_of", "efforts_at_rest", "elsewhen", "explained_by_posture", "find_dwells"]
-__all__ += ["fitted_rules", "following", "hung", "inliers", "inspect", "is_told", "joint_limits", "joints_by_time"]
-__all__ += ["joints_instead", "marks_of", "measure_box", "moving_beside", "other_joints", "others_at", "others_by_name"]
-__all__ += ["out_of_time", "posture_numbers", "remedies_of", "require", "require_new", "require_usable", "returns"]
-__all__ += ["share_of_known", "shown", "spoken_name", "spread_rows", "staircase", "together", "told", "told_at"]
-__all__ += ["unexpected", "went_on"]

@@ -38,12 +38,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["AS_PROBABLE", "BASE", "CAMERA", "EFFORT", "FRAME", "FRICTION", "GEAR", "KINDS", "LATENCY", "LENGTH", "LOAD"]
-__all__ += ["MASS", "OFFSET", "PATTERN", "PAYLOAD", "SERVO", "SIZES", "SLACK", "TAG", "TOOL", "UNTRIED", "ZERO"]
-__all__ += ["BeyondRanges", "CellChange", "CheckState", "FoundChanges", "FrozenKnowledge", "JudgedChange", "MoveSearch"]
-__all__ += ["NamedChange", "Noticed", "Recommendation"]
-__all__ += ["Series", "SizeFound", "Values", "advise", "alike_everywhere", "beyond_ranges", "by_name", "e_value"]
-__all__ += ["find_regimes", "frozen", "log_priors"]
-__all__ += ["hypotheses", "in_known_frames", "moves_of", "named", "new_frames", "newly_placed", "noticed", "pattern_of"]
-__all__ += ["repaired", "require_accounted", "search", "series_of", "spread_out", "values_of", "with_new_frames"]

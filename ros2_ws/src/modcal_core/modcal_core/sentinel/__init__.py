@@ -16,6 +16,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["LEAST_SECONDS", "ArmJudge", "ArmVerdict", "BagHistory", "Cells", "ChangeEstimate", "HeardBag"]
-__all__ += ["MonitoredArm", "Normal", "cells_of"]

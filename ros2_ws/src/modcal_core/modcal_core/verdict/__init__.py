@@ -20,10 +20,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["COMPUTED", "Applied", "Asked", "AtTool", "Case", "Contribution", "Floor", "Grounds", "NotAsked"]
-__all__ += ["STATISTICS", "TOGETHER", "PoseTest", "Proofs", "Rejected", "Row", "Share", "Status", "Tolerance"]
-__all__ += ["Verdict", "applicable", "assess", "carried_over", "contradictions", "contributions_of", "doubtful"]
-__all__ += ["entries_of", "fitted_case", "floors", "frozen_case", "interval_of_rms", "judge"]
-__all__ += ["own_rows", "own_uncertainty", "pose_test", "reading_scatter_mm", "regimes_of", "rejection", "resampled"]
-__all__ += ["sane_inertias", "too_many", "too_small", "with_places"]

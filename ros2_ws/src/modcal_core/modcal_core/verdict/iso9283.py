@@ -16,7 +16,7 @@ import numpy as np
 
 from modcal_core.calibration import Errors
 from modcal_core.geometry import Array, so3
-from modcal_core.measurements import LEFT, POINT, POSE, SAME, TRAVEL, Samples
+from modcal_core.measurements import LEFT, POINT, POSE, TRAVEL, Samples, posture_numbers
 
 POSES, CYCLES = 5, 30  # that ISO 9283:1998 asks for (7.2, tables 5 and 8)
 
@@ -81,16 +81,8 @@ def visits(samples: Samples, rows: np.ndarray) -> list[np.ndarray]:
     come = np.where(np.abs(step) > TRAVEL, np.sign(step), 0.0)
     side = np.where((approach != 0.0).any(axis=1)[:, None], approach, come)
     new = np.flatnonzero(~stood)
-    from scipy.spatial import cKDTree  # takes a tenth of a second to load
-
-    near = cKDTree(q[new]).query_ball_point(q[new], SAME, p=np.inf)
-    taken = np.zeros(len(new), bool)
-    members = []
-    for close in near:
-        group = np.array([k for k in sorted(close) if not taken[k]], dtype=int)
-        taken[group] = True
-        if len(group):
-            members.append(new[group])
+    number = posture_numbers(q[new])
+    members = [new[number == k] for k in np.unique(number)]
     return [rows[_same_side(group, side)] for group in members]
 
 

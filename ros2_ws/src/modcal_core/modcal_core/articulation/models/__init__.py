@@ -8,5 +8,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["ParametricModel", "ShapeParameter"]

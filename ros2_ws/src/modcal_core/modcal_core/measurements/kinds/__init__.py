@@ -14,6 +14,3 @@ else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
-
-__all__ = ["KIND_NAMES", "ORIGIN", "PLANE", "POSE_OF_FRAME", "Constant", "DistanceKind", "Kind", "Scene", "Sight"]
-__all__ += ["dimensions", "frame_on_plane", "indirect_rows", "is_direct", "kinds", "scene_in"]
