@@ -41,22 +41,22 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/report": (4300, 2480),
     "modcal_core/robots": (4750, 3010),
     "modcal_core/verdict": (4080, 2690),
-    "modcal_msgs_py": (4760, 3280),
+    "modcal_msgs_py": (4530, 3110),
     "modcal_msgs_py/tables": (3610, 2540),
     "modcal_nodes": (880, 540),
-    "modcal_nodes/calibrating": (1610, 1150),
-    "modcal_nodes/cli": (4500, 2790),
+    "modcal_nodes/calibrating": (1600, 1150),
+    "modcal_nodes/cli": (4490, 2790),
     "modcal_nodes/io": (590, 350),
-    "modcal_nodes/measuring": (1070, 760),
-    "modcal_nodes/nodes": (2730, 2140),
-    "modcal_nodes/ros": (2500, 1500),
-    "modcal_nodes/simulation": (2060, 1380),
-    "modcal_nodes/vision": (1840, 1320),
-    "tests": (46650, 32320),
+    "modcal_nodes/measuring": (1040, 750),
+    "modcal_nodes/nodes": (2710, 2120),
+    "modcal_nodes/ros": (2410, 1440),
+    "modcal_nodes/simulation": (2000, 1340),
+    "modcal_nodes/vision": (1830, 1310),
+    "tests": (46520, 32220),
     "modcal_core/sentinel": (1340, 960),
 }
-SOURCE = (89300, 58550)
-TEXT = 184600  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (88740, 58120)
+TEXT = 183900  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
