@@ -146,16 +146,15 @@ def _killed(bag: Path, options: Options) -> tuple[fleet.Row, dict[str, bytes]]:
 
 
 @pytest.mark.slow
-def test_a_killed_worker_costs_a_row_at_most(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_worker_costs_a_row_at_most(address: str, tmp_path: Path) -> None:
     import cloudpickle
     from distributed import Client
 
     cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers need not find this file
-    monkeypatch.setattr(fleet, "calibrate_one", _killed)
     bags = {name: tmp_path / name for name in ("a", "always", "once", "fault", "z")}
     heard: list[fleet.Row] = []
     with Client(address, set_as_default=False) as client:
-        done = fleet.calibrate_all(bags, tmp_path / "out", Options(), client, heard.append)
+        done = fleet.map_bags(_killed, bags, tmp_path / "out", Options(), client, heard.append)
     assert sorted(row["name"] for row in heard) == [row["name"] for row in done] == sorted(bags)
     states = {row["name"]: row["state"] for row in done}
     assert states.pop("always") == states.pop("fault") == "failed"

@@ -1,22 +1,16 @@
-"""Quick ways to read: joint states from their bytes, messages many at once, rows of tracks that grow; each as one by one."""
+"""Quick ways to read: messages many at once, rows of tracks that grow; each as one by one."""
 
 from __future__ import annotations
 
-import array
-import math
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType
 from msgs import bag_forms as forms
-from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import JointState
 
 from modcal_core.measurements.recording import Recording
 from modcal_msgs_py import layout as fields
@@ -24,7 +18,7 @@ from modcal_msgs_py.layout import MessageLayout, OneMessage, jazzy, message_clas
 from modcal_msgs_py.mcap_read import _of_own_layout, read_recording
 from modcal_msgs_py.messages import RecordingBuilder
 from modcal_msgs_py.topics import WRENCH, role_of
-from modcal_msgs_py.track_rows import JointStateBytes, JointStateView, TrackRows
+from modcal_msgs_py.track_rows import TrackRows
 
 Message = tuple[str, str, Any]
 TYPES = {
@@ -141,15 +135,11 @@ def test_however_it_is_written(how: dict[str, Any], tmp_path: Path, rng: np.rand
     same(read_recording(written(tmp_path / "other.mcap", messages, **how)), usual)
 
 
-@pytest.mark.parametrize("type_name", fields.KNOWN)
-def test_types_that_are_written_down_are_those_of_ros(type_name: str) -> None:
-    assert fields.KNOWN[type_name] == fields.expanded(type_name, "")
-
-
 def test_bytes_that_are_no_such_message_have_no_layout(rng: np.random.Generator) -> None:
     kind = "sensor_msgs/msg/JointState"
     good = bytes(jazzy().serialize_cdr(filled(kind, rng, 3, "f"), kind))
-    described = fields.KNOWN[kind]
+    described = fields.fields_of(kind, {})
+    assert described is not None
     assert MessageLayout.of(described, good) is not None
     assert MessageLayout.of(described, b"\x00\x03" + good[2:]) is None  # another encoding
     for size in range(len(good) - 3):
@@ -158,148 +148,14 @@ def test_bytes_that_are_no_such_message_have_no_layout(rng: np.random.Generator)
         MessageLayout.of(described, good[:at] + b"\xff\xff\xff\xff" + good[at + 4 :])
 
 
-@pytest.mark.parametrize("kind", sorted(set(TYPES.values())))
-@pytest.mark.parametrize("frame", ["", "four", "longer"])
-def test_rows_that_fit_at_one_look_fit_byte_by_byte(kind: str, frame: str) -> None:
-    """Whichever byte of whichever row is another: that all fit is said only where they do."""
-    rng = np.random.default_rng(0)
-    said = [bytes(jazzy().serialize_cdr(filled(kind, rng, 2, frame), kind)) for _ in range(3)]
-    described = fields.fields_of(kind, {})
-    assert described is not None
-    layout = MessageLayout.of(described, said[0])
-    padded = [message.ljust(layout.width, b"\0") for message in said]
-    content = np.frombuffer(bytes(8) + b"".join(padded) + bytes(8), np.uint8)
-    rows = layout.rows(content, 8 + layout.width * np.arange(3))
-    assert layout.fits(rows).all()
-    assert layout.fit_all(rows)
-    unfit = 0
-    for i in range(3):
-        for at in range(rows.shape[1]):
-            other = rows.copy()
-            other[i, at] ^= 0x20
-            fits = bool(layout.fits(other).all())
-            assert fits or not layout.fit_all(other)
-            unfit += not fits
-    assert unfit >= 3 * 2  # how the rest is encoded, at the least
-
-
-def test_a_few_texts_that_differ_need_no_definitions_of_types(tmp_path: Path) -> None:
-    """Which take longer to read than a small recording."""
-    kind = "std_msgs/msg/String"
-    notes = [("/modcal/notes", kind, message_class(kind)(data=text)) for text in ("a first", "another, longer", "last")]
-    path = written(tmp_path / "notes.mcap", notes)
-    same(read_recording(path), one_by_one(notes))
-    read = f"from modcal_msgs_py.mcap_read import read_recording; read_recording(pathlib.Path({str(path)!r}))"
-    ask = f"import pathlib; {read}; from modcal_msgs_py.layout import jazzy; print(jazzy.cache_info().currsize)"
-    out = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout
-    assert out.split() == ["0"]
-
-
-NAMES = st.lists(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=9), max_size=7)
-
-
-def slow(cdr: bytes) -> Any:
-    return deserialize_message(cdr, JointState)
-
-
-def same_message(fast: Any, message: JointState) -> None:
-    assert (fast.header.stamp.sec, fast.header.stamp.nanosec) == (
-        message.header.stamp.sec,
-        message.header.stamp.nanosec,
-    )
-    assert fast.header.frame_id == message.header.frame_id
-    assert list(fast.name) == list(message.name)
-    for part in ("position", "velocity", "effort"):
-        np.testing.assert_array_equal(np.asarray(getattr(fast, part)), np.asarray(getattr(message, part)))
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.tuples(st.text(max_size=5).filter(lambda t: "\0" not in t), NAMES, st.integers(0, 7)), max_size=5),
-    st.randoms(use_true_random=False),
-)
-def test_of_any_publishers_in_turn(publishers: list[tuple[str, list[str], int]], random: Any) -> None:
-    """Each with its own frame and joints, with velocities and efforts or without, and every number of its own."""
-    read = JointStateBytes(slow)
-    for _ in range(3):
-        for frame, names, parts in publishers:
-            message = JointState(name=names)
-            message.header.frame_id = frame
-            message.header.stamp.sec, message.header.stamp.nanosec = random.randrange(2**31), random.randrange(10**9)
-            for bit, part in enumerate(("position", "velocity", "effort")):
-                values = [random.choice([math.nan, random.uniform(-9.0, 9.0)]) for _ in names]
-                setattr(message, part, array.array("d", values if parts >> bit & 1 else []))
-            same_message(read(serialize_message(message)), message)
-
-
-def test_of_the_same_length_with_other_joints_or_parts() -> None:
-    """Lengths alike, what they say not: the joint's name, and which of velocities and efforts are sent."""
-    read = JointStateBytes(slow)
-    for names, parts in ((["ab", "cd"], "velocity"), (["ab", "ce"], "velocity"), (["ab", "ce"], "effort")):
-        message = JointState(name=names, position=[1.0, 2.0], **{parts: [3.0, 4.0]})
-        fast = read(serialize_message(message))
-        assert isinstance(fast, JointStateView)
-        same_message(fast, message)
-
-
-def test_what_only_fills_up_may_be_anything() -> None:
-    """DDS leaves bytes between texts and numbers as they were; they are not compared."""
-    read = JointStateBytes(slow)
-    message = JointState(name=["a", "bcd"], position=[1.0, 2.0])
-    whole = serialize_message(message)
-    first = whole.index(b"a\0")
-    for filling in (b"\0\0", b"\xff\xfe"):
-        cdr = whole[: first + 2] + filling + whole[first + 4 :]
-        assert isinstance(read(cdr), JointStateView)
-        same_message(read(cdr), message)
-    assert len(read._layouts[len(whole)]) == 1
-
-
-def test_what_it_cannot_read_is_left_to_another() -> None:
-    """Bytes that end early, in the other order, or of a seventeenth publisher."""
-    asked: list[bytes] = []
-    read = JointStateBytes(asked.append)
-    whole = serialize_message(JointState(name=["a", "b"], position=[1.0, 2.0]))
-    read(whole)
-    assert asked == []
-    # eight bytes at the end say nothing: room that was taken for velocities and efforts
-    spoiled = [whole[:k] for k in range(len(whole) - 8)] + [b"\0\0" + whole[2:], whole[:12] + b"\xff" * 4 + whole[16:]]
-    for cdr in spoiled:
-        read(cdr)
-    assert asked == spoiled
-    for k in range(20):
-        read(serialize_message(JointState(name=[f"joint{k:02}"], position=[float(k)])))
-    assert len(asked) == len(spoiled) + 5
-
-
-def test_what_a_later_message_of_the_same_joints_replaces() -> None:
-    """The newest of each set of joints is read, and whatever is not said to be replaced, in the order in which it came."""
-    read = JointStateBytes(slow)
-
-    def told(names: list[str], stamp: float) -> bytes:
-        message = JointState(name=names, position=[stamp] * len(names))
-        message.header.stamp.sec, message.header.stamp.nanosec = int(stamp), round(stamp % 1.0 * 1e9)
-        return bytes(serialize_message(message))
-
-    arm, hand, broken = ["ab", "cd"], ["ab", "ce"], told(["ab"], 9.0)[:-12]
-    came = [told(arm, 1.0), told(hand, 1.25), told(arm, 1.5), broken, told(hand, 1.75), broken, told(arm, 2.0)]
-    assert read.needed(came, lambda _: True) == [broken, came[4], broken, came[6]]
-    assert read.needed(came, lambda stamp: stamp > 1.25) == [*came[:2], broken, came[4], broken, came[6]]
-    assert read.needed(came, lambda _: False) == came
-    assert read.needed([], lambda _: True) == []
-
-
 WIDTH = 3
 _PLACES: tuple[Any, ...] = (0, 1, slice(2, 3), slice(3, None))  # of stamps, received, a and b
 
 
-@given(
-    steps=st.lists(st.tuples(st.sampled_from(["extend", "look", "forget"]), st.integers(0, 70)), max_size=30),
-    expected=st.sampled_from([0, 1, 40, 10**9]),
-)
-def test_rows_are_those_that_were_added(steps: list[tuple[str, int]], expected: int) -> None:
-    """In their order, whatever number was expected; also what was looked at before more came."""
-    rows, truth = TrackRows(expected), np.empty((0, 2 + WIDTH))
+@given(st.lists(st.tuples(st.sampled_from(["extend", "look", "forget"]), st.integers(0, 70)), max_size=30))
+def test_rows_are_those_that_were_added(steps: list[tuple[str, int]]) -> None:
+    """In their order; also what was looked at before more came."""
+    rows, truth = TrackRows(), np.empty((0, 2 + WIDTH))
     seen: list[tuple[np.ndarray, np.ndarray]] = []
     count = 0
     for what, n in steps:
@@ -316,11 +172,3 @@ def test_rows_are_those_that_were_added(steps: list[tuple[str, int]], expected: 
         assert len(rows) == len(truth)
     seen += [(x, truth[:, k]) for x, k in zip(rows.columns().values(), _PLACES, strict=False)]
     assert all(np.array_equal(there, then) for there, then in seen)
-
-
-def test_a_number_that_was_wrongly_expected_takes_no_memory() -> None:
-    rows = TrackRows(expected=10**15)
-    rows.extend(stamps=np.zeros(100), received=np.zeros(100), values=np.zeros((100, 1)))
-    values = rows.columns()["values"]
-    assert values.base is not None
-    assert np.asarray(values.base).nbytes < 100_000

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 from modcal_nodes.calibrating.worker import SolveWorker
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.running import FRESH, SENSOR, RestingExecutor
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, always
+from modcal_nodes.ros.subscriptions import MonitoredSubscription, _needed, always
 
 REST, PERIOD, COUNT = 0.01, 0.02, 600
 
@@ -134,6 +134,22 @@ def test_of_what_waited_together_the_newest_is_handed_on_and_all_are_counted() -
     assert node.heard[-1] == COUNT - 1
     assert node.heard == sorted(set(node.heard))
     assert len(node.heard) < COUNT // 2
+
+
+def test_what_a_later_message_of_the_same_joints_replaces() -> None:
+    """The newest of each set of joints is handled, and whatever is not said to be replaced, in the order they came."""
+
+    def told(names: list[str], stamp: float, count: int = 2) -> JointState:
+        message = JointState(name=names, position=[stamp] * count)
+        message.header.stamp.sec, message.header.stamp.nanosec = int(stamp), round(stamp % 1.0 * 1e9)
+        return message
+
+    arm, hand = ["ab", "cd"], ["ab", "ce"]
+    came = [told(arm, 1.0), told(hand, 1.25), told(arm, 1.5), told(arm, 1.6, 1), told(hand, 1.75), told(arm, 2.0)]
+    assert _needed(came, lambda _: True) == came[3:], "one without all positions is refused by itself"
+    assert _needed(came, lambda stamp: stamp > 1.25) == [*came[:2], *came[3:]]
+    assert _needed(came, lambda _: False) == came
+    assert _needed([], lambda _: True) == []
 
 
 class Slow(GuardedNode):

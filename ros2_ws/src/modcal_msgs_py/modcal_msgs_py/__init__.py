@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.bag_files import SUFFIXES, qos_profile
     from modcal_msgs_py.bag_open import PackedMessage
     from modcal_msgs_py.commands import Colour, JointInput, ObjectInput, arrows, caption, colour_of, desired_pose, dots
-    from modcal_msgs_py.commands import ellipsoids, fill_accelerations, fill_markers, fill_object_state
+    from modcal_msgs_py.commands import ellipsoids, fill_accelerations, fill_joints, fill_markers, fill_object_state
     from modcal_msgs_py.commands import fill_picture, fill_point, fill_pose, fill_posed, fill_wrench, require_new
     from modcal_msgs_py.commands import require_version, seen, status_values, wrench_numbers
     from modcal_msgs_py.images import CLOUD, TAGS, RawImage, chosen_topic, corner_topics, fill_corners, image_topics
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from modcal_msgs_py.recording_write import episodes_of, is_lerobot, write_recording
     from modcal_msgs_py.topics import JOINT_COMMANDS, JOINT_STATES, READINGS, TYPES, AddedTopic, Joints, Signal, Topics
     from modcal_msgs_py.topics import accepted, role_of
-    from modcal_msgs_py.track_rows import Commands, JointStateBytes
+    from modcal_msgs_py.track_rows import Commands
     from modcal_msgs_py.typed import asked_of_box, calibration_data, fill_calibration, fill_change, fill_checked
     from modcal_msgs_py.typed import fill_estimate, fill_held_box, fill_identity, fill_object_status, fill_verdict
 else:

@@ -18,10 +18,6 @@ from modcal_msgs_py.topics import Topics
 _CLOCK_LIMIT = 0.5  # s
 
 
-def unheard(share: float) -> None:
-    """What is told of progress where nobody listens: nothing."""
-
-
 @dataclass(frozen=True)
 class Bag:
     """Bag of joint states and readings.
@@ -33,7 +29,7 @@ class Bag:
     path: Path
     topics: Topics
     recording: Recording
-    heard: Callable[[float], None] = unheard
+    heard: Callable[[float], None] = lambda share: None
     _pieces: list[Iterator[Stretch]] = field(default_factory=list, repr=False, compare=False)
 
     def robot(self, base: str | None = None, tip: str | None = None) -> Robot:
@@ -81,7 +77,7 @@ def read_bag(
     topics: Topics | Iterable[str] = (),
     ignore: Iterable[str] = (),
     tf: str | None = None,
-    heard: Callable[[float], None] = unheard,
+    heard: Callable[[float], None] = lambda share: None,
 ) -> Bag:
     """A bag, MCAP or SQLite, a folder or a file; a cut one is read as far as it goes.
 

@@ -18,7 +18,6 @@ from modcal_core.files import parse_yaml
 
 SUFFIXES = tuple(f"{kind}{packed}" for kind in (".mcap", ".db3") for packed in ("", ".zstd", ".zst"))
 
-_MAX_NAME = 240  # bytes; file systems take 255, suffix included
 _MAX_METADATA = 1 << 22  # bytes
 
 
@@ -34,7 +33,7 @@ def bag_files(path: Path) -> tuple[list[Path], list[str]]:
     if metadata.is_file():
         try:
             names = listed_files(path)
-        except (BadTable, KeyError, TypeError, ValueError) as error:
+        except (BadTable, OSError, KeyError, TypeError, ValueError) as error:
             raise BadRecording(str(metadata), f"is damaged ({type(error).__name__})", "remove it: files do") from error
         missing = [name for name in names if not name.is_file()]
         if missing:
@@ -62,8 +61,6 @@ def listed_files(folder: Path) -> list[Path]:
     stated = parse_yaml(text, str(file))["rosbag2_bagfile_information"]["relative_file_paths"]
     if not isinstance(stated, list) or not stated or not all(isinstance(name, str) and name for name in stated):
         raise ValueError("relative_file_paths is not a list of names")
-    if any(len(Path(name).name.encode()) > _MAX_NAME for name in stated):
-        raise ValueError("a name in relative_file_paths is too long for a file")
     out = []
     for name in (folder / Path(name).name for name in stated):
         packed = [name.with_name(f"{name.name}{end}") for end in (".zstd", ".zst")]
@@ -158,11 +155,9 @@ def qos_profile(latched: bool = False, reliable: bool = True, depth: int = 10) -
 
 def named_qos(text: str) -> list[dict[str, Any]]:
     """The QoS profiles that a channel states in YAML, with names instead of numbers; none when it is not legible."""
-    if len(text) > _MAX_QOS:
-        return []
     try:
-        profiles = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, TypeError, OverflowError, AttributeError, RecursionError):
+        profiles = parse_yaml(text, "QoS") if len(text) <= _MAX_QOS else None
+    except BadTable:
         return []
     if not isinstance(profiles, list) or not all(isinstance(profile, dict) for profile in profiles):
         return []

@@ -164,20 +164,14 @@ def _unpacked(file: Path, out: Path) -> Path:
 def message_unpacked(block: Block) -> tuple[Block, int]:
     """The block with its messages unpacked, where single messages were packed, and how many could not be."""
     content = np.frombuffer(block.content, np.uint8)
-    starts = np.minimum(block.starts, len(content) - len(ZSTD))
-    if not (content[starts] == ZSTD[0]).any():  # CDR begins with a zero
-        return block, 0
-    packed = (content[starts[:, None] + np.arange(len(ZSTD))] == np.frombuffer(ZSTD, np.uint8)).all(axis=1)
-    if not packed.any() or (block.stops - block.starts < len(ZSTD)).all():
+    if not (content[block.starts] == ZSTD[0]).any():  # CDR begins with a zero
         return block, 0
     rows, lost = [], 0
     room = _FREE + _MAX_RATIO * len(content)
     decompressor = zstandard.ZstdDecompressor(max_window_size=1 << 27)
-    for head, start, stop, zipped in zip(
-        block.heads, block.starts.tolist(), block.stops.tolist(), packed.tolist(), strict=True
-    ):
-        data = bytes(block.content[start:stop])
-        if zipped:
+    for head, start, stop in zip(block.heads, block.starts.tolist(), block.stops.tolist(), strict=True):
+        data = block.content[start:stop]
+        if data.startswith(ZSTD):
             try:
                 limit = min(room, _MAX_MESSAGE)
                 data = decompressor.stream_reader(data).read(limit + 1)
@@ -221,7 +215,7 @@ def packed_messages(
                     topic, type_name = file.known[int(head["channel"])]
                     if topic in topics:
                         definition, received = file.schemas.get(type_name, ""), int(head["received"])
-                        yield PackedMessage(topic, type_name, definition, received, bytes(block.content[start:stop]))
+                        yield PackedMessage(topic, type_name, definition, received, block.content[start:stop])
                 heard((i + file.share) / len(files))
             if lost:
                 said(f"{name.name}: {lost} packed messages cannot be unpacked")

@@ -8,6 +8,7 @@ be shown in a moving cell as well, long after it was said. ``marker`` is the Mar
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -189,10 +190,10 @@ def wrench_numbers(message: Any) -> Array:
     return np.array([f.x, f.y, f.z, m.x, m.y, m.z], dtype=float)
 
 
-def fill_wrench(message: Any, frame: str, stamp: float, numbers: Array) -> Any:
+def fill_wrench(message: Any, frame: str, stamp: int, numbers: Array) -> Any:
     """A WrenchStamped, filled with six numbers along and about the axes of a frame."""
     message.header.frame_id = frame
-    set_seconds(message.header.stamp, stamp)
+    set_nanoseconds(message.header.stamp, stamp)
     f, m = message.wrench.force, message.wrench.torque
     f.x, f.y, f.z, m.x, m.y, m.z = (float(x) for x in numbers)
     return message
@@ -354,10 +355,22 @@ def status_values(state: TrackerState) -> dict[str, str]:
 
 
 def fill_posed(message: Any, frame: str, stamp: int, T: Array) -> Any:
-    """A PoseStamped of a pose (4, 4)."""
+    """A PoseStamped of a pose (4, 4), or a PointStamped of its place."""
     message.header.frame_id = frame
     set_nanoseconds(message.header.stamp, stamp)
-    fill_pose(message.pose, T)
+    if hasattr(message, "point"):
+        message.point.x, message.point.y, message.point.z = T[:3, 3].tolist()
+    else:
+        fill_pose(message.pose, T)
+    return message
+
+
+def fill_joints(message: Any, names: Sequence[str], stamp: int, *columns: Array | None) -> Any:
+    """A JointState of these joints. columns: positions, velocities and efforts (n,), as many as there are."""
+    set_nanoseconds(message.header.stamp, stamp)
+    message.name = list(names)
+    for part, values in zip(("position", "velocity", "effort"), columns, strict=False):
+        setattr(message, part, () if values is None else array("d", values))
     return message
 
 

@@ -7,7 +7,7 @@ stands at the same place, and a column of numbers is one view into the bytes. Wh
 A type is told by its fields: ``(name, kind)`` where the kind is the type of a number as NumPy writes it (``f8``),
 ``string``, a list of fields, or ``[kind]`` with a count: ``Many(kind, n)``, n None where the message says how many.
 
-Those of the contract's topics are written down here; others come out of the definitions that bags bring along.
+Those of ROS come from rosbags, others out of the definitions that bags bring along.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -30,7 +29,7 @@ if TYPE_CHECKING:  # of those who read or write bags: a node on topics of the co
     from rosbags.typesys.store import Typestore
 
 _MAX_STEPS = 20_000  # fields of one message that are looked at; more, and it has no layout
-_MAX_GAPS = 16  # between numbers, that are compared one by one; where there are more, word by word is quicker
+_SPARE = 3  # bytes that may follow a message
 _HEAD = 4  # bytes that say how the rest is encoded; alignment counts from there
 
 
@@ -72,14 +71,10 @@ class MessageLayout:
     fixed: list[tuple[int, int]] = field(default_factory=list)
     _same: NDArray[np.uint64] | None = None
     _mask: NDArray[np.uint64] | None = None
-    _gaps: list[tuple[int, bytes]] | None = None
 
     @classmethod
-    def of(cls, fields: Fields, sample: bytes, spare: int = 3) -> MessageLayout | None:
-        """The layout of a message of these fields; None for bytes that are no such message, or not plain CDR.
-
-        spare: how many bytes may follow the message.
-        """
+    def of(cls, fields: Fields, sample: bytes) -> MessageLayout | None:
+        """The layout of a message of these fields; None for bytes that are no such message, or not plain CDR."""
         if len(sample) < _HEAD or sample[0] != 0 or sample[1] not in (0, 1):
             return None
         made = cls(len(sample))
@@ -87,7 +82,7 @@ class MessageLayout:
             end = _LayoutWalk(made, sample, "<" if sample[1] else ">").fields(fields, "", _HEAD)
         except (struct.error, UnicodeDecodeError, ValueError):
             return None
-        if not len(sample) - spare <= end <= len(sample):
+        if not len(sample) - _SPARE <= end <= len(sample):
             return None
         made.fixed.append((0, 2))
         made._compare(sample)
@@ -104,10 +99,6 @@ class MessageLayout:
         self._words = slice(words[0], words[-1] + 1)
         self._mask = mask.view(np.uint64)[self._words]
         self._same = same.view(np.uint64)[self._words] & self._mask
-        ends = [(c.at, c.at + c.count * np.dtype(c.dtype).itemsize) for c in self.columns.values() if c.count]
-        numbers = [(0, 0), *sorted(ends), (self.size, self.size)]
-        gaps = [(end, begin) for (_, end), (begin, _) in pairwise(numbers) if mask[_HEAD + end : _HEAD + begin].any()]
-        self._gaps = [(_HEAD + end, sample[end:begin]) for end, begin in gaps] if len(gaps) <= _MAX_GAPS else None
 
     @property
     def width(self) -> int:
@@ -119,40 +110,17 @@ class MessageLayout:
         everywhere = np.ndarray((len(content) - self.width + 1,), f"V{self.width}", content, 0, (1,))
         return everywhere[offsets - _HEAD].view(np.uint8).reshape(-1, self.width)
 
-    def fit_all(self, rows: Bytes) -> bool:
-        """Whether all rows are the sample's between their numbers; if not, each may have this layout all the same."""
-        return self._gaps is not None and all(_equal(rows, at, same) for at, same in self._gaps)
-
     def fits(self, rows: Bytes) -> NDArray[np.bool_]:
         """Which rows have this layout (n,)."""
         assert self._mask is not None
         different = (rows.view(np.uint64)[:, self._words] & self._mask) != self._same
         return ~different.any(axis=1)
 
-    def fits_one(self, cdr: bytes) -> bool:
-        """Whether a message as long as the sample has this layout."""
-        if self._gaps is not None and all(cdr.startswith(same, at - _HEAD) for at, same in self._gaps):
-            return True
-        padded = np.frombuffer(bytes(_HEAD) + cdr + bytes(self.width), np.uint8)
-        return bool(self.fits(self.rows(padded, np.array([_HEAD])))[0])
-
     def numbers(self, rows: Bytes, path: str) -> NDArray[np.generic]:
         """The numbers of a field (n, count)."""
         column = self.columns[path]
         dtype = np.dtype(column.dtype)
         return np.ndarray((len(rows), column.count), dtype, rows, _HEAD + column.at, (rows.strides[0], dtype.itemsize))
-
-
-def _equal(rows: Bytes, at: int, same: bytes) -> bool:
-    """Whether these bytes stand at this place in all rows: in the first, and in each what is in the one before."""
-    size = len(same)
-    word = next(word for word in (8, 4, 2, 1) if size % word == 0)
-    if size > word:
-        words = np.ndarray(len(rows), f"V{size}", rows, at, rows.strides[:1]).copy().view(f"u{word}")
-    else:
-        words = np.ndarray(len(rows), f"u{word}", rows, at, rows.strides[:1])
-    n = size // word
-    return words[:n].tobytes() == same and bool((words[n:] == words[:-n]).all())
 
 
 @dataclass
@@ -396,34 +364,6 @@ def store_with(type_name: str, text: str) -> Typestore:
     return store
 
 
-_HEADER: Fields = [("stamp", [("sec", "i4"), ("nanosec", "u4")]), ("frame_id", "string")]
-_XYZ: Fields = [("x", "f8"), ("y", "f8"), ("z", "f8")]
-_XYZW: Fields = [*_XYZ, ("w", "f8")]
-_POSE: Fields = [("position", _XYZ), ("orientation", _XYZW)]
-_POSE_WITH_COVARIANCE: Fields = [("pose", _POSE), ("covariance", Many("f8", 36))]
-_TWIST: Fields = [("twist", [("linear", _XYZ), ("angular", _XYZ)]), ("covariance", Many("f8", 36))]
-_CHILD: tuple[str, Kind] = ("child_frame_id", "string")
-_STAMPED: dict[str, Fields] = {  # what stands behind the header
-    "sensor_msgs/msg/JointState": [
-        ("name", Many("string")),
-        *((name, Many("f8")) for name in ("position", "velocity", "effort")),
-    ],
-    "geometry_msgs/msg/PoseStamped": [("pose", _POSE)],
-    "geometry_msgs/msg/PointStamped": [("point", _XYZ)],
-    "geometry_msgs/msg/Vector3Stamped": [("vector", _XYZ)],
-    "geometry_msgs/msg/WrenchStamped": [("wrench", [("force", _XYZ), ("torque", _XYZ)])],
-    "sensor_msgs/msg/Range": [
-        ("radiation_type", "u1"),
-        *((name, "f4") for name in ("field_of_view", "min_range", "max_range", "range", "variance")),
-    ],
-    "sensor_msgs/msg/Temperature": [("temperature", "f8"), ("variance", "f8")],
-    "geometry_msgs/msg/PoseWithCovarianceStamped": [("pose", _POSE_WITH_COVARIANCE)],
-    "nav_msgs/msg/Odometry": [_CHILD, ("pose", _POSE_WITH_COVARIANCE), ("twist", _TWIST)],
-    "geometry_msgs/msg/TransformStamped": [_CHILD, ("transform", [("translation", _XYZ), ("rotation", _XYZW)])],
-}
-KNOWN: dict[str, Fields] = {name: [("header", _HEADER), *fields] for name, fields in _STAMPED.items()}
-KNOWN["std_msgs/msg/String"] = [("data", "string")]
-KNOWN["tf2_msgs/msg/TFMessage"] = [("transforms", Many(KNOWN["geometry_msgs/msg/TransformStamped"]))]
 _NUMBERS = {
     "bool": "u1", "byte": "u1", "octet": "u1", "uint8": "u1", "int8": "i1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
@@ -436,8 +376,6 @@ def fields_of(type_name: str, schemas: Mapping[str, str]) -> Fields | None:
 
     schemas: definitions that a bag brings along, by type.
     """
-    if type_name in KNOWN:
-        return KNOWN[type_name]
     if type_name in jazzy().fielddefs:
         return expanded(type_name, "")
     return expanded(type_name, schemas[type_name]) if type_name in schemas else None

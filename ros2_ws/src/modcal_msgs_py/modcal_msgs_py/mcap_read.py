@@ -40,7 +40,6 @@ OVERLAP = 30.0  # s, longer than any station
 _MAX_LAYOUTS = 8  # of one topic in one block; more than that, and one by one is quicker
 _MAX_KEPT = 64
 _NAMED = 3  # topics of other encodings
-_HOPELESS = 1000  # messages of a topic in a row that cannot be decoded, after which the rest of a block is not tried
 _FIRST = np.array([len(PADDING)])  # where a message begins behind it
 
 
@@ -69,7 +68,7 @@ def read_pieces(
     with unpacked(packed) as files:
         waiting = [bag_file(name) for name in files]
         roles = resolve(_listed(waiting), topics, path.name)
-        builder = RecordingBuilder(str(path), roles, longest=None if most is None else most + most // 8)
+        builder = RecordingBuilder(str(path), roles)
         warnings = list(notes)
         total, since, unread = 0, -np.inf, Counter[tuple[str, str]]()
         for i, name in enumerate(files):
@@ -217,20 +216,12 @@ class _Reader:
         decode: Callable[[bytes], Messages | None],
     ) -> None:
         """decode: None for bytes that are no such message."""
-        failed = 0
-        for k, i in enumerate(which.tolist()):
+        for i in which.tolist():
             said = decode(bytes(block.content[block.starts[i] : block.stops[i]]))
-            failed = failed + 1 if said is None else 0
             if said is not None:
                 self._take(topic, type_name, said, np.array([1e-9 * int(block.heads["received"][i])]))
-            elif self._hopeless(topic, type_name, failed, len(which) - k):
-                return
-
-    def _hopeless(self, topic: str, type_name: str, failed: int, left: int) -> bool:
-        """Count a message that cannot be decoded; after many in a row, all that are left, this one included."""
-        hopeless = failed >= _HOPELESS
-        self._builder.lose(topic, f"they are not of type {type_name}", left if hopeless else 1)
-        return hopeless
+            else:
+                self._builder.lose(topic, f"they are not of type {type_name}")
 
 
 def _decoded(store: Typestore, type_name: str, data: bytes) -> OneMessage | None:
@@ -277,10 +268,8 @@ def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[Me
         same = left[sizes[left] == met[i].size]
         if len(same):
             rows = met[i].rows(content, starts[same])
-            if len(same) == len(which) and met[i].fit_all(rows):  # nearly always
-                return [_LayoutRun(met[i], which, rows)]
             fits = met[i].fits(rows)
-            if len(same) == len(which) and fits.all():
+            if len(same) == len(which) and fits.all():  # nearly always
                 return [_LayoutRun(met[i], which, rows)]
             number[same[fits]] = i
             left = left[number[left] < 0]

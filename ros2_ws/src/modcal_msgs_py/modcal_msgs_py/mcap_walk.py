@@ -8,15 +8,15 @@ Reading stops at the first byte that does not fit; what came before is kept.
 from __future__ import annotations
 
 import mmap
+import os
 import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -24,8 +24,8 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, McapRecord, Schema, Statistics
-from mcap.stream_reader import StreamReader
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Schema
 from mcap.summary import Summary
 from numpy.typing import NDArray
 
@@ -57,8 +57,6 @@ _MAX_WINDOW = 1 << 27  # bytes that a zstd decompressor may keep behind it
 _TABLES = (".csv", ".tsv", ".txt")  # what instruments and robots export
 PADDING = bytes(8)  # behind a block's bytes, for those who read them in words
 
-Content: TypeAlias = "bytes | bytearray"
-
 
 class RawMessage(NamedTuple):
     """One message as it lies in the file: CDR bytes, and when it was received and published [ns]."""
@@ -80,7 +78,7 @@ class Block:
     published [ns]. starts, stops: (n,) where the CDR bytes of each stand in the content.
     """
 
-    content: Content
+    content: bytes
     heads: NDArray[np.void]
     starts: NDArray[np.int64]
     stops: NDArray[np.int64]
@@ -190,13 +188,13 @@ class McapFile:
             return
         size = len(content) - len(PADDING)
         self._unpacked += size
-        if whole and (size != unpacked_size or (crc and zlib.crc32(memoryview(content)[:size]) != crc)):
+        if whole and (size != unpacked_size or (crc and zlib.crc32(content[:size]) != crc)):
             self.cut = "a chunk's checksum is wrong"
             return
         self.compression = self.compression or compression
         yield from self._records(content)
 
-    def _records(self, content: Content) -> Iterator[Block]:
+    def _records(self, content: bytes) -> Iterator[Block]:
         """The messages in these bytes, behind which there is PADDING."""
         found: list[int] = []
         at, size, read = 0, len(content) - len(PADDING), _RECORD.unpack_from
@@ -213,7 +211,7 @@ class McapFile:
                 found.append(at)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 try:
-                    self._learn(opcode, bytes(content[body : body + length]))
+                    self._learn(opcode, content[body : body + length])
                 except (struct.error, UnicodeDecodeError, McapError, ValueError) as error:
                     self.cut = self.cut or f"the description of a topic is damaged ({type(error).__name__})"
                     break
@@ -260,35 +258,20 @@ def _end_of_loose(data: mmap.mmap, at: int, size: int) -> int:
     return at
 
 
-def _unpacked(compression: str, data: mmap.mmap, start: int, end: int, size: int) -> Content:
+def _unpacked(compression: str, data: mmap.mmap, start: int, end: int, size: int) -> bytes:
     """The content of a chunk with PADDING behind it; of one that is cut, as much as can be had.
 
     start, end: where its packed bytes stand in the file. size: that it should have; of what is longer, at most one
     byte more is unpacked, so that it is noticed.
     """
     if compression == "":
-        with memoryview(data) as whole, whole[start:end] as content:
-            return b"".join((content, PADDING))
+        return data[start:end] + PADDING
     if compression == "zstd":
-        return _unpacked_at_once(data[start:end], size)
+        reader = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW).stream_reader(data[start:end])
+        return reader.read(size + 1) + PADDING
     if compression == "lz4":
         return lz4.frame.LZ4FrameDecompressor().decompress(data[start:end], max_length=size + 1) + PADDING
     raise RuntimeError(f"unknown compression {compression[:20]!r}")
-
-
-def _unpacked_at_once(content: bytes, size: int) -> bytearray:
-    """The content of a chunk that says how large it is, written straight to where it stays.
-
-    What is longer than it says is returned longer, so that it is noticed.
-    """
-    out = bytearray(size + len(PADDING))
-    decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW)
-    with decompressor.stream_reader(content) as stream, memoryview(out) as view:
-        at = 0
-        while at < size and (count := stream.readinto(view[at:size])):
-            at += count
-        beyond = stream.read(1) if at == size else b""
-    return out[:at] + beyond + PADDING if at < size or beyond else out
 
 
 def _other_format(path: Path, start: bytes) -> str:
@@ -303,41 +286,16 @@ def _other_format(path: Path, start: bytes) -> str:
     return "give a bag folder or a .mcap file"
 
 
-# --- The index at the end of an MCAP file: which topics there are, and what the file says of its own size
-
-_FOOTER_SIZE = 29  # bytes of the record
-
-
 def read_index(path: Path) -> Summary | None:
-    """The index of a file; None where it has none. Raises ValueError for one that is damaged."""
-    size = path.stat().st_size
-    if size == 0:
-        return None
-    with path.open("rb") as stream:
-        records = partial(StreamReader, stream, skip_magic=True, emit_chunks=True, record_size_limit=size)
-        try:
-            stream.seek(max(size - _FOOTER_SIZE - len(MAGIC), len(MAGIC)))
-            footer = next(records().records)
-            if not isinstance(footer, Footer) or stream.read(len(MAGIC)) != MAGIC:
+    """The index at the end of a file; None where it has none. Raises ValueError for one that is damaged."""
+    try:
+        with path.open("rb") as stream:
+            stream.seek(-len(MAGIC), os.SEEK_END)
+            if stream.read() != MAGIC:
                 raise ValueError("the file does not end correctly")
-            if footer.summary_start == 0:
-                return None
-            stream.seek(footer.summary_start)
-            return _summary(records().records)
-        except (McapError, struct.error, KeyError, MemoryError, UnicodeDecodeError, OSError, StopIteration) as error:
-            raise ValueError(type(error).__name__) from error
-
-
-def _summary(records: Iterator[McapRecord]) -> Summary:
-    """What records say, of which no chunk is unpacked."""
-    out = Summary()
-    for record in records:
-        if isinstance(record, ChunkIndex):
-            out.chunk_indexes.append(record)
-        elif isinstance(record, Schema):
-            out.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            out.channels[record.id] = record
-        elif isinstance(record, Statistics):
-            out.statistics = record
-    return out
+            stream.seek(0)
+            return SeekingReader(stream, record_size_limit=path.stat().st_size).get_summary()
+    except ValueError:
+        raise
+    except Exception as error:  # the reader raises whatever the bytes lead it to
+        raise ValueError(type(error).__name__) from error

@@ -8,9 +8,10 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -80,7 +81,6 @@ def is_link(frame: str, description: str) -> bool:
 
 
 _MAX_NAMED = 4  # instruments; a cell of many anchors would fill the line
-_CHUNK = 1 << 20
 
 
 def began(recording: Recording) -> float | None:
@@ -99,11 +99,8 @@ def digest(bag: Path) -> str:
 
 
 def _digest_of(file: Path) -> str:
-    digits = hashlib.sha256()
     with file.open("rb") as stream:
-        while chunk := stream.read(_CHUNK):
-            digits.update(chunk)
-    return digits.hexdigest()
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def instruments(recording: Recording, frames: set[str]) -> str | None:
@@ -115,7 +112,6 @@ def instruments(recording: Recording, frames: set[str]) -> str | None:
     return "; ".join(named) or None
 
 
-Key = TypeVar("Key", bound=tuple[Any, ...])  # of a track; the topic comes first
 NO_POSITIONS = "it holds names without positions"
 
 
@@ -125,19 +121,16 @@ class RecordingBuilder:
     A topic that stands at the contract's own name is preferred to one of the same role in a namespace.
     """
 
-    def __init__(self, source: str = "recording", roles: Roles | None = None, longest: int | None = None) -> None:
+    def __init__(self, source: str = "recording", roles: Roles | None = None) -> None:
         """Start with nothing; ``source`` names the recording in messages to people.
 
-        roles: of the topics; None: those of the contract's names. longest: messages of a topic that are kept at a time,
-        as far as the caller knows.
+        roles: of the topics; None: those of the contract's names.
         """
         self._source, self._roles = source, roles
-        counts = {one.topic: one.count or 0 for one in (() if roles is None else roles.listed)}
-        self._expected = {topic: n if longest is None else min(n, longest) for topic, n in counts.items()}
         self._transforms = None if roles is None or roles.tf is None else Transforms(*roles.tf)
-        self._joints: dict[tuple[str, tuple[str, ...]], TrackRows] = {}  # by topic and names
-        self._readings: dict[tuple[str, str, str], TrackRows] = {}  # by topic, kind and frame
-        self._signals: dict[tuple[str, str], TrackRows] = {}  # by topic and name
+        self._joints = defaultdict[tuple[str, tuple[str, ...]], TrackRows](TrackRows)  # by topic and names
+        self._readings = defaultdict[tuple[str, str, str], TrackRows](TrackRows)  # by topic, kind and frame
+        self._signals = defaultdict[tuple[str, str], TrackRows](TrackRows)  # by topic and name
         self._commands = Commands()
         self._commanded: dict[str, int] = {}  # rank of each topic of commands
         self._descriptions = Descriptions()
@@ -176,7 +169,7 @@ class RecordingBuilder:
             self._commanded.setdefault(topic, _rank(topic, role))
             self._commands.take(topic, type_name, said, stamps, received)
         elif role in READINGS:
-            rows = self._rows(self._readings, (topic, READINGS[role], frame))
+            rows = self._readings[topic, READINGS[role], frame]
             values, stated = values_of(READINGS[role], type_name, said), stated_in(type_name, len(stamps), said)
             rows.extend(stamps=stamps, received=received, values=values, stated=stated)
         elif role == ROBOT_DESCRIPTION:
@@ -288,12 +281,6 @@ class RecordingBuilder:
             for one in (() if self._roles is None else self._roles.listed)
         )
 
-    def _rows(self, tracks: dict[Key, TrackRows], key: Key) -> TrackRows:
-        """The rows of a track, which begins here where there is none."""
-        if key not in tracks:
-            tracks[key] = TrackRows(self._expected.get(key[0], 0))
-        return tracks[key]
-
     def _take_joints(
         self, topic: str, names: tuple[str, ...], stamps: Array, received: Array, columns: list[Array]
     ) -> None:
@@ -304,7 +291,7 @@ class RecordingBuilder:
             raise BadRecording(f"{topic} at stamp {stamps[0]:.3f} s", said, "publish one position for every name")
         # a column that was not sent, or not for every joint, is unknown for all of them
         position, velocity, effort = (c if c.shape[1] == n else np.full((len(c), n), np.nan) for c in columns)
-        rows = self._rows(self._joints, (topic, names))
+        rows = self._joints[topic, names]
         rows.extend(stamps=stamps, received=received, position=position, velocity=velocity, effort=effort)
 
     def _take_transforms(self, topic: str, said: Messages, received: Array) -> None:
@@ -327,13 +314,13 @@ class RecordingBuilder:
             self._take_joints(topic, tuple(said.name), stamps, received, columns)
         elif isinstance(said, Reading) and said.kind in kinds() and len(said.values) == kinds()[said.kind].width:
             values, stated = np.array([[float(x) for x in said.values]]), np.full((1, 2), math.nan)
-            rows = self._rows(self._readings, (topic, said.kind, said.frame))
+            rows = self._readings[topic, said.kind, said.frame]
             rows.extend(stamps=stamps, received=received, values=values, stated=stated)
         else:
             raise BadTable(f"topic {topic}", f"its package made {said!r} of one", "yield Signal, Joints or a Reading")
 
     def _take_signal(self, topic: str, name: str, stamps: Array, received: Array, values: Array) -> None:
-        self._rows(self._signals, (topic, name)).extend(stamps=stamps, received=received, values=values[:, None])
+        self._signals[topic, name].extend(stamps=stamps, received=received, values=values[:, None])
 
     def _stamps(self, topic: str, said: Messages, received: Array) -> Array:
         """The stamps of messages (n,) [s], or when they were received where they have none."""

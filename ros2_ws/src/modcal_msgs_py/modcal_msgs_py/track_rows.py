@@ -1,27 +1,21 @@
 """Columns of one track that grow message by message, and the track that they become.
 
-A driver's messages look alike: the same frame and joints, the same lengths. What is alike is read once, and of each
-message only the stamp and the numbers, in a fifth of the time that a whole message takes.
-
 Commands come as joint states or trajectories, and become the course that was commanded.
 """
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.geometry import Array
 from modcal_core.measurements import JointTrack
-from modcal_msgs_py.layout import KNOWN, Column, MessageLayout, MessageRows, Messages
-
-_MAX_GROWTH = 16  # times the rows that there are, where more are expected: an index that lies fills no memory
+from modcal_msgs_py.layout import Messages
 
 
 class TrackRows:
@@ -30,9 +24,8 @@ class TrackRows:
     What was handed out of them stays as it is: later rows are written behind it, or to a larger copy.
     """
 
-    def __init__(self, expected: int = 0) -> None:
-        """expected: how many rows there may be, where that is known; it may be wrong."""
-        self._expected, self._count = expected, 0
+    def __init__(self) -> None:
+        self._count = 0
         self._columns: dict[str, Array] = {}
 
     def __len__(self) -> int:
@@ -45,8 +38,7 @@ class TrackRows:
         for name, numbers in columns.items():
             known = self._columns.get(name)
             if known is None or end > len(known):
-                room = max(2 * end, min(self._expected, _MAX_GROWTH * end))
-                known, old = np.empty((room, *numbers.shape[1:])), known  # what is not written yet takes no memory
+                known, old = np.empty((2 * end, *numbers.shape[1:])), known  # what is not written yet takes no memory
                 if old is not None:
                     known[:begin] = old[:begin]
                 self._columns[name] = known
@@ -64,94 +56,6 @@ class TrackRows:
     def columns(self) -> dict[str, Array]:
         """The columns so far."""
         return {name: column[: self._count] for name, column in self._columns.items()}
-
-
-_PLAIN = b"\0\1"  # little-endian CDR, as DDS sends it on every machine that ROS 2 runs on
-_STAMP, _STAMP_AT = struct.Struct("<iI"), 4
-_SPARE = 16  # bytes that rclpy leaves behind a message for velocities and efforts that are not there
-_MAX = 16  # layouts of one subscription, of as many publishers; others take the long way
-
-
-class Stamp(NamedTuple):
-    """Same fields as builtin_interfaces/Time."""
-
-    sec: int
-    nanosec: int
-
-
-class Header(NamedTuple):
-    """Same fields as std_msgs/Header."""
-
-    stamp: Stamp
-    frame_id: str
-
-
-class JointStateView(NamedTuple):
-    """Same fields as sensor_msgs/JointState, with read-only arrays. Similar messages share one tuple of names."""
-
-    header: Header
-    name: tuple[str, ...]
-    position: Array
-    velocity: Array
-    effort: Array
-
-
-class _Known(NamedTuple):
-    """A layout that was met. columns: of positions, velocities, efforts."""
-
-    layout: MessageLayout
-    frame: str
-    names: tuple[str, ...]
-    columns: tuple[Column, ...]
-
-
-class JointStateBytes:
-    """Reads the messages of one subscription. otherwise: makes the message of bytes that this cannot read."""
-
-    def __init__(self, otherwise: Callable[[bytes], Any]) -> None:
-        self._otherwise = otherwise
-        self._layouts: dict[int, list[_Known]] = {}  # by the length of a message
-
-    def __call__(self, cdr: bytes) -> Any:
-        """The message."""
-        known = self._layout_of(cdr)
-        if known is None:
-            return self._otherwise(cdr)
-        q, v, e = (np.frombuffer(cdr, count=c.count, offset=c.at) for c in known.columns)
-        header = Header(Stamp(*_STAMP.unpack_from(cdr, _STAMP_AT)), known.frame)
-        return JointStateView(header, known.names, q, v, e)
-
-    def needed(self, told: Sequence[bytes], replaced: Callable[[float], bool]) -> list[bytes]:
-        """The messages that must be read, in order. replaced: whether a message with this stamp [s] is obsolete once a
-        later one has the same joints.
-        """
-        out, later = list[bytes](), set[int]()
-        for cdr in reversed(told):
-            known = self._layout_of(cdr)
-            if known is not None and id(known) in later:
-                sec, nanosec = _STAMP.unpack_from(cdr, _STAMP_AT)
-                if replaced(sec + 1e-9 * nanosec):
-                    continue
-            out.append(cdr)
-            later.add(id(known))
-        return out[::-1]
-
-    def _layout_of(self, cdr: bytes) -> _Known | None:
-        """The layout of a message; None for bytes that this cannot read."""
-        if not cdr.startswith(_PLAIN):
-            return None
-        alike = self._layouts.get(len(cdr), ())
-        if (known := next((one for one in alike if one.layout.fits_one(cdr)), None)) is not None:
-            return known
-        if sum(map(len, self._layouts.values())) >= _MAX:
-            return None
-        if (made := MessageLayout.of(KNOWN[JOINT_STATE], cdr, _SPARE)) is None:
-            return None
-        names = MessageRows(made, np.empty((0, 0), np.uint8)).texts("name")
-        columns = tuple(made.columns[path] for path in ("position", "velocity", "effort"))
-        known = _Known(made, made.texts["header/frame_id"], names, columns)
-        self._layouts.setdefault(len(cdr), []).append(known)
-        return known
 
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -193,11 +97,8 @@ class Commands:
         self, topic: str, names: tuple[str, ...], stamp: float, received: float, times: list[float], points: list[Any]
     ) -> None:
         t = np.array(times, dtype=float)
-        if not len(t) or len(t) > _MAX_POINTS or len(set(names)) != len(names):
-            return
-        if any(len(p) != len(names) for p in points) or t[0] < 0.0 or not t[-1] < _LONGEST:
-            return
-        if not (np.diff(t) > 0.0).all():
+        fits = 0 < len(t) <= _MAX_POINTS and all(len(p) == len(names) == len(set(names)) for p in points)
+        if not fits or t[0] < 0.0 or not t[-1] < _LONGEST or not (np.diff(t) > 0.0).all():
             return
         x = np.array([np.asarray(p, dtype=float) for p in points])
         self._plans.setdefault((topic, names), []).append(

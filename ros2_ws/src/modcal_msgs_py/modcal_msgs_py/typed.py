@@ -178,18 +178,11 @@ def calibration_data(message: Any) -> dict[str, Any]:
             node = node.setdefault(key, {})
             if not isinstance(node, dict):
                 raise BadTable(f"calibration, {one.name}", "lies below a value", _REMEDY)
-        node[path[-1]] = _Leaf(_got(one.value))
+        node[path[-1]] = _got(one.value)
     tree = _tree(root)
     if not isinstance(tree, dict):
         raise BadTable("calibration", "is a list", _REMEDY)
     return tree
-
-
-class _Leaf:
-    """A value, told apart from the mappings around it."""
-
-    def __init__(self, value: Any) -> None:
-        self.value = value
 
 
 _NOTHING, _EMPTY, _ARRAYS = 0, 5, 5  # types of a value that is not set, and of an empty mapping; of arrays so much more
@@ -237,8 +230,8 @@ def _got(value: Any) -> Any:
 
 
 def _tree(node: Any) -> Any:
-    if isinstance(node, _Leaf):
-        return node.value
+    if not isinstance(node, dict):
+        return node
     indices = [f"[{i}]" for i in range(len(node))]
     if node and set(indices) == set(node):
         return [_tree(node[i]) for i in indices]

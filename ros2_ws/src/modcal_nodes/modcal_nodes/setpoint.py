@@ -58,7 +58,7 @@ class SensedArm:
         frames = [(chain.tip, np.eye(4))]
         if chosen["wrench_frame"]:
             frames.append((chosen["wrench_frame"], _fixed(urdf, chain, chosen["wrench_frame"])))
-        load = Load(chosen["tool_mass"], _vector("tool_centre", chosen))
+        load = Load(chosen["tool_mass"], _numbers("tool_centre", chosen))
         sensor = WrenchSensor(frames, load, chosen["cutoff_hz"], -1.0 if chosen["wrench_by_tool"] else 1.0)
         farthest = 1.05 * (chain.reach() + float(np.linalg.norm(chain.origins[0, :3, 3])))
         return cls(urdf, chain, sensor, farthest)
@@ -103,7 +103,7 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
             )
     goal = chosen["goal"]
     out = ImpedanceTask(
-        direction=_vector("direction", chosen),
+        direction=_numbers("direction", chosen),
         goal_rad=goal or chosen["goal_rad"],
         goal_m=goal or chosen["goal_m"],
         mode=chosen["mode"],
@@ -117,7 +117,7 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
         blend=chosen["blend_s"],
         tare_s=chosen["tare_s"],
         servo_lag=chosen["servo_lag_s"],
-        gravity=_vector("gravity", chosen),
+        gravity=_numbers("gravity", chosen),
         governor=GovernorSettings(
             slowdown=(chosen["slowdown_force_n"], chosen["slowdown_moment_nm"]),
             stop=(chosen["stop_force_n"], chosen["stop_moment_nm"]),
@@ -158,19 +158,15 @@ def _fixed(urdf: str, chain: Chain, frame: str) -> Array:
     return se3.inverse(chain_forward(chain, q)) @ chain_forward(other, q)
 
 
-def _numbers(name: str, chosen: dict[str, Any], count: int) -> Array:
+def _numbers(name: str, chosen: dict[str, Any], count: int = 3) -> Array:
     out = np.array(chosen[name], dtype=float)
     if out.shape != (count,) or not np.isfinite(out).all():
         raise BadTable(f"{name} {list(chosen[name])}", f"is not {count} finite numbers", "give that many")
     return out
 
 
-def _vector(name: str, chosen: dict[str, Any]) -> Array:
-    return _numbers(name, chosen, 3)
-
-
 def _three(name: str, chosen: dict[str, Any]) -> tuple[float, float, float]:
-    a, b, c = _numbers(name, chosen, 3).tolist()
+    a, b, c = _numbers(name, chosen).tolist()
     return a, b, c
 
 
@@ -353,6 +349,7 @@ class SetpointPublishers:
         """Publish a setpoint of the frame tip at this time [s]. period: until the next [s]. horizon: of a trajectory's
         point [s].
         """
+        stamp = round(1e9 * now)
         self._references.publish(fill_point(JointTrajectoryPoint(), setpoint, period))
         # a stack listens to one or two of these; a message that nobody hears costs as much as one that is heard
         if self._trajectory.get_subscription_count():
@@ -361,8 +358,8 @@ class SetpointPublishers:
             trajectory.points = [fill_point(JointTrajectoryPoint(), setpoint, horizon, with_speed=False)]
             self._trajectory.publish(trajectory)
         if self._pose.get_subscription_count():
-            self._pose.publish(fill_posed(PoseStamped(), setpoint.frame, round(1e9 * now), setpoint.pose))
+            self._pose.publish(fill_posed(PoseStamped(), setpoint.frame, stamp, setpoint.pose))
         if self._wrench.get_subscription_count():
-            self._wrench.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.wrench))
+            self._wrench.publish(fill_wrench(WrenchStamped(), tip, stamp, setpoint.wrench))
         if self._stiffness.get_subscription_count():
-            self._stiffness.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.stiffness))
+            self._stiffness.publish(fill_wrench(WrenchStamped(), tip, stamp, setpoint.stiffness))

@@ -9,11 +9,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
 from rclpy.node import Node
-from sensor_msgs.msg import JointState, PointCloud2, Range, Temperature
+from sensor_msgs.msg import JointState, PointCloud2, Temperature
 from std_msgs.msg import String
-from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.calibration import fingerprint
 from modcal_core.errors import BadRecording, BadTable, ModcalError
@@ -29,12 +27,13 @@ from modcal_msgs_py import (
     Commands,
     OneMessage,
     RecordingBuilder,
+    accepted,
     reading_of,
     seconds,
     why_left_out,
 )
 from modcal_nodes.calibrating.diagnostics import Times
-from modcal_nodes.ros import LATCHED, SENSOR, GuardedNode, MonitoredSubscription
+from modcal_nodes.ros import LATCHED, NO_DESCRIPTION, SENSOR, GuardedNode, MonitoredSubscription, type_of
 
 if TYPE_CHECKING:
     from modcal_nodes.calibrating.corners import CornerIntake
@@ -307,13 +306,6 @@ class KnownArm:
             self.stream.reading(kind, message.header.frame_id, seconds(message.header.stamp), values)
 
 
-# of the instruments, by their names in ROS
-READING_MESSAGES = {
-    "geometry_msgs/msg/PoseStamped": PoseStamped, "geometry_msgs/msg/PointStamped": PointStamped,
-    "geometry_msgs/msg/Vector3Stamped": Vector3Stamped, "sensor_msgs/msg/Range": Range,
-}  # fmt: skip
-
-
 class Intake:
     """times: how long messages took, and how late they came. refused: how many could not be used."""
 
@@ -404,7 +396,7 @@ def listen(
     inputs = [hear(JointState, "joint_states", intake.joint_state, SENSOR, needed=True)]
     for kind in kinds().values():
         take = partial(intake.reading, kind.topic, kind.name)
-        inputs.append(hear(READING_MESSAGES[kind.message], kind.topic, take, SENSOR, single=False))
+        inputs.append(hear(type_of(kind.message), kind.topic, take, SENSOR, single=False))
     inputs.append(hear(Temperature, "temperature", partial(intake.remember, "temperature"), SENSOR, single=False))
     for camera, topic in enumerate(corners):
         inputs.append(hear(PointCloud2, topic, partial(intake.corners, camera), SENSOR))
@@ -413,7 +405,6 @@ def listen(
 
 # --- What a calibrator needs before it can work: topics that have not come yet, and a policy that there is
 
-_NO_DESCRIPTION = "robot_description: not received yet: publish it (latched), or set the parameter"
 _NO_JOINTS = "joint_states: not received yet: start the robot's driver, or remap the topic"
 _NO_TRACKER = "tracker/pose, tracker/point and other readings: none received yet: start the tracker, or remap its topic"
 _NO_CORNERS = "corners: not received yet: start board_detector, or remap its topic"
@@ -425,7 +416,7 @@ def lacking(arm: KnownArm, inputs: Iterable[MonitoredSubscription], by_camera: b
         return arm.trouble
     if arm.chain is None:
         if not arm.description and arm.delta is None:
-            return _NO_DESCRIPTION
+            return NO_DESCRIPTION
         return arm.trouble or _NO_JOINTS
     topics = ("corners",) if by_camera else tuple(kind.topic for kind in kinds().values())
     if any(subscription.count for subscription in inputs if subscription.topic.endswith(topics)):
@@ -440,7 +431,6 @@ def policy(chosen: dict[str, Any]) -> Policy:
     return Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
 
 
-_KINDS = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg/JointTrajectory": JointTrajectory}
 _LOOK = 1.0  # s between looks at who publishes
 
 
@@ -460,8 +450,8 @@ class CommandSubscription:
             return None
         self._next = time.monotonic() + _LOOK
         for info in self._node.get_publishers_info_by_topic(self._topic):
-            if info.topic_type in _KINDS:
+            if info.topic_type in accepted(JOINT_COMMANDS):
                 self._found = True
                 hear = partial(self._hear, info.topic_type)
-                return MonitoredSubscription(self._node, _KINDS[info.topic_type], JOINT_COMMANDS, hear, SENSOR)
+                return MonitoredSubscription(self._node, type_of(info.topic_type), JOINT_COMMANDS, hear, SENSOR)
         return None

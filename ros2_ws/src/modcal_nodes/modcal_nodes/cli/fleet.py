@@ -134,7 +134,7 @@ def watch_one(robot: RobotBags, options: SentinelOptions) -> Made:
 def watch_all(
     bags: Iterable[Path], out: Path, options: SentinelOptions, client: Client, heard: Callable[[Row], object]
 ) -> list[Row]:
-    """Ask of each robot whether it has changed, as :func:`calibrate_all` calibrates; a robot's name is that of the
+    """Ask of each robot whether it has changed; a robot's name is that of the
     folder above its bags, and of the folder of its history in the one that the options name.
     """
     robots = defaultdict(list)
@@ -143,20 +143,10 @@ def watch_all(
     _require_free([out / name for name in robots], bags)
     histories = Path(options.history or "").resolve()
     named = {name: RobotBags(tuple(of), histories / name) for name, of in robots.items()}
-    return _map(watch_one, named, out, options, client, heard)
+    return map_bags(watch_one, named, out, options, client, heard)
 
 
-def calibrate_all(
-    bags: Mapping[str, Path], out: Path, options: Options, client: Client, heard: Callable[[Row], object]
-) -> list[Row]:
-    """Calibrate the bags on a cluster; writes a folder for each in `out`, and returns their rows, in order of names.
-
-    heard: of each row as it comes. A task that raises, or whose workers die as often as Dask allows, is a failed row.
-    """
-    return _map(calibrate_one, bags, out, options, client, heard)
-
-
-def _map(
+def map_bags(
     work: Callable[[Any, Any], Made],
     bags: Mapping[str, Any],
     out: Path,
@@ -164,6 +154,10 @@ def _map(
     client: Client,
     heard: Callable[[Row], object],
 ) -> list[Row]:
+    """Work on each of the bags on a cluster; writes a folder for each in `out`, and returns rows in order of names.
+
+    heard: of each row as it comes. A task that raises, or whose workers die as often as Dask allows, is a failed row.
+    """
     rows: list[Row] = []
     unmade = NOT_JUDGED if isinstance(options, SentinelOptions) else NOT_CALIBRATED
 
@@ -294,7 +288,7 @@ def fleet_command(
         if watched is not None:
             rows = watch_all(found, out, watched, client, heard)
         else:
-            rows = calibrate_all(named, out, asked, client, heard)
+            rows = map_bags(calibrate_one, named, out, asked, client, heard)
     write_table(out / name, rows)
     columns = _OF_ROBOTS if watched else _COLUMNS
     data = {"modcal_fleet": 1, "out": str(out), "recordings": rows}

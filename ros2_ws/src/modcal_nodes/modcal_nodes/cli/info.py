@@ -83,7 +83,7 @@ def _images(
 
     worth = images_worth(bag, recording, read_target(options.target), options.image_topic, names)
     use = [f"a calibration by camera: {worth_line(worth)}"] if worth.found >= _MIN_IMAGES else []
-    return {**worth.data, "line": worth_line(worth)}, use
+    return {**asdict(worth), "line": worth_line(worth)}, use
 
 
 def _shown(data: dict[str, Any], most: int) -> list[str | Summary]:

@@ -44,7 +44,6 @@ from modcal_nodes.measuring import (
     NEXT,
     CellInProcess,
     Measurement,
-    Measurer,
     Replay,
     one_a_station,
     outcome_data,
@@ -177,7 +176,7 @@ class MeasureOptions(ChainOptions):
             ties=self.ties,
         )
 
-    def measurer(self, robot: Path, arm: Robot, watch: Watch) -> Measurer | None:
+    def measurer(self, robot: Path, arm: Robot, watch: Watch) -> CellInProcess | Replay | None:
         """What measures; None: a person."""
         if self.replay is not None:
             return Replay(one_a_station(opened(self.replay, watch).samples(arm, 0.5)))

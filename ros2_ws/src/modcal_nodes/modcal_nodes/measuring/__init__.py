@@ -5,7 +5,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.measuring.folder import NEXT, CellInProcess, Measurement, Measurer, Replay, one_a_station
+    from modcal_nodes.measuring.folder import NEXT, CellInProcess, Measurement, Replay, one_a_station
     from modcal_nodes.measuring.folder import outcome_data
     from modcal_nodes.measuring.sequence import StationSequence
 else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -146,18 +146,10 @@ _READINGS = 10  # averaged at a station
 _FIRST = 1.0e9  # s; any time, so that stamps are those of an instrument
 
 
-class Measurer(Protocol):
-    """What measures one station after the other. kind: of readings. elapsed: seconds since the beginning."""
-
-    kind: str
-    elapsed: float
-
-    def measure(self, station: Station) -> Station:
-        """The station with what became of it."""
-
-
 class CellInProcess:
-    """The cell of ``modcal simulate``, asked station by station. chosen: the parameters of ``simulated_cell``."""
+    """The cell of ``modcal simulate``, asked station by station. chosen: the parameters of ``simulated_cell``. kind: of
+    readings. elapsed: seconds since the beginning.
+    """
 
     def __init__(self, chosen: dict[str, Any]) -> None:
         """Raises ModcalError for choices that cannot be."""

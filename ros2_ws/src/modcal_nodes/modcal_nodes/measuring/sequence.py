@@ -1,6 +1,6 @@
 """From the robot's description to the last station: choose, show the dry run, go, note, and choose again.
 
-Nothing moves before a dry run was accepted. What takes long is done elsewhere (:mod:`modcal_nodes.measuring.runner`);
+Nothing moves before a dry run was accepted. What takes long is done in a thread;
 each period looks at what came of it, and at the arm. Any refusal holds the arm.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -49,7 +50,6 @@ from modcal_nodes.measuring.runner import (
     JointReports,
     Rules,
     Runner,
-    Worker,
 )
 from modcal_nodes.ros import ERROR, OK, WARN
 
@@ -192,7 +192,8 @@ class StationSequence:
         clock: Callable[[], float],
     ) -> None:
         self._chosen, self._send, self._tell, self._clock = chosen, send, tell, clock
-        self._worker = Worker()
+        self._thinker = ThreadPoolExecutor(1, "thinking")
+        self._thought: tuple[Future[Any], Callable[[Any], None]] | None = None  # what is done, and what gets the result
         self._place: Place | None = None
         self.advice: Advice | None = None
         self._summary, self._shown = "", False
@@ -213,7 +214,7 @@ class StationSequence:
 
     def close(self) -> None:
         """Begin nothing more."""
-        self._worker.close()
+        self._thinker.shutdown(wait=False, cancel_futures=True)
 
     def show(self, said: str) -> tuple[bool, str]:
         """(whether there is a dry run, what the arm would do first); start() after this accepts it."""
@@ -253,13 +254,13 @@ class StationSequence:
 
     def describe(self, urdf: str) -> None:
         """The robot's description. Raises BadCommand for another one while it measures."""
-        if self._place is not None or self._worker.busy:
+        if self._place is not None or self._thought is not None:
             if self._place is not None and urdf != self._place.robot.description:
                 raise BadCommand("robot_description", "changes while it measures", "start the node again for another")
             return
         chosen = dict(self._chosen)
         self._tell(OK, "looking at what the arm can reach")
-        self._worker.begin(lambda: Place(urdf, chosen, self._clock), self._placed)
+        self._think(lambda: Place(urdf, chosen, self._clock), self._placed)
 
     def _placed(self, place: Place) -> None:
         self._place = place
@@ -287,14 +288,23 @@ class StationSequence:
         if self._place is not None:
             self._look_at_arm(self._place)
         try:
-            if self._worker.busy:
-                self._worker.finish()
+            if self._thought is not None:
+                self._take_thought(*self._thought)
             elif self._place is not None and time.monotonic() >= self._again:
                 self._next(self._place)
         except ModcalError as error:  # it is said, and tried again a little later
             self._again = time.monotonic() + _AGAIN
             self.halt(str(error))
             self._tell(ERROR, str(error))
+
+    def _think(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
+        """Do this elsewhere, one thing at a time; ``then`` gets what comes of it, at a later look."""
+        self._thought = self._thinker.submit(work), then
+
+    def _take_thought(self, future: Future[Any], then: Callable[[Any], None]) -> None:
+        if future.done():
+            self._thought = None
+            then(future.result())
 
     def _look_at_arm(self, place: Place) -> None:
         runner, c = place.runner, self._chosen
@@ -318,23 +328,23 @@ class StationSequence:
         if advice is None or not place.session.pending:
             if advice is None or self.running:
                 self._tell(OK, "fitting and choosing")
-                self._worker.begin(place.kept.advise, lambda found: self._advised(place, found))
+                self._think(place.kept.advise, lambda found: self._advised(place, found))
         elif not self._summary:
-            self._worker.begin(lambda: place.dry_run(here.q, speed), self._dry)
+            self._think(lambda: place.dry_run(here.q, speed), self._dry)
         else:
             if self._chosen["yes"] and self._active and not self._begun:
                 self.start("")
             if self.running and place.runner.phase == IDLE:
                 number = place.session.pending[0]
                 way = partial(place.way, number, here.q, speed)
-                self._worker.begin(way, lambda motion: self._go(place, number, motion))
+                self._think(way, lambda motion: self._go(place, number, motion))
 
     def _advised(self, place: Place, advice: Advice) -> None:
         self.advice = advice
         if advice.outcome is not None:
             self.running = False
             self._tell(OK, advice.outcome.sentence)
-            self._worker.begin(lambda: place.kept.finish(advice), lambda _: None)
+            self._think(lambda: place.kept.finish(advice), lambda _: None)
         else:
             self._tell(OK, f"{advice.why}: {counted(len(advice.session.pending), 'station')}")
 

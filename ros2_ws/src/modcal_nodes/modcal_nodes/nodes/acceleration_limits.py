@@ -15,7 +15,6 @@ from modcal_nodes import ros
 from modcal_nodes.cli import numbers_by_joint
 
 _DRIVES = {"torque": "torque", "friction": "coulomb", "damping": "viscous", "rotor": "rotor"}
-_NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
 class AccelerationLimits(ros.ManagedNode):
@@ -31,7 +30,7 @@ class AccelerationLimits(ros.ManagedNode):
         self._arm: LoadedArm | None = None
         self._joints: JointInput | None = None
         self._names: frozenset[str] = frozenset()
-        self._urdf, self._refusal = self._chosen["robot_description"], _NO_ROBOT_YET
+        self._urdf, self._refusal = self._chosen["robot_description"], ros.NO_DESCRIPTION
         self._last, self._count = 0, 0  # stamp [ns] of the last bounds, and how many there were
 
         self._upper = self.create_publisher(JointTrajectory, "~/upper", 10)

@@ -251,12 +251,8 @@ class ArticulationEstimator(ros.ManagedNode):
             ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "nothing was refused"),
         ]
         if self._chosen["input"] == _JOINTS and self._chain is None:
-            waits = "robot_description: not received yet: publish it (latched), or set the parameter"
-            lines.append(
-                ros.Status(
-                    "object", ros.ERROR, self._refusal or (waits if not self._urdf else "waiting for joint_states")
-                )
-            )
+            said = self._refusal or ("waiting for joint_states" if self._urdf else ros.NO_DESCRIPTION)
+            lines.append(ros.Status("object", ros.ERROR, said))
         elif self._state is None:
             lines.append(ros.Status("object", ros.WARN, "waiting for poses"))
         else:

@@ -32,6 +32,7 @@ from modcal_msgs_py import (
     asked_of_box,
     desired_pose,
     fill_held_box,
+    fill_joints,
     fill_pose,
     require_new,
     seconds,
@@ -46,7 +47,6 @@ _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durabil
 _MOST_RANGES = 20_000  # readings of range sensors that are kept
 _SECONDS = 1.0  # of them that count for a box, where a request does not say
 _NOTHING_YET = "no calibration yet: set the parameter calibration, or publish the topic calibration"
-_NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
 class Corrector(ros.ManagedNode):
@@ -141,7 +141,7 @@ class Corrector(ros.ManagedNode):
         if self._calibration is None:
             return
         if not self._urdf and self._delta is None:
-            self._refusal = _NO_ROBOT_YET
+            self._refusal = ros.NO_DESCRIPTION
             return
         try:
             robot = CalibratedRobot.of(self._calibration, self._delta or self._urdf)
@@ -237,14 +237,12 @@ class Corrector(ros.ManagedNode):
         pose.header.frame_id = correction.chain.base
         set_nanoseconds(pose.header.stamp, joints.stamp)
         fill_pose(pose.pose, T, C)
-        states = JointState(name=list(joints.names), position=q.tolist(), velocity=at.velocity.tolist())
-        states.header.stamp = pose.header.stamp
         self._pose.publish(pose)
         if self._tf is not None:
             tip = T if target == "tip" else correction.pose(at.q, at, "tip")
             frame = ros.corrected_frame(correction.chain.base, correction.chain.tip, tip)
             self._tf.publish([frame], pose.header.stamp)
-        self._states.publish(states)
+        self._states.publish(fill_joints(JointState(), joints.names, joints.stamp, q, at.velocity))
         self._counts["poses"] += 1
 
     def _take_desired(self, message: PoseStamped) -> None:

@@ -11,6 +11,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.errors import BadTable, ModcalError
+from modcal_msgs_py import fill_joints, fill_posed, set_nanoseconds
 from modcal_nodes import ros, simulation
 
 _DEPTH = 2000  # messages a publisher keeps for a subscriber that is behind
@@ -37,9 +38,7 @@ class SimulatedCell(simulation.SpeakingNode):
         self._description = self.create_publisher(String, "robot_description", ros.LATCHED)
         if plant.text:
             self._description.publish(String(data=plant.text))
-        names = plant.chain.names
-        self._states, self._readings = simulation.States(names), simulation.Poses(simulation.TRACKER, points)
-        self._truths, self._truths_in_base = simulation.Poses(simulation.TRACKER), simulation.Poses(plant.chain.base)
+        self._kind = kind
         self.create_subscription(JointTrajectory, "joint_trajectory", self._follow, 10)
         self.offer("~/restart", self._restart)
         if chosen["stations"]:
@@ -91,22 +90,23 @@ class SimulatedCell(simulation.SpeakingNode):
                 self._plant.go(wanted, self._done)
 
     def _send_joints(self, t: float) -> None:
-        self._joints.publish(self._states.fill(self._stamp(t), *self._plant.joints(t)))
+        self._joints.publish(fill_joints(JointState(), self._plant.chain.names, self._stamp(t), *self._plant.joints(t)))
 
     def _send_reading(self, t: float) -> None:
-        when, T_base_tool = self._stamp(t), self._plant.tool(t)
+        when, T_base_tool, tracker = self._stamp(t), self._plant.tool(t), simulation.TRACKER
         if self._true.get_subscription_count():
-            self._true.publish(self._truths.fill(when, self._plant.world.T_tracker_base @ T_base_tool))
+            T_tracker_tool = self._plant.world.T_tracker_base @ T_base_tool
+            self._true.publish(fill_posed(PoseStamped(), tracker, when, T_tracker_tool))
         if self._true_in_base.get_subscription_count():
-            self._true_in_base.publish(self._truths_in_base.fill(when, T_base_tool))
-        self._tracker.publish(self._readings.fill(when, self._plant.read(T_base_tool)))
+            self._true_in_base.publish(fill_posed(PoseStamped(), self._plant.chain.base, when, T_base_tool))
+        self._tracker.publish(fill_posed(self._kind(), tracker, when, self._plant.read(T_base_tool)))
 
     def _send_temperature(self, t: float) -> None:
         if (felt := self._plant.temperature(t)) is None:
             return
         message = Temperature(temperature=felt[1])
         message.header.frame_id = felt[0]
-        simulation.stamp(message, self._stamp(t))
+        set_nanoseconds(message.header.stamp, self._stamp(t))
         self._temperature.publish(message)
 
     def _check(self, new: dict[str, Any]) -> None:

@@ -14,8 +14,8 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import BadTable, ModcalError
-from modcal_core.geometry import Array
 from modcal_core.robots import read_chain
+from modcal_msgs_py import fill_joints, fill_wrench
 from modcal_nodes import ros, simulation
 
 _LONGEST = 0.02  # s of wall time in one step of a simulated time, which waits where the machine does not keep up
@@ -59,9 +59,6 @@ class SimulatedFurniture(simulation.SpeakingNode):
         self._truth = self.create_publisher(JointState, "~/object_truth", _DEPTH)
         self._description = self.create_publisher(String, "robot_description", ros.LATCHED)
         self._description.publish(String(data=text))
-        self._states, self._truths = simulation.States(chain.names), simulation.States(self._world.object_joints)
-        self._felt, self._grasp = WrenchStamped(), WrenchStamped()
-        self._felt.header.frame_id, self._grasp.header.frame_id = chain.tip, HANDLE
         self.create_subscription(JointTrajectoryPoint, "joint_references", self._refer, _NEWEST)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._follow, _NEWEST)
         goal = f"{np.degrees(scene.goal):.0f}°" if scene.turns else f"{100.0 * scene.goal:.0f} cm"
@@ -95,8 +92,8 @@ class SimulatedFurniture(simulation.SpeakingNode):
         self._offset += now - self._done
         super()._jump(now)
 
-    def _reach(self, t: float) -> simulation.When:
-        """Let the world come up to a time [s]; returns its stamp."""
+    def _reach(self, t: float) -> int:
+        """Let the world come up to a time [s]; returns its stamp [ns]."""
         self._world.advance(max(t - self._offset - self._world.time, 0.0))
         return self._stamp(t)
 
@@ -124,22 +121,14 @@ class SimulatedFurniture(simulation.SpeakingNode):
 
     def _send_joints(self, t: float) -> None:
         when = self._reach(t)
-        q, v = self._world.joints()
         efforts = self._world.efforts() if self._chosen["publish_effort"] else None
-        self._joints.publish(self._states.fill(when, q, v, efforts))
+        self._joints.publish(fill_joints(JointState(), self._world.chain.names, when, *self._world.joints(), efforts))
 
     def _send_wrench(self, t: float) -> None:
-        self._wrench.publish(_filled(self._felt, self._reach(t), self._world.wrench()))
+        self._wrench.publish(fill_wrench(WrenchStamped(), self._world.chain.tip, self._reach(t), self._world.wrench()))
 
     def _send_truth(self, t: float) -> None:
         when = self._reach(t)
-        self._contact.publish(_filled(self._grasp, when, self._world.peak()))
+        self._contact.publish(fill_wrench(WrenchStamped(), HANDLE, when, self._world.peak()))
         self._world.forget()
-        self._truth.publish(self._truths.fill(when, *self._world.object_state(), None))
-
-
-def _filled(message: WrenchStamped, when: simulation.When, wrench: Array) -> WrenchStamped:
-    simulation.stamp(message, when)
-    force, torque = message.wrench.force, message.wrench.torque
-    force.x, force.y, force.z, torque.x, torque.y, torque.z = wrench.tolist()
-    return message
+        self._truth.publish(fill_joints(JointState(), self._world.object_joints, when, *self._world.object_state()))

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
     from modcal_nodes.ros.launch_files import LAUNCHES
-    from modcal_nodes.ros.lifecycle import DONE, FAILED, REFUSED, Action, HealthyNode, ManagedNode, interface
+    from modcal_nodes.ros.lifecycle import DONE, FAILED, NO_DESCRIPTION, REFUSED, Action, HealthyNode, ManagedNode
+    from modcal_nodes.ros.lifecycle import interface
     from modcal_nodes.ros.parameters import SIMULATED_CELL
     from modcal_nodes.ros.running import FRESH, LATCHED, SENSOR, settle_in
     from modcal_nodes.ros.subscriptions import ERROR, OK, WARN, MonitoredSubscription, Status, always

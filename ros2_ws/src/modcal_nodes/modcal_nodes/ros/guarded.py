@@ -23,7 +23,7 @@ from rclpy.action import ActionClient, ActionServer
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
+from rclpy.qos import QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
@@ -46,11 +46,9 @@ def waiting(subscription: Subscription, most: int, raw: bool = False) -> list[tu
 
 
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-_AGAIN = 1.0  # s after a fault until a latched message is handled once more
 _RECENT = 10.0  # s in which a fault counts as recent
 _THROTTLE = 1.0  # s between two lines in the log about the same place
 _OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
-_EVENTS = ("deadline", "incompatible_qos", "incompatible_type", "liveliness", "matched", "message_lost")
 
 
 class NodeEnds(Exception):
@@ -153,7 +151,6 @@ class GuardedNode(Node):
     parameters_without_effect = ""  # what is said of those that no node knows (see lifecycle.py)
     most_at_once = 100  # messages of one topic before others have their turn
     active: bool = True  # whether messages are taken; of a managed node, see lifecycle.py
-    heard_by_executor = False  # whether something is subscribed to that no poller takes (see running.py)
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.pollers: list[Callable[[], int]] = []  # take what waits in a subscription; how much that was
@@ -229,26 +226,12 @@ class GuardedNode(Node):
         """
         qos_profile = self._overridden(topic, "subscription", qos_profile, options)
         events = options.get("event_callbacks")
-        for name in _EVENTS:
-            if (event := getattr(events, name, None)) is not None:
+        for name, event in vars(events).items() if events is not None else ():
+            if event is not None and callable(event):
                 setattr(events, name, self.guarded(f"{topic}, {name}", event))
-        guarded = self.guarded_once_more(topic, callback) if is_latched(qos_profile) else self.guarded(topic, callback)
-        return super().create_subscription(msg_type, topic, guarded, qos_profile, *args, **options)
-
-    def guarded_once_more(self, topic: str, callback: Any) -> Callable[..., Any]:
-        """A guarded callback of a latched topic: after a fault the message, which nobody repeats, is tried again."""
-        if _is_guarded(callback):
-            return callback
-        plain = self.guarded(topic, callback)
-
-        def again(message: Any, _: str) -> None:
-            def retry() -> None:
-                timer.cancel()
-                plain(message)
-
-            timer = self.every(_AGAIN, retry)
-
-        return Guarded(self, topic, callback, again)
+        return super().create_subscription(
+            msg_type, topic, self.guarded(topic, callback), qos_profile, *args, **options
+        )
 
     def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **options: Any) -> Any:
         """Same as in Node, with a guarded callback."""
@@ -300,11 +283,6 @@ class GuardedNode(Node):
         return guarded.awaited() if inspect.iscoroutinefunction(callback) else guarded
 
 
-def is_latched(qos: Any) -> bool:
-    """Whether a publisher that offers this QoS tells its last message to whoever comes later."""
-    return isinstance(qos, QoSProfile) and qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-
-
 def _is_guarded(callback: Any) -> bool:
     return isinstance(callback, Guarded) or hasattr(callback, "guarded")
 
@@ -317,10 +295,6 @@ def refusal(request: Any, response: Any, said: str) -> Any:
     for words in ("message", "reason", "status_message"):
         if hasattr(answer, words):
             setattr(answer, words, said)
-    if hasattr(answer, "result") and hasattr(answer.result, "successful"):
-        answer.result = SetParametersResult(successful=False, reason=said)
-    if hasattr(answer, "results") and hasattr(request, "parameters"):
-        answer.results = [SetParametersResult(successful=False, reason=said) for _ in request.parameters]
     return answer
 
 

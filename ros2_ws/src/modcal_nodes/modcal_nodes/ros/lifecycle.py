@@ -42,6 +42,7 @@ from modcal_nodes.ros.subscriptions import MonitoredSubscription as Monitored
 
 DONE, REFUSED, FAILED, CANCELLED = 1, 2, 3, 4  # outcomes of every action, whatever their names there
 _FEEDBACK = 0.2  # s
+NO_DESCRIPTION = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
 def interface(name: str) -> Any:

@@ -4,9 +4,9 @@ Executor for nodes that receive a thousand messages a second and need not answer
 
 Each call of rclpy's executor collects every entity of the node again (subscriptions, services, events). That takes 0.5
 to 1.5 ms of processor and yields one message a topic. While messages arrive, this executor takes them from their
-subscriptions directly, every few milliseconds; it also runs timers that are due and answers requests. rclpy's executor
-is called four times a second for the rest: events of the middleware, and waiting coroutines. It waits when nothing has
-arrived for a while.
+subscriptions directly, every few milliseconds; it also runs timers that are due. rclpy's executor is called ten times a
+second for the rest: requests, events of the middleware, and waiting coroutines. It waits when nothing has arrived for a
+while.
 """
 
 from __future__ import annotations
@@ -36,21 +36,17 @@ from rclpy.executors import (
     ShutdownException,
     SingleThreadedExecutor,
     TimeoutException,
-    await_or_execute,
 )
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Task
 from rclpy.utilities import remove_ros_args
 
 from modcal_core.errors import BadTable, ModcalError
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, described
 from modcal_nodes.ros.parameters import NODES
 
-_ANSWERED = 0.03  # s between two looks at requests while messages come
-_LOOKED = 0.25  # s between two looks of the executor while messages come
+_LOOKED = 0.1  # s between two looks of the executor while messages come
 _IDLE = 0.02  # s without a message, after which the executor waits for the next: it wakes at once, and costs nothing
 _SIMULATED = 0.002  # s, the longest rest in simulated time, which is read when a message is taken
 _LONGEST = 1.0  # s until a timer of a node that has none
@@ -62,7 +58,7 @@ class RestingExecutor(SingleThreadedExecutor):
     def __init__(self, node: GuardedNode, rest: float = 0.0) -> None:
         super().__init__()
         self._node, self._rest = node, rest
-        self._answered = self._looked = self._heard = 0.0
+        self._looked = self._heard = 0.0
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Handle what there is; without anything, wait for it."""
@@ -79,10 +75,7 @@ class RestingExecutor(SingleThreadedExecutor):
             self._serve(timeout_sec)
             heard = node.take_waiting()
             due = 0.0  # of timers nothing is known after a wait
-        if now - self._answered > _ANSWERED:
-            self._answered = now
-            self._answer()
-        if now - self._looked > (_ANSWERED if node.heard_by_executor else _LOOKED):
+        if now - self._looked > _LOOKED:
             self._looked = now
             while self._serve(0.0):
                 pass
@@ -108,44 +101,15 @@ class RestingExecutor(SingleThreadedExecutor):
                     until = min(until, 1e-9 * wait)
         return ran, time.monotonic() + until
 
-    def _answer(self) -> None:
-        for service in list(self._node.services):
-            if not service.callback_group.can_execute(service):
-                continue
-            with contextlib.suppress(InvalidHandle):
-                with service.handle:
-                    request, header = service.handle.service_take_request(service.srv_type.Request)
-                if header is not None:
-                    _run(self._make_handler(service, self._node, _answering(request, header)))
-
     def _serve(self, timeout: float | None) -> bool:
         """Run the next callback that is ready; whether there was one."""
         try:
             handler, _, _ = self.wait_for_ready_callbacks(timeout_sec=timeout)
         except (ShutdownException, TimeoutException, ConditionReachedException):
             return False
-        _run(handler)
+        handler()
+        handler.result()  # raises what the callback has raised
         return True
-
-
-def _answering(request: Any, header: Any) -> Any:
-    """What rclpy makes of a request that was taken: from its service a coroutine function that answers it."""
-
-    def take(service: Service) -> Any:
-        async def answer() -> None:
-            response = await await_or_execute(service.callback, request, service.srv_type.Response())
-            service.send_response(response, header)
-
-        return answer
-
-    return take
-
-
-def _run(handler: Task[Any]) -> None:
-    handler()
-    if (error := handler.exception()) is not None:
-        raise error
-    handler.result()
 
 
 _PATIENCE = 10.0  # s after the first signal, from which another one interrupts what hangs
@@ -199,10 +163,7 @@ def answered(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     words = list(sys.argv if arguments is None else arguments)
     name = Path(words[0]).name if words else ""
     if any(word in ("-h", "--help") for word in words[1:]):
-        try:
-            print(help_text(name, make), flush=True)
-        except BrokenPipeError:  # `calibrator --help | head`: the interpreter's last flush must not complain either
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(help_text(name, make), flush=True)
         return 0
     try:
         own = remove_ros_args(words)[1:]

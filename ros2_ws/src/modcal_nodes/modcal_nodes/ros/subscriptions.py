@@ -12,13 +12,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
-from modcal_msgs_py import JointStateBytes
-from modcal_nodes.ros.guarded import CallbackFaults, GuardedNode, Refusals, is_latched, waiting
+from modcal_msgs_py import seconds
+from modcal_nodes.ros.guarded import CallbackFaults, GuardedNode, Refusals, waiting
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _PERIOD = 1.0  # s
@@ -98,7 +97,6 @@ _LESS = {
     QoSPolicyKind.RELIABILITY: "received with best effort; on a busy network some messages will be lost",
     QoSPolicyKind.DURABILITY: "received, but messages published before are missed; it should be transient local",
 }
-_READ = {JointState: JointStateBytes}  # of what comes a thousand times a second
 
 
 class MonitoredSubscription:
@@ -120,17 +118,15 @@ class MonitoredSubscription:
         replaced: of joint states, whether one of this stamp [s] is not needed where a later one of the same joints has
         come; None: each is handed on.
         """
-        # each message of a burst is guarded by itself
-        guard = node.guarded_once_more if is_latched(qos) else node.guarded
-        self._node, self._callback = node, guard(topic, callback)
+        self._node, self._callback = node, node.guarded(topic, callback)  # each message of a burst is guarded by itself
         self.part, self.needed, self.patience, self._single = topic, needed, patience, single
         self.count = 0
         self.incompatible: str | None = None
         self._less: Timer | None = None
         self._last = time.monotonic()
         self._kind, self._qos = kind, qos
-        self._read = _READ[kind](partial(deserialize_message, message_type=kind)) if kind in _READ else None
-        self._replaced, self._always = replaced, is_latched(qos)
+        self._replaced = replaced if kind is JointState else None
+        self._always = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL  # what is latched nobody repeats
         # no more than can have waited: those that come while others are taken must not hold up what comes beside
         self._most = min(node.most_at_once, qos.depth or node.most_at_once)
         self._subscriptions = [self._subscribe(topic, qos)]
@@ -138,33 +134,29 @@ class MonitoredSubscription:
         self.topic = self._subscriptions[0].topic_name
 
     def _subscribe(self, topic: str, qos: QoSProfile) -> Subscription:
-        raw = self._read is not None
-
         def hear(message: Any) -> None:
-            self._take_all([message, *(behind for behind, _ in waiting(subscription, self._most, raw))])
+            self._take_all([message, *(behind for behind, _ in waiting(subscription, self._most))])
 
         events = SubscriptionEventCallbacks(incompatible_qos=self._mismatch)
-        subscription = self._node.create_subscription(self._kind, topic, hear, qos, event_callbacks=events, raw=raw)
+        subscription = self._node.create_subscription(self._kind, topic, hear, qos, event_callbacks=events)
         return subscription
 
     def poll(self) -> int:
         """Take what has arrived, without an executor; how many messages that were."""
         before = self.count
         for subscription in tuple(self._subscriptions):
-            if told := waiting(subscription, self._most, self._read is not None):
+            if told := waiting(subscription, self._most):
                 self._take_all([message for message, _ in told])
         return self.count - before
 
     def _take_all(self, told: list[Any]) -> None:
-        messages = told
-        if len(told) > 1 and self._read is not None and self._replaced is not None:
-            messages = self._read.needed(told, self._replaced)
-            self.count += len(told) - len(messages)
-        for message in messages:
+        needed = told if self._replaced is None else _needed(told, self._replaced)
+        self.count += len(told) - len(needed)
+        for message in needed:
             self.count += 1
             self._last = time.monotonic()
             if self._node.active or self._always:
-                self._callback(message if self._read is None else self._read(message))
+                self._callback(message)
 
     def _mismatch(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         try:
@@ -215,6 +207,17 @@ class MonitoredSubscription:
                 return level, f"{self.topic}: no node publishes it: start the driver, or remap the topic"
             return level, f"{self.topic}: silent for {self.silence:.0f} s: check that its publisher is alive"
         return None
+
+
+def _needed(told: list[Any], replaced: Callable[[float], bool]) -> list[Any]:
+    """The joint states to handle, in order: those that are not replaced by a later one of the same joints."""
+    out, later = list[Any](), set[tuple[int, tuple[str, ...]]]()
+    for message in reversed(told):
+        joints = len(message.position), tuple(message.name)
+        if joints not in later or not replaced(seconds(message.header.stamp)):
+            out.append(message)
+        later.add(joints)
+    return out[::-1]
 
 
 def always(_: float) -> bool:

@@ -36,10 +36,6 @@ class Frame:
     child: str
     T: Array
 
-    def numbers(self) -> tuple[float, ...]:
-        """x y z [m] and the quaternion x y z w."""
-        return tuple(float(v) for v in se3.to_pose(self.T))
-
 
 def static_frames(calibration: Calibration) -> tuple[Frame, ...]:
     """Where the trackers stand in the base link, and the tool behind the corrected tip."""
@@ -69,8 +65,6 @@ class Parents:
 
     def require_free(self, frame: Frame) -> None:
         """Raises BadTable where the child has another parent, or its parent hangs below it."""
-        if not frame.child.endswith((CALIBRATED, CORRECTED)):
-            raise BadTable(f"frame {frame.child}", "is not one of this package's", "see docs/nodes.md")
         parent = self._of.get(frame.child)
         if parent is not None and parent != frame.parent:
             said = f"has the parent {parent} already, which another node publishes"
@@ -99,7 +93,6 @@ class Broadcaster:
             return
         self._message = message
         self._publisher = node.create_publisher(message, "/tf_static" if static else "/tf", LATCHED if static else 100)
-        node.heard_by_executor = True  # a part of what /tf says shows who speaks there
         node.create_subscription(message, "/tf", self._hear, 100)
         node.create_subscription(
             message, "/tf_static", self._hear, QoSProfile(depth=100, durability=LATCHED.durability)
@@ -128,5 +121,5 @@ def filled(message: TransformStamped, frame: Frame, stamp: Any) -> TransformStam
     """The message, saying this frame at this time."""
     message.header.frame_id, message.child_frame_id, message.header.stamp = frame.parent, frame.child, stamp
     p, o = message.transform.translation, message.transform.rotation
-    p.x, p.y, p.z, o.x, o.y, o.z, o.w = frame.numbers()
+    p.x, p.y, p.z, o.x, o.y, o.z, o.w = se3.to_pose(frame.T).tolist()
     return message

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from modcal_nodes.simulation.plant import SWITCHES, TRACKER, TRACKER_PHASE, Grid, Plant, recorded
     from modcal_nodes.simulation.program import legs
     from modcal_nodes.simulation.pulling import PullRecord, Pulling, effort_limits
-    from modcal_nodes.simulation.speaking import Poses, SpeakingNode, States, When, stamp
+    from modcal_nodes.simulation.speaking import SpeakingNode
 else:
     from modcal_core.lazy import lazy_face
 

@@ -145,18 +145,6 @@ class DeltaWorld(Machine):
         self.data.qpos[self._at[:ARMS]] = first
         self._close()
 
-    def length(self, link: str) -> float:
-        """Raises BadRobot: the links of a simulated Delta do not grow."""
-        raise BadRobot(
-            f"link '{link}'",
-            "belongs to a Delta, whose links do not grow in this simulation",
-            "leave warm_up_link empty",
-        )
-
-    def grow(self, link: str, metres: float) -> None:
-        """Raises BadRobot: the links of a simulated Delta do not grow."""
-        self.length(link)
-
     def _place(self, q: Array) -> None:
         true = self._true
         theta = np.zeros(ARMS + 1)

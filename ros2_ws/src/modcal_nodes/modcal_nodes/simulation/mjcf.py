@@ -301,13 +301,13 @@ class Machine(ABC):
         back = se3.transform(np.eye(3), -np.asarray(move, dtype=float))
         self.T_tracker_base = back @ self._T_tracker_base
 
-    @abstractmethod
     def length(self, link: str) -> float:
         """How long a link is, from its joint to the next one [m]. Raises BadRobot for one that cannot grow."""
+        raise BadRobot(f"link '{link}'", "belongs to a Delta, whose links do not grow", "leave warm_up_link empty")
 
-    @abstractmethod
     def grow(self, link: str, metres: float) -> None:
         """Make a link this much longer than it was at first [m], along the line from its joint to the next."""
+        self.length(link)
 
     @abstractmethod
     def _place(self, q: Array) -> None:

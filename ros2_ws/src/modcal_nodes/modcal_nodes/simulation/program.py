@@ -48,14 +48,13 @@ class Program:
         self._postures = [np.array(start, dtype=float)]
         self._begun, self._brake = 0.0, _BRAKE
         self._carried = np.zeros_like(self._postures[0])
-        self._carries = False
 
     def reset(self, now: float, legs: Sequence[tuple[float, Array]]) -> None:
         """Forget the rest; from now on be at each posture (n,) by its time [s], in order."""
         here, carried = self.state(now)
         self._times = [now, *(t for t, _ in legs)]
         self._postures = [here, *(np.array(q, dtype=float) for _, q in legs)]
-        self._begun, self._carried, self._carries = now, carried, bool(carried.any())
+        self._begun, self._carried = now, carried
         self._brake = min(_BRAKE, self._times[1] - now) if legs else _BRAKE
 
     def extend(self, legs: Sequence[tuple[float, Array]], done: float) -> None:
@@ -86,10 +85,7 @@ class Program:
             way = self._postures[i] - self._postures[i - 1]
             q = self._postures[i - 1] + share**3 * (10.0 - 15.0 * share + 6.0 * share**2) * way
             v = (30.0 / span) * (share * (1.0 - share)) ** 2 * way
-        if self._carries:
-            share = (now - self._begun) / self._brake
-            if share >= 1.0:
-                return q, v
+        if (share := (now - self._begun) / self._brake) < 1.0 and self._carried.any():
             # zero at both ends, slope 1 at the first, no curvature at either
             q = q + self._brake * (share - share**3 * (6.0 - 8.0 * share + 3.0 * share**2)) * self._carried
             v = v + (1.0 - share**2 * (18.0 - 32.0 * share + 15.0 * share**2)) * self._carried

@@ -1,71 +1,25 @@
-"""How simulated machines speak: their time, their beat, what falls due, and messages that are filled again and again.
+"""How simulated machines speak: their time, their beat, and what falls due.
 
-Making a message costs more than filling it, and rclpy's executor spends more on a timer than the machine does.
+rclpy's executor spends more on a timer than the machine does.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
-from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import JointState, Temperature
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import Array, se3
+from modcal_msgs_py import set_nanoseconds
 from modcal_nodes.ros import OK, WARN, HealthyNode, Status
 from modcal_nodes.simulation.plant import Grid
 
-When = tuple[int, int]  # seconds and nanoseconds of a stamp
 _NANO = 1_000_000_000
 _LATE = 0.1  # s of wall time that the machine may lag behind its own clock
 _MIN_PERIOD = 1e-3  # s between beats; what falls due in between is sent together
 _DEPTH = 2000  # messages that a publisher of the time keeps for a subscriber that is behind
-
-
-def stamp(message: JointState | PoseStamped | PointStamped | Temperature | WrenchStamped, when: When) -> None:
-    """Put a time in seconds and nanoseconds on a message."""
-    message.header.stamp.sec, message.header.stamp.nanosec = when
-
-
-class States:
-    """Joint states of one arm."""
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self._message = JointState(name=list(names))
-
-    def fill(self, when: When, position: Array, velocity: Array, effort: Array | None) -> JointState:
-        """The message, to be published before it is filled again."""
-        stamp(self._message, when)
-        # array.array is what the field holds: handed over as it is, nothing is looked at one by one
-        self._message.position = array("d", position.tobytes())
-        self._message.velocity = array("d", velocity.tobytes())
-        if effort is not None:
-            self._message.effort = array("d", effort.tobytes())
-        return self._message
-
-
-class Poses:
-    """Poses in one frame; points where only those are seen."""
-
-    def __init__(self, frame: str, points: bool = False) -> None:
-        self._message: PoseStamped | PointStamped = PointStamped() if points else PoseStamped()
-        self._message.header.frame_id = frame
-
-    def fill(self, when: When, T: Array) -> PoseStamped | PointStamped:
-        """The message for T (4, 4), to be published before it is filled again."""
-        stamp(self._message, when)
-        numbers = se3.to_pose(T).tolist()
-        if isinstance(self._message, PoseStamped):
-            at, turn = self._message.pose.position, self._message.pose.orientation
-            turn.x, turn.y, turn.z, turn.w = numbers[3:]
-        else:
-            at = self._message.point
-        at.x, at.y, at.z = numbers[:3]
-        return self._message
 
 
 class SpeakingNode(HealthyNode):
@@ -141,8 +95,9 @@ class SpeakingNode(HealthyNode):
             return (time.monotonic() - self._wall) * self._factor - self._delay
         return 1e-9 * (self.get_clock().now().nanoseconds - self._base)
 
-    def _stamp(self, t: float) -> When:
-        return divmod(self._base + round(t * _NANO), _NANO)
+    def _stamp(self, t: float) -> int:
+        """Stamp of a time [ns]."""
+        return self._base + round(t * _NANO)
 
     def _advance(self, until: float) -> None:
         """Called before what falls due until a time [s] is said."""
@@ -172,7 +127,7 @@ class SpeakingNode(HealthyNode):
 
     def _say_time(self, t: float) -> None:
         message = ClockMessage()
-        message.clock.sec, message.clock.nanosec = self._stamp(t)
+        set_nanoseconds(message.clock, self._stamp(t))
         self._clock_topic.publish(message)
 
     def _report(self) -> list[Status]:

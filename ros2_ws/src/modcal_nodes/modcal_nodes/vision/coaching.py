@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -140,11 +139,6 @@ class ImagesWorth:
     distance_m: tuple[float, float] | None
     reasons: dict[str, int]
     findings: tuple[str, ...]
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """Data for ``--json``."""
-        return asdict(self)
 
 
 def images_worth(
