@@ -55,8 +55,8 @@ DOWN = (0.0, 0.0, -STANDARD_GRAVITY)
 def bias_torque(
     chain: Chain, inertias: Inertias, q: ArrayLike, velocity: ArrayLike, gravity: ArrayLike = DOWN
 ) -> Array:
-    """Drive torques C(q, q̇) q̇ + g(q) (N, n) [N m; N] that go with no joint acceleration. q, velocity: (N, n). gravity:
-    acceleration of free fall (3,) [m/s²] in the base.
+    """Drive torques C(q, q̇) q̇ + g(q) (N, n) [N m; N] that go with no joint acceleration, at q (N, n) [rad, m] and
+    velocity (N, n) [rad/s, m/s]. gravity: acceleration of free fall (3,) [m/s²] in the base.
     """
     return bias_of(Bodies.at(chain, inertias, q), velocity, gravity)
 
@@ -252,7 +252,7 @@ class Window:
     upper: Array
 
     def equivalent(self) -> tuple[Array, Array]:
-        """Bounds (N, n) of each joint by its equivalent inertia; both have one sign where the drive cannot hold it."""
+        """Bounds (N, n) [rad/s², m/s²] by equivalent inertias; both of one sign where a drive cannot hold its joint."""
         inertia = np.diagonal(self.matrix, axis1=1, axis2=2)
         return self.lower / inertia, self.upper / inertia
 

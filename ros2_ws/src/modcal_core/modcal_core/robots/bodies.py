@@ -215,7 +215,7 @@ def mass_matrix(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
 
 
 def equivalent_inertia(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
-    """The inertia that each joint meets while all others stand still, at q (N, n): the diagonal of M, (N, n)."""
+    """Inertia that each joint meets while all others stand still at q (N, n), (N, n) [kg m²; kg]: the diagonal of M."""
     return np.diagonal(mass_matrix(chain, inertias, q), axis1=1, axis2=2)
 
 

@@ -205,7 +205,7 @@ def is_delta(robot: object) -> TypeGuard[Delta]:
 
 
 def forward(robot: Mechanism, q: ArrayLike) -> Array:
-    """Tip poses T_base_tip (..., 4, 4) for joint positions q (..., n). Raises NotReachable where a Delta cannot be."""
+    """Tip poses T_base_tip (..., 4, 4) [m] at postures q (..., n) [rad, m]. Raises NotReachable where none is."""
     return delta_kinematics.forward(robot, q) if isinstance(robot, Delta) else kinematics.chain_forward(robot, q)
 
 
