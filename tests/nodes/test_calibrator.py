@@ -30,11 +30,12 @@ from nodes.beside_a_cell import (
     stations,
 )
 from nodes.cell import PlayedCell, call
-from nodes.processes import Process, Wait, beside, fresh_domain, listener, running
+from nodes.processes import Process, Wait, beside, fresh_domain, listener, meet, running
 from nodes.talking import BEST_EFFORT, Diagnostics
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.measurements.dropouts import ALONE, BEYOND, ELSEWHEN, IMPLAUSIBLE
@@ -125,6 +126,22 @@ def test_a_clock_set_back_begins_a_new_stretch(shared: Shared) -> None:
     assert call(shared.node, shared.wait, "calibrator/solve").success
     # readings overtake the joint state that says that the clock was set back, and are not lost
     assert json.loads((shared.out / "report.json").read_text())["recording"]["stations"] == 60
+
+
+def test_a_reset_ends_the_solve_of_what_it_clears(shared: Shared) -> None:
+    shared.cell.play(stations(begin=shared.again()))
+    shared.wait(shared.cell.taken, 60.0)
+    client = shared.node.create_client(Trigger, "calibrator/solve")
+    meet(shared.wait, client)
+    answers = [client.call_async(Trigger.Request()) for _ in range(2)]
+    shared.wait(lambda: any(a.done() for a in answers), 20.0)  # that it is running already
+    shared.again()
+    answers.append(client.call_async(Trigger.Request()))  # a new one, which has nothing to solve
+    shared.wait(lambda: all(a.done() for a in answers), 20.0)
+    said = [a.result().message for a in answers]
+    assert said.count("a solve is running already") == 1
+    assert "the data it was solved from have been cleared since" in said
+    shared.node.destroy_client(client)
 
 
 def test_messages_without_a_station_are_left_out_when_they_grow_old(tmp_path: Path) -> None:

@@ -161,6 +161,8 @@ class Calibrator(ros.ManagedNode):
             self._arm.stream.frames = list(self._supervisor.trusted.calibrated.frames)
 
     def _reset(self) -> tuple[bool, str]:
+        if self._solve_next or self._worker.doing == _SOLVE:
+            self._cancel_solve("the data it was solved from have been cleared since")
         self._buffer.clear()
         self._supervisor.reset()
         self._candidate = None
@@ -169,11 +171,11 @@ class Calibrator(ros.ManagedNode):
         self._outputs.no_change()
         return True, "recording and candidate cleared; the trusted model stays"
 
-    def _cancel_solve(self) -> None:
+    def _cancel_solve(self, why: str = "cancelled") -> None:
         if self._worker.doing == _SOLVE:
             self._worker.drop()
         self._solve_next = False
-        self._answer(False, "cancelled")
+        self._answer(False, why)
 
     def _progress(self, feedback: Any) -> None:
         feedback.phase = "waiting" if self._solve_next else "solving"
