@@ -48,11 +48,11 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/cli": (4490, 2790),
     "modcal_nodes/io": (590, 350),
     "modcal_nodes/measuring": (1040, 750),
-    "modcal_nodes/nodes": (2710, 2120),
+    "modcal_nodes/nodes": (2710, 2130),
     "modcal_nodes/ros": (2410, 1440),
     "modcal_nodes/simulation": (2000, 1340),
     "modcal_nodes/vision": (1830, 1310),
-    "tests": (46520, 32230),
+    "tests": (46540, 32240),
     "modcal_core/sentinel": (1330, 960),
 }
 SOURCE = (87900, 57900)
