@@ -100,7 +100,7 @@ def _seen(task: Task, geometry_only: bool = False) -> Answer:
     problem = CameraProblem(robot.chain, (images,), inertias=robot.inertias, look_for_effects=not geometry_only)
     solution = solve_camera(problem, np.random.default_rng(0))
     evidence = solution.evidence
-    doubts = (*evidence.problems, *evidence.open_points)
+    doubts = (*solution.claim.decision.problems, *evidence.open_points)
     return Answer(
         np.linalg.inv(solution.fit.seen_at(task.q)),
         # of the tool by what stands; where that is a camera, another length is scored
