@@ -82,7 +82,7 @@ class SentReferences:
         return self._late.largest
 
     def newest(self, until: float) -> Array | None:
-        """The newest reference (n,) that was sent by then [s]; None where none was."""
+        """The newest reference (n,) sent by then [s], or None."""
         return next((q for t, q in reversed(self.values) if t <= until), None)
 
 

@@ -69,7 +69,7 @@ def _place(steps: Sequence[CarryingJoint], positions: Mapping[str, Array], count
 
 def moved_centres(bodies: Sequence[Hanging], mass: Array, positions: Mapping[str, Array], count: int) -> Array | None:
     """How far lumped centres of mass, of these masses (n,) [kg], are from where they are with all other joints at zero,
-    (n, N, 3) [m], in the frame behind each joint; None where none moves.
+    (n, N, 3) [m], in the frame behind each joint; None if they stay there.
     """
     moving = [body for body in bodies if any(name in positions for name in body.joints)]
     if not moving:
