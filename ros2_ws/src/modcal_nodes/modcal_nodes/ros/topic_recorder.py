@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import rclpy
 from rclpy.context import Context
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -89,7 +90,9 @@ _AGAIN = (0.5, 1.0, 2.0, 3.5)  # s without a first message
 _SETTLES = 1.0  # s from the first message, after which one of several subscriptions is kept
 _UNHEARD = 0.8  # s without a first message, after which it is said of topics that speak fast
 UNHEARD = "unheard"  # kind of that complaint
-_FAST = tuple(f"/{role}" for role in (*READINGS, "joint_states", "wrench"))
+_FAST = (*READINGS, "joint_states", "wrench")
+
+_SLASHED_FAST = tuple("/" + role for role in _FAST)
 
 
 class Offer(NamedTuple):
@@ -136,7 +139,7 @@ class TopicRecorder:
         self._seen: set[tuple[int, int]] = set()
         self._order: deque[tuple[int, int]] = deque()
         self._number: int | None = None
-        self.lost = self._suspected = 0  # by the publisher's numbering
+        self._gaps = self._suspected = self._told_lost = 0
         self._last = time.monotonic()
         self._rated = (self._last, 0)
         self._subscribed = self._last
@@ -152,7 +155,7 @@ class TopicRecorder:
         if len(publishers) != self.publishers:
             self.publishers, self._number = len(publishers), None
         else:
-            self.lost += self._suspected
+            self._gaps += self._suspected
         self._suspected = 0
         self._types = {publisher.topic_type for publisher in publishers}
         if self.type_name is None:
@@ -205,6 +208,11 @@ class TopicRecorder:
         """The QoS that was offered so far, as a bag holds it."""
         return [qos_profile(offer.latched, offer.reliable) for offer in sorted(self._inputs)]
 
+    @property
+    def lost(self) -> int:
+        """Messages that the middleware says, or the publisher's numbering shows, to have been lost."""
+        return max(self._gaps, self._told_lost)
+
     def measure(self) -> None:
         """Renew ``rate`` [Hz]; to be called about once a second."""
         now, (then, count) = time.monotonic(), self._rated
@@ -220,7 +228,7 @@ class TopicRecorder:
         if others:
             text = f"{self.topic}: only {self.type_name} is recorded, not {', '.join(sorted(others))}: remap one"
             return Complaint(ERROR, "types", text)
-        if not self.count and self._inputs and self.publishers and self.topic.endswith(_FAST):
+        if not self.count and self._inputs and self.publishers and self.topic.endswith(_SLASHED_FAST):
             since = time.monotonic() - self._subscribed
             if since > _UNHEARD:
                 text = f"{self.topic}: subscribed for {since:.1f} s and no message yet, of {self.publishers} publishers"
@@ -251,7 +259,11 @@ class TopicRecorder:
         )
         assert self.type_name is not None
         hear = partial(self._hear, offer, box := list[Subscription]())
-        box.append(self._node.create_subscription(type_of(self.type_name), self.topic, hear, qos, raw=True))
+        make = partial(self._node.create_subscription, type_of(self.type_name), self.topic, hear, qos, raw=True)
+        try:
+            box.append(make(event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost)))
+        except UnsupportedEventTypeError:
+            box.append(make())
         return box[0]
 
     def _hear(self, offer: Offer, box: list[Subscription], cdr: bytes, info: dict[str, Any]) -> None:
@@ -307,3 +319,6 @@ class TopicRecorder:
             # or another publisher has come, which the next look will show
             self._suspected += number - self._number - 1
         self._number = number
+
+    def _count_lost(self, event: QoSMessageLostInfo) -> None:
+        self._told_lost += event.total_count_change
