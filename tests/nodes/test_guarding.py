@@ -13,6 +13,7 @@ from nodes.talking import LATCHED
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.qos import DurabilityPolicy
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from modcal_nodes.nodes.acceleration_limits import AccelerationLimits
@@ -135,6 +136,22 @@ def test_one_bad_message_of_a_burst_costs_itself(tmp_path: Path) -> None:
         pair.wait(lambda: len(handled) == 6, 10.0)
         assert handled == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
         assert pair.node.faults.counts["temperature"] == 1
+
+
+@pytest.mark.parametrize("outer", [False, True])
+def test_a_latched_message_is_tried_once_more(outer: bool) -> None:
+    """Nobody repeats a robot_description; a fault, whichever guard it meets, must not leave a node without it for ever."""
+    with spun(Viewer) as pair:
+        node = pair.node
+        subscription = next(s for s in node.subscriptions if s.topic_name == "/robot_description")
+        monitored = next(one for one in node._inputs if one.topic == "/robot_description")
+        (guard_of(subscription) if outer else monitored._callback).callback = boom
+        talk = pair.partner.create_publisher(String, "robot_description", LATCHED)
+        talk.publish(String(data=URDF.read_text()))
+        pair.wait(lambda: node.faults.counts["robot_description"] == 1, 10.0)
+        assert not node._urdf
+        pair.wait(lambda: node._urdf, 10.0)
+        assert node.faults.counts["robot_description"] == 1
 
 
 def test_a_fault_while_a_parameter_is_set_refuses_it() -> None:

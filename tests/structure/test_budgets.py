@@ -49,14 +49,14 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/io": (590, 350),
     "modcal_nodes/measuring": (1040, 750),
     "modcal_nodes/nodes": (2710, 2130),
-    "modcal_nodes/ros": (2430, 1450),
+    "modcal_nodes/ros": (2450, 1460),
     "modcal_nodes/simulation": (2000, 1340),
     "modcal_nodes/vision": (1830, 1310),
-    "tests": (46540, 32240),
+    "tests": (46560, 32250),
     "modcal_core/sentinel": (1330, 960),
 }
 SOURCE = (87950, 57900)
-TEXT = 183100  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+TEXT = 183200  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

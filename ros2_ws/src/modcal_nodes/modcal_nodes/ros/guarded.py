@@ -23,7 +23,7 @@ from rclpy.action import ActionClient, ActionServer
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import QoSPolicyKind, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
@@ -46,6 +46,7 @@ def waiting(subscription: Subscription, most: int, raw: bool = False) -> list[tu
 
 
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+_AGAIN = 1.0  # s after a fault until a latched message is handled once more
 _RECENT = 10.0  # s in which a fault counts as recent
 _THROTTLE = 1.0  # s between two lines in the log about the same place
 _OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
@@ -229,9 +230,23 @@ class GuardedNode(Node):
         for name, event in vars(events).items() if events is not None else ():
             if event is not None and callable(event):
                 setattr(events, name, self.guarded(f"{topic}, {name}", event))
-        return super().create_subscription(
-            msg_type, topic, self.guarded(topic, callback), qos_profile, *args, **options
-        )
+        guarded = self.guarded_once_more(topic, callback) if is_latched(qos_profile) else self.guarded(topic, callback)
+        return super().create_subscription(msg_type, topic, guarded, qos_profile, *args, **options)
+
+    def guarded_once_more(self, topic: str, callback: Any) -> Callable[..., Any]:
+        """A guarded callback of a latched topic: after a fault the message, which nobody repeats, is tried again."""
+        if _is_guarded(callback):
+            return callback
+        plain = self.guarded(topic, callback)
+
+        def again(message: Any, _: str) -> None:
+            def retry() -> None:
+                timer.cancel()
+                plain(message)
+
+            timer = self.every(_AGAIN, retry)
+
+        return Guarded(self, topic, callback, again)
 
     def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **options: Any) -> Any:
         """Same as in Node, with a guarded callback."""
@@ -285,6 +300,11 @@ class GuardedNode(Node):
 
 def _is_guarded(callback: Any) -> bool:
     return isinstance(callback, Guarded) or hasattr(callback, "guarded")
+
+
+def is_latched(qos: Any) -> bool:
+    """Whether a publisher that offers this QoS tells its last message to whoever comes later."""
+    return isinstance(qos, QoSProfile) and qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
 
 def refusal(request: Any, response: Any, said: str) -> Any:

@@ -17,7 +17,7 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
 from modcal_msgs_py import seconds
-from modcal_nodes.ros.guarded import CallbackFaults, GuardedNode, Refusals, waiting
+from modcal_nodes.ros.guarded import CallbackFaults, GuardedNode, Refusals, is_latched, waiting
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _PERIOD = 1.0  # s
@@ -118,7 +118,9 @@ class MonitoredSubscription:
         replaced: of joint states, whether one of this stamp [s] is not needed where a later one of the same joints has
         come; None: each is handed on.
         """
-        self._node, self._callback = node, node.guarded(topic, callback)  # each message of a burst is guarded by itself
+        # each message of a burst is guarded by itself
+        guard = node.guarded_once_more if is_latched(qos) else node.guarded
+        self._node, self._callback = node, guard(topic, callback)
         self.part, self.needed, self.patience, self._single = topic, needed, patience, single
         self.count = 0
         self.incompatible: str | None = None
@@ -126,7 +128,7 @@ class MonitoredSubscription:
         self._last = time.monotonic()
         self._kind, self._qos = kind, qos
         self._replaced = replaced if kind is JointState else None
-        self._always = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL  # what is latched nobody repeats
+        self._always = is_latched(qos)  # nobody repeats it
         # no more than can have waited: those that come while others are taken must not hold up what comes beside
         self._most = min(node.most_at_once, qos.depth or node.most_at_once)
         self._subscriptions = [self._subscribe(topic, qos)]
