@@ -27,7 +27,7 @@ from modcal_core.calibration import (
 from modcal_core.claim.beyond import growth
 from modcal_core.claim.evidence import Drawn, draw
 from modcal_core.claim.known import known, with_carried
-from modcal_core.claim.neighbourhood import FREE, SHARES, Neighbourhood, arms_near, joint_motion, shows_base
+from modcal_core.claim.neighbourhood import FREE, Neighbourhood, arms_near, joint_motion, shows_base
 from modcal_core.claim.remedy import OpenDirection, open_direction
 from modcal_core.effects import STEPS, NominalArm, of_readings
 from modcal_core.geometry import Array, so3
@@ -312,17 +312,13 @@ def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, place
 
 
 def _joints(about: Neighbourhood, asked: Samples, drawn: Drawn, rng: np.random.Generator) -> Array:
-    """What joints do not repeat, at every posture of every draw, (D, 6 M) [m, then rad]."""
-    M, D = len(asked), len(drawn.scale)
-    view = _view(about, asked)
-    n = about.model.chain.n
+    """What joints do not repeat, at each posture what they missed at some station, (D, 6 M) [m, then rad]."""
+    view, (rounds, stations, n) = _view(about, asked), about.missed.shape
     motions = np.stack([joint_motion(view, about.model.chain, j) for j in range(n)])
-    share = rng.choice(SHARES, D, p=about.shares)
-    rho = drawn.scale * np.sqrt(share / max(about.joints, 1e-300))
-    out = np.zeros((D, 6, M))
-    for j in range(n):
-        out += (rho[:, None] * rng.standard_normal((D, M)))[:, None, :] * motions[j].reshape(6, M)
-    return out.reshape(D, 6 * M)
+    D, M = len(drawn.values), len(asked)
+    one, station = rng.integers(rounds, size=(D, 1)), rng.integers(stations, size=(D, M))
+    missed = np.moveaxis(drawn.scale[:, None, None] * about.missed[one, station], 2, 0)
+    return np.asarray(sum(np.tile(m, 6) * motion for m, motion in zip(missed, motions, strict=True)))
 
 
 def _view(about: Neighbourhood, asked: Samples) -> RowView:

@@ -27,7 +27,7 @@ from modcal_core.calibration import (
     linearise,
 )
 from modcal_core.claim.evidence import Drawn
-from modcal_core.claim.neighbourhood import FREE, Neighbourhood
+from modcal_core.claim.neighbourhood import FREE, Neighbourhood, with_joints
 from modcal_core.geometry import Array, combined
 from modcal_core.measurements import POINT, POSE
 from modcal_core.measurements.kinds import KIND_NAMES
@@ -63,11 +63,11 @@ def with_carried(about: Neighbourhood, calibration: Calibration, placed: bool) -
     names = {p.name for p in about.parameters}
     own = [p for p in calibration.uncertainty.parameters if not p.of_arm]
     if not placed or not own or not names.issuperset(p.name for p in own):
-        return moved
+        return with_joints(moved)
     stayed = _with_carried(about, calibration, of_arm=False)
     k, rest = len(own), max(float(about.rows.sum()) - len(own), 1.0)
     by_chance = 0.5 * (rest + k) * np.log1p(k / rest * scipy.special.fdtri(k, rest, _MOVED))
-    return stayed if _misfit(stayed) - _misfit(moved) < by_chance else moved
+    return with_joints(stayed if _misfit(stayed) - _misfit(moved) < by_chance else moved)
 
 
 def _misfit(about: Neighbourhood) -> float:

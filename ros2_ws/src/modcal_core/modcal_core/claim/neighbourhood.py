@@ -34,6 +34,7 @@ from modcal_core.calibration import (
     views_of,
     weigh,
 )
+from modcal_core.claim.repeatability import missed_by_joints
 from modcal_core.effects import Drivers, prior_stds
 from modcal_core.effects.families import unknown
 from modcal_core.geometry import Array, error_values, se3
@@ -46,10 +47,7 @@ UNNAMED_RAD = 2e-4  # the same of functions for effects that nobody named, of on
 UNNAMED_M = 5e-5  # of each function by which the whole arm is off
 FREE_M, FREE_RAD = 0.5, 1.0  # of bases, tool and constants of instruments, of which nothing is expected
 _SHOWN = 1e6  # deviations; a free value that is known better than that needs no wider prior
-SHARES = np.linspace(0.05, 0.99, 16) ** 2  # of the scatter's square that joints may have
-# rad; how well joints repeat, an arm of 1 m to some 0.02 mm; and how far the logarithms of that and of an instrument's
-# noise are from usual ones, by Student's law of two degrees
-_REPEATED, _SPREAD = 1.5e-5, np.log(2.0)
+_SEED = 47  # the same readings give the same word
 _ROTATION = "~rotation"  # of poses, whose noise is its own; last among the kinds
 _FINEST, _USUAL = 5e-6, 5e-5  # m or rad; what instruments read no better than, and usually
 _NEAR = 1e-4  # rad or m, over which derivatives change
@@ -92,24 +90,27 @@ class ArmEvidence:
 @dataclass(frozen=True)
 class Neighbourhood(ArmEvidence):
     """model: the calibrated one, with the functions as effects of no size. parameters: of the geometry. place: of
-    values of the arm, else -1 (K,). joints: mean squared weighed reading of the main kind per rad² of all joints, each
-    alone. shares: how likely each of SHARES is. expected: noise of its instrument, in units of the fit's.
+    values of the arm, else -1 (K,). moves: which move the tool in the root (K,). stations: by which joints are told
+    from the instrument. turned: whether the main kind has orientations. missed: draws of what joints missed at stations
+    (R, n, J) [rad, m], where all scatter is that of the fit.
     """
 
     model: Model
     parameters: tuple[ModelParameter, ...]
     place: np.ndarray
-    joints: float
-    shares: Array
-    expected: float
+    moves: np.ndarray
+    stations: Stations
+    turned: bool
+    missed: Array
 
     def unread(self) -> Neighbourhood:
         """The same before the readings are there: they miss the model by their noise, about the calibrated arm, and
         joints have what the instrument leaves of it.
         """
-        nothing, shares = np.zeros_like(self.shipped), np.zeros(len(SHARES))
-        shares[np.abs(SHARES - (1.0 - self.expected**2)).argmin()] = 1.0
-        return replace(self, g=0.0 * self.g, square=self.rows, shipped=nothing, pull=nothing, shares=shares)
+        nothing, at = np.zeros_like(self.shipped), self.stations
+        share = np.clip(1.0 - at.usual**2, 0.0, 1.0)
+        missed = np.sqrt(share / at.square) * np.random.default_rng(_SEED).standard_normal(self.missed.shape)
+        return replace(self, g=0.0 * self.g, square=self.rows, shipped=nothing, pull=nothing, missed=missed)
 
     @property
     def values(self) -> Array:
@@ -156,19 +157,14 @@ def arms_near(
     std, sort, group = _expected(parameters, model, len(named), cell, around, np.diag(H.sum(axis=0)))
     main = int(rows[: len(samples.kinds)].argmax())
     own = np.flatnonzero(samples.kind == names[main])
-    said = H[main] + (H[-1] if names[main] == POSE else 0.0)
-    joints = _of_joints(model, parameters, samples.select(own), row_weight[_rows_of(samples, own)], said, std)
     others = [False] * (len(values) - len(parameters))
     of_arm = np.array([p.of_arm for p in parameters] + others)
-    moves = of_arm | np.array([p.name.startswith("tool/") for p in parameters] + others)
     usual = _USUAL / np.array(
         [_read(noise, name, groups.known_position[samples.kind == name], groups.known_rotation) for name in names]
     )
     instrument = cell.stated.instrument_mm
-    by = 1.0 if instrument is None else 1e-3 * instrument / np.sqrt(3.0) / _USUAL
-    expected = float(by * usual[main])
-    shares = _likely(joints.told, joints.square, expected)
-    return Neighbourhood(
+    by = float(usual[main]) * (1.0 if instrument is None else 1e-3 * instrument / np.sqrt(3.0) / _USUAL)
+    about = Neighbourhood(
         model=model,
         parameters=parameters,
         shipped=np.r_[_from_nominal(parameters, model.chain, nominal), np.zeros(len(others))],
@@ -182,12 +178,14 @@ def arms_near(
         sort=sort,
         group=group,
         place=np.where(of_arm, group, -1),
-        joints=joints.square,
-        shares=shares,
+        moves=of_arm | np.array([p.name.startswith("tool/") for p in parameters] + others),
+        stations=_stations(model, parameters, samples.select(own), row_weight[_rows_of(samples, own)], by),
+        missed=np.zeros((1, 1, model.chain.n)),
         main=main,
-        pull=np.where(moves, joints.pull, 0.0) * float(shares @ SHARES) / max(joints.square, 1e-300),
-        expected=expected,
+        turned=names[main] == POSE,
+        pull=np.zeros(len(values)),
     )
+    return with_joints(about)
 
 
 def _read(noise: NoiseModel, name: str, known_p: Array, known_r: Array) -> float:
@@ -280,29 +278,30 @@ def _from_nominal(parameters: Sequence[ModelParameter], chain: Mechanism, nomina
 
 
 @dataclass(frozen=True)
-class _OfJoints:
-    """What joints that do not repeat do to the weighed readings.
+class Stations:
+    """Some of the stations of the main kind, with its equations, 0 where there is no orientation.
 
-    square: mean over rows of their squared motion per rad², or m², of every joint. told: how likely the readings are if
-    each of SHARES of the scatter is theirs (S,), in logs. pull: what the gradient is off by, for derivatives are taken
-    where joints were reported, per rad² (K,).
+    J (n, K, 6), left (n, 6): derivatives and residuals in units of the fit's noise. motions (n, J, 6): the same per rad
+    or m that a joint misses. count: equations. pull (J, K): what the gradient of all stations is off by per rad² that
+    joints miss, for derivatives are taken where they were reported. usual: noise of the instrument, in that of the fit.
     """
 
-    square: float
-    told: Array
+    J: Array
+    left: Array
+    motions: Array
+    count: float
     pull: Array
+    usual: float
+
+    @property
+    def square(self) -> float:
+        """The mean over equations of their squared motion per rad² of all joints, each alone."""
+        return max(float((self.motions**2).sum()) / self.count, 1e-300)
 
 
-def _of_joints(
-    model: Model, parameters: Sequence[ModelParameter], samples: Samples, row_weight: Array, H: Array, std: Array
-) -> _OfJoints:
-    """H (K, K): of these samples. std: as expected (K,).
-
-    Joints that do not repeat scatter more where an arm is stretched out, and across it; an instrument does not. What is
-    missed there is divided by the share of it that the values do not take up. Readings that are all alike, of contacts
-    and sockets, get closer to each other as the arm gets smaller, whatever its size: with n what the joints miss,
-    E[Aᵀ J n] = ρ² Σ ∂A/∂qᵀ J is no sign of its size, and is taken out.
-    """
+def _stations(
+    model: Model, parameters: Sequence[ModelParameter], samples: Samples, row_weight: Array, usual: float
+) -> Stations:
     rows = spread_rows(len(samples), _FEW)
     weight, some = row_weight[_rows_of(samples, rows)], samples.select(rows)
     around = model.drivers(some)
@@ -310,46 +309,45 @@ def _of_joints(
     geometry, bare = np.zeros(len(parameters)), model.with_effects(())
     values = np.concatenate([geometry, *(e.values for e in model.effects)])
     at = linearise(model, parameters, values, some, drivers=around)
-    here, left = at.J, at.residual
-    root, pull = np.sqrt(weight), np.zeros(len(values))
+    root, pull = np.sqrt(weight), np.zeros((model.chain.n, len(values)))
     motions = np.stack([joint_motion(view, model.chain, j) for j in range(model.chain.n)])
-    for motion, moved in zip(motions, np.eye(model.chain.n), strict=True):
+    for motion, moved, own in zip(motions, np.eye(model.chain.n), pull, strict=True):
         there, back = (
             linearise(bare, parameters, geometry, replace(some, q=some.q + side * moved)).J for side in (_NEAR, -_NEAR)
         )
-        pull[: len(there)] += (there - back) @ (weight * motion) / (2.0 * _NEAR)
+        own[: len(there)] = (there - back) @ (weight * motion) * (len(samples) / len(rows)) / (2.0 * _NEAR)
 
-    def of_each(x: Array) -> Array:  # (k, 3 n + 3 m) as (n, k, 6), zero where there is no orientation
+    def of_each(x: Array) -> Array:  # (k, 3 n + 3 m) as (n, k, 6)
         out = np.zeros((len(rows), len(x), 6))
         out[:, :, :3] = x[:, : 3 * len(rows)].reshape(len(x), 3, -1).transpose(2, 0, 1)
         out[some.is_pose, :, 3:] = x[:, 3 * len(rows) :].reshape(len(x), 3, -1).transpose(2, 0, 1)
         return out
 
-    each, seen = of_each(motions * root), float(dimensions(some).sum())
-    square = float((each**2).sum()) / seen
-    size, axes = np.linalg.eigh(np.swapaxes(each, 1, 2) @ each / max(square, 1e-300))
-    lower = np.linalg.cholesky(H * np.outer(std, std) + np.eye(len(H)))
-    half = scipy.linalg.solve_triangular(lower, std[:, None] * here * root, lower=True)
-    free = np.maximum(1.0 - (half**2).sum(axis=0), _FREE_SHARE)
-    missed = (of_each((left * root / np.sqrt(free))[None]) @ axes)[:, 0] ** 2
-    spread = 1.0 - SHARES[:, None, None] + SHARES[:, None, None] * np.maximum(size, 0.0)
-    scale = (missed / spread).sum(axis=(1, 2)) / seen
-    blind = 6.0 * len(rows) - seen  # directions that no reading has, in which nothing is missed
-    told = -0.5 * (
-        np.log(spread).sum(axis=(1, 2)) - blind * np.log(1.0 - SHARES) + seen * np.log(np.maximum(scale, 1e-300))
-    )
-    return _OfJoints(square, told, pull * len(samples) / len(rows))
+    J, left, moved = (of_each(np.atleast_2d(x * root)) for x in (at.J, at.residual, motions))
+    return Stations(J, left[:, 0], moved, float(dimensions(some).sum()), pull, usual)
 
 
-def _likely(told: Array, square: float, usual: float) -> Array:
-    """How likely shares of the scatter (S,) are by how joints usually repeat and instruments usually read besides.
+def with_joints(about: Neighbourhood) -> Neighbourhood:
+    """The same with what joints missed, and what the gradient is off by.
 
-    told, square: as of joints. usual: noise of the instrument, in that of the fit.
+    What readings miss of the most likely arm is divided by the share of it that its values do not take up. Readings
+    that are all alike, of contacts and sockets, get closer to each other as the arm gets smaller, whatever its size:
+    with n what the joints miss, E[Aᵀ J n] = Σ ρ² ∂A/∂qᵀ J is no sign of its size, and is taken out.
     """
-    of_joints, of_reading = np.sqrt(SHARES / max(square, 1e-300)) / _REPEATED, np.sqrt(1.0 - SHARES) / usual
-    away = np.log([of_joints, of_reading]) / _SPREAD
-    log = told - 1.5 * np.log1p(0.5 * away**2).sum(axis=0) - 0.5 * np.log(SHARES) - np.log(1.0 - SHARES)
-    return np.asarray(np.exp(log - log.max()) / np.exp(log - log.max()).sum())
+    at = about.stations
+    both = zip((about.H, about.g), about.stated, strict=True)
+    H, g = (x[about.main] + (x[-1] if about.turned else 0.0) + told for x, told in both)
+    lower = np.linalg.cholesky(H * np.outer(about.std, about.std) + np.eye(len(H)))
+    solved = np.column_stack(
+        [about.std * g - about.shipped / about.std, about.std[:, None] * np.concatenate(at.J, axis=1)]
+    )
+    half = scipy.linalg.solve_triangular(lower, solved, lower=True)
+    left = at.left - (half[:, 0] @ half[:, 1:]).reshape(at.left.shape)
+    half = half[:, 1:]
+    free = np.maximum(1.0 - (half**2).sum(axis=0), _FREE_SHARE).reshape(at.left.shape)
+    rng = np.random.default_rng(_SEED)
+    missed = missed_by_joints(at.motions, left / np.sqrt(free), at.count, at.usual, rng)
+    return replace(about, missed=missed, pull=np.where(about.moves, (missed**2).mean(axis=(0, 1)) @ at.pull, 0.0))
 
 
 def shows_base(samples: Samples, frame: int) -> bool:

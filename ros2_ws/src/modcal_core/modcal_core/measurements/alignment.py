@@ -101,6 +101,7 @@ LIMIT = 0.5  # s; a larger offset is a clock that is wrong rather than a delay
 _LONGEST = 60_000  # grid points; a longer recording is looked at in its first part
 _MIN_JUMP, _LONGEST_JUMP = 0.1, 2.5  # s, of a clock that is set while recording
 _PLAINLY = 0.1  # correlation by which a piece must fit its own lag better than that of the other part
+_BESIDE_CHANCE = 0.9  # of what speeds miss by one lag, that two parts with lags of their own miss less by
 _MOVING = 0.02  # m/s
 _LEAP = 5.0  # times the usual speed in motion; a quintic's peak is less than twice its mean
 _PIECE = 20.0  # s of recording that a jump is looked for in; a motion of a second or two is told in it
@@ -193,17 +194,6 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
         return None
     seen, moved = _without_leaps(seen), _without_leaps(moved)
     whole = _lag(seen, moved, 0, round(SEARCH / STEP))
-    if (jump := _jump(seen, moved)) is not None:
-        at, seconds = jump
-        raise BadRecording(
-            f"clock of {track.topic} ({track.frame})",
-            f"jumps by {seconds:+.2f} s against the joint states' clock, some {at * len(seen) * STEP:.0f} s after the "
-            "beginning",
-            "keep clocks from being set while recording (PTP or chrony, slewing), and calibrate either part alone",
-        )
-    if whole is None or whole[1] < TRUSTED:
-        return None
-    lag, correlation = whole
     middle = float(grid[0] + grid[-1]) / 2.0
     velocity = np.where(np.isfinite(moved)[:, None], _rate(grid, t[::every], poses[:, :3, 3]), np.nan)
     turning = _rate(grid, t[::every], poses[:, :3, :3].reshape(-1, 9)).reshape(-1, 3, 3)
@@ -212,6 +202,27 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
         on_time = stamps - drift * (stamps - middle)
         return lambda late: _without_leaps(_speed(grid, on_time - late, position))
 
+    def misfits(part: slice, lag: float) -> Array:  # of a part of the grid that has a lag of its own
+        def seen_there(late: float) -> Array:
+            return seen_when(0.0)(late)[part]
+
+        fit = fit_offset(seen_there, velocity[part], turning[part], lag * STEP, STEP)
+        return np.asarray(np.abs(seen_there(fit.offset) - fit.moved)[fit.moved > _MOVING])
+
+    lag, correlation = whole or (0.0, 0.0)
+    if (jump := _jump(seen, moved)) is not None:
+        cut, before, after = jump
+        # the tip's speed is not that of what the tracker sees, whose pieces may suit lags of their own by chance
+        alone = np.r_[misfits(slice(cut), before), misfits(slice(cut, None), after)]
+        if np.nanmedian(alone) < _BESIDE_CHANCE * np.nanmedian(misfits(slice(None), lag)):
+            raise BadRecording(
+                f"clock of {track.topic} ({track.frame})",
+                f"jumps by {(after - before) * STEP:+.2f} s against the joint states' clock, some {cut * STEP:.0f} s "
+                "after the beginning",
+                "keep clocks from being set while recording (PTP or chrony, slewing), and calibrate either part alone",
+            )
+    if correlation < TRUSTED:
+        return None
     fit = fit_offset(seen_when(0.0), velocity, turning, lag * STEP, STEP)
     drift = 0.0
     if len(grid) * STEP > _LONG_ENOUGH:
@@ -274,9 +285,9 @@ def _correlation(seen: Array, moved: Array, lag: int) -> float:
     return float(a @ b) / size if size > 0.0 else float("nan")
 
 
-def _jump(seen: Array, moved: Array) -> tuple[float, float] | None:
-    """Where a clock jumps (share of the recording) and by how much [s]: the lags of pieces stand on two levels, one
-    after the other, and each piece fits its own much better. None where it does not.
+def _jump(seen: Array, moved: Array) -> tuple[int, float, float] | None:
+    """Where a clock may jump, and the lags before and after that [grid steps]: those of pieces stand on two levels, one
+    after the other, and each piece fits its own much better. None where they do not.
     """
     count = min(len(seen) * STEP / _PIECE, 20.0)
     if count < _MIN_PIECES:
@@ -298,8 +309,7 @@ def _jump(seen: Array, moved: Array) -> tuple[float, float] | None:
         astray += not here > max(TRUSTED, there + _PLAINLY)
     if astray > 1:  # the piece that the jump is in
         return None
-    between = 0.5 * (known[cut - 1][0][-1] + known[cut][0][0])
-    return float(between / len(seen)), float(levels[1] - levels[0]) * STEP
+    return round(0.5 * (known[cut - 1][0][-1] + known[cut][0][0])), float(levels[0]), float(levels[1])
 
 
 def _drift(seen: Array, moved: Array, lag: float) -> float:
