@@ -150,8 +150,13 @@ class _RegimeSearch:
         found: tuple[float, ...] = ()
         for arm in arms:
             found = found or self._times(arm)
+        missed = usual_miss(arms[-1], self.samples)
         for _ in range(_ROUNDS if found else 0):
-            again = self._times(self.fit([Move(at, "both") for at in found]).model)
+            moved = self.fit([Move(at, "both") for at in found]).model
+            before, missed = missed, usual_miss(moved, self.samples)
+            if missed > max(0.5 * before, LIMIT_OF_REACH * moved.chain.reach()):
+                return ()  # whatever moved, these are no readings of this arm
+            again = self._times(moved)
             if again == found or not again:
                 break
             found = again
