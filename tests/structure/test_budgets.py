@@ -25,7 +25,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/articulation": (4880, 3390),
     "modcal_core/calibration": (5910, 3740),
     "modcal_core/camera": (4360, 2830),
-    "modcal_core/claim": (1240, 770),
+    "modcal_core/claim": (1300, 810),
     "modcal_core/correction": (1230, 790),
     "modcal_core/diagnosis": (2550, 1750),
     "modcal_core/effects": (3000, 1940),
@@ -37,7 +37,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/online": (1090, 750),
     "modcal_core/planning": (3240, 2120),
     "modcal_core/hypotheses": (3670, 2450),
-    "modcal_core/moves": (2550, 1690),
+    "modcal_core/moves": (2550, 1700),
     "modcal_core/report": (4240, 2450),
     "modcal_core/robots": (4620, 2990),
     "modcal_core/verdict": (4070, 2670),
@@ -52,11 +52,11 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/ros": (2450, 1460),
     "modcal_nodes/simulation": (2000, 1340),
     "modcal_nodes/vision": (1830, 1310),
-    "tests": (46560, 32250),
+    "tests": (46620, 32310),
     "modcal_core/sentinel": (1330, 960),
 }
-SOURCE = (87950, 57900)
-TEXT = 183200  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (88000, 57950)
+TEXT = 183300  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

@@ -100,7 +100,6 @@ CLEARLY = 3.0  # standard deviations beyond which an offset is not chance: one i
 LIMIT = 0.5  # s; a larger offset is a clock that is wrong rather than a delay
 _LONGEST = 60_000  # grid points; a longer recording is looked at in its first part
 _MIN_JUMP, _LONGEST_JUMP = 0.1, 2.5  # s, of a clock that is set while recording
-_PLAINLY = 0.1  # correlation by which a piece must fit its own lag better than that of the other part
 _BESIDE_CHANCE = 0.9  # of what speeds miss by one lag, that two parts with lags of their own miss less by
 _MOVING = 0.02  # m/s
 _LEAP = 5.0  # times the usual speed in motion; a quintic's peak is less than twice its mean
@@ -202,34 +201,33 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
         on_time = stamps - drift * (stamps - middle)
         return lambda late: _without_leaps(_speed(grid, on_time - late, position))
 
-    def misfits(part: slice, lag: float) -> Array:  # of a part of the grid that has a lag of its own
-        def seen_there(late: float) -> Array:
-            return seen_when(0.0)(late)[part]
-
-        fit = fit_offset(seen_there, velocity[part], turning[part], lag * STEP, STEP)
-        return np.asarray(np.abs(seen_there(fit.offset) - fit.moved)[fit.moved > _MOVING])
-
     lag, correlation = whole or (0.0, 0.0)
-    if (jump := _jump(seen, moved)) is not None:
-        cut, before, after = jump
-        # the tip's speed is not that of what the tracker sees, whose pieces may suit lags of their own by chance
-        alone = np.r_[misfits(slice(cut), before), misfits(slice(cut, None), after)]
-        if np.nanmedian(alone) < _BESIDE_CHANCE * np.nanmedian(misfits(slice(None), lag)):
-            raise BadRecording(
-                f"clock of {track.topic} ({track.frame})",
-                f"jumps by {(after - before) * STEP:+.2f} s against the joint states' clock, some {cut * STEP:.0f} s "
-                "after the beginning",
-                "keep clocks from being set while recording (PTP or chrony, slewing), and calibrate either part alone",
-            )
-    if correlation < TRUSTED:
-        return None
     fit = fit_offset(seen_when(0.0), velocity, turning, lag * STEP, STEP)
     drift = 0.0
     if len(grid) * STEP > _LONG_ENOUGH:
         drift = _drift(seen, _without_leaps(fit.moved), fit.offset / STEP)
     if drift:
         fit = fit_offset(seen_when(drift), velocity, turning, lag * STEP, STEP)
-    return ClockOffset(fit.offset, drift, middle, correlation, fit.std)
+
+    def missed(part: slice, drift: float, found: ClockFit) -> Array:  # by the speeds of a part of the grid, in motion
+        return np.asarray(np.abs(seen_when(drift)(found.offset)[part] - found.moved)[found.moved > _MOVING])
+
+    def alone(part: slice, lag: float) -> Array:  # where it has a lag of its own
+        own = fit_offset(lambda late: seen_when(0.0)(late)[part], velocity[part], turning[part], lag * STEP, STEP)
+        return missed(part, 0.0, own)
+
+    if (jump := _jump(seen, moved)) is not None:
+        cut, before, after = jump
+        # the tip's speed is not that of what the tracker sees, whose pieces may suit lags of their own by chance
+        parts = np.nanmedian(np.r_[alone(slice(cut), before), alone(slice(cut, None), after)])
+        if parts < _BESIDE_CHANCE * np.nanmedian(missed(slice(None), drift, fit)):
+            raise BadRecording(
+                f"clock of {track.topic} ({track.frame})",
+                f"jumps by {(after - before) * STEP:+.2f} s against the joint states' clock, some {cut * STEP:.0f} s "
+                "after the beginning",
+                "keep clocks from being set while recording (PTP or chrony, slewing), and calibrate either part alone",
+            )
+    return ClockOffset(fit.offset, drift, middle, correlation, fit.std) if correlation >= TRUSTED else None
 
 
 def _speed(grid: Array, stamps: Array, position: Array) -> Array:
@@ -286,9 +284,7 @@ def _correlation(seen: Array, moved: Array, lag: int) -> float:
 
 
 def _jump(seen: Array, moved: Array) -> tuple[int, float, float] | None:
-    """Where a clock may jump, and the lags before and after that [grid steps]: those of pieces stand on two levels, one
-    after the other, and each piece fits its own much better. None where they do not.
-    """
+    """Where a clock may jump, and the lags before and after that [grid steps], by those of pieces; or None."""
     count = min(len(seen) * STEP / _PIECE, 20.0)
     if count < _MIN_PIECES:
         return None
@@ -301,13 +297,6 @@ def _jump(seen: Array, moved: Array) -> tuple[int, float, float] | None:
     cut = int(np.argmax(np.abs(np.diff(lags)))) + 1
     levels = np.median(lags[:cut]), np.median(lags[cut:])
     if abs(levels[1] - levels[0]) * STEP < _MIN_JUMP:
-        return None
-    astray = 0
-    for k, (p, _) in enumerate(known):
-        own, other = (levels[0], levels[1]) if k < cut else (levels[1], levels[0])
-        here, there = (_correlation(seen[p], moved[p], round(float(level))) for level in (own, other))
-        astray += not here > max(TRUSTED, there + _PLAINLY)
-    if astray > 1:  # the piece that the jump is in
         return None
     return round(0.5 * (known[cut - 1][0][-1] + known[cut][0][0])), float(levels[0]), float(levels[1])
 
