@@ -99,7 +99,7 @@ class Neighbourhood(ArmEvidence):
     parameters: tuple[ModelParameter, ...]
     place: np.ndarray
     moves: np.ndarray
-    stations: Stations
+    stations: StationEquations
     turned: bool
     missed: Array
 
@@ -278,7 +278,7 @@ def _from_nominal(parameters: Sequence[ModelParameter], chain: Mechanism, nomina
 
 
 @dataclass(frozen=True)
-class Stations:
+class StationEquations:
     """Some of the stations of the main kind, with its equations, 0 where there is no orientation.
 
     J (n, K, 6), left (n, 6): derivatives and residuals in units of the fit's noise. motions (n, J, 6): the same per rad
@@ -301,7 +301,7 @@ class Stations:
 
 def _stations(
     model: Model, parameters: Sequence[ModelParameter], samples: Samples, row_weight: Array, usual: float
-) -> Stations:
+) -> StationEquations:
     rows = spread_rows(len(samples), _FEW)
     weight, some = row_weight[_rows_of(samples, rows)], samples.select(rows)
     around = model.drivers(some)
@@ -324,7 +324,7 @@ def _stations(
         return out
 
     J, left, moved = (of_each(np.atleast_2d(x * root)) for x in (at.J, at.residual, motions))
-    return Stations(J, left[:, 0], moved, float(dimensions(some).sum()), pull, usual)
+    return StationEquations(J, left[:, 0], moved, float(dimensions(some).sum()), pull, usual)
 
 
 def with_joints(about: Neighbourhood) -> Neighbourhood:
