@@ -52,7 +52,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/ros": (2450, 1460),
     "modcal_nodes/simulation": (2000, 1340),
     "modcal_nodes/vision": (1830, 1310),
-    "tests": (46620, 32310),
+    "tests": (46650, 32330),
     "modcal_core/sentinel": (1330, 960),
 }
 SOURCE = (88000, 57950)

@@ -316,7 +316,8 @@ def _joints(about: Neighbourhood, asked: Samples, drawn: Drawn, rng: np.random.G
     view, (rounds, stations, n) = _view(about, asked), about.missed.shape
     motions = np.stack([joint_motion(view, about.model.chain, j) for j in range(n)])
     D, M = len(drawn.values), len(asked)
-    one, station = rng.integers(rounds, size=(D, 1)), rng.integers(stations, size=(D, M))
+    one, known = rng.integers(rounds, size=(D, 1)), rng.integers(stations, size=(D, stations))
+    station = np.take_along_axis(known, rng.integers(stations, size=(D, M)), axis=1)  # others may have been recorded
     missed = np.moveaxis(drawn.scale[:, None, None] * about.missed[one, station], 2, 0)
     return np.asarray(sum(np.tile(m, 6) * motion for m, motion in zip(missed, motions, strict=True)))
 

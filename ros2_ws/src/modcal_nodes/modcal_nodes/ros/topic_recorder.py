@@ -90,9 +90,7 @@ _AGAIN = (0.5, 1.0, 2.0, 3.5)  # s without a first message
 _SETTLES = 1.0  # s from the first message, after which one of several subscriptions is kept
 _UNHEARD = 0.8  # s without a first message, after which it is said of topics that speak fast
 UNHEARD = "unheard"  # kind of that complaint
-_FAST = (*READINGS, "joint_states", "wrench")
-
-_SLASHED_FAST = tuple("/" + role for role in _FAST)
+_FAST = tuple(f"/{role}" for role in (*READINGS, "joint_states", "wrench"))
 
 
 class Offer(NamedTuple):
@@ -228,7 +226,7 @@ class TopicRecorder:
         if others:
             text = f"{self.topic}: only {self.type_name} is recorded, not {', '.join(sorted(others))}: remap one"
             return Complaint(ERROR, "types", text)
-        if not self.count and self._inputs and self.publishers and self.topic.endswith(_SLASHED_FAST):
+        if not self.count and self._inputs and self.publishers and self.topic.endswith(_FAST):
             since = time.monotonic() - self._subscribed
             if since > _UNHEARD:
                 text = f"{self.topic}: subscribed for {since:.1f} s and no message yet, of {self.publishers} publishers"
