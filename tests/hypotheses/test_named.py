@@ -16,7 +16,9 @@ from scipy.spatial.transform import Rotation
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.hypotheses.hand_eye import HandEye
 from modcal_core.hypotheses.refusal import disagreement
+from modcal_core.hypotheses.rows import unrelated
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
@@ -286,3 +288,21 @@ def test_a_target_of_its_own_in_each_frame_is_named_in_the_refusal() -> None:
     reading = points.reading + (R @ (frame[:, None] * [0.2, 0.1, 0.0])[..., None])[..., 0]
     two = replace(points, reading=reading, frame=frame, frames=("a", "b"))
     assert "frames a, b: agree with the arm one by one, not together" in refused(two)
+
+
+WRONG: dict[str, Callable[[Samples, np.random.Generator], Samples]] = {
+    "cyclic": lambda s, _: replace(s, q=np.roll(s.q, 1, axis=1)),
+    "inverse": lambda s, _: replace(s, reading=-np.einsum("nij,ni->nj", s.R, s.reading)),
+    "three joints": lambda s, rng: replace(s, q=np.c_[rng.permuted(s.q[:, :3], axis=0), s.q[:, 3:]]),
+    "a third": lambda s, rng: replace(s, q=np.r_[s.q[:40], rng.permutation(s.q[40:])]),
+}
+
+
+def test_readings_that_do_not_depend_on_joints_are_told_from_those_that_are_written_down_wrongly() -> None:
+    rng, clean = np.random.default_rng(3), record(12, 120).samples
+    beside = rng.permutation(len(clean))
+    others = replace(clean, reading=clean.reading[beside], R=clean.R[beside])
+    with pytest.raises(BadRecording, match="have nothing to do with each other"):
+        calibrate(others, CHAIN, rng)
+    for spoil in WRONG.values():
+        assert not unrelated(HandEye.holding(spoil(clean, rng), CHAIN))

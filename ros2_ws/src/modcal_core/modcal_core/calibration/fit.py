@@ -385,6 +385,7 @@ def identify_moved(
     distances: Sequence[AnyDistance] = (),
     tolerance: float = CONVERGED,
     reject: bool = True,
+    most: int | None = None,
 ) -> Fit:
     """The fit of a model whose base or tool moved; as :func:`identify` where nothing did.
 
@@ -392,7 +393,9 @@ def identify_moved(
     arm leaves, and must not be rejected before the move itself has been fitted.
     """
     if not any(is_move(effect) for effect in start.effects):
-        return identify(start, samples, parameters, distances, tolerance=tolerance, reject=reject)
-    first = identify(start, samples, parameters, distances, tolerance=_ROUGHLY, reject=False)
+        return identify(start, samples, parameters, distances, tolerance=tolerance, reject=reject, most=most)
+    first = identify(start, samples, parameters, distances, tolerance=_ROUGHLY, reject=False, most=most)
     start = start.with_effects(first.model.effects)
-    return identify(start, samples, parameters, distances, tolerance=tolerance, begin=first.values, reject=reject)
+    return identify(
+        start, samples, parameters, distances, tolerance=tolerance, begin=first.values, reject=reject, most=most
+    )

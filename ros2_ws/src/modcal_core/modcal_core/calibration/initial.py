@@ -349,6 +349,7 @@ def _fixed_points(
 # --- Base and tool of readings in closed form, many recordings at a time: ``R ≈ Y A X`` and ``p ≈ Y (A x) + t``
 
 _ALTERNATIONS = 20  # iterations
+_HELD = 6e-9  # of the weight of all stations
 
 
 def base_and_tool_turns(A: Array, R: Array) -> tuple[Array, Array]:
@@ -368,18 +369,20 @@ def turns_left(Y: Array, A: Array, X: Array, R: Array) -> Array:
     return so3.log(np.swapaxes(Y[..., None, :, :] @ A @ X[..., None, :, :], -1, -2) @ R)
 
 
-def base_by_positions(A: Array, position: Array, rounds: int = _ALTERNATIONS) -> Array:
-    """How bases are turned (C, 3, 3) as positions (C, N, 3) say: base and tool point in turn, so often at most."""
+def base_by_positions(A: Array, position: Array, rounds: int = _ALTERNATIONS, within: float = 1e-5) -> Array:
+    """How bases are turned (C, 3, 3) as positions (C, N, 3) say: base and tool point in turn, so often at most.
+
+    within: [m] that tool points move by at the end.
+    """
     x, Y = np.zeros((len(A), 3)), np.empty((len(A), 3, 3))
+    centred = np.swapaxes(position - position.mean(axis=1, keepdims=True), 1, 2)
     still = np.arange(len(A))  # those that still change
     for _ in range(rounds):
-        seen, known = position[still], _points(A[still], x[still])
-        seen, known = (z - z.mean(axis=1, keepdims=True) for z in (seen, known))
-        Y[still] = so3.nearest_rotation(np.swapaxes(seen, 1, 2) @ known)
+        Y[still] = so3.nearest_rotation(centred[still] @ _points(A[still], x[still]))
         _, new, _ = tool_and_place(Y[still], A[still], position[still])
         step = np.linalg.norm(new - x[still], axis=1)
         x[still] = new
-        still = still[step >= 1e-5]
+        still = still[step >= within]
         if not len(still):
             break
     return Y
@@ -391,22 +394,29 @@ def _points(A: Array, x: Array) -> Array:
 
 
 def tool_and_place(Y: Array, A: Array, position: Array) -> tuple[Array, Array, Array]:
-    """(residuals (…, N, 3), tool point x (…, 3), base's place t (…, 3)) of ``p ≈ Y (A x) + t``, robust."""
-    few, N = A.shape[:-3], A.shape[-3]
-    flat = np.empty((*few, N, 3, 6))
-    flat[..., :3] = Y[..., None, :, :] @ A[..., :3, :3]
-    flat[..., 3:] = np.eye(3)
-    flat = flat.reshape(*few, 3 * N, 6)
-    h = position - A[..., :3, 3] @ np.swapaxes(Y, -1, -2)
-    column = h.reshape(*few, 3 * N, 1)
-    weight = np.ones((*few, N))
+    """(residuals (…, N, 3), tool point x (…, 3), base's place t (…, 3)) of ``p ≈ Y (A x) + t``, robust.
+
+    As ``u ≈ a x + s`` in the base: a is a rotation, so that normal equations need the sums of w, w a and w aᵀu alone.
+    """
+    a = A[..., :3, :3]
+    u = position @ Y - A[..., :3, 3]
+    rows = a.reshape(*a.shape[:-3], -1, 3)
+    back = np.einsum("...ij,...i->...j", a, u)
+    sums = np.concatenate([a.reshape(*a.shape[:-2], 9), back, u], axis=-1)
+    weight, half = np.ones(sums.shape[:-1]), sums.shape[-2] // 2
     for _ in range(3):
-        weighted = np.swapaxes(np.repeat(weight, 3, axis=-1)[..., None] * flat, -1, -2)
-        H, g = weighted @ flat, weighted @ column
-        held = 1e-9 * np.trace(H, axis1=-2, axis2=-1)[..., None, None] * np.eye(6)
-        solution = np.linalg.solve(H + held, g)
-        gap = h - (flat @ solution).reshape(*few, N, 3)
+        weight = weight / weight.sum(axis=-1, keepdims=True)
+        mean = (weight[..., None, :] @ sums)[..., 0, :]
+        turn = mean[..., :9].reshape(*mean.shape[:-1], 3, 3)
+        transposed = np.swapaxes(turn, -1, -2)
+        held = 1.0 + _HELD  # where no turn tells the tool from the base's place, neither runs away
+        H = held * np.eye(3) - transposed @ turn / held
+        g = mean[..., 9:12] - (transposed @ mean[..., 12:, None])[..., 0] / held
+        x = np.linalg.solve(H, g[..., None])
+        s = (mean[..., 12:] - (turn @ x)[..., 0]) / held
+        gap = u - s[..., None, :] - (rows @ x).reshape(u.shape)
         square = np.sum(gap**2, axis=-1)
-        weight = 1.0 / (square + np.maximum(np.median(square, axis=-1), 1e-18)[..., None])  # Cauchy
-        weight = weight / weight.max(axis=-1, keepdims=True)
-    return gap, solution[..., :3, 0], solution[..., 3:, 0]
+        middle = np.partition(square, half, axis=-1)[..., half, None]
+        weight = 1.0 / (square + np.maximum(middle, 1e-18))  # Cauchy
+    turned = np.swapaxes(Y, -1, -2)
+    return gap @ turned, x[..., 0], (Y @ s[..., None])[..., 0]

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration import base_and_tool_turns, turns_left
 from modcal_core.geometry import Array, descend, se3, so3
-from modcal_core.hypotheses.hand_eye import ANGLE, HandEye, Placement, at, placed, points
+from modcal_core.hypotheses.hand_eye import ANGLE, HandEye, Placement, at, closed, points
 from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, family, listed
 from modcal_core.hypotheses.joint_columns import unexplained
 from modcal_core.measurements import spread_rows
@@ -181,7 +181,7 @@ def fitted(
         there = (*ahead, *_rows(case, *ahead, free, scale))
         return there, _cost(there[2])
 
-    placement = placed(replace(case, A=start.tip(case.q)), thorough=False).placement
+    placement = closed(replace(case, A=start.tip(case.q)))
     begin = start, placement, *_rows(case, start, placement, free, scale)
     return descend(begin, look, step, lambda _, gain, cost: gain < _SETTLED * cost, rounds).place[:2]
 

@@ -30,6 +30,8 @@ INDEPENDENT = 100  # stations that count
 ANYWHERE = float(np.log(8.0 * np.pi**2))  # log of the volume of orientations
 _DRAWS = 400  # with a third of the stations in agreement, one draw of five holds only these: 1 − (1 − 3⁻⁵)⁴⁰⁰ = 81 %
 _ROUNDS = 8  # iterations
+_NEAR = 1e-3  # m that a closed form is brought within; iterations follow
+_TURNED = 1e-4  # rad; shorter steps change no score
 OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
 MANY = 0.2  # share of the stations that must agree, lest chance finds that many
 
@@ -301,13 +303,16 @@ def at(case: HandEye, placement: Placement) -> HandEyeFit:
     return HandEyeFit(case, placement, rows, np.linalg.norm(turns, axis=1), np.linalg.norm(gaps, axis=1))
 
 
-def closed(case: HandEye) -> Placement:
-    """Base and tool in closed form, by orientations where there are any; of stacked tips (K, N, 4, 4) those of each."""
+def closed(case: HandEye, within: float = _NEAR) -> Placement:
+    """Base and tool in closed form, by orientations where there are any; of stacked tips (K, N, 4, 4) those of each.
+
+    within: [m] that positions alone bring tool points to.
+    """
     if case.poses:
         return _with_places(case, *base_and_tool_turns(case.A[..., :3, :3], case.R))
     A = case.B.reshape(-1, *case.B.shape[-3:])
     p = np.broadcast_to(case.p, (*case.B.shape[:-2], 3)).reshape(len(A), -1, 3)
-    Y = base_by_positions(A, p).reshape(*case.B.shape[:-3], 3, 3)
+    Y = base_by_positions(A, p, within=within).reshape(*case.B.shape[:-3], 3, 3)
     return _with_places(case, Y, np.broadcast_to(np.eye(3), Y.shape))
 
 
@@ -315,7 +320,7 @@ def _starts(case: HandEye) -> list[Placement]:
     by_all = closed(case)
     if not case.poses:
         return [by_all]
-    Y = base_by_positions(case.B[None], case.p[None])[0]
+    Y = base_by_positions(case.B[None], case.p[None], within=_NEAR)[0]
     return [_with_places(case, Y, so3.mean(np.swapaxes(Y @ case.A[:, :3, :3], 1, 2) @ case.R)), by_all]
 
 
@@ -327,19 +332,19 @@ def _with_places(case: HandEye, Y: Array, X: Array) -> Placement:
 def _refined(case: HandEye, start: Placement) -> Placement:
     """Robust Newton steps of base and tool from a start."""
     Y, X, x, t = start.Y, start.X, start.x, start.t
-    least = np.array([SPREAD[0], case.scale.position]) ** 2
+    least = np.array([case.scale.position, SPREAD[0]][: 1 + case.poses]) ** 2
     a, N = case.A[:, :3, :3], len(case)
     for _ in range(_ROUNDS):
         turns, gaps = Placement(Y, X, x, t).left(case)
-        # rows: turn of the base, turn of the tool, tool point, base's place
-        G = np.zeros((2, N, 3, 12))
+        # columns: turn of the base, turn of the tool, tool point, base's place
+        G = np.zeros((1 + case.poses, N, 3, 12))
+        G[0, :, :, :3] = -Y @ so3.hat(se3.apply(case.B, x))
+        G[0, :, :, 6:9] = Y @ case.B[:, :3, :3]
+        G[0, :, :, 9:] = np.eye(3)
         if case.poses:
-            G[0, :, :, :3] = np.swapaxes(a @ X, 1, 2)
-            G[0, :, :, 3:6] = np.eye(3)
-        G[1, :, :, :3] = -Y @ so3.hat(se3.apply(case.B, x))
-        G[1, :, :, 6:9] = Y @ case.B[:, :3, :3]
-        G[1, :, :, 9:] = np.eye(3)
-        r = np.stack([turns, gaps])
+            G[1, :, :, :3] = np.swapaxes(a @ X, 1, 2)
+            G[1, :, :, 3:6] = np.eye(3)
+        r = np.stack([gaps, turns][: len(G)])
         square = np.sum(r**2, axis=2)
         weight = 1.0 / (np.maximum(np.median(square, axis=1) / 2.366, least)[:, None] + square)  # Cauchy
         flat, weighted = G.reshape(-1, 12), (weight[..., None, None] * G).reshape(-1, 12)
@@ -350,7 +355,7 @@ def _refined(case: HandEye, start: Placement) -> Placement:
         size = float(np.linalg.norm(step[:6]))
         step = step / max(size, 1.0)
         Y, X, x, t = Y @ so3.exp(step[:3]), X @ so3.exp(step[3:6]), x + step[6:9], t + step[9:]
-        if size < 1e-6:
+        if size < _TURNED:
             break
     return Placement(Y, X, x, t)
 
@@ -368,16 +373,17 @@ def _by_draws(case: HandEye) -> Placement | None:
     if case.poses:
         Y, X = base_and_tool_turns(A[..., :3, :3], R)
     else:
-        Y = base_by_positions(B, p)
+        Y = base_by_positions(B, p, _ROUNDS, _NEAR)
         X = np.tile(np.eye(3), (draws, 1, 1))
     _, x, t = tool_and_place(Y, B, p)
     angle, distance = case.limits
     points = np.einsum("nij,cj->cni", case.B[:, :3, :3], x) + case.B[:, :3, 3]
     inside = np.linalg.norm(case.p - (points @ np.swapaxes(Y, 1, 2) + t[:, None]), axis=2) < 2.0 * distance
-    if case.poses:
-        back = (np.swapaxes(Y, 1, 2)[:, None] @ case.R @ np.swapaxes(X, 1, 2)[:, None]).reshape(draws, N, 9)
-        cosine = 0.5 * (np.einsum("cnk,nk->cn", back, case.A[:, :3, :3].reshape(N, 9)) - 1.0)
-        inside &= cosine > np.cos(2.0 * angle)
+    if case.poses:  # of draws that enough positions agree with
+        likely = inside.sum(axis=1) > few
+        back = np.swapaxes(Y[likely], 1, 2)[:, None] @ case.R @ np.swapaxes(X[likely], 1, 2)[:, None]
+        cosine = 0.5 * (np.einsum("cnk,nk->cn", back.reshape(-1, N, 9), case.A[:, :3, :3].reshape(N, 9)) - 1.0)
+        inside[likely] &= cosine > np.cos(2.0 * angle)
     best = int(np.argmax(inside.sum(axis=1)))
     if inside[best].sum() <= few:
         return None

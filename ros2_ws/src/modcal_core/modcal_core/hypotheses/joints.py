@@ -22,6 +22,8 @@ from modcal_core.measurements import spread_rows
 from modcal_core.robots import Chain, forward, frames, spatial_jacobian
 
 _STILL = 1e-9  # rad
+_WITHIN = 1e-5  # m that base and tool are found to before a joint's angles are, in turn
+_ORDERS = 6  # that are fitted
 _SIGNS = 6  # joints, up to which all orders are asked with one of them reversed as well
 _CLOSEST = 0.9  # share of angles that a circular deviation is taken of
 _FREE = float(np.log(2.0 * np.pi / (SPREAD[0] * np.sqrt(2.0 * np.pi * np.e))))  # nats for an angle that may be anything
@@ -56,7 +58,7 @@ def throughout(case: HandEye) -> Iterator[Hypothesis]:
         angle = np.concatenate([few.q[None, :, j], rng.uniform(-1.0, 1.0, (count - 1, len(few))) * width[:, None]])
         found, nearest = None, 1.0
         for round in range(_ROUNDS):
-            placement = closed(joint.turned(angle))
+            placement = closed(joint.turned(angle), _WITHIN)
             angle = joint.angles(placement)
             each = np.linalg.norm(placement.left(joint.turned(angle)), axis=3)
             left = (np.median(each, axis=2) / limits[:, None]).max(axis=0)
@@ -231,7 +233,7 @@ def solved_two(pair: tuple[int, int], placement: Placement, part: HandEye) -> Ar
 
 def orders(case: HandEye) -> list[Hypothesis]:
     """The likeliest orders of the joints' columns, with one reversed beside it."""
-    n, out, explained = case.chain.n, list[Hypothesis](), False
+    n, out, explained = case.chain.n, list[tuple[float, Hypothesis]](), False
     for back in (None, *range(n if n <= _SIGNS else 0)):
         if explained:
             break
@@ -246,14 +248,13 @@ def orders(case: HandEye) -> list[Hypothesis]:
             how = f", all by {by} place{'s' if by > 1 else ''} (a list counted from another number)" if by else ""
             each = ", ".join(f"{case.names[k]} under the name {case.names[order.columns[k]]}" for k in shuffled)
             beside = "" if back is None else f", and {case.names[back]} reversed"
-            out.append(
-                Hypothesis(
-                    f"joints stand in another order than they are named{how}: {each}{beside}",
-                    "correct the names in joint_states, or the order of the columns",
-                    lambda c, o=list(order.columns), s=sign: c.moved((c.q * s)[:, o]),  # type: ignore[misc]
-                    VERY_RARE,
-                    len(shuffled) - 1 + (back is not None),
-                    "joints",
-                )
+            h = Hypothesis(
+                f"joints stand in another order than they are named{how}: {each}{beside}",
+                "correct the names in joint_states, or the order of the columns",
+                lambda c, o=list(order.columns), s=sign: c.moved((c.q * s)[:, o]),  # type: ignore[misc]
+                VERY_RARE,
+                len(shuffled) - 1 + (back is not None),
+                "joints",
             )
-    return out
+            out.append((order.left, h))
+    return [h for _, h in sorted(out, key=lambda one: one[0])[:_ORDERS]]

@@ -14,7 +14,8 @@ from modcal_core.calibration import AnyDistance, Cell, Fit, fit_cell, usual_miss
 from modcal_core.errors import BadRecording
 from modcal_core.hypotheses import conventions
 from modcal_core.hypotheses.hand_eye import HandEye, placed
-from modcal_core.hypotheses.hypothesis import RARE, Disagreement, family
+from modcal_core.hypotheses.hypothesis import RARE, ROWS_REMEDY, Disagreement, family
+from modcal_core.hypotheses.rows import unrelated
 from modcal_core.hypotheses.search import explain
 from modcal_core.hypotheses.socket_places import misread_joints, require_one_place
 from modcal_core.hypotheses.stated_distances import wrong_distances
@@ -124,6 +125,13 @@ def _facts(samples: Samples, whole: Samples, missed: float, chain: Mechanism) ->
             EVERYTHING,
             f"{' and '.join(beside)} moved as well and {'is' if len(beside) == 1 else 'are'} not between base and tip",
             "give --tip (or --base) as the link that carries the target (or the arm)",
+        )
+    if all(case is not None and unrelated(case) for case in cases):
+        yield (
+            EVERYTHING,
+            "have nothing to do with each other: readings are no likelier with the joints of their own rows than with "
+            "those of others",
+            f"{ROWS_REMEDY}, and see whether both are of this robot and of the same time",
         )
     if fact := standing(samples):
         yield fact

@@ -37,6 +37,11 @@ from modcal_core.measurements import spread_rows
 _FEW = 40  # stations at which hypotheses are screened
 _KEPT = 8  # of them that are then asked of all stations
 _LEAST = 3  # stations; fewer are single wrong readings
+_TELLING = 100  # stations, from which readings that depend on joints are told from those that do not
+_SHUFFLES, _CHANCE = (
+    99,
+    0.1,
+)  # orders of the rows that theirs is compared with; share that is as good without dependence
 _NEAR = 4.0  # limits of an arm, that neighbours may miss in closed form and agree once refined
 _UNITS = {
     "millimetres": 1e3,
@@ -336,6 +341,31 @@ def _slipped(shift: int, of: int) -> str:
 
 def _count(stations: int) -> str:
     return f"{stations} station{'s' if stations > 1 else ''}"
+
+
+def unrelated(case: HandEye) -> bool:
+    """Whether readings are no better told by the joints of their own rows than by those of others.
+
+    Ranks of what is read, by each joint alone and by the elements of tip poses or their inverses; False as well where
+    stations are too few to tell.
+    """
+    N, turns = len(case), case.A[:, :3, :3]
+    if N < _TELLING:
+        return False
+    place = np.c_[case.A[:, :3, 3], np.einsum("nij,ni->nj", turns, case.A[:, :3, 3])]
+    groups = [
+        np.c_[np.sin(q), np.cos(q)] if r else q[:, None] for q, r in zip(case.q.T, case.chain.revolute, strict=True)
+    ]
+    shown = np.c_[case.p, case.R.reshape(N, 9)] if case.poses else case.p
+    ranks = np.argsort(np.argsort(shown, axis=0), axis=0) - 0.5 * (N - 1)
+    rng = np.random.default_rng(0)
+    ranks = ranks[np.stack([np.arange(N), *(rng.permutation(N) for _ in range(_SHUFFLES))])]
+    best = np.zeros(len(ranks))
+    for group in (*groups, np.c_[turns.reshape(N, 9), place]):
+        columns = np.linalg.qr(group - group.mean(axis=0))[0]
+        told = np.sum((columns.T @ ranks) ** 2, axis=1).max(axis=1) / group.shape[1]
+        best = np.maximum(best, told)
+    return bool(best[0] <= np.quantile(best[1:], 1.0 - _CHANCE))
 
 
 def elsewhere(fit: HandEyeFit) -> Iterator[Hypothesis]:

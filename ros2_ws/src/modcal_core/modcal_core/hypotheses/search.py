@@ -28,6 +28,7 @@ _FITTED = 8  # hypotheses that one of several mistakes is exchanged for
 _DRAWN = 6  # of them that are fitted from draws of stations as well
 _FEWEST = 12  # stations that can be asked by themselves, twice what base and tool ask for
 _HELD = 5  # stations that agree; fewer do so with any placement
+_OF_ROWS = 1  # of the laborious ones, first, that ask whether rows stand elsewhere
 _DEPTH, _BEAM = 3, 2  # mistakes at once, and states that are followed
 _AT_ONCE = 96  # cases in a block, for memory
 _ALTERNATIONS = 6  # between base and tool, of a hypothesis that is sifted
@@ -154,10 +155,11 @@ def _followed(state: SearchState, table: Sequence[Hypothesis] | None) -> list[Se
     if table is not None:  # where rows belong elsewhere cannot be asked of some stations
         by_row = [h for h in table if h.touches == "rows"]
         return _fitted(state, [*_sifted(case, [h for h in table if h.touches != "rows"]), *by_row])
-    trials = _fitted(state, _sifted(case, _whole(case)))
+    related = not rows.unrelated(case)  # else no more than rows may be other ones
+    trials = _fitted(state, _sifted(case, _whole(case))) if related else []
     laborious = not state.said or bool(state.fit.agree(2.0).mean() >= MANY)  # else nonsense is followed for long
     held = int(state.fit.agree(2.0).sum()) > _HELD
-    for proposers in (_BESIDE * held + _PLAIN, _LABORIOUS * laborious):
+    for proposers in (_BESIDE * held + _PLAIN, _LABORIOUS[:_OF_ROWS] if not related else _LABORIOUS * laborious):
         if any(t.ends for t in trials):
             break
         trials += _fitted(state, _proposed(state.fit, proposers))
@@ -200,8 +202,8 @@ _PLAIN: tuple[_Proposer, ...] = (
     lambda fit: channels.channels(fit.case),
 )
 _LABORIOUS: tuple[_Proposer, ...] = (
-    _of_themselves,
     lambda fit: rows.permuted(fit.case),
+    _of_themselves,
     joints.of_two,
     lambda fit: joints.orders(fit.case),
     lambda fit: joints.throughout(fit.case),

@@ -51,6 +51,7 @@ from modcal_core.robots import Inertias, Mechanism
 _MAX = 3000  # samples; a longer recording is thinned evenly
 _ROUNDS = 3  # of stretches and a fit of the arm
 _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
+_STEPS = 12  # of a fit that tells times; where nothing fits, weights go to and fro for long
 _MIN = 4  # stations in a stretch, from which there are two for each half
 _ROOM = 0.5  # of what an effect is expected to be; half of a move is what a fit without it has in its spread
 _FEW = 120  # samples that are asked, as many of each stretch
@@ -152,7 +153,7 @@ class _RegimeSearch:
             found = found or self._times(arm)
         missed = usual_miss(arms[-1], self.samples)
         for _ in range(_ROUNDS if found else 0):
-            moved = self.fit([Move(at, "both") for at in found]).model
+            moved = self.fit([Move(at, "both") for at in found], _STEPS).model
             before, missed = missed, usual_miss(moved, self.samples)
             if missed > max(0.5 * before, LIMIT_OF_REACH * moved.chain.reach()):
                 return ()  # whatever moved, these are no readings of this arm
@@ -204,9 +205,10 @@ class _RegimeSearch:
                 effects.append(step.moved("tool", turn, move.at).with_values((tool[k + 1] - tool[k])[:count]))
         return replace(self.arm, T_frame_base=frames, T_tip_tool=X[-1], effects=tuple(effects))
 
-    def fit(self, moves: Sequence[Move]) -> Fit:
-        """The fit of arm and moves."""
-        return identify_moved(self.start(moves), self.samples, self.parameters, self.cell.distances, _TOLERANCE)
+    def fit(self, moves: Sequence[Move], most: int | None = None) -> Fit:
+        """The fit of arm and moves, in so many steps at most."""
+        start, known = self.start(moves), self.cell.distances
+        return identify_moved(start, self.samples, self.parameters, known, _TOLERANCE, most=most)
 
     def decided(self, cuts: Sequence[float], stated: tuple[Move, ...]) -> list[Move]:
         """What moved at these times, as far as the readings ask for it beside what drifts or settles and joints that
