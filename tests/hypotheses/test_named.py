@@ -300,8 +300,7 @@ WRONG: dict[str, Callable[[Samples, np.random.Generator], Samples]] = {
 
 def test_readings_that_do_not_depend_on_joints_are_told_from_those_that_are_written_down_wrongly() -> None:
     rng, clean = np.random.default_rng(3), record(12, 120).samples
-    beside = rng.permutation(len(clean))
-    others = replace(clean, reading=clean.reading[beside], R=clean.R[beside])
+    others = replace(clean, q=record(13, len(clean)).samples.q)
     with pytest.raises(BadRecording, match="have nothing to do with each other"):
         calibrate(others, CHAIN, rng)
     for spoil in WRONG.values():
