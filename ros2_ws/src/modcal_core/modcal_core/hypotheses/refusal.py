@@ -129,8 +129,7 @@ def _facts(samples: Samples, whole: Samples, missed: float, chain: Mechanism) ->
     if all(case is not None and unrelated(case) for case in cases):
         yield (
             EVERYTHING,
-            "have nothing to do with each other: readings are no likelier with the joints of their own rows than with "
-            "those of others",
+            "do not seem to belong together: joints of other rows tell as much of the readings as those of their own",
             f"{ROWS_REMEDY}, and see whether both are of this robot and of the same time",
         )
     if fact := standing(samples):

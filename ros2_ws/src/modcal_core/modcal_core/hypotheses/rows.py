@@ -37,7 +37,7 @@ from modcal_core.measurements import spread_rows
 _FEW = 40  # stations at which hypotheses are screened
 _KEPT = 8  # of them that are then asked of all stations
 _LEAST = 3  # stations; fewer are single wrong readings
-_TELLING = 100  # stations, from which readings that depend on joints are told from those that do not
+_TELLING = 200  # stations, from which readings that depend on joints are told from those that do not
 _SHUFFLES, _CHANCE = (
     99,
     0.1,
@@ -344,7 +344,7 @@ def _count(stations: int) -> str:
 
 
 def unrelated(case: HandEye) -> bool:
-    """Whether readings are no better told by the joints of their own rows than by those of others.
+    """Whether the joints of other rows tell as much of the readings as those of their own.
 
     Ranks of what is read, by each joint alone and by the elements of tip poses or their inverses; False as well where
     stations are too few to tell.
@@ -356,7 +356,8 @@ def unrelated(case: HandEye) -> bool:
     groups = [
         np.c_[np.sin(q), np.cos(q)] if r else q[:, None] for q, r in zip(case.q.T, case.chain.revolute, strict=True)
     ]
-    shown = np.c_[case.p, case.R.reshape(N, 9)] if case.poses else case.p
+    far = np.linalg.norm(case.p - np.median(case.p, axis=0), axis=1)
+    shown = np.c_[case.p, far, case.R.reshape(N, 9)] if case.poses else np.c_[case.p, far]
     ranks = np.argsort(np.argsort(shown, axis=0), axis=0) - 0.5 * (N - 1)
     rng = np.random.default_rng(0)
     ranks = ranks[np.stack([np.arange(N), *(rng.permutation(N) for _ in range(_SHUFFLES))])]

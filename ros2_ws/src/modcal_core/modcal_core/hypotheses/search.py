@@ -155,9 +155,10 @@ def _followed(state: SearchState, table: Sequence[Hypothesis] | None) -> list[Se
     if table is not None:  # where rows belong elsewhere cannot be asked of some stations
         by_row = [h for h in table if h.touches == "rows"]
         return _fitted(state, [*_sifted(case, [h for h in table if h.touches != "rows"]), *by_row])
-    related = not rows.unrelated(case)  # else no more than rows may be other ones
+    many = bool(state.fit.agree(2.0).mean() >= MANY)
+    related = many or not rows.unrelated(case)  # else no more than rows may be other ones
     trials = _fitted(state, _sifted(case, _whole(case))) if related else []
-    laborious = not state.said or bool(state.fit.agree(2.0).mean() >= MANY)  # else nonsense is followed for long
+    laborious = many or not state.said  # else nonsense is followed for long
     held = int(state.fit.agree(2.0).sum()) > _HELD
     for proposers in (_BESIDE * held + _PLAIN, _LABORIOUS[:_OF_ROWS] if not related else _LABORIOUS * laborious):
         if any(t.ends for t in trials):
