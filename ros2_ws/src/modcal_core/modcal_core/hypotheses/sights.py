@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration import Instrument, new_instruments, place_instruments
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.geometry import Array, descend, se3, so3
 from modcal_core.hypotheses.hand_eye import INDEPENDENT, OF_MOTION, likeliest
 from modcal_core.hypotheses.meanings import ARM_SHARE
 from modcal_core.measurements import Samples, spread_rows
@@ -25,6 +25,7 @@ _STARTS, _GOOD = 0.15, 0.005  # of the reach: starts of the tool, and a median m
 _HOPELESS = 0.1  # of the reach; no other start improves what misses by more after three
 _STEPS = 30  # iterations
 _SOFT = 1e-4  # m²; misses beyond a centimetre count less
+_SETTLED = 1e-6  # share of the cost that a last step gains
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def sights_match(chain: Chain, q: Array, sightings: Sequence[Sighting], log_volu
     samples = _samples(q[rows], [Sighting(s.frame, s.kind, s.values[rows]) for s in sightings])
     tip = forward(chain, samples.q)
     instruments = new_instruments(samples)
-    best: list[_PlacedResidual] = []
+    best: Sequence[_PlacedResidual] = ()
     for tried, start in enumerate((np.zeros(3), *(_STARTS * chain.reach() * np.r_[np.eye(3), -np.eye(3)]))):
         seen = _fitted(instruments, samples, tip, start)
         if not best or _middle(seen) < _middle(best):
@@ -92,87 +93,87 @@ class _PlacedResidual:
     unit: str
     dimensions: int
 
+    @property
+    def square(self) -> Array:
+        """Squares of what is left [m²], (m,)."""
+        return np.asarray(np.sum((self.residual * self.lever) ** 2, axis=0))
+
 
 def _middle(seen: Sequence[_PlacedResidual]) -> float:
     """Median of what instruments leave [m]."""
     return float(np.median(np.concatenate([np.linalg.norm(s.residual * s.lever, axis=0) for s in seen])))
 
 
-def _fitted(
-    instruments: Sequence[Instrument], samples: Samples, T_base_tip: Array, start: Array
-) -> list[_PlacedResidual]:
-    """What instruments leave when they and the tool are fitted together, from a tool's place in the tip.
-
-    Damped Gauss-Newton. An instrument's frame that moves by a twist (v, ω) changes the prediction as its target would
-    by v + ω × p.
+@dataclass(frozen=True)
+class _Setup:
+    """The tool's place x in the tip, instruments and poses of their frames; what they leave, and its derivatives
+    (m, 3, k) by the tool and by what is an instrument's own.
     """
-    rows = [i.rows(samples) for i in instruments]
-    at = np.tile(np.eye(4), (len(samples.frames), 1, 1))
-    placed, poses = place_instruments(instruments, samples, T_base_tip @ se3.transform(p=start), at)
-    state = start, list(placed), poses
 
-    def see(x: Array, some: Sequence[Instrument], at: Array) -> tuple[list[_PlacedResidual], list[Array]]:
-        """Residuals of each instrument, and their derivatives (m, 3, k) by the tool and by what is its own."""
+    x: Array
+    instruments: tuple[Instrument, ...]
+    poses: Array
+    seen: tuple[_PlacedResidual, ...]
+    derivatives: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, x: Array, instruments: Sequence[Instrument], poses: Array, samples: Samples, tip: Array) -> _Setup:
+        """At tip poses (N, 4, 4)."""
         seen, derivatives = [], []
-        for instrument, mine in zip(some, rows, strict=True):
-            tool = T_base_tip[mine] @ se3.transform(p=x)
-            scene = scene_in(at[samples.frames.index(instrument.frame)], tool)
-            sight = instrument.of_kind.see(scene, instrument.values, samples.reading[mine])
-            kind = instrument.of_kind
-            seen.append(_PlacedResidual(sight.residual, sight.lever, samples.reading[mine], kind.unit, kind.dimensions))
+        for instrument in instruments:
+            rows, kind = instrument.rows(samples), instrument.of_kind
+            tool, reading = tip[rows] @ se3.transform(p=x), samples.reading[rows]
+            scene = scene_in(poses[samples.frames.index(instrument.frame)], tool)
+            sight = kind.see(scene, instrument.values, reading)
+            seen.append(_PlacedResidual(sight.residual, sight.lever, reading, kind.unit, kind.dimensions))
             through = np.moveaxis(sight.through, 2, 0)
             by_change = instrument.moved_by(np.zeros(len(kind.constants)))
             own = np.moveaxis(sight.constants, (0, 2), (2, 0)) @ by_change
             J = np.concatenate([through @ tool[:, :3, :3], through, -through @ so3.hat(scene.target.T), own], axis=2)
             derivatives.append(J * sight.lever[:, None, None])
-        return seen, derivatives
+        return cls(x, tuple(instruments), poses, tuple(seen), tuple(derivatives))
 
+    @property
+    def cost(self) -> float:
+        """Robust sum of what all of them leave."""
+        return sum(float(np.sum(np.log1p(one.square / _SOFT))) for one in self.seen)
+
+
+def _fitted(
+    instruments: Sequence[Instrument], samples: Samples, T_base_tip: Array, start: Array
+) -> Sequence[_PlacedResidual]:
+    """What instruments leave when they and the tool are fitted together, from a tool's place in the tip.
+
+    An instrument's frame that moves by a twist (v, ω) changes the prediction as its target would by v + ω × p.
+    """
+    at = np.tile(np.eye(4), (len(samples.frames), 1, 1))
+    placed, poses = place_instruments(instruments, samples, T_base_tip @ se3.transform(p=start), at)
     ends = 3 + np.cumsum([6 + len(i.constants) for i in placed])
     columns = [np.r_[0:3, end - 6 - len(i.constants) : end] for i, end in zip(placed, ends, strict=True)]
+    equations: list[Array] = []
 
-    def cost(seen: Sequence[_PlacedResidual]) -> float:
-        return float(
-            np.sum(np.log1p(np.concatenate([np.sum((s.residual * s.lever) ** 2, axis=0) for s in seen]) / _SOFT))
-        )
-
-    seen, derivatives = see(*state)
-    now, damping = cost(seen), 1e-3
-    for _ in range(_STEPS):
+    def look(here: _Setup) -> float:
         A, g = np.zeros((int(ends[-1]), int(ends[-1]))), np.zeros(int(ends[-1]))
-        for one, J, own in zip(seen, derivatives, columns, strict=True):  # instruments share the tool alone
-            r = (one.residual * one.lever).T
-            weighted = J / (1.0 + np.sum(r**2, axis=1) / _SOFT)[:, None, None]
+        for one, J, own in zip(here.seen, here.derivatives, columns, strict=True):  # instruments share the tool alone
+            weighted = J / (1.0 + one.square / _SOFT)[:, None, None]
             A[np.ix_(own, own)] += np.tensordot(weighted, J, ([0, 1], [0, 1]))
-            g[own] += np.tensordot(weighted, r, ([0, 1], [0, 1]))
-        step = np.asarray(np.linalg.lstsq(A + damping * np.diag(np.diag(A) + 1e-9), g, rcond=None)[0], dtype=float)
-        moved = _moved(state, step, samples)
-        new, their = see(*moved)
-        after = cost(new)
-        if after < now:
-            done = now - after < 1e-6 * max(now, 1e-12)
-            state, seen, derivatives, now, damping = moved, new, their, after, damping / 5.0
-            if done:
-                break
-        else:
-            damping *= 10.0
-            if damping > 1e6:
-                break
-    return seen
+            g[own] += np.tensordot(weighted, (one.residual * one.lever).T, ([0, 1], [0, 1]))
+        equations[:] = A, g
+        return here.cost
 
+    def step(here: _Setup, damping: float) -> tuple[_Setup, float]:
+        A, g = equations
+        change = np.asarray(np.linalg.lstsq(A + damping * np.diag(np.diag(A) + 1e-9), g, rcond=None)[0], dtype=float)
+        poses, moved = here.poses.copy(), []
+        for instrument, own in zip(here.instruments, columns, strict=True):
+            f = samples.frames.index(instrument.frame)
+            poses[f] = poses[f] @ se3.exp(change[own[3:9]])
+            moved.append(instrument.moved(change[own[9:]]))
+        there = _Setup.of(here.x + change[:3], moved, poses, samples, T_base_tip)
+        return there, there.cost
 
-_State = tuple[Array, list[Instrument], Array]
-
-
-def _moved(state: _State, step: Array, samples: Samples) -> _State:
-    x, instruments, poses = state
-    poses, out, first = poses.copy(), [], 3
-    for instrument in instruments:
-        f = samples.frames.index(instrument.frame)
-        poses[f] = poses[f] @ se3.exp(step[first : first + 6])
-        count = len(instrument.constants)
-        out.append(instrument.moved(step[first + 6 : first + 6 + count]))
-        first += 6 + count
-    return x + step[:3], out, poses
+    begin = _Setup.of(start, placed, poses, samples, T_base_tip)
+    return descend(begin, look, step, lambda _, gain, cost: gain < _SETTLED * cost, _STEPS).place.seen
 
 
 def _samples(q: Array, sightings: Sequence[Sighting]) -> Samples:
