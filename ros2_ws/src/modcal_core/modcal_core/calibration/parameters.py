@@ -20,7 +20,7 @@ units of what a robot is usually wrong by. The motion of the tool is the same to
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
@@ -222,16 +222,14 @@ def with_prior(parameters: Sequence[ModelParameter], scale: float) -> list[Model
 
 # --- The same arm written with the least change to its drawing
 
-_APART = 1e-3  # usual errors, between which derivatives are taken
-_STILL = 1e-7  # usual errors; steps below say nothing
-_MAX_STEPS = 20  # iterations
-
 
 def least_change(model: Model, nominal: Mechanism) -> Model:
     """The model, predicting the same, whose chain differs least from the nominal one.
 
     Its first and last constants are the nominal ones: what they would hold belongs to the base frames and to the tool.
     """
+    from scipy.optimize import least_squares  # slow to import
+
     if not is_serial_arm(nominal):
         return model  # a Delta's constants leave no such freedom
     n = nominal.n
@@ -247,7 +245,7 @@ def least_change(model: Model, nominal: Mechanism) -> Model:
 
     x = np.zeros(sum(_sizes(nominal)))
     if n > 1:  # of a single joint nothing lies between base and tool
-        x = _least_squares(change, x)
+        x = least_squares(change, x, method="lm").x
     D = _passing(nominal, x)
     origins = np.array(model.serial.origins)
     for k in range(1, n):
@@ -287,29 +285,6 @@ def passing_directions(chain: Chain, T_tip_tool: Array) -> Array:
 
 def _sizes(chain: Chain) -> list[int]:
     return [2 if turns else 4 for turns in chain.revolute]
-
-
-def _least_squares(residual: Callable[[Array], Array], x: Array) -> Array:
-    """Where the residuals (…, R) of x (…, P) are least, from here, by Newton's method without second derivatives.
-
-    They are close to linear here, so that a few steps do.
-    """
-    r = residual(x)
-    apart = _APART * np.eye(len(x))
-    for _ in range(_MAX_STEPS):
-        ends = residual(np.concatenate([x + apart, x - apart]))
-        J = ((ends[: len(x)] - ends[len(x) :]) / (2.0 * _APART)).T
-        step = -np.linalg.lstsq(J, r, rcond=1e-9)[0]  # nothing along what changes nothing
-        if np.abs(step).max(initial=0.0) < _STILL:
-            break
-        for share in (1.0, 0.3, 0.1, 0.01):
-            new = residual(x + share * step)
-            if new @ new < r @ r:
-                break
-        else:
-            break
-        x, r = x + share * step, new
-    return x
 
 
 def _passing(chain: Chain, x: Array) -> Array:
