@@ -23,7 +23,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal": (40, 30),
     "modcal_core": (2600, 1470),
     "modcal_core/articulation": (4880, 3390),
-    "modcal_core/calibration": (5910, 3740),
+    "modcal_core/calibration": (5880, 3720),
     "modcal_core/camera": (4360, 2830),
     "modcal_core/claim": (1300, 810),
     "modcal_core/correction": (1230, 790),
@@ -31,13 +31,13 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/effects": (3000, 1940),
     "modcal_core/geometry": (540, 360),
     "modcal_core/impedance": (3460, 2450),
-    "modcal_core/measurements": (3990, 2670),
+    "modcal_core/measurements": (4010, 2670),
     "modcal_core/outcome": (1010, 610),
     "modcal_core/modules": (2610, 1640),
     "modcal_core/online": (1090, 750),
     "modcal_core/planning": (3240, 2120),
-    "modcal_core/hypotheses": (3670, 2450),
-    "modcal_core/moves": (2550, 1700),
+    "modcal_core/hypotheses": (3710, 2480),
+    "modcal_core/moves": (2560, 1700),
     "modcal_core/report": (4240, 2450),
     "modcal_core/robots": (4620, 2990),
     "modcal_core/verdict": (4070, 2670),
@@ -52,11 +52,11 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/ros": (2450, 1460),
     "modcal_nodes/simulation": (2000, 1340),
     "modcal_nodes/vision": (1830, 1310),
-    "tests": (46650, 32330),
+    "tests": (46670, 32340),
     "modcal_core/sentinel": (1330, 960),
 }
 SOURCE = (88000, 57950)
-TEXT = 183300  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+TEXT = 183400  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

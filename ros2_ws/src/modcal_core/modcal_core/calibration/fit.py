@@ -394,8 +394,7 @@ def identify_moved(
     """
     if not any(is_move(effect) for effect in start.effects):
         return identify(start, samples, parameters, distances, tolerance=tolerance, reject=reject, most=most)
-    first = identify(start, samples, parameters, distances, tolerance=_ROUGHLY, reject=False, most=most)
+    known = samples, parameters, distances
+    first = identify(start, *known, tolerance=_ROUGHLY, reject=False, most=most)
     start = start.with_effects(first.model.effects)
-    return identify(
-        start, samples, parameters, distances, tolerance=tolerance, begin=first.values, reject=reject, most=most
-    )
+    return identify(start, *known, tolerance=tolerance, begin=first.values, reject=reject, most=most)

@@ -418,5 +418,4 @@ def tool_and_place(Y: Array, A: Array, position: Array) -> tuple[Array, Array, A
         square = np.sum(gap**2, axis=-1)
         middle = np.partition(square, half, axis=-1)[..., half, None]
         weight = 1.0 / (square + np.maximum(middle, 1e-18))  # Cauchy
-    turned = np.swapaxes(Y, -1, -2)
-    return gap @ turned, x[..., 0], (Y @ s[..., None])[..., 0]
+    return gap @ np.swapaxes(Y, -1, -2), x[..., 0], (Y @ s[..., None])[..., 0]

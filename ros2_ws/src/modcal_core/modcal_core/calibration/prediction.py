@@ -12,8 +12,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.effects import STEPS, DriverLimits, Effect, NominalArm, Shape, claimed, undelayed
 from modcal_core.errors import BadRecording, BadTable, MissingDriver
 from modcal_core.geometry import Array
-from modcal_core.measurements import POSE, Samples
-from modcal_core.measurements.kinds import KIND_NAMES
+from modcal_core.measurements import Samples
 from modcal_core.robots import Mechanism
 
 # --- What drivers and effects were while a calibration was recorded, to be kept with it
@@ -121,21 +120,12 @@ def _standing(model: Model, q: ArrayLike) -> Samples:
     if postures.ndim != 2 or postures.shape[1] != chain.n or not np.isfinite(postures).all():
         said = f"has shape {postures.shape}, or is not finite; (N, {chain.n}) is read"
         raise BadRecording("q", said, f"give one posture a row, in the order {', '.join(chain.names)}")
-    N, unknown = len(postures), np.full(len(postures), np.nan)
     return Samples(
         names=chain.names,
         frames=model.frames[:1],
         q=postures,
-        stamps=unknown,
-        station=np.arange(N),
-        frame=np.zeros(N, int),
-        kind=np.full(N, POSE, dtype=KIND_NAMES),
-        reading=np.zeros((N, 3)),
-        R=np.tile(np.eye(3), (N, 1, 1)),
-        sigma_position=unknown,
-        sigma_rotation=unknown,
-        velocity=np.zeros_like(postures),
-        moving=np.zeros(N, bool),
+        stamps=np.full(len(postures), np.nan),
+        reading=np.zeros((len(postures), 3)),
     )
 
 

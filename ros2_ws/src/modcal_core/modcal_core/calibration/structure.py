@@ -66,7 +66,6 @@ def general_samples(model: Model, views: Sequence[View], each: int) -> Samples:
 def exact_samples(model: Model, q: Array, frames: np.ndarray, kinds: np.ndarray) -> Samples:
     """Readings of these kinds (N,) in these frames (N,) at postures q (N, n), as the model's geometry makes them."""
     T = model.predict(q, frames)
-    N = len(q)
     position = T[:, :3, 3]
     for instrument in model.instruments:
         rows = np.flatnonzero((frames == model.frames.index(instrument.frame)) & (kinds == instrument.kind))
@@ -77,16 +76,11 @@ def exact_samples(model: Model, q: Array, frames: np.ndarray, kinds: np.ndarray)
         names=model.chain.names,
         frames=model.frames,
         q=q,
-        stamps=np.zeros(N),
-        station=np.arange(N),
+        stamps=np.zeros(len(q)),
         frame=frames,
         kind=kinds,
         reading=position,
         R=np.where((kinds == POSE)[:, None, None], T[:, :3, :3], np.eye(3)),
-        sigma_position=np.full(N, np.nan),
-        sigma_rotation=np.full(N, np.nan),
-        velocity=np.zeros_like(q),
-        moving=np.zeros(N, bool),
     )
 
 

@@ -43,7 +43,7 @@ from modcal_core.effects import (
 )
 from modcal_core.errors import BadTable, MissingDriver, NotReachable
 from modcal_core.geometry import Array, error_transform, se3, so3
-from modcal_core.measurements import POSE, TRAVEL, Samples, SignalTrack, went_on
+from modcal_core.measurements import TRAVEL, Samples, SignalTrack, went_on
 from modcal_core.robots import Frames, Mechanism, frames, gravity_wrench, is_serial_arm, tool_frames
 
 
@@ -101,15 +101,8 @@ class ArmState:
             q=postures,
             stamps=np.full(N, self.stamp),
             station=np.zeros(N, int),
-            frame=np.zeros(N, int),
-            kind=np.array([POSE] * N),
             reading=np.zeros((N, 3)),
-            R=np.broadcast_to(np.eye(3), (N, 3, 3)),
-            sigma_position=np.full(N, np.nan),
-            sigma_rotation=np.full(N, np.nan),
             velocity=same(self.velocity),
-            moving=np.zeros(N, bool),
-            acceleration=np.zeros_like(postures),
             approach=same(self.approach),
             path=went_on(self.path, postures - self.q) if len(self.path) else self.path,
             effort=effort,

@@ -237,11 +237,6 @@ class HandEyeFit:
         return float(np.median(self.turn)), float(np.median(self.gap))
 
     @property
-    def turn_rms(self) -> float:
-        """RMS of what is left of orientations [rad]."""
-        return float(np.sqrt(np.mean(self.turn**2)))
-
-    @property
     def explains(self) -> bool:
         """Whether a nominal arm misses the usual station by no more than its own errors, and by little of what moves.
 

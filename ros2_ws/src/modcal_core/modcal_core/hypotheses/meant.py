@@ -67,7 +67,7 @@ def _meant(samples: Samples, chain: Chain, stated: str | None) -> Answer | None:
     quick = placed(case, thorough=False)
     if quick.clean or not len(case):
         return None
-    turned = conventions.turns(stated) if quick.turn_rms > _TURNED else ()
+    turned = conventions.turns(stated) if np.sqrt(np.mean(quick.turn**2)) > _TURNED else ()
     others = [*conventions.units(), *conventions.axes(), *conventions.joints(case.names)]
     table = [conventions.inverse_pose(), *turned, *family(COMMON, others)]
     answer = explain(case, table, depth=1)

@@ -361,11 +361,8 @@ def unrelated(case: HandEye) -> bool:
     ranks = np.argsort(np.argsort(shown, axis=0), axis=0) - 0.5 * (N - 1)
     rng = np.random.default_rng(0)
     ranks = ranks[np.stack([np.arange(N), *(rng.permutation(N) for _ in range(_SHUFFLES))])]
-    best = np.zeros(len(ranks))
-    for group in (*groups, np.c_[turns.reshape(N, 9), place]):
-        columns = np.linalg.qr(group - group.mean(axis=0))[0]
-        told = np.sum((columns.T @ ranks) ** 2, axis=1).max(axis=1) / group.shape[1]
-        best = np.maximum(best, told)
+    sides = (np.linalg.qr(g - g.mean(axis=0))[0] for g in (*groups, np.c_[turns.reshape(N, 9), place]))
+    best = np.max([np.sum((Q.T @ ranks) ** 2, axis=1).max(axis=1) / Q.shape[1] for Q in sides], axis=0)
     return bool(best[0] <= np.quantile(best[1:], 1.0 - _CHANCE))
 
 
@@ -460,16 +457,16 @@ def filters(case: HandEye) -> list[Hypothesis]:
     remedy = (
         "turn the instrument's filter or averaging off, or wait at each station until it has settled, and record again"
     )
-    made_of = [
+    price = RARE - float(np.log(2 * len(made)))
+    return [
         Hypothesis(
             f"readings look filtered: each as {said}",
             remedy,
             lambda c, w=w, turns=turns: undone(c, w, turns),  # type: ignore[misc]
-            0.0,
+            price,
             1,
             "rows",
         )
         for said, w in (made[k] for k in np.argsort(left)[:_FILTERS])
         for turns in ((False, True) if case.poses else (False,))
     ]
-    return [replace(h, price=RARE - float(np.log(2 * len(made)))) for h in made_of]

@@ -182,19 +182,13 @@ def _samples(q: Array, sightings: Sequence[Sighting]) -> Samples:
     reading = np.concatenate(
         [np.pad(s.values[rows], ((0, 0), (0, 3 - s.values.shape[1]))) for s, rows in zip(sightings, read, strict=True)]
     )
-    N, counts = len(reading), [len(rows) for rows in read]
+    counts = [len(rows) for rows in read]
     return Samples(
         names=(),
         frames=frames,
         q=q[np.concatenate(read)],
-        stamps=np.arange(float(N)),
         station=np.concatenate(read),
         frame=np.repeat([frames.index(s.frame) for s in sightings], counts),
         kind=np.repeat([s.kind for s in sightings], counts),
         reading=reading,
-        R=np.tile(np.eye(3), (N, 1, 1)),
-        sigma_position=np.full(N, np.nan),
-        sigma_rotation=np.full(N, np.nan),
-        velocity=np.zeros((N, q.shape[1])),
-        moving=np.zeros(N, bool),
     )

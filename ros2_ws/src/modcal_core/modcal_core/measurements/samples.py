@@ -7,9 +7,9 @@ holds: those with the least numbers, which are a random choice of them (Broder 1
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 from typing import Any
 
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, se3, so3, view
 from modcal_core.measurements.dwells import StationRules, spread_rows
+from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.pairing import paired_columns
 from modcal_core.measurements.path import UNKNOWN
 from modcal_core.measurements.recording import (
@@ -68,6 +69,18 @@ class Origin:
 SHARED = ("names", "frames", "signals", "sockets", "clock", "origin")  # fields of Samples without a row for each
 
 
+_BY_ROW: dict[str, Callable[[int], np.ndarray]] = {  # what is not given, of so many rows
+    "stamps": lambda N: np.arange(float(N)),
+    "station": np.arange,
+    "frame": lambda N: np.zeros(N, int),
+    "kind": lambda N: np.full(N, POSE, dtype=KIND_NAMES),
+    "R": lambda N: np.tile(np.eye(3), (N, 1, 1)),
+    **dict.fromkeys(("sigma_position", "sigma_rotation"), lambda N: np.full(N, np.nan)),
+    "moving": lambda N: np.zeros(N, bool),
+}
+_not_given = partial(np.empty, 0)
+
+
 @dataclass(frozen=True)
 class Samples:
     """N readings with the postures they belong to, all arrays with N rows and read-only.
@@ -89,29 +102,30 @@ class Samples:
     whole tracks of everything else that was recorded.
 
     sockets: frames that are stated to show one fixed point. clock: whether stamps are times rather than an order.
-    origin: the recording they are from. names: empty where columns are in the robot's order.
+    origin: the recording they are from. names: empty where columns are in the robot's order. What is not given is what
+    a pose at rest in the first frame has, each at a station of its own, whose deviations nobody knows.
     """
 
     names: tuple[str, ...]
     frames: tuple[str, ...]
     q: Array
-    stamps: Array
-    station: np.ndarray
-    frame: np.ndarray
-    kind: np.ndarray
     reading: Array
-    R: Array
-    sigma_position: Array
-    sigma_rotation: Array
-    velocity: Array
-    moving: np.ndarray
-    acceleration: Array = field(default_factory=lambda: np.empty((0, 0)))
-    mean_acceleration: Array = field(default_factory=lambda: np.empty((0, 0)))
-    mean_jerk: Array = field(default_factory=lambda: np.empty((0, 0)))
-    approach: Array = field(default_factory=lambda: np.empty((0, 0)))
+    stamps: Array = field(default_factory=_not_given)
+    station: np.ndarray = field(default_factory=_not_given)
+    frame: np.ndarray = field(default_factory=_not_given)
+    kind: np.ndarray = field(default_factory=_not_given)
+    R: Array = field(default_factory=_not_given)
+    sigma_position: Array = field(default_factory=_not_given)
+    sigma_rotation: Array = field(default_factory=_not_given)
+    velocity: Array = field(default_factory=_not_given)
+    moving: np.ndarray = field(default_factory=_not_given)
+    acceleration: Array = field(default_factory=_not_given)
+    mean_acceleration: Array = field(default_factory=_not_given)
+    mean_jerk: Array = field(default_factory=_not_given)
+    approach: Array = field(default_factory=_not_given)
     path: Array = field(default_factory=lambda: np.empty((0, 0, 0, 0)))
-    effort: Array = field(default_factory=lambda: np.empty((0, 0)))
-    following: Array = field(default_factory=lambda: np.empty((0, 0)))
+    effort: Array = field(default_factory=_not_given)
+    following: Array = field(default_factory=_not_given)
     signals: tuple[SignalTrack, ...] = ()
     sockets: tuple[str, ...] = ()
     clock: bool = True
@@ -119,7 +133,10 @@ class Samples:
 
     def __post_init__(self) -> None:
         """Fill missing fields with unknown values, and make all arrays read-only."""
-        zero, nan = ("acceleration", "mean_acceleration", "mean_jerk", "approach"), ("effort", "following")
+        for name, made in _BY_ROW.items():
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, made(len(self.q)))
+        zero, nan = ("velocity", "acceleration", "mean_acceleration", "mean_jerk", "approach"), ("effort", "following")
         for name, unknown in (*((name, 0.0) for name in zero), *((name, np.nan) for name in nan)):
             if getattr(self, name).shape != self.q.shape:
                 object.__setattr__(self, name, np.full(self.q.shape, unknown))

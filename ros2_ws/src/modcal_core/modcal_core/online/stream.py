@@ -340,9 +340,8 @@ class SampleStream:
                 if posture is None:
                     self.counts.unpaired += 1
                     continue
-                reading: dict[str, Any] = {"reading": values[:3], "sigma_position": np.nan, "sigma_rotation": np.nan}
-                reading["R"] = so3.from_quaternion(values[3:]) if kind == POSE else np.eye(3)
-                self._emit(kind, frame, stamp, (stamp, stamp), **reading, **posture)
+                turn = {"R": so3.from_quaternion(values[3:])} if kind == POSE else {}
+                self._emit(kind, frame, stamp, (stamp, stamp), reading=values[:3], **turn, **posture)
                 self._station += 1
 
     def _paired(self, stamp: float, t: Array) -> dict[str, Any] | None:
@@ -365,9 +364,7 @@ class SampleStream:
 
     def _emit(self, kind: str, frame: str, stamp: float, span: tuple[float, float], **fields: Any) -> None:
         """Make a sample of one row. span: that commands count of [s]. fields: of the samples, of one row each."""
-        still = np.zeros(len(self.names))
-        usual: dict[str, Any] = {"velocity": still, "acceleration": still, "mean_acceleration": still, "moving": False}
-        usual |= {"stamps": stamp, "station": self._station, "frame": self.frames.index(frame)}
+        usual: dict[str, Any] = {"stamps": stamp, "station": self._station, "frame": self.frames.index(frame)}
         usual |= {"approach": self._approach.direction, "path": self._approach.path_at(fields["q"])}
         usual |= {"following": self._commands.following(self._states.t, self._q, span)}
         arrays: dict[str, Any] = {name: np.array(value)[None] for name, value in {**usual, **fields}.items()}
