@@ -14,7 +14,7 @@ from report.reports import COUNT, REPORTS, WRONG, delta, page_of, points, warm_c
 from modcal_core.calibration.data_split import Split
 from modcal_core.calibration.noise import Errors
 from modcal_core.measurements.dwells import SAME
-from modcal_core.measurements.kinds.registry import indirect_rows
+from modcal_core.measurements.samples import indirect_rows
 from modcal_core.outcome.contents import Outcome
 from modcal_core.report.blocks import FILES, as_script_data
 from modcal_core.report.figures import scene

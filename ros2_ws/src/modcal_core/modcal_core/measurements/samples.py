@@ -20,6 +20,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, se3, so3, view
 from modcal_core.measurements.dwells import StationRules, spread_rows
 from modcal_core.measurements.kinds.kind import KIND_NAMES
+from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.pairing import paired_columns
 from modcal_core.measurements.path import UNKNOWN
 from modcal_core.measurements.recording import (
@@ -514,3 +515,20 @@ def _others(samples: Samples) -> list[SignalTrack]:
 def spoken_name(signal: str) -> str:
     """A recorded signal as a person calls it: its topic, or the joint."""
     return signal.rpartition(_MARK)[2].removeprefix("signal:").replace("temperature:", "the temperature of ")
+
+
+def indirect_rows(samples: Samples) -> np.ndarray:
+    """True for readings that are no positions, (N,)."""
+    out = np.zeros(len(samples), bool)
+    for name in samples.kinds:
+        if not kinds()[name].direct:
+            out |= samples.kind == name
+    return out
+
+
+def dimensions(samples: Samples) -> Array:
+    """In how many directions each reading sees, (N,)."""
+    out = np.empty(len(samples))
+    for name in samples.kinds:
+        out[samples.kind == name] = kinds()[name].dimensions
+    return out

@@ -8,12 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.bearing import Bearing
 from modcal_core.measurements.kinds.distance import DistanceKind
 from modcal_core.measurements.kinds.kind import KIND_NAMES, MESSAGES, Kind
@@ -21,9 +17,6 @@ from modcal_core.measurements.kinds.positions import Point, Pose
 from modcal_core.measurements.kinds.ray import Ray
 from modcal_core.measurements.kinds.touch import Touch
 from modcal_core.measurements.packages import added
-
-if TYPE_CHECKING:
-    from modcal_core.measurements.samples import Samples
 
 GROUP = "modcal.measurement_kinds"
 _LONGEST = KIND_NAMES.itemsize // 4  # letters
@@ -50,20 +43,3 @@ def kinds() -> dict[str, Kind]:
 def is_direct(names: Iterable[str]) -> bool:
     """Whether all of these kinds are positions in a frame."""
     return all(kinds()[name].direct for name in names)
-
-
-def indirect_rows(samples: Samples) -> np.ndarray:
-    """True for readings that are no positions, (N,)."""
-    out = np.zeros(len(samples), bool)
-    for name in samples.kinds:
-        if not kinds()[name].direct:
-            out |= samples.kind == name
-    return out
-
-
-def dimensions(samples: Samples) -> Array:
-    """In how many directions each reading sees, (N,)."""
-    out = np.empty(len(samples))
-    for name in samples.kinds:
-        out[samples.kind == name] = kinds()[name].dimensions
-    return out
