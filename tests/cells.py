@@ -107,13 +107,7 @@ def samples_of(chain: Mechanism, q: Array, T: Array, kind: str = "pose", frame: 
         frames=(frame,),
         q=q,
         stamps=1.7e9 + 2.0 * np.arange(N),
-        station=np.arange(N),
-        frame=np.zeros(N, int),
         kind=np.array([kind] * N, dtype=KIND_NAMES),
         reading=T[:, :3, 3],
         R=T[:, :3, :3] if kind == "pose" else np.tile(np.eye(3), (N, 1, 1)),
-        sigma_position=np.full(N, np.nan),
-        sigma_rotation=np.full(N, np.nan),
-        velocity=np.zeros_like(q),
-        moving=np.zeros(N, bool),
     )

@@ -105,15 +105,9 @@ def touches(seed: int, count: int, normals: Array) -> tuple[Recorded, Samples]:
         frames=tuple(f"plane_{k}" for k in range(len(normals))),
         q=np.array(q) + 2e-5 * rng.standard_normal((N, 6)),
         stamps=1.7e9 + 10.0 * np.arange(N),
-        station=np.arange(N),
         frame=np.array(frame),
         kind=np.full(N, TOUCH, dtype=KIND_NAMES),
         reading=np.zeros((N, 3)),
-        R=np.tile(np.eye(3), (N, 1, 1)),
-        sigma_position=np.full(N, np.nan),
-        sigma_rotation=np.full(N, np.nan),
-        velocity=np.zeros((N, 6)),
-        moving=np.zeros(N, bool),
     )
     return cell, samples
 

@@ -38,10 +38,8 @@ _FEW = 40  # stations at which hypotheses are screened
 _KEPT = 8  # of them that are then asked of all stations
 _LEAST = 3  # stations; fewer are single wrong readings
 _TELLING = 200  # stations, from which readings that depend on joints are told from those that do not
-_SHUFFLES, _CHANCE = (
-    99,
-    0.1,
-)  # orders of the rows that theirs is compared with; share that is as good without dependence
+_SHUFFLES = 99  # other orders of the rows, that theirs is compared with
+_CHANCE = 0.1  # share of them that may be as good where readings depend on joints
 _NEAR = 4.0  # limits of an arm, that neighbours may miss in closed form and agree once refined
 _UNITS = {
     "millimetres": 1e3,
