@@ -15,6 +15,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.evaluation import evaluate
 from modcal_core.loop import calibrate
 from modcal_core.measurements import UNREAD, cleaned, require_usable
+from modcal_core.measurements.checks import other_joints, others_at, spoken_name
 from modcal_core.measurements.recording import JointTrack, Recording, SignalTrack, commanded_at, following
 from modcal_core.measurements.samples import (
     Samples,
@@ -22,11 +23,8 @@ from modcal_core.measurements.samples import (
     between,
     cut_stations,
     marks_of,
-    other_joints,
-    others_at,
     require_new,
     share_of_known,
-    spoken_name,
 )
 from modcal_core.outcome.contents import Outcome
 from modcal_core.preprocess import prepare

@@ -31,12 +31,12 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/effects": (3000, 1940),
     "modcal_core/geometry": (540, 360),
     "modcal_core/impedance": (3460, 2450),
-    "modcal_core/measurements": (4010, 2670),
+    "modcal_core/measurements": (4010, 2660),
     "modcal_core/outcome": (1010, 610),
     "modcal_core/modules": (2610, 1640),
     "modcal_core/online": (1090, 750),
     "modcal_core/planning": (3240, 2120),
-    "modcal_core/hypotheses": (3710, 2480),
+    "modcal_core/hypotheses": (3700, 2480),
     "modcal_core/moves": (2560, 1700),
     "modcal_core/report": (4240, 2450),
     "modcal_core/robots": (4620, 2990),
@@ -52,11 +52,11 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/ros": (2450, 1460),
     "modcal_nodes/simulation": (2000, 1340),
     "modcal_nodes/vision": (1830, 1310),
-    "tests": (46670, 32340),
+    "tests": (46660, 32340),
     "modcal_core/sentinel": (1330, 960),
 }
 SOURCE = (88000, 57950)
-TEXT = 183400  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+TEXT = 183300  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.measurements.alignment import BURST, LIMIT, LONGEST_PAUSE, SMALLEST_BURST, align, at_steady_rate
-    from modcal_core.measurements.checks import joint_limits, remedies_of, require_usable
+    from modcal_core.measurements.checks import joint_limits, moving_beside, other_joints, others_at, others_by_name
+    from modcal_core.measurements.checks import remedies_of, require_usable, spoken_name
     from modcal_core.measurements.dropouts import BETWEEN, DAY, ELSEWHEN, GLITCHES, MAX_GLITCHES, UNUSABLE, Cleaned
     from modcal_core.measurements.dropouts import Dropped, Hung, cleaned, dropped, elsewhen, hung, together, unexpected
     from modcal_core.measurements.dwells import LATE_STEPS, LEFT, MIN_RETURNS, NOISE_FACTOR, SAME, SECOND_DIFFERENCE
@@ -23,9 +24,8 @@ if TYPE_CHECKING:
     from modcal_core.measurements.recording import joints_by_time
     from modcal_core.measurements.recording import staircase, told_at
     from modcal_core.measurements.samples import SHARED, Origin, Samples, after, as_recording, between, cut_stations
-    from modcal_core.measurements.samples import explained_by_posture, joints_instead, marks_of, moving_beside
-    from modcal_core.measurements.samples import other_joints, others_at, others_by_name, require_new, share_of_known
-    from modcal_core.measurements.samples import spoken_name
+    from modcal_core.measurements.samples import explained_by_posture, joints_instead, marks_of
+    from modcal_core.measurements.samples import require_new, share_of_known
     from modcal_core.schema import Schema, require, shown, told
 else:
     from modcal_core.lazy import lazy_face

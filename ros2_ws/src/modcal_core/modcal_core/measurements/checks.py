@@ -11,7 +11,17 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.kind import FARTHEST
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import IMPORTED, UNREAD, JointTrack, ReadingTrack, Recording, noted
+from modcal_core.measurements.recording import (
+    IMPORTED,
+    PART,
+    UNREAD,
+    JointTrack,
+    ReadingTrack,
+    Recording,
+    SignalTrack,
+    noted,
+)
+from modcal_core.measurements.samples import Samples
 from modcal_core.robots import Mechanism
 
 # --- Refusals of what was imported from tables: the remedy lies in the mapping, for nobody can record it again
@@ -164,7 +174,7 @@ def _require_reading(track: ReadingTrack, chain: Mechanism, recording: Recording
     name = f"{track.topic} ({track.frame})"
     if (complaint := kinds()[track.kind].complaint(track, chain.reach())) is None:
         return
-    beside = _moving_beside(recording, chain)
+    beside = _moving_beside(recording, chain.names)
     if len(beside) > chain.n:  # the chain is a small part of what moves: the way to the tip ended too early
         listed = ", ".join(beside)
         raise BadRecording(
@@ -177,12 +187,56 @@ def _require_reading(track: ReadingTrack, chain: Mechanism, recording: Recording
     raise BadRecording(name, *complaint)
 
 
-def _moving_beside(recording: Recording, chain: Mechanism) -> tuple[str, ...]:
-    """Names of recorded joints that move and are none of the arm's."""
-    found: dict[str, None] = {}
+# --- Joints that are recorded beside the arm's own: another arm, a gantry, a gripper. They may move the tool too
+
+_MARK = f"{PART}joint "
+
+
+def _moving_beside(recording: Recording, names: Sequence[str]) -> dict[str, tuple[JointTrack, int]]:
+    """Recorded joints that move and are none of these, by name: where they stand."""
+    found: dict[str, tuple[JointTrack, int]] = {}
     for track in recording.joints:
         for j, name in enumerate(track.names):
             known = track.position[np.isfinite(track.position[:, j]), j]
-            if name not in chain.names and len(known) and np.ptp(known) > _MOVES:
-                found[name] = None
+            if name not in names and len(known) and np.ptp(known) > _MOVES:
+                found.setdefault(name, (track, j))
+    return found
+
+
+def other_joints(recording: Recording, samples: Samples) -> tuple[SignalTrack, ...]:
+    """For each joint of a recording, on the clock of the samples, that moves and is none of the arm's its position
+    [rad or m] at the samples.
+    """
+    at, found = np.unique(samples.stamps), list[SignalTrack]()
+    for name, (track, column) in _moving_beside(recording, samples.names).items():
+        known = np.isfinite(track.position[:, column])
+        order = np.argsort(track.stamps[known], kind="stable")
+        value = np.interp(at, track.stamps[known][order], track.position[known, column][order])
+        if np.ptp(value) > _MOVES:
+            found.append(SignalTrack(f"signal:{track.topic}{_MARK}{name}", at, value[:, None], track.topic))
     return tuple(found)
+
+
+def others_at(samples: Samples) -> Array:
+    """Positions of these joints at the samples, (N, K); K is 0 where there are none."""
+    columns = [np.interp(samples.stamps, track.stamps, track.values[:, 0]) for track in _others(samples)]
+    return np.stack(columns, axis=1) if columns else np.empty((len(samples), 0))
+
+
+def others_by_name(samples: Samples) -> dict[str, Array]:
+    """Positions of these joints at the samples, (N,), by the joint's name."""
+    return dict(zip(moving_beside(samples), others_at(samples).T, strict=True))
+
+
+def moving_beside(samples: Samples) -> tuple[str, ...]:
+    """Names of the joints that were recorded moving and are none of the arm's."""
+    return tuple(spoken_name(track.name) for track in _others(samples))
+
+
+def _others(samples: Samples) -> list[SignalTrack]:
+    return [track for track in samples.signals if _MARK in track.name]
+
+
+def spoken_name(signal: str) -> str:
+    """A recorded signal as a person calls it: its topic, or the joint."""
+    return signal.rpartition(_MARK)[2].removeprefix("signal:").replace("temperature:", "the temperature of ")

@@ -25,7 +25,6 @@ from modcal_core.measurements.pairing import paired_columns
 from modcal_core.measurements.path import UNKNOWN
 from modcal_core.measurements.recording import (
     ORDER_ONLY,
-    PART,
     POINT,
     POSE,
     JointTrack,
@@ -465,56 +464,6 @@ def between(before: Samples, other: Samples) -> float:
     """The moment [s] in the middle between two recordings that do not overlap."""
     first, second = sorted((before, other), key=lambda s: float(s.stamps.min()))
     return 0.5 * float(first.stamps[first.stamps < second.stamps.min()].max() + second.stamps.min())
-
-
-# --- Joints that are recorded beside the arm's own: another arm, a gantry, a gripper. They may move the tool too
-
-_MOVES = 1e-3  # rad or m; a joint that moves by less stands still
-_MARK = f"{PART}joint "
-
-
-def other_joints(recording: Recording, samples: Samples) -> tuple[SignalTrack, ...]:
-    """For each joint of a recording, on the clock of the samples, that moves and is none of the arm's its position
-    [rad or m] at the samples.
-    """
-    at = np.unique(samples.stamps)
-    found: dict[str, SignalTrack] = {}
-    for track in recording.joints:
-        for column, name in enumerate(track.names):
-            known = np.isfinite(track.position[:, column])
-            if name in samples.names or known.sum() < 2:
-                continue
-            order = np.argsort(track.stamps[known], kind="stable")
-            value = np.interp(at, track.stamps[known][order], track.position[known, column][order])
-            if np.ptp(value) > _MOVES:
-                signal = f"signal:{track.topic}{_MARK}{name}"
-                found.setdefault(signal, SignalTrack(signal, at, value[:, None], track.topic))
-    return tuple(found.values())
-
-
-def others_at(samples: Samples) -> Array:
-    """Positions of these joints at the samples, (N, K); K is 0 where there are none."""
-    columns = [np.interp(samples.stamps, track.stamps, track.values[:, 0]) for track in _others(samples)]
-    return np.stack(columns, axis=1) if columns else np.empty((len(samples), 0))
-
-
-def others_by_name(samples: Samples) -> dict[str, Array]:
-    """Positions of these joints at the samples, (N,), by the joint's name."""
-    return dict(zip(moving_beside(samples), others_at(samples).T, strict=True))
-
-
-def moving_beside(samples: Samples) -> tuple[str, ...]:
-    """Names of the joints that were recorded moving and are none of the arm's."""
-    return tuple(spoken_name(track.name) for track in _others(samples))
-
-
-def _others(samples: Samples) -> list[SignalTrack]:
-    return [track for track in samples.signals if _MARK in track.name]
-
-
-def spoken_name(signal: str) -> str:
-    """A recorded signal as a person calls it: its topic, or the joint."""
-    return signal.rpartition(_MARK)[2].removeprefix("signal:").replace("temperature:", "the temperature of ")
 
 
 def indirect_rows(samples: Samples) -> np.ndarray:
