@@ -78,7 +78,7 @@ _BY_ROW: dict[str, Callable[[int], np.ndarray]] = {  # what is not given, of so 
     **dict.fromkeys(("sigma_position", "sigma_rotation"), lambda N: np.full(N, np.nan)),
     "moving": lambda N: np.zeros(N, bool),
 }
-_not_given = partial(np.empty, 0)
+_not_given = partial(np.empty, 0)  # filled in at once, below
 
 
 @dataclass(frozen=True)
