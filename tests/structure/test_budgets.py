@@ -52,11 +52,11 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/ros": (2450, 1460),
     "modcal_nodes/simulation": (2000, 1340),
     "modcal_nodes/vision": (1830, 1310),
-    "tests": (46660, 32340),
+    "tests": (46670, 32340),
     "modcal_core/sentinel": (1330, 960),
 }
 SOURCE = (88000, 57950)
-TEXT = 183300  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+TEXT = 183400  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

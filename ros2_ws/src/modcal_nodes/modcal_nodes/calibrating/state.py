@@ -151,9 +151,7 @@ def _read_samples(path: Path) -> Samples | None:
             SignalTrack(name, stored[f"signal_{i}_stamps"], stored[f"signal_{i}_values"], topic)
             for i, (name, topic) in enumerate(about["signals"])
         )
-        arrays: dict[str, Any] = {
-            f.name: stored[f.name] for f in fields(Samples) if f.name not in SHARED and f.name in stored
-        }
+        arrays: dict[str, Any] = {f.name: stored[f.name] for f in fields(Samples) if f.name not in SHARED}
         names, frames, sockets = (tuple(about.get(name, ())) for name in ("names", "frames", "sockets"))
         clock = bool(about.get("clock", True))
         return Samples(names, frames, signals=signals, sockets=sockets, clock=clock, **arrays)
