@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.hypotheses.hand_eye import HandEye
+from modcal_core.hypotheses.hand_eye import HandEye, placed
 from modcal_core.hypotheses.refusal import disagreement
-from modcal_core.hypotheses.rows import unrelated
+from modcal_core.hypotheses.rows import scattered, unrelated
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
@@ -304,4 +304,13 @@ def test_readings_that_do_not_depend_on_joints_are_told_from_those_that_are_writ
     with pytest.raises(BadRecording, match="do not seem to belong together"):
         calibrate(others, CHAIN, rng)
     for spoil in WRONG.values():
-        assert not unrelated(HandEye.holding(spoil(clean, rng), CHAIN))
+        case = HandEye.holding(spoil(clean, rng), CHAIN)
+        assert not unrelated(case)
+        assert not scattered(placed(case))
+
+
+def test_readings_that_scatter_about_the_arm_are_refused_as_that() -> None:
+    clean = record(12, 200).samples
+    noisy = replace(clean, reading=clean.reading + np.random.default_rng(4).normal(0.0, 0.05, clean.reading.shape))
+    with pytest.raises(BadRecording, match="readings: follow the arm and scatter about it"):
+        calibrate(noisy, CHAIN, np.random.default_rng(0))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from modcal_core.hypotheses.meanings import LENGTHS, MIN_ROWS, Judged, judge, same_poses
     from modcal_core.hypotheses.meant import BEYOND_DOUBT, MIN, MISREAD, ArmMiss, proved, recognised
     from modcal_core.hypotheses.refusal import LIMIT_OF_REACH, disagreement, require_plausible
-    from modcal_core.hypotheses.rows import orders
+    from modcal_core.hypotheses.rows import orders, unrelated
     from modcal_core.hypotheses.search import Answer, explain
     from modcal_core.hypotheses.sights import SightMatch, Sighting, sights_match
 else:

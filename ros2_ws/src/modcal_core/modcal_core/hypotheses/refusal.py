@@ -15,7 +15,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.hypotheses import conventions
 from modcal_core.hypotheses.hand_eye import HandEye, placed
 from modcal_core.hypotheses.hypothesis import RARE, ROWS_REMEDY, Disagreement, family
-from modcal_core.hypotheses.rows import unrelated
+from modcal_core.hypotheses.rows import scattered, unrelated
 from modcal_core.hypotheses.search import explain
 from modcal_core.hypotheses.socket_places import misread_joints, require_one_place
 from modcal_core.hypotheses.stated_distances import wrong_distances
@@ -131,6 +131,12 @@ def _facts(samples: Samples, whole: Samples, missed: float, chain: Mechanism) ->
             EVERYTHING,
             "do not seem to belong together: joints of other rows tell as much of the readings as those of their own",
             f"{ROWS_REMEDY}, and see whether both are of this robot and of the same time",
+        )
+    if all(case is not None and scattered(placed(case)) for case in cases):
+        yield (
+            "readings",
+            "follow the arm and scatter about it: by how much depends on no joint",
+            "see how well the instrument sees its target (reflections, distance, others), and whether clocks agree",
         )
     if fact := standing(samples):
         yield fact

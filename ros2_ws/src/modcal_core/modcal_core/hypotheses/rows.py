@@ -364,6 +364,13 @@ def unrelated(case: HandEye) -> bool:
     return bool(best[0] <= np.quantile(best[1:], 1.0 - _CHANCE))
 
 
+def scattered(fit: HandEyeFit) -> bool:
+    """Whether what stations miss a placement by, in what misses it by far, depends on no joint."""
+    turns, gaps = fit.placement.left(fit.case)
+    left = fit.case.read(gaps, so3.exp(turns))
+    return unrelated(left if fit.usual[0] > fit.case.limits[0] else points(left))
+
+
 def elsewhere(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """Readings of the rest that belong to other postures of the recording."""
     case, rest = fit.case, astray(fit)

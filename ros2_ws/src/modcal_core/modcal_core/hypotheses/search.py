@@ -156,7 +156,8 @@ def _followed(state: SearchState, table: Sequence[Hypothesis] | None) -> list[Se
         by_row = [h for h in table if h.touches == "rows"]
         return _fitted(state, [*_sifted(case, [h for h in table if h.touches != "rows"]), *by_row])
     many = bool(state.fit.agree(2.0).mean() >= MANY)
-    related = many or not rows.unrelated(case)  # else no more than rows may be other ones
+    # else no more than rows may be other ones
+    related = many or not (rows.unrelated(case) or rows.scattered(state.fit))
     trials = _fitted(state, _sifted(case, _whole(case))) if related else []
     laborious = many or not state.said  # else nonsense is followed for long
     held = int(state.fit.agree(2.0).sum()) > _HELD

@@ -38,7 +38,7 @@ from modcal_core.calibration import (
 from modcal_core.effects import ALL, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, Shape, is_move
 from modcal_core.effects.families import axis_wobble, drift, gear_harmonic, step
 from modcal_core.geometry import error_values, se3
-from modcal_core.hypotheses import LIMIT_OF_REACH
+from modcal_core.hypotheses import LIMIT_OF_REACH, HandEye, unrelated
 from modcal_core.measurements import Samples, explained_by_posture, spread_rows
 from modcal_core.measurements.kinds import is_direct
 from modcal_core.moves.likelihood import FrozenKnowledge
@@ -79,7 +79,7 @@ def find_regimes(
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     parameters = free_cell(choice.parameters, cell)
     geometric = fit_geometry(nominal.model, samples, parameters, cell, tolerance=_TOLERANCE)
-    if not stated and not _suspicious(geometric, samples):
+    if not stated and (not _suspicious(geometric, samples) or _nonsense(geometric.model, samples)):
         return None
     search = _RegimeSearch(nominal.model, samples, geometric.parameters, cell, places)
     cuts = search.cuts([nominal.model, geometric.model])
@@ -134,6 +134,14 @@ def _suspicious(fit: Fit, samples: Samples) -> bool:
     if noise.position > _ROOM * EXPECTED_LENGTH or noise.rotation > _ROOM * EXPECTED_ANGLE:
         return True
     return bool(runs_of(samples, outlying(fit.model, noise, samples)))
+
+
+def _nonsense(model: Model, samples: Samples) -> bool:
+    """Whether readings that an arm misses by far do not depend on its joints, whatever moved."""
+    if usual_miss(model, samples) <= LIMIT_OF_REACH * model.chain.reach():
+        return False
+    case = HandEye.of(samples, model.chain)
+    return case is not None and unrelated(case)
 
 
 @dataclass(frozen=True)
