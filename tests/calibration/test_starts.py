@@ -13,9 +13,9 @@ import pytest
 from modcal_core.calibration.cell import Cell, fit_cell, free_cell, with_sockets
 from modcal_core.calibration.distances import Distance
 from modcal_core.calibration.fit import Fit, identify
-from modcal_core.calibration.initial import Known
 from modcal_core.calibration.known_distances import contradicted_together, distances_of, scale_without_distances
 from modcal_core.calibration.noise import errors
+from modcal_core.calibration.placing import Known
 from modcal_core.calibration.starts import fit_geometry
 from modcal_core.calibration.stated import StatedTool, contradicted_places
 from modcal_core.calibration.structure import choose_parameters, views_of

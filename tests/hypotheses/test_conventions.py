@@ -12,7 +12,7 @@ from cells import record, samples_of, ur10
 from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.initial import Known
+from modcal_core.calibration.placing import Known
 from modcal_core.errors import BadRecording
 from modcal_core.evaluation import evaluate
 from modcal_core.files import read_yaml

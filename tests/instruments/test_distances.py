@@ -17,7 +17,7 @@ from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.covariance import identifiability
 from modcal_core.calibration.distances import StationDistance, distance_rows
 from modcal_core.calibration.fit import identify
-from modcal_core.calibration.initial import Known
+from modcal_core.calibration.placing import Known
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.correction.correction import ArmState, Correction

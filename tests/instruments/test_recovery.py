@@ -16,11 +16,12 @@ from instruments.worlds import Reading
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.covariance import identifiability
 from modcal_core.calibration.fit import Fit, identify
-from modcal_core.calibration.initial import Known, locate
+from modcal_core.calibration.initial import locate
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.noise import errors
 from modcal_core.calibration.parameters import INSTRUMENT, ordered_candidates
+from modcal_core.calibration.placing import Known
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects import ZERO
 from modcal_core.effects.families import step

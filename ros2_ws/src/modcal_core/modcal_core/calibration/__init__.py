@@ -30,8 +30,9 @@ if TYPE_CHECKING:
     from modcal_core.calibration.final_fit import sharpened, uncontradicted
     from modcal_core.calibration.fit import EQUATIONS_PER_PARAMETER, FITTED, WHATS, Curvature, Fit, Move, What
     from modcal_core.calibration.fit import enough_for_effects, identify, identify_moved, priors, require_enough
-    from modcal_core.calibration.initial import Known, base_and_tool_turns, base_by_positions, hand_eye
-    from modcal_core.calibration.initial import place_instruments, procrustes, tool_and_place, turns_left
+    from modcal_core.calibration.initial import base_and_tool_turns, base_by_positions, hand_eye, procrustes
+    from modcal_core.calibration.initial import tool_and_place, turns_left
+    from modcal_core.calibration.placing import Known, find_tool, place_instruments
     from modcal_core.calibration.known_distances import KnownDistance, contradicted_together, contradictions
     from modcal_core.calibration.known_distances import distances_of
     from modcal_core.calibration.linearisation import Deviations, RowView, apply_deviations, deviations, geometry_rows

@@ -14,9 +14,10 @@ import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance
 from modcal_core.calibration.fit import FITTED, Fit, Move, What, identify, identify_moved
-from modcal_core.calibration.initial import Known, locate, locate_base
+from modcal_core.calibration.initial import locate, locate_base
 from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.parameters import ModelParameter, with_prior
+from modcal_core.calibration.placing import Known
 from modcal_core.calibration.stated import MAX_DEG, MAX_MM, Stated, StatedTool, stated_std, stated_tool
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects import Effect, is_move

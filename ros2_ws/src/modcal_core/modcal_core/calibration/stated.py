@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from modcal_core.calibration.fit import Fit
-from modcal_core.calibration.initial import Known
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
+from modcal_core.calibration.placing import Known
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3
 
