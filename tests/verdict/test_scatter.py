@@ -61,15 +61,6 @@ def test_a_target_that_is_loose_in_its_seat(made: Recorded) -> None:
     assert SEAT in text, text
 
 
-def test_a_while_in_which_something_shook(made: Recorded) -> None:
-    shaken = (np.arange(140) >= 60) & (np.arange(140) < 85)
-    off = np.where(shaken, 4.0, 0.0)[:, None] * (made.samples.reading - made.exact.reading)
-    text = said(replace(made.samples, reading=made.samples.reading + off))
-    first, last = (int(k) for k in re.search(r"At stations (\d+) to (\d+) readings scatter", text).groups())
-    assert abs(first - 60) < 4
-    assert abs(last - 84) < 4
-
-
 @pytest.mark.parametrize("repeats", [True, False])
 def test_what_returns_repeat_is_no_scatter(made: Recorded, repeats: bool) -> None:
     """A wrist that errs by 0.8 mrad at random, the same at every visit of a posture, or another."""

@@ -1,4 +1,4 @@
-"""What the rest scatters with: a variance that one place has beyond the others, two values of one, or a while.
+"""What the rest scatters with: a variance that one place has beyond the others, or two values of one.
 
 Nothing predicts such an error, and returns take it for what the arm does not repeat. But each station's residual is
 drawn from a covariance that says where it comes from: a sum of v Z Zᵀ over the motions Z of what may scatter. Joints of
@@ -18,12 +18,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import eigh
 
-from modcal_core.calibration import station_numbers
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.measurements.kinds import is_direct
 from modcal_core.robots import is_serial_arm
-from modcal_core.verdict.case import Case
 from modcal_core.verdict.rest import Rest
 
 MIN_STATIONS = 40  # a covariance of a body has 21 numbers
@@ -38,10 +36,6 @@ _SEPARATE = 0.85  # share of the squares along a motion that two values explain;
 _MIN_OF_THEM = 0.1  # share of the samples in the smaller group
 _PLAINER = 0.9  # of the best share; a joint's axis is plainer than six directions
 _BITS, _BIT = (6, 24), 0.03  # that encoders have; of its size, to which a step is taken for one of a bit
-_WINDOWS = (8, 12, 18, 27, 40, 60)  # stations; half as long again each
-_LOUDER = 6.25  # mean square in a window, in that of the rest: two and a half times in RMS, more than levers make
-_SHARE = 0.25  # of all squares, that a window has beyond what as many of the rest have
-_ORDERS = 400  # random ones
 
 
 @dataclass(frozen=True)
@@ -167,36 +161,6 @@ def two_values(rest: Rest, fitted: bool) -> str:
             found.append((not part.unit, -share, sentence))
     best = min((share for _, share, _ in found), default=0.0)
     return next((said for _, share, said in sorted(found) if share <= _PLAINER * best), "")
-
-
-def uneven(case: Case) -> str:
-    """A sentence on the stations where a rest scatters far more than at the others; empty where there are none.
-
-    Windows of stations in order of time are compared with the others, and the largest with that of the same squares in
-    a random order (scan statistic; Naus 1965).
-    """
-    rows = np.arange(len(case.wrong)) if case.fitted else case.held_out  # rejected ones too: they scatter most
-    rows = rows[~case.samples.moving[rows]]
-    if len(rows) < MIN_STATIONS or not is_direct(case.samples.kinds):
-        return ""
-    number = station_numbers(case.samples)[rows]
-    stations, of = np.unique(number, return_inverse=True)
-    mean = np.bincount(of, np.sum(Rest.of(case, rows).residual ** 2, axis=0)) / np.bincount(of)
-    if len(mean) < MIN_STATIONS or not mean.sum() > 0.0:
-        return ""
-    height, first, count = (x[0] for x in _loudest(mean[None]))
-    inside = float(mean[first : first + count].mean())
-    rest = float((mean.sum() - count * inside) / (len(mean) - count))
-    if inside < _LOUDER * rest or count * (inside - rest) < _SHARE * mean.sum():
-        return ""
-    orders = np.random.default_rng(0).permuted(np.tile(mean, (_ORDERS, 1)), axis=1)
-    if _loudest(orders)[0].max() >= height:
-        return ""
-    return (
-        f"At stations {stations[first]} to {stations[first + count - 1]} readings scatter "
-        f"{np.sqrt(inside / max(rest, 1e-300)):.2g} times as much as at the others: something shook or was loose then. "
-        "See what went on in the cell, and leave these stations out."
-    )
 
 
 def along(rest: Rest) -> tuple[str, float] | None:
@@ -401,21 +365,6 @@ def _separate(off: Array, along: Array, sign: Array) -> float:
     mean = float(np.average(place, weights=weight))
     spread = max(float(np.average((place - mean) ** 2, weights=weight)), 1e-300)
     return 1.0 - float(np.average((place - sign) ** 2, weights=weight)) / spread
-
-
-def _loudest(square: Array) -> tuple[Array, np.ndarray, np.ndarray]:
-    """For each row of squares (R, S), height, first station and length of the highest window."""
-    R, S = square.shape
-    total = np.concatenate([np.zeros((R, 1)), np.cumsum(square, axis=1)], axis=1)
-    spread = max(float(square[0].std()), 1e-300)
-    best, first, count = np.full(R, -np.inf), np.zeros(R, int), np.zeros(R, int)
-    for width in (w for w in _WINDOWS if 2 * w <= S):
-        mean = (total[:, width:] - total[:, :-width]) / width
-        height = (mean - total[:, -1:] / S) * np.sqrt(width) / spread
-        at, top = np.argmax(height, axis=1), height.max(axis=1)
-        first, count = np.where(top > best, at, first), np.where(top > best, width, count)
-        best = np.maximum(best, top)
-    return best, first, count
 
 
 def _of_joints(loud: Mapping[str, float], others: float, unit: str, share: float) -> str:

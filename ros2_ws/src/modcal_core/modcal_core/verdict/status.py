@@ -22,7 +22,7 @@ from modcal_core.verdict.floor import MIN_ASKED, Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds, too_many
 from modcal_core.verdict.predictable import MIN_STATIONS, Predictable, predictable
 from modcal_core.verdict.scatter import MIN_STATIONS as MIN_SCATTERED
-from modcal_core.verdict.scatter import scatter, two_values, uneven
+from modcal_core.verdict.scatter import scatter, two_values
 from modcal_core.verdict.tails import Tail, tail_of
 from modcal_core.verdict.verdict import NotAsked, Reason, ReasonKind, Repeatability, Status, Verdict
 
@@ -248,10 +248,6 @@ def _worse_outside(seen: Findings) -> Iterator[str]:
         )
 
 
-def _uneven(seen: Findings) -> Iterator[str]:
-    yield from filter(None, [uneven(seen.case)])
-
-
 def _whole_scatter(seen: Findings) -> Iterator[str]:
     # what scatters meets a tolerance as well as what is predictable does, unless the largest of it was left out
     return _scatter(seen, cut_off=False)
@@ -286,7 +282,6 @@ CHECKS = (
     Check("predictable", _predictable),
     Check("above_floor", _above_floor),
     Check("above_floor", _worse_outside, unless=(*_REJECTED, _above_floor)),
-    Check("predictable", _uneven, unless=(*_APART, _below_floor, _predictable)),
     Check("predictable", _whole_scatter, unless=(*_APART, _below_floor)),
     Check("cut_off", _cut_scatter, unless=(*_APART, _below_floor)),
 )
