@@ -73,8 +73,8 @@ class Placed:
 @dataclass(frozen=True)
 class _Loads:
     """What the stated bodies ask of every joint: weight, and what motion adds, (N, n); weight by each body's mass and
-    moment (N, n, 4 n), and by each joint (N, n, n). carried: 1 kg at the tip, and an inertia of 1 kg m² there, moved as
-    the arm is, (2, N, n). side: on which side play rests, −1 … 1, (N, n).
+    moment (N, n, 4 n), and by each joint (N, n, n). carried: 1 kg at the tip, 1 kg m along each axis, and an inertia of
+    1 kg m² there, moved as the arm is, (5, N, n). side: on which side play rests, −1 … 1, (N, n).
     """
 
     weight: Array
@@ -83,11 +83,6 @@ class _Loads:
     by_joint: Array
     carried: Array
     side: Array
-
-    @property
-    def moments(self) -> Array:
-        """Weight by 1 kg m at the tip, along each axis, (3, N, n)."""
-        return np.moveaxis(self.by_body[:, :, -3:], 2, 0)
 
 
 def signals_of(cells: Cells, arm: MonitoredArm, placed: Placed) -> dict[str, SignalRows]:
@@ -126,13 +121,16 @@ def _loads(cells: Cells, arm: MonitoredArm) -> _Loads | None:
         (robots.gravity_efforts(chain, bodies, q + h) - robots.gravity_efforts(chain, bodies, q - h)) / (2.0 * _STEP)
         for h in steps
     ]
-    held = (robots.Payload.checked(1.0), robots.Payload.checked(0.0, inertia=(1.0, 1.0, 1.0, 0.0, 0.0, 0.0)))
-    load = weight + motion
-    carried = []
-    for payload in held:
-        loaded = robots.with_payload(bodies, chain, payload)
-        carried.append(robots.torque(chain, loaded, q, cells["v"], cells["a"], down) - whole)
-    return _Loads(weight, motion, by_body, np.stack(by_joint, axis=2), np.stack(carried), _rests(load))
+
+    def held(mass: float, centre: Array, inertia: Array) -> Array:
+        loaded = robots.with_payload(bodies, chain, robots.Payload.checked(mass, centre, np.r_[inertia, 0.0, 0.0, 0.0]))
+        return robots.torque(chain, loaded, q, cells["v"], cells["a"], down) - whole
+
+    no, one = np.zeros(3), np.ones(3)
+    mass = held(1.0, no, no)  # a point beside it has an inertia about the tip as well
+    moments = [held(1.0, axis, no) - mass - held(0.0, no, one - axis) for axis in np.eye(3)]
+    carried = np.stack([mass, *moments, held(0.0, no, one)])
+    return _Loads(weight, motion, by_body, np.stack(by_joint, axis=2), carried, _rests(weight + motion))
 
 
 def _rests(load: Array) -> Array:
@@ -151,8 +149,7 @@ def _torque(cells: Cells, arm: MonitoredArm, loads: _Loads, j: int) -> SignalRow
     columns |= {f"gain:{arm.names[j]}": loads.weight[:, j] + loads.motion[:, j], f"bias:{arm.names[j]}": one}
     for k, name in enumerate(arm.names):
         columns |= _of_position(name, loads.by_joint[:, j, k], q[:, k], loads.side[:, k])
-    columns |= {"mass": loads.carried[0, :, j], "inertia": loads.carried[1, :, j]}
-    columns |= {f"moment:{i}": x[:, j] for i, x in enumerate(loads.moments)}
+    columns |= {name: x[:, j] for name, x in zip(CARRIED, loads.carried, strict=True)}
     made = SignalRows(cells["effort"][:, j], np.stack(X, axis=1), width, 5, columns, cells["t"], 0)
     return _usable(made, np.abs(side) > _MOVES)
 
@@ -177,7 +174,7 @@ def _following(cells: Cells, arm: MonitoredArm, loads: _Loads | None, which: tup
     if loads is not None and not reported:
         X, loose = [*X, loads.weight[:, j], loads.motion[:, j]], 4
         columns[f"servo:{name}"] = loads.weight[:, j]
-        columns |= {f"{LIFTED}{i}:{name}": x[:, j] for i, x in enumerate((*loads.carried, *loads.moments))}
+        columns |= {f"{LIFTED}{i}:{name}": x[:, j] for i, x in enumerate(loads.carried)}
     X.append(cells["a"][:, j])
     wide = np.full(len(X), np.inf)
     return _usable(
@@ -277,16 +274,15 @@ _OF_JOINTS |= {"late": moves.LATENCY, "servo": moves.SERVO, "beside": moves.OFFS
 
 
 def candidates(
-    arm: MonitoredArm, seen: Collection[str], shares: Iterable[tuple[str, str, Mapping[str, float]]]
+    arm: MonitoredArm, seen: Collection[str], shares: Iterable[tuple[str, str, tuple[Mapping[str, float], ...]]]
 ) -> list[ChangeColumns]:
-    """The changes that signals with these columns can be asked about. shares: kind, joint and a sum of columns."""
+    """The changes that signals with these columns can be asked about. shares: kind, joint and sums of columns."""
 
     def row(kind: str, place: str, *columns: str) -> ChangeColumns:
         return ChangeColumns(moves.CellChange(kind, place), tuple({column: 1.0} for column in columns))
 
     out = [row(kind, name, f"{shape}:{name}") for name in arm.names for shape, kind in _OF_JOINTS.items()]
-    out += [row(moves.EFFORT, name, f"gain:{name}", f"bias:{name}") for name in arm.names]
-    out += [ChangeColumns(moves.CellChange(kind, name), (of,)) for kind, name, of in shares]
+    out += [ChangeColumns(moves.CellChange(kind, name), of) for kind, name, of in shares]
     out += [row(moves.LATENCY, ALL_JOINTS, "late"), row(moves.LATENCY, "camera", "camera late")]
     out += [row(moves.MASS, "tool", "mass"), row(moves.MASS, "tool", *CARRIED)]
     out += [row(kind, kind, *(f"{kind}:{k}" for k in range(6))) for kind in (moves.CAMERA, moves.TAG)]

@@ -18,7 +18,7 @@ import numpy as np
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3
 from modcal_core.hypotheses import HandEye, placed
-from modcal_core.moves import FRICTION, GEAR, MASS
+from modcal_core.moves import EFFORT, FRICTION, GEAR, MASS
 from modcal_core.sentinel.cells import Cells, MonitoredArm
 from modcal_core.sentinel.channels import CARRIED, LIFTED, RUBS, Placed, SignalRows, ball_and_sockets, signals_of
 
@@ -145,23 +145,26 @@ class Normal:
         return out
 
     @property
-    def shares(self) -> list[tuple[str, str, dict[str, float]]]:
-        """Changes in proportion to what was: kind, joint, and a sum of columns. Friction of each joint; a gear's ratio,
-        by which a servo on the motor's side yields less; a mass at the tip, as joints without efforts yield by weight.
+    def shares(self) -> list[tuple[str, str, tuple[dict[str, float], ...]]]:
+        """Changes in proportion to what was: kind, joint, and sums of columns. Friction of each joint; efforts, with
+        friction in them; a gear's ratio, by which a servo on the motor's side yields less; a mass at the tip, as joints
+        without efforts yield by weight.
         """
         friction: dict[str, dict[str, float]] = {}
-        out, lifted = [], dict[str, float]()
+        out, lifted = list[tuple[str, str, tuple[dict[str, float], ...]]](), dict[str, float]()
         for name, of in self.signals.items():
             channel, joint = name.split(" ", 1)[0], name.rpartition(" ")[2]
             if channel == "torque":
-                friction.setdefault(joint, {}).update({f"rubs {i}:{joint}": of.beta[k] for i, k in enumerate(RUBS)})
+                rubs = {f"rubs {i}:{joint}": of.beta[k] for i, k in enumerate(RUBS)}
+                friction.setdefault(joint, {}).update(rubs)
+                out.append((EFFORT, joint, ({f"gain:{joint}": 1.0, **rubs}, {f"bias:{joint}": 1.0})))
             elif f"drag:{joint}" in of.names:
                 friction.setdefault(joint, {})[f"drag:{joint}"] = of.beta[2]
                 lifted |= {f"{LIFTED}0:{joint}": of.beta[3]} if f"{LIFTED}0:{joint}" in of.names else {}
             elif channel == "following":
-                out.append((GEAR, joint, {f"ratio:{joint}": 1.0, f"servo:{joint}": -of.beta[2]}))
-        rubs = [(FRICTION, joint, of) for joint, of in friction.items() if any(w > 0.0 for w in of.values())]
-        return [*rubs, *out, *([(MASS, "tool", lifted)] if lifted else [])]
+                out.append((GEAR, joint, ({f"ratio:{joint}": 1.0, f"servo:{joint}": -of.beta[2]},)))
+        rubbed = [(FRICTION, joint, (of,)) for joint, of in friction.items() if any(w > 0.0 for w in of.values())]
+        return [*rubbed, *out, *([(MASS, "tool", (lifted,))] if lifted else [])]
 
 
 def _placed(reference: Sequence[Cells], arm: MonitoredArm) -> Placed:
