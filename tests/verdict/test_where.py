@@ -25,6 +25,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case
 from modcal_core.verdict.drivers import PlaceDrivers
 from modcal_core.verdict.rest import Rest
+from modcal_nodes.simulation.mjcf import World
 
 pytestmark = pytest.mark.slow
 CHAIN = ur10()
@@ -159,11 +160,21 @@ def of_points(samples: Samples) -> Samples:
     return replace(samples, kind=np.full(120, "point"), R=np.broadcast_to(np.eye(3), R.shape))
 
 
+def of_two_arms() -> Samples:
+    """Another arm of the make, on the same base and with the same tool, measured at a third of the stations."""
+    rng = np.random.default_rng(21)  # as MADE has it
+    base, tool = se3.exp(rng.normal(size=6)), se3.exp(np.r_[0.05, 0.03, 0.12, rng.normal(size=3)])
+    theirs = World(CHAIN, np.random.default_rng(9), T_tracker_base=base, T_tip_tool=tool)
+    third = (np.arange(120) % 3 == 2)[:, None, None]
+    return MADE.reread(np.where(third, theirs.tool_in_tracker(Q), MADE.world.tool_in_tracker(Q)))
+
+
 TOOL = "the tool (or the target on it) had two positions"
 GROUPS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
     "a bit that an encoder lost": (lost_bit, ("joint elbow_joint had two positions", "1/4096 of a turn")),
     "one of two places": (lambda: seated(np.random.default_rng(2).random(120) < 0.4, 8e-4), (TOOL,)),
     "one of two targets, by points": (lambda: of_points(seated(np.arange(120) % 3 == 2)), (TOOL,)),
+    "two arms in turn": (of_two_arms, ("as if two arms, or two states of one, had been mixed",)),
     # what has more values than two is not split
     "normal": (lambda: bent(2, 5e-4 * np.random.default_rng(3).normal(size=120)), ()),
     "uniform": (lambda: bent(2, 1e-3 * np.random.default_rng(3).uniform(-1.0, 1.0, 120)), ()),

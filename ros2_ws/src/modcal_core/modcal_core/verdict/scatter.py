@@ -35,6 +35,7 @@ _MIN_TIME = 0.2  # ms; less is what clocks of computers are apart by
 _SEPARATE = 0.85  # share of the squares along a motion that two values explain; of a wave, the next most, it is 0.81
 _MIN_OF_THEM = 0.1  # share of the samples in the smaller group
 _PLAINER = 0.9  # of the best share; a joint's axis is plainer than six directions
+_EACH, _SHOWN = 10, 1e-3  # components a direction, that two arms are told by; of the largest, that a direction shows
 _BITS, _BIT = (6, 24), 0.03  # that encoders have; of its size, to which a step is taken for one of a bit
 
 
@@ -135,6 +136,7 @@ def two_values(rest: Rest, fitted: bool) -> str:
     For each candidate the residual is written as U (c ± θ), with the sign of each station and θ found in turn. Two
     groups must take away half of the squares, and along the motion they must be separate: within normal scatter the
     best two explain 2/π of it, of a uniform distribution 3/4, of a wave 8/π², and beyond these only what is two-valued.
+    Along all of an arm's directions together they must take away nearly all: of noise they take 0.8 at most there.
     fitted: whether base, tool and joints fit these very samples.
     """
     if len(rest.samples) < MIN_STATIONS or not _asked(rest):
@@ -145,22 +147,33 @@ def two_values(rest: Rest, fitted: bool) -> str:
         flat = np.concatenate([part.columns for part in (base, tool, *joints)]).reshape(-1, residual.size)
         residual = residual - (np.linalg.lstsq(flat.T, residual.ravel(), rcond=1e-9)[0] @ flat).reshape(6, -1)
     alone = [replace(base, who="the tracker, in its positions,", Z=base.Z[..., :3], size=base.size[:3])]
-    found: list[tuple[bool, float, str]] = []
-    for part in (*joints, tool, base, *(alone if len(rest.view.pose) else [])):
+    arms = _whole_arm(rest)
+    found: list[tuple[int, float, str]] = []
+    for part in (*joints, tool, base, *(alone if len(rest.view.pose) else []), *arms):
         seen = slice(0, 3) if part in alone else slice(0, 6)
         split = _split(part.columns[:, seen], residual[seen])
-        if split is not None:
+        if split is not None and (split[0] >= _PLAINER or part not in arms):
             share, sign, theta = split
             few = int(min((sign > 0.0).sum(), (sign < 0.0).sum()))
             who = f"joint {part.who}" if part.unit else part.who
             apart = _apart(part, theta, rest.weight)
+            as_if = f"{who} had two positions" if part not in arms else "two arms, or two states of one, had been mixed"
             sentence = (
                 f"The residual falls into two groups of {few} and {len(sign) - few} stations, {apart} apart, as if "
-                f"{who} had two positions ({share:.0%} of the squared error): that is not scatter."
+                f"{as_if} ({share:.0%} of the squared error): that is not scatter."
             )
-            found.append((not part.unit, -share, sentence))
+            found.append((2 * (part in arms) + (not part.unit), -share, sentence))
     best = min((share for _, share, _ in found), default=0.0)
     return next((said for _, share, said in sorted(found) if share <= _PLAINER * best), "")
+
+
+def _whole_arm(rest: Rest) -> list[_Part]:
+    """All that readings show of an arm's geometry at once, where there are enough of them."""
+    columns = np.concatenate([rest.body(place) for place in range(rest.chain.tool_place + 1)])
+    U, size, _ = np.linalg.svd(columns.reshape(len(columns), -1).T, full_matrices=False)
+    U = U[:, size > _SHOWN * size[0]]
+    few = int((rest.weight > 0.0).sum()) < _EACH * U.shape[1]
+    return [] if few else [_Part.of("", U.T.reshape(-1, *columns.shape[1:]), full=True)]
 
 
 def along(rest: Rest) -> tuple[str, float] | None:
