@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cells import record, samples_of, ur10
+from cli.recordings import streams
 
 from modcal_core.calibration.cell import Cell, fit_cell, free_cell
 from modcal_core.calibration.final_fit import as_used, finalise
@@ -17,9 +18,11 @@ from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.prediction import driver_ranges, typical_sizes
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import ParameterChoice, choose_parameters, views_of
+from modcal_core.checkup import checkup
 from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.effects.drivers import DriverLimits
 from modcal_core.effects.effect import AXIS, LENGTH, Effect
+from modcal_core.effects.families import latency
 from modcal_core.effects.shapes import Shape
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3
@@ -27,6 +30,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
+from modcal_core.preprocess import prepare
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.verdict.not_applied import carried_over
@@ -405,3 +409,19 @@ def test_what_is_better_outside_is_kept_with_the_calibration(made: Calibration) 
         assert kept.geometry_outside == calibration.geometry_outside
         assert kept.left_alone == calibration.left_alone
         np.testing.assert_allclose(kept.predict(q), calibration.predict(q), atol=1e-12)
+
+
+def test_the_delay_of_a_recording_in_motion_is_its_own() -> None:
+    """A clock that was right when the arm was calibrated, or 3 ms late, is 4 ms late another day."""
+    own = prepare(streams(40, dwell=0.0), CHAIN).samples
+    sound = calibrate(own, CHAIN, np.random.default_rng(0), look_for_effects=False).calibration
+    late = latency.late().started(np.array([3e-3]))
+    of_its_own = replace(sound, calibrated=sound.calibrated.with_effects((late,)))
+    other = prepare(streams(40, dwell=0.0, late=0.004, day=1), CHAIN).samples
+    for calibration in (sound, of_its_own):
+        report = evaluate(calibration, other, np.random.default_rng(0))
+        assert "+4.00 ms late" in report.notes[0]
+        assert 1e3 * np.sqrt(np.mean(report.errors["final"].position_norm ** 2)) < 0.05
+    judged = evaluate(sound, own, np.random.default_rng(0)).judged
+    assert any("of the calibration's own recording" in said for said in judged.open_because)
+    assert checkup(sound, other, np.random.default_rng(0)).status == "unchanged"

@@ -30,12 +30,18 @@ def stations(count: int = 80, seed: int = 1) -> Recording:
 
 
 @cache
-def streams(count: int = 40, seed: int = 1, late: float = 0.0, dwell: float = 1.0, drift: float = 0.0) -> Recording:
-    """Joint states at 125 Hz and poses at 50 Hz of an arm that visits postures; the tracker's stamps may be late."""
+def streams(
+    count: int = 40, seed: int = 1, late: float = 0.0, dwell: float = 1.0, drift: float = 0.0, day: int = 0
+) -> Recording:
+    """Joint states at 125 Hz and poses at 50 Hz of an arm that visits postures; the tracker's stamps may be late.
+
+    day: of another tour.
+    """
     rng = np.random.default_rng(seed)
     chain = ur10()
     world = World(chain, rng, T_tracker_base=se3.exp(rng.normal(size=6)), T_tip_tool=se3.exp([0.05, 0, 0.1, 0.2, 0, 0]))
     program = Program(np.zeros(6))
+    rng = np.random.default_rng((seed, day)) if day else rng
     program.reset(0.0, tour(chain, count, 0.6, dwell, rng))
     t = np.arange(0.0, program.end, 0.008)
     s = np.arange(0.003, program.end, 0.02)

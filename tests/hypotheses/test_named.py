@@ -171,8 +171,8 @@ RECORDINGS: dict[str, tuple[Callable[[], Samples], tuple[str, ...]]] = {
     "a part is late": (lambda: reordered(np.r_[:40, 39 : N - 1]), ("readings at stations 40 to 69 look late by 1",)),
     "file names": (lambda: reordered(BY_NAME), ("stand in the order of file names",)),
     "halves": (lambda: reordered(np.roll(ORDER, 30), "point"), ("two parts that are exchanged",)),
-    "a part in reverse": (lambda: reordered(np.r_[:45, N - 1 : 44 : -1]), ("in reverse order of the rows",)),
-    "two and two": (lambda: reordered(swapped_pairs()), ("look swapped two and two",)),
+    "a part in reverse": (lambda: reordered(np.r_[:45, N - 1 : 44 : -1]), ("belong to other stations, in another order of rows",)),
+    "two and two": (lambda: reordered(swapped_pairs()), ("belong to other stations, in another order of rows",)),
     "some": (lambda: reordered(some_mixed()), ("belong to other stations",)),
     "permuted": (lambda: reordered(np.random.default_rng(4).permutation(N)), ("in another order of rows",)),
     "mean of rows": (

@@ -21,7 +21,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "bench": (16050, 11610),
     "launch": (80, 50),
     "modcal": (40, 30),
-    "modcal_core": (2600, 1470),
+    "modcal_core": (2630, 1490),
     "modcal_core/articulation": (4880, 3390),
     "modcal_core/calibration": (5990, 3790),
     "modcal_core/camera": (4360, 2830),
@@ -40,7 +40,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/moves": (2560, 1700),
     "modcal_core/report": (4240, 2450),
     "modcal_core/robots": (4620, 2990),
-    "modcal_core/verdict": (4010, 2630),
+    "modcal_core/verdict": (4030, 2650),
     "modcal_msgs_py": (4530, 3110),
     "modcal_msgs_py/tables": (3610, 2540),
     "modcal_nodes": (880, 540),
@@ -52,11 +52,11 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/ros": (2450, 1460),
     "modcal_nodes/simulation": (2000, 1340),
     "modcal_nodes/vision": (1830, 1310),
-    "tests": (46680, 32350),
+    "tests": (46700, 32370),
     "modcal_core/sentinel": (1330, 960),
 }
-SOURCE = (88000, 57900)
-TEXT = 183300  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (88050, 57950)
+TEXT = 183400  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

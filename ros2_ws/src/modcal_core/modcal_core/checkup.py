@@ -37,6 +37,7 @@ from modcal_core.moves import (
     with_new_frames,
 )
 from modcal_core.outcome import Outcome, counted, unseen_note
+from modcal_core.preprocess import on_joints_clock
 from modcal_core.verdict import Applied, applicable, own_rows
 
 Status = Literal["unchanged", "changed", "ambiguous", "unexplained"]
@@ -127,6 +128,7 @@ def checkup(
     """
     cell = (cell or Cell()).met(samples)
     samples = with_sockets(samples, cell, calibration.nominal.chain)
+    recorded, (samples, late) = samples, on_joints_clock(samples, calibration.calibrated.chain)
     if (count := distinct_postures(samples)) < MIN:
         again = "" if count == samples.stations else f" at {count} posture{'s' if count > 1 else ''}"
         said = f"at least {MIN} postures are needed to tell changes apart"
@@ -180,9 +182,10 @@ def checkup(
         joints=samples.names,
         convention=known.undone,
         notes=(
+            *late,
             *_placed_note(calibration, samples, new),
             *_notes(calibration, samples, inside, part, found),
-            *_dated(calibration, samples),
+            *_dated(calibration, recorded),
             *unseen_note(found.samples, calibration),
             *applied.notes,
         ),

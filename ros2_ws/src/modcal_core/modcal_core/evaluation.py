@@ -30,6 +30,7 @@ from modcal_core.diagnosis import frozen, located
 from modcal_core.hypotheses import computed_in_part, proved
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, Step, moved_note, not_asked_note, offsets_of, unseen_note
+from modcal_core.preprocess import on_joints_clock
 from modcal_core.verdict import (
     Applied,
     Grounds,
@@ -86,6 +87,7 @@ def evaluate(
     cell = (cell or Cell()).met(samples)
     samples = with_sockets(samples, cell, calibration.nominal.chain)
     samples, convention = proved(samples, calibration.nominal.chain)
+    recorded, (samples, late) = samples, on_joints_clock(samples, calibration.calibrated.chain)
     stood = _stood(calibration, samples, cell, (refit_base, refit_tool), partial(split, samples, rng, block))
     final, held_out = stood.final, samples.select(stood.sets.held_out)
     wrong = np.zeros(len(samples), bool)
@@ -96,7 +98,7 @@ def evaluate(
     rows = stood.sets.held_out[~wrong[stood.sets.held_out]] if single else stood.sets.held_out
     scored = samples.select(rows)
     residuals = {stage: errors(model, scored) for stage, model in stood.models.items()}
-    grounds = replace(_grounds(calibration, stood, samples, wrong, scored, cell), convention=convention)
+    grounds = replace(_grounds(calibration, stood, recorded, wrong, scored, cell), convention=convention)
     accepted = samples.select(~wrong) if single else samples
     placed = replace(calibration, nominal=stood.models["nominal"], calibrated=final)
     claim = claim_at_tool(placed, accepted, cell, frozen="arm" if refit_base or refit_tool else "whole")
@@ -113,6 +115,7 @@ def evaluate(
         parameters=calibration.parameters,
         offsets=offsets_of(calibration),
         notes=(
+            *late,
             *moved_note(residuals["final"], calibration, refit_base, refit_tool),
             *unseen_note(scored, calibration),
             *stood.applied.notes,

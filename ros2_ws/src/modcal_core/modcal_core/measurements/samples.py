@@ -49,7 +49,8 @@ class Origin:
     reason. doubts: sentences on what was left out too often, which make a verdict open. began: first stamp of the
     recording [s]. sha256: of the bag. instrument: kind of reading, topic and frame. description: the recorded URDF.
     by_type: topics of readings that nobody named. instrument_mm, instrument_deg: what instruments state of their own
-    error, where the data bear it out. checked: whether units and joints were compared with a robot.
+    error, where the data bear it out. checked: whether units and joints were compared with a robot. undelayed: whether
+    readings in motion are on the joints' clock.
     """
 
     title: str = "recording"
@@ -64,6 +65,7 @@ class Origin:
     instrument_deg: float | None = None
     checked: bool = True
     doubts: tuple[str, ...] = ()
+    undelayed: bool = False
 
 
 SHARED = ("names", "frames", "signals", "sockets", "clock", "origin")  # fields of Samples without a row for each

@@ -124,23 +124,19 @@ def _in_runs(same: np.ndarray) -> int:
 
 def turned(left: Errors, samples: Samples, chain: Mechanism) -> tuple[str, ...]:
     """Whether orientations miss by more than instrument and arm can, while positions fit."""
-    angle = _rms(left.rotation_norm)
-    if not len(left.rotation_norm):
+    mm, deg = left.size_mm(), left.size_deg()
+    if mm is None or deg is None:
         return ()
     # known scatter of the readings, and what an arm whose positions miss by so much could turn
     known = 3.0 * float(np.sqrt(3.0) * np.nan_to_num(np.nanmedian(np.r_[0.0, samples.sigma_rotation[samples.is_pose]])))
-    by_arm = min(_rms(left.position_norm) / (_LEVER * chain.reach()), float(_MAX_BY_ARM))
-    if angle <= max(float(_TURNED), known, by_arm):
+    by_arm = min(1e-3 * mm.rms / (_LEVER * chain.reach()), float(_MAX_BY_ARM))
+    if np.radians(deg.rms) <= max(float(_TURNED), known, by_arm):
         return ()
     return (
-        f"Orientations miss by {np.degrees(angle):.3g}° RMS beside {1e3 * _rms(left.position_norm):.3g} mm: more than "
+        f"Orientations miss by {deg.rms:.3g}° RMS beside {mm.rms:.3g} mm: more than "
         "an arm or an instrument does, and no convention of quaternions or Euler angles explains it. Check that the "
         "target was not turned on the tool, and that all readings are of one target.",
     )
-
-
-def _rms(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(x**2))) if len(x) else 0.0
 
 
 _MAX_KG = 5000.0  # the heaviest serial arms weigh three tonnes in all

@@ -13,6 +13,7 @@ import numpy as np
 
 from modcal_core.calibration import Calibration, Model, averaged, cost_of_holding, outside_drivers, signals_of
 from modcal_core.effects import STEPS, Effect, NominalArm, undelayed
+from modcal_core.effects.families import latency
 from modcal_core.measurements import Samples
 from modcal_core.verdict.grounds import NotApplied
 
@@ -36,6 +37,9 @@ def applicable(calibration: Calibration, samples: Samples) -> Applied:
     partly: list[str] = []
     for effect, typical in zip(model.effects, map(calibration.typical_of, range(len(model.effects))), strict=True):
         if effect.driver == "clock":  # how the clocks of its own recording went
+            continue
+        if samples.origin.undelayed and effect.family == latency.NAME:
+            effects.append(effect.with_values(np.zeros(len(effect.values))))
             continue
         why, cost = _lacking(effect, calibration, samples), 0.0 if typical is None else 1e6 * typical.cost
         if why is None:
