@@ -262,10 +262,7 @@ def _shifted(recording: Recording, frames: tuple[str, ...], delays: Array) -> Re
 
 
 def on_joints_clock(samples: Samples, chain: Mechanism) -> tuple[Samples, tuple[str, ...]]:
-    """Samples whose readings in motion are on the joints' clock, and a sentence for each frame that was late.
-
-    A delay is a recording's own: no calibration knows that of another one.
-    """
+    """Samples whose readings in motion are on the joints' clock, for a delay is a recording's own; and what is said."""
     if samples.origin.undelayed or not samples.moving.any():
         return samples, ()
     delays, left = _delays(samples, chain)
