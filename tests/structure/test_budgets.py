@@ -36,7 +36,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/modules": (2610, 1640),
     "modcal_core/online": (1090, 750),
     "modcal_core/planning": (3240, 2120),
-    "modcal_core/hypotheses": (3610, 2410),
+    "modcal_core/hypotheses": (3610, 2400),
     "modcal_core/moves": (2560, 1700),
     "modcal_core/report": (4240, 2450),
     "modcal_core/robots": (4620, 2990),
@@ -52,10 +52,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/ros": (2450, 1460),
     "modcal_nodes/simulation": (2000, 1340),
     "modcal_nodes/vision": (1830, 1310),
-    "tests": (46700, 32370),
+    "tests": (46710, 32380),
     "modcal_core/sentinel": (1330, 960),
 }
-SOURCE = (88050, 57950)
+SOURCE = (88000, 57950)
 TEXT = 183400  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 67
 LOADED = 225  # modules, to calibrate a bag
