@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli.conftest import Refused
-from cli.recordings import part, stations, streams, with_joints
+from cli.recordings import part, stations, with_joints
 
 from modcal_msgs_py.messages import digest
 from modcal_msgs_py.recording_write import write_recording
@@ -128,14 +128,6 @@ def test_two_recordings_are_one_calibration(tmp_path: Path) -> None:
     together = calibrated(tmp_path / "one", tmp_path / "b", "--also", str(tmp_path / "two"))
     assert together["recording"]["stations"] == 100
     assert together["error_mm"] == once["error_mm"]
-
-
-def test_recordings_in_motion_have_clocks_of_their_own(tmp_path: Path) -> None:
-    write_recording(streams(20, dwell=0.0), tmp_path / "one")
-    write_recording(streams(20, dwell=0.0, late=0.004, day=1), tmp_path / "two")
-    together = calibrated(tmp_path / "one", tmp_path / "out", "--also", str(tmp_path / "two"))
-    assert any("+4.00 ms late" in note for note in together["notes"])
-    assert together["error_mm"]["final"]["rms"] < 0.05
 
 
 def test_geometry_only_looks_no_further(tmp_path: Path) -> None:

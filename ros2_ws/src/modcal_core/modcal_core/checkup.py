@@ -37,8 +37,7 @@ from modcal_core.moves import (
     with_new_frames,
 )
 from modcal_core.outcome import Outcome, counted, unseen_note
-from modcal_core.preprocess import on_joints_clock
-from modcal_core.verdict import Applied, applicable, own_rows
+from modcal_core.verdict import Applied, applicable, on_joints_clock, own_rows
 
 Status = Literal["unchanged", "changed", "ambiguous", "unexplained"]
 MIN = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
@@ -128,7 +127,7 @@ def checkup(
     """
     cell = (cell or Cell()).met(samples)
     samples = with_sockets(samples, cell, calibration.nominal.chain)
-    recorded, (samples, late) = samples, on_joints_clock(samples, calibration.calibrated.chain)
+    recorded, (samples, late) = samples, on_joints_clock(calibration, samples)
     if (count := distinct_postures(samples)) < MIN:
         again = "" if count == samples.stations else f" at {count} posture{'s' if count > 1 else ''}"
         said = f"at least {MIN} postures are needed to tell changes apart"

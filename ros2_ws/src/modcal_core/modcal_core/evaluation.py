@@ -30,7 +30,6 @@ from modcal_core.diagnosis import frozen, located
 from modcal_core.hypotheses import computed_in_part, proved
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, Step, moved_note, not_asked_note, offsets_of, unseen_note
-from modcal_core.preprocess import on_joints_clock
 from modcal_core.verdict import (
     Applied,
     Grounds,
@@ -38,6 +37,7 @@ from modcal_core.verdict import (
     doubtful,
     frozen_case,
     judge,
+    on_joints_clock,
     own_rows,
     own_uncertainty,
     rejection,
@@ -87,7 +87,7 @@ def evaluate(
     cell = (cell or Cell()).met(samples)
     samples = with_sockets(samples, cell, calibration.nominal.chain)
     samples, convention = proved(samples, calibration.nominal.chain)
-    recorded, (samples, late) = samples, on_joints_clock(samples, calibration.calibrated.chain)
+    recorded, (samples, late) = samples, on_joints_clock(calibration, samples)
     stood = _stood(calibration, samples, cell, (refit_base, refit_tool), partial(split, samples, rng, block))
     final, held_out = stood.final, samples.select(stood.sets.held_out)
     wrong = np.zeros(len(samples), bool)

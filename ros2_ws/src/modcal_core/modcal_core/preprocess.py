@@ -55,7 +55,6 @@ _MAX = 3000  # samples that a delay is fitted to
 _PLAINLY = 0.9  # of what stamps leave, below which a steady rate fits better: of hundreds of readings beyond doubt
 # s; a shorter delay is the cell's own, and belongs to the calibration as an effect; a longer one is a clock's
 LONGEST_LATENCY = 0.025
-_SAID = 1e-4  # s; a shorter delay of a frozen calibration's readings is undone in silence
 
 
 @dataclass(frozen=True)
@@ -259,24 +258,6 @@ def _shifted(recording: Recording, frames: tuple[str, ...], delays: Array) -> Re
     late = dict(zip(frames, delays, strict=True))
     readings = tuple(replace(r, stamps=r.stamps - late.get(r.frame, 0.0)) for r in recording.readings)
     return replace(recording, readings=readings)
-
-
-def on_joints_clock(samples: Samples, chain: Mechanism) -> tuple[Samples, tuple[str, ...]]:
-    """Samples whose readings in motion are on the joints' clock, for a delay is a recording's own; and what is said."""
-    if samples.origin.undelayed or not samples.moving.any():
-        return samples, ()
-    delays, left = _delays(samples, chain)
-    if not np.isfinite(left).any():
-        return samples, ()
-    late = (samples.moving * delays[samples.frame])[:, None]
-    velocity = samples.velocity - late * samples.acceleration
-    q = samples.q - late * np.nan_to_num(0.5 * (samples.velocity + velocity))
-    said = tuple(
-        f"Readings in {frame} were {1e3 * seconds:+.2f} ms late, by their motion; that was undone."
-        for frame, seconds in zip(samples.frames, delays, strict=True)
-        if abs(seconds) > _SAID
-    )
-    return replace(samples, q=q, velocity=velocity, origin=replace(samples.origin, undelayed=True)), said
 
 
 def _delays(samples: Samples, chain: Mechanism) -> tuple[Array, Array]:

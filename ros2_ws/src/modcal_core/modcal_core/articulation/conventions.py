@@ -3,8 +3,7 @@
 A door whose quaternions w x y z are read as x y z w turns about another axis at every pose; inverse rotations turn the
 other way; in a left-handed frame positions go round the other way. Each follows none of the joint types, or looks like
 a grasp that turns in the hand. Read as written they follow a joint with certainty, which no such grasp does. Several
-conventions may do so alike; then all of them are named. What turns against its path, as the second leaf of a folding
-door does, looks like them for a while, so the remedy says what to do about it.
+conventions may do so alike; then all of them are named. The second leaf of a folding door looks like them for a while.
 
 While poses come, the joint is found in closed form: rotations turn about one axis w, and a handle that is held firmly
 lies where they bring it,

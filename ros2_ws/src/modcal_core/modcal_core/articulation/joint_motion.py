@@ -7,10 +7,6 @@ wherever on the path they occur.
 Torr and Zisserman, MLESAC (2000): motions through randomly chosen samples are scored by a likelihood that is cut off
 where an outlier begins, and the best are kept. Three positions give a circle, two a line, two poses a screw motion.
 Samples are drawn by their order only, so a track that is moved or mirrored gets the moved or mirrored guesses.
-
-A type is an instance of a class derived from :class:`ArticulationModel`; most packages derive from
-:class:`~modcal_core.articulation.models.parametric.ParametricModel`, for which a function of the configuration is
-enough. The built-in types and a package's are registered, fitted and weighed in the same way.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 Amplitudes of effects and constants of the arm share what the data says (a sag that grows with load is half a joint
 zero), so their variances alone would say too much or too little of a predicted pose. The values are small deviations
-about the calibrated model *as it is written*, after its gauge has been chosen, so that no second model is needed to
-read them.
+about the calibrated model *as it is written*, after its gauge has been chosen.
 
 A direction counts as observed when the data alone fixes it better than the prior does, that is better than 10 mm or
 20 mrad. With every parameter measured in units of its prior deviation, the eigenvalues of the data's information are
@@ -18,9 +17,8 @@ all σ, and of the noise, the likelihood of the data with x integrated out is gr
     σ² = Σ x² / γ,      γ = Σ (1 − V_ii / σ²),      s² = |r|² / (R − Σ γ)
 
 over the values of the group, with V the covariance that the data leaves them: γ is how many numbers the data tells of
-the group. These are taken one after the other until they agree (MacKay 1992, *Bayesian interpolation*; for groups
-Tipping 2001), sizes a little farther than they ask for, which ends in fewer rounds at the same. A group of which the
-data says nothing shrinks to nothing.
+the group (MacKay 1992, *Bayesian interpolation*; for groups Tipping 2001). One of which it says nothing shrinks to
+nothing.
 """
 
 from __future__ import annotations

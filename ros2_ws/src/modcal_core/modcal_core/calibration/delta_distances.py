@@ -12,8 +12,7 @@ Distances stay the same when all points are moved together, so what moves all of
 
 All parameters are shaken at once, ``X' = X + step (rand − 0.5)``; a better X' is taken, a worse one with probability
 ``exp(−(f(X') − f(X)) / T)`` (Metropolis). After so many trials the temperature falls by a factor, and the next ones
-begin at the best X so far. It ends at the last temperature. Derivatives are not asked for, and nothing is said of what
-the data cannot tell.
+begin at the best X so far. Nothing is said of what the data cannot tell.
 """
 
 from __future__ import annotations

@@ -15,9 +15,8 @@ gradient Jᵀr is exact and only the curvature is rounded.
 Arrays are component-major, (3, N): ``J[j]`` holds all x, y, z of the positions and then of the orientations, so each
 parameter is written in contiguous sweeps and the normal equations are one matrix product.
 
-Of two such curves with a weight for each sample, ``Φ diag(w) Ψᵀ`` is a sum over the samples of small blocks, 4 × 4 of
-cubic curves. Where these blocks stand, and what they are beside w, stays from step to step of a fit, so it is kept as
-one sparse matrix that w is multiplied by.
+Of two curves with a weight for each sample, ``Φ diag(w) Ψᵀ`` is a sum over samples of small blocks, kept as one sparse
+matrix that w is multiplied by.
 """
 
 from __future__ import annotations

@@ -13,9 +13,7 @@ fixed order of preference, their columns are computed at random postures, and ea
 before it is left out. That depends on the robot and the kinds of reading only, never on the data at hand.
 
 A turn about, or a shift along, a revolute joint's axis can stand before the joint or after it; nothing measures which.
-The fit settles this by leaving directions out, which puts all of it wherever it left room. For a file that people read
-and compare, the freedom is used instead to keep the constants of every joint as close to nominal as they can be, in
-units of what a robot is usually wrong by. The motion of the tool is the same to rounding.
+In a file that people read and compare the constants of every joint are kept as close to nominal as they can be.
 """
 
 from __future__ import annotations

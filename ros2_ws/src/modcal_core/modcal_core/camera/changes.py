@@ -13,8 +13,7 @@ integrated out. Among the images of a fit the sizes of all errors are found agai
 images' own errors look large.
 
 While the robot works, the last few images are equations about the calibrated model, with all that it knows as a prior.
-Images of several cameras are judged together: joints, and a target seen from the same side, are one for all. The
-likeliest change is named where it beats nothing by far and the next one clearly.
+Images of several cameras are judged together: joints, and a target seen from the same side, are one for all.
 """
 
 from __future__ import annotations

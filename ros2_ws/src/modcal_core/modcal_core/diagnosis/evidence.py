@@ -11,8 +11,7 @@ Noise is not white in a tracker's frame: a joint that does not repeat throws the
 relied on is that stations are independent and their noise is as likely to point one way as the other. So the residual
 vectors of whole stations are given random signs as well, and the best candidate found in such a recording of pure noise
 is noted (wild bootstrap; Wu 1986, Liu 1988). Those maxima follow an extreme-value law (Gumbel), which gives the chance
-that noise makes a best as good as the real one, all candidates looked at included. The signs are the same in every
-scan: the same data have the same chance.
+that noise makes a best as good as the real one, all candidates looked at included.
 """
 
 from __future__ import annotations

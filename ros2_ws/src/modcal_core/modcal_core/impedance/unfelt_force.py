@@ -16,9 +16,7 @@ much (:meth:`UnfeltForce.refused`).
 
 What is learned must not explain a jam. So a moment is learned only after a while in which nothing was suspected, and
 only where the felt wrench, or the speed of a tool that goes on, has changed since the last one.
-
-Messages come late, so an older reference may be in effect. A pull slows down for what the newest reference or an older
-one shows, and is let go for what both show.
+Messages come late: a pull slows down for what the newest reference or an older one shows, and is let go for both.
 """
 
 from __future__ import annotations

@@ -15,8 +15,6 @@ Seen in one assembly only, a module and its flanges share the error in proportio
 further assembly tells more. Of each recording, fitted like any other, are kept the six deviations of every inner
 constant M_1 … M_{n-1} and their information JᵀWJ, base frames and tool eliminated: what the fit chose where the
 recording cannot tell carries no weight. M_0 and M_n are one with base and target, which differ after every set-up.
-
-In the file ``modules`` is what assembling reads; from ``assemblies`` all is learned again.
 """
 
 from __future__ import annotations

@@ -16,9 +16,6 @@ Postures are found by Newton's method on these rows, damped after Levenberg and 
 start at the same time, a joint being held at its limits:
 
     (JᵀJ + μ I) δq = −Jᵀ r,    with J from the axes z_k through p_k:  dR e_c = z_k × R e_c,  dp = z_k × (p − p_k).
-
-Numbers stand with their components first and the arms last, one long contiguous axis: a thousand descents cost little
-more than the overhead of one.
 """
 
 from __future__ import annotations

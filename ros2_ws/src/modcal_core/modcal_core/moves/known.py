@@ -7,9 +7,6 @@ Where a frame stands that the calibration does not know (an instrument set up ag
 found from the readings of the check, and stays open while changes are looked for. That the base moved cannot be told
 there; what the arm and the tool did can.
 
-Readings may be no arm's with one base and one tool: rows mixed up, a move in between, joints elsewhere. No change since
-the calibration explains those, and what comes nearest would be named instead.
-
 The repaired calibration is the frozen one with only what changed put in. The sizes of a change were fitted with the
 frozen model's own uncertainty as a part of the noise, so they are the best that the new readings and the old
 calibration give together. Where they stand they make up for a part of what the kept model errs by; the covariance of

@@ -8,8 +8,6 @@ Until then the last trusted model stands.
 A tracker's driver that is restarted with another setting looks like a base that has moved by metres, or like a load.
 Once there are enough samples, the same question is asked as of a recording that is checked.
 
-Has anything changed since the model was trusted?
-
 Every sample's residual is compared with what the model and its covariance expect. For each direction of each place, and
 each moment since when it might have moved, the sum of all residuals along that motion is tested (a generalised
 likelihood ratio, Willsky & Jones 1976). Two things keep it quiet where nothing happened: one sample can say only so

@@ -10,8 +10,7 @@ with U = P J_kᵀ, M = (1 ± J_k U)⁻¹, A_j = J_j U and B_j = J_j P Γ U
 
     P ∓ U M Uᵀ,    S_j ∓ A_j M A_jᵀ,    G_j ∓ A_j M B_jᵀ ∓ B_j M A_jᵀ + A_j M (Uᵀ Γ U) M A_jᵀ
 
-In Fedorov's exchange one station after the other leaves the set, and the candidate that serves best takes its place.
-Then each is exchanged for postures near it.
+In Fedorov's exchange each station in turn leaves the set for the candidate that serves best, then for postures near it.
 """
 
 from __future__ import annotations

@@ -13,11 +13,7 @@ q̈_i ≤ upper_i / M_ii``, each joint with the others at rest and their drives 
 while the others accelerate as they do; and *box*, bounds that hold together, whatever the others do within theirs.
 
 What goes with no acceleration follows by Newton and Euler's recursion in the base frame, where it becomes sums along
-the chain. With S_i the unit twist of joint i, I_j the spatial inertias of :mod:`modcal_core.robots.bodies`, and gravity
-as an acceleration of the base upwards (Luh, Walker and Paul 1980; Featherstone 2008, chapter 5), at q̈ = 0:
-
-    V_j = Σ_{i ≤ j} S_i q̇_i,    A_j = (−g, 0) + Σ_{i ≤ j} ad(V_i) S_i q̇_i,
-    F_j = I_j A_j − ad(V_j)ᵀ I_j V_j,    τ_i = S_iᵀ Σ_{j ≥ i} F_j.
+the chain, gravity being an acceleration of the base upwards (Luh, Walker and Paul 1980; Featherstone 2008, chapter 5).
 
 The box: bounds −l ≤ x ≤ u of the greatest product Π (u_i l_i)^w_i, w_i > 0, all of whose corners obey ``lower ≤ A x ≤
 upper``; it does not depend on the units of the components. With A⁺ and A⁻ the positive and negative parts of A,

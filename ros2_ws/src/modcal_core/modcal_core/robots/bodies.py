@@ -1,14 +1,8 @@
 """The bodies of a chain: what gravity asks of every joint for them, what it must set in motion, and what the arm
 carries.
 
-Everything is computed in the base frame, where twists and inertias of all bodies add. With S_i the unit twist of joint
-i (:func:`modcal_core.robots.kinematics.spatial_jacobian`) and ``I_j`` the spatial inertia of body j, twists linear
-first,
-
-    I_j = | m 1      −m ĉ         |          M_ij = S_iᵀ (Σ_{k ≥ max(i, j)} I_k) S_j,
-          | m ĉ      I_c − m ĉ ĉ  |
-
-the composite rigid body algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 6).
+Everything is computed in the base frame, where twists, linear first, and inertias of all bodies add: the composite
+rigid body algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 6).
 
 At rest a joint gives what gravity asks of it, linear in the mass of every body and in mass times centre, the payload's
 included. Beside the payload an estimate has, by joint, the torque constant, an offset and dry friction, which acts

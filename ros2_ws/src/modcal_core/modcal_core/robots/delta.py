@@ -20,9 +20,8 @@ along which the rods of arm i stand apart, u_i the way outwards, r the platform'
     s_i · (R t_i − t_i) = ε_i = δ_i / d        |p + (R − 1) r u_i − C_i| = L2_i,
 
 exact but for terms of (d / L2) (δ / d)². ε is no structural parameter: it is an effect, found where the data show it.
-The first three are equations for R, the others three spheres about shifted elbows. With a_i = R t_i × s_i and w_i the
-columns of the inverse of the matrix with these rows, the platform turns by ``Σ w_i ε_i`` to first order. This remains
-of the closed chain with 54 parameters (Vischer and Clavel 1998) once each pair's mean is one rod.
+The first three are equations for R, the others three spheres about shifted elbows. This remains of the closed chain
+with 54 parameters (Vischer and Clavel 1998) once each pair's mean is one rod.
 
 Structural parameters, 24 as in CN114571465B: six constants of each arm (q_zero, k, α, dB, L1, L2), and six of the tool
 (x, y, z, rx, ry, rz), whose rz is the zero of the shaft. k_s belongs to the drawing.

@@ -11,8 +11,7 @@ seen from this one, l (3,) [m] the way to the next joint's frame, and the shorte
 A row is the step *behind* its joint. beta and the third component of l commute with the next joint's motion, so an
 export leaves them 0: four numbers a joint, and no jump but for opposite axes. Those are avoided by ``reversed: true``:
 the joint counts negatively about its b. Base and tool are poses; the rest of the table is as in
-:mod:`modcal_core.robots.dh`. All of b is written, as bz from bx and by loses half of the digits between perpendicular
-axes.
+:mod:`modcal_core.robots.dh`. All of b is written: bz from bx and by loses half of the digits.
 
 CSV has comment lines (``# convention: dh``, ``# base_link: …``, ``# tip_link: …``, ``# base: x y z roll pitch yaw``,
 ``# tool: …``, ``# unit: mm deg``), then a head and one row a joint: name, type, the convention's columns, lower, upper.

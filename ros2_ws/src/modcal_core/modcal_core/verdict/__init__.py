@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from modcal_core.verdict.floor import Floor, floors, reading_scatter_mm
     from modcal_core.verdict.grounds import Grounds, Rejected, regimes_of, rejection, too_many
     from modcal_core.verdict.iso9283 import PoseTest, pose_test
-    from modcal_core.verdict.not_applied import Applied, applicable, carried_over
+    from modcal_core.verdict.not_applied import Applied, applicable, carried_over, on_joints_clock
     from modcal_core.verdict.proof import Proofs
     from modcal_core.verdict.status import judge
     from modcal_core.verdict.tolerance import STATISTICS, Asked, AtTool, Tolerance, assess, interval_of_rms

@@ -116,7 +116,7 @@ def frozen_case(
 
     model: its final one, base and tool refitted if asked. unit: see :class:`Case`. rows: those that are scored, (k,).
     """
-    known, free = own_uncertainty(calibration, model), _base_and_tool(model, refit_base, refit_tool)
+    known, free = own_uncertainty(calibration, model), base_and_tool(model, refit_base, refit_tool)
     if free:
         train = ~wrong
         train[rows] = False
@@ -127,7 +127,7 @@ def frozen_case(
     return Case(samples, wrong, rows, unit, model, known, calibration.noise, left, residuals, False, free)
 
 
-def _base_and_tool(model: Model, base: bool, tool: bool) -> tuple[ModelParameter, ...]:
+def base_and_tool(model: Model, base: bool, tool: bool) -> tuple[ModelParameter, ...]:
     """The parameters of all base frames, of the tool, or of both."""
     frames = [ModelParameter(f"frame {name}", 0, d, f) for f, name in enumerate(model.frames) for d in range(6)]
     at_tool = [ModelParameter("tool", model.chain.tool_place, d) for d in range(6)]

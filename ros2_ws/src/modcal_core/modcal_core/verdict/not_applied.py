@@ -7,15 +7,79 @@ judged in the same way, as another recording would use it.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Model, averaged, cost_of_holding, outside_drivers, signals_of
+from modcal_core.calibration import (
+    Calibration,
+    Cell,
+    Model,
+    averaged,
+    cost_of_holding,
+    outside_drivers,
+    refit_cell,
+    signals_of,
+)
 from modcal_core.effects import STEPS, Effect, NominalArm, undelayed
 from modcal_core.effects.families import latency
-from modcal_core.measurements import Samples
+from modcal_core.errors import NotEnoughData
+from modcal_core.geometry import Array, combined
+from modcal_core.measurements import Samples, spread_rows
+from modcal_core.measurements.kinds import is_direct
+from modcal_core.verdict.case import base_and_tool, derivatives, weights
 from modcal_core.verdict.grounds import NotApplied
+
+_SAID = 1e-4  # s; a shorter delay is undone in silence
+_CLOCKED, _ROUNDS = 1500, 3  # samples that a delay is found from; iterations
+_ASTRAY = 30.0  # squares of a reading's residual, in the noise's, that count half
+
+
+def on_joints_clock(calibration: Calibration, samples: Samples) -> tuple[Samples, tuple[str, ...]]:
+    """Samples whose readings in motion are on the joints' clock, for a delay is a recording's own; and what is said.
+
+    The delay of each frame is found beside its base and the tool, with the arm and its effects as they were calibrated.
+    """
+    moving = samples.moving & np.isfinite(samples.velocity).all(axis=1)
+    if samples.origin.undelayed or not moving.any() or not is_direct(samples.kinds):
+        return samples, ()
+    model, late = applicable(calibration, samples).model, np.zeros(len(samples.frames))
+    model = model.with_effects(tuple(e for e in model.effects if e.family != latency.NAME))
+    for f in np.unique(samples.frame[moving]).tolist():
+        rows = np.flatnonzero(moving & (samples.frame == f))
+        few = samples.select(rows[spread_rows(len(rows), _CLOCKED)])
+        few = replace(few, frames=(samples.frames[f],), frame=np.zeros(len(few), int), sockets=())
+        with suppress(NotEnoughData):
+            for _ in range(_ROUNDS):
+                late[f] += _late(model, _later(few, -late[f]))
+    said = tuple(
+        f"Readings in {frame} were {1e3 * seconds:+.2f} ms late, by their motion; that was undone."
+        for frame, seconds in zip(samples.frames, late, strict=True)
+        if abs(seconds) > _SAID
+    )
+    if not late.any():
+        return samples, ()
+    shifted = _later(samples, -(moving * late[samples.frame])[:, None])
+    return replace(shifted, origin=replace(samples.origin, undelayed=True)), said
+
+
+def _later(samples: Samples, seconds: Array | float) -> Samples:
+    """The same at the joints' positions of so much later, (N, 1) or all."""
+    velocity = samples.velocity + seconds * samples.acceleration
+    q = samples.q + seconds * np.nan_to_num(0.5 * (samples.velocity + velocity))
+    return replace(samples, q=q, velocity=velocity)
+
+
+def _late(model: Model, samples: Samples) -> float:
+    """By how much readings of one frame are late [s], to first order, whatever its base and the tool are."""
+    fit = refit_cell(model, samples, Cell())
+    late = fit.model.with_effects((*fit.model.effects, latency.late().started(np.zeros(1))))
+    residual, J = derivatives(late, base_and_tool(late, True, True), samples)
+    own = weights(fit.noise, samples)
+    own = own / (1.0 + np.sum((residual * own) ** 2, axis=0) / _ASTRAY)
+    columns = (np.concatenate([J[:12], J[-1:]]) * own).reshape(13, -1)
+    return float(combined(columns.T, (residual * own).ravel())[-1])
 
 
 @dataclass(frozen=True)

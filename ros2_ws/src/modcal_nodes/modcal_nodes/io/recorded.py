@@ -10,10 +10,8 @@ from modcal_core.calibration import Calibration, Cell, Move, Stated, together_st
 from modcal_core.errors import BadRecording, about
 from modcal_core.files import read_yaml
 from modcal_core.measurements import Samples, after, between, require_new, together
-from modcal_core.preprocess import on_joints_clock
 from modcal_core.public import Result, calibrate, tolerance_asked
 from modcal_core.robot import Robot
-from modcal_core.robots import Mechanism
 from modcal_msgs_py import Bag, Topics, read_bag
 from modcal_nodes.cli import described
 from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
@@ -45,7 +43,7 @@ def calibrate_bag(bag: Path, options: Options, more: tuple[Path, ...] = (), watc
     for other in more:
         with about(str(other)):
             added = opened(other, watch, topics).samples(robot, options.clock_limit)
-        samples, cell = _with(samples, cell, added, other.name, robot.chain)
+        samples, cell = _with(samples, cell, added, other.name)
     with of_cell(options.cell_file):
         result = calibrate(
             robot,
@@ -89,13 +87,12 @@ def of_calibrated(recorded: Bag, frozen: Calibration, clock_limit: float) -> Sam
         ) from error
 
 
-def _with(samples: Samples, cell: Cell, added: Samples, name: str, chain: Mechanism) -> tuple[Samples, Cell]:
+def _with(samples: Samples, cell: Cell, added: Samples, name: str) -> tuple[Samples, Cell]:
     """The samples with those of another bag of the same cell behind them, and the cell with what moved between."""
-    (samples, said), (added, told) = (on_joints_clock(one, chain) for one in (samples, added))
     require_new(added, samples, name)
     later, late = after(added, samples)
     one, two = samples.origin, added.origin
-    notes = (*one.notes, *said, *two.notes, *told)
+    notes = (*one.notes, *two.notes)
     if late:
         notes = (*notes, f"{name} overlaps the recordings before it: its stamps were shifted {late:.1f} s later.")
     moment = between(samples, later)

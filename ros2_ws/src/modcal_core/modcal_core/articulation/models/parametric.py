@@ -10,9 +10,8 @@ What was seen at configuration a is unwound into the frame that the model moves 
     e = B(a)ᵀ (p_seen − p(a)),   φ = log(B(a)ᵀ R_seen R_graspᵀ),   B = R_world_object R_pose(a)
 
 Parameters are small changes: a shift of the object [m] and a turn of it about the middle of the track [rad], with
-rotations a turn of the grasp [rad], and the shape in standard deviations of its prior. Derivatives by the shape and by
-the configuration are central differences. First guesses place a shape where three samples lie as far apart as three
-points of the path; the best of many by a likelihood that is cut off where an outlier begins.
+rotations a turn of the grasp [rad], and the shape in standard deviations of its prior. First guesses place a shape
+where three samples lie as far apart as three points of the path.
 """
 
 from __future__ import annotations
