@@ -1,4 +1,4 @@
-"""What scatters or errs far more than the rest is named: a base, a tool, a while, a joint, an instrument, stamps."""
+"""What scatters or errs far more than the rest is named: a base, a tool, a joint, an instrument, stamps."""
 
 from __future__ import annotations
 

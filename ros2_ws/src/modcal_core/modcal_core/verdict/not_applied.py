@@ -1,4 +1,4 @@
-"""What of a frozen calibration a recording allows: effects whose drivers it lacks are named, with their cost.
+"""What of a frozen calibration a recording allows, on its own clock: effects without a driver are named with a cost.
 
 Gravity stands in for measured effort where the arm's masses are known. Any other effect without its driver is held at
 what it was on average, and so are effects of time where either recording has no clock. A calibration's own score is
