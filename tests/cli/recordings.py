@@ -33,10 +33,7 @@ def stations(count: int = 80, seed: int = 1) -> Recording:
 def streams(
     count: int = 40, seed: int = 1, late: float = 0.0, dwell: float = 1.0, drift: float = 0.0, day: int = 0
 ) -> Recording:
-    """Joint states at 125 Hz and poses at 50 Hz of an arm that visits postures; the tracker's stamps may be late.
-
-    day: of another tour.
-    """
+    """Joint states at 125 Hz and poses at 50 Hz of an arm on its tour of a day; the tracker's stamps may be late."""
     rng = np.random.default_rng(seed)
     chain = ur10()
     world = World(chain, rng, T_tracker_base=se3.exp(rng.normal(size=6)), T_tip_tool=se3.exp([0.05, 0, 0.1, 0.2, 0, 0]))
