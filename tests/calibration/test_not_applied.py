@@ -33,7 +33,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.preprocess import prepare
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf_inertias import Inertias
-from modcal_core.verdict.not_applied import carried_over
+from modcal_core.verdict.not_applied import carried_over, on_joints_clock
 
 CHAIN = ur10()
 INERTIAS = Inertias(np.full(6, 3.0), np.tile([0.05, 0.0, 0.1], (6, 1)), np.zeros((6, 3, 3)))
@@ -425,6 +425,7 @@ def test_the_delay_of_a_recording_in_motion_is_its_own() -> None:
         report = evaluate(calibration, samples, np.random.default_rng(0))
         assert "+4.00 ms late" in report.notes[0]
         assert 1e3 * np.sqrt(np.mean(report.errors["final"].position_norm ** 2)) < 0.1
+    assert on_joints_clock(sound, replace(other, q=other.q * [1, -1, 1, 1, 1, 1]))[1] == ()  # no delay explains that
     judged = evaluate(sound, own, np.random.default_rng(0)).judged
     assert any("of the calibration's own recording" in said for said in judged.open_because)
     assert checkup(sound, other, np.random.default_rng(0)).status == "unchanged"

@@ -13,8 +13,7 @@ A long hinge and a drawer that bows fit the same samples. They predict other thi
 fitted to; and where a plainer joint leaves no more than handles and cameras usually do, no curve is proved.
 
 While the handle moves, the part to be predicted grows with the path: the model from three fifths of it must predict all
-that came since, within the tolerance or the share of the path by which furniture may miss, beside noise. On a short
-path a model of another type, given up since, says nothing against the new one: a door's first decimetre is a slide.
+that came since. On a short path a model of another type says nothing against the new one: a door begins as a slide.
 """
 
 from __future__ import annotations

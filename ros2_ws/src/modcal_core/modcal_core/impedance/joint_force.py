@@ -8,7 +8,6 @@ Everything is smoothed alike, by two low-passes of lag 1/K in a row. So q̈ = K�
 one and two of them: the generalised momentum observer of second order, which differentiates no speed. C q̇ is left out;
 it is below 0.1 N m in a pull. w follows by least squares, weighted by how well every joint is known, with a prior, so
 that its covariance says which directions the efforts do not see.
-
 Dry friction is the largest error. It acts against the speed, and of a joint that hardly moves it counts as uncertainty.
 Its size, the tool's weight and the errors of the torque constants are learned from motions that the arm makes before it
 takes hold (:class:`FreeMotion`, :func:`modcal_core.robots.weigh`). Of an arm that was not seen moving, what efforts

@@ -1,5 +1,4 @@
-"""The bodies of a chain: what gravity asks of every joint for them, what it must set in motion, and what the arm
-carries.
+"""The bodies of a chain: what gravity asks of every joint, what it must set in motion, and what the arm carries.
 
 Everything is computed in the base frame, where twists, linear first, and inertias of all bodies add: the composite
 rigid body algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 6).

@@ -21,11 +21,13 @@ from modcal_core.calibration import (
     outside_drivers,
     refit_cell,
     signals_of,
+    usual_miss,
 )
 from modcal_core.effects import STEPS, Effect, NominalArm, undelayed
 from modcal_core.effects.families import latency
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, combined
+from modcal_core.hypotheses import LIMIT_OF_REACH
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.measurements.kinds import is_direct
 from modcal_core.verdict.case import base_and_tool, derivatives, weights
@@ -37,10 +39,7 @@ _ASTRAY = 30.0  # squares of a reading's residual, in the noise's, that count ha
 
 
 def on_joints_clock(calibration: Calibration, samples: Samples) -> tuple[Samples, tuple[str, ...]]:
-    """Samples whose readings in motion are on the joints' clock, for a delay is a recording's own; and what is said.
-
-    The delay of each frame is found beside its base and the tool, with the arm and its effects as they were calibrated.
-    """
+    """Samples whose readings in motion are on the joints' clock, for a delay is a recording's own; and what is said."""
     moving = samples.moving & np.isfinite(samples.velocity).all(axis=1)
     if samples.origin.undelayed or not moving.any() or not is_direct(samples.kinds):
         return samples, ()
@@ -52,16 +51,16 @@ def on_joints_clock(calibration: Calibration, samples: Samples) -> tuple[Samples
         few = replace(few, frames=(samples.frames[f],), frame=np.zeros(len(few), int), sockets=())
         with suppress(NotEnoughData):
             for _ in range(_ROUNDS):
-                late[f] += _late(model, _later(few, -late[f]))
+                more, missed = _late(model, _later(few, -late[f]))
+                late[f] += more
+            late[f] *= missed <= LIMIT_OF_REACH * model.chain.reach()  # else they are of no such arm
     said = tuple(
         f"Readings in {frame} were {1e3 * seconds:+.2f} ms late, by their motion; that was undone."
         for frame, seconds in zip(samples.frames, late, strict=True)
         if abs(seconds) > _SAID
     )
-    if not late.any():
-        return samples, ()
-    shifted = _later(samples, -(moving * late[samples.frame])[:, None])
-    return replace(shifted, origin=replace(samples.origin, undelayed=True)), said
+    samples = replace(samples, origin=replace(samples.origin, undelayed=bool(late.any())))
+    return _later(samples, -(moving * late[samples.frame])[:, None]), said
 
 
 def _later(samples: Samples, seconds: Array | float) -> Samples:
@@ -71,15 +70,15 @@ def _later(samples: Samples, seconds: Array | float) -> Samples:
     return replace(samples, q=q, velocity=velocity)
 
 
-def _late(model: Model, samples: Samples) -> float:
-    """By how much readings of one frame are late [s], to first order, whatever its base and the tool are."""
+def _late(model: Model, samples: Samples) -> tuple[float, float]:
+    """By how much readings of a frame are late [s], to first order, whatever base and tool are; what they miss [m]."""
     fit = refit_cell(model, samples, Cell())
     late = fit.model.with_effects((*fit.model.effects, latency.late().started(np.zeros(1))))
     residual, J = derivatives(late, base_and_tool(late, True, True), samples)
     own = weights(fit.noise, samples)
     own = own / (1.0 + np.sum((residual * own) ** 2, axis=0) / _ASTRAY)
-    columns = (np.concatenate([J[:12], J[-1:]]) * own).reshape(13, -1)
-    return float(combined(columns.T, (residual * own).ravel())[-1])
+    columns = (J[[*range(12), -1]] * own).reshape(13, -1).T
+    return float(combined(columns, (residual * own).ravel())[-1]), usual_miss(fit.model, samples)
 
 
 @dataclass(frozen=True)
